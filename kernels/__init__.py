@@ -1,7 +1,7 @@
-"""Warp kernels of warpcrete: device code only, built by factories that take the scalar type.
+"""Warp kernels of warpcrete: device code only, built by factory functions that take the scalar type.
 
-A factory such as ``dem.contacts.contact_kernel(scalar, ...)`` returns a kernel specialised for one
-precision and one set of features. Factories are cached, so asking twice compiles nothing.
+A factory such as ``dem.contacts.contact_kernel(scalar, ...)`` returns a kernel that is specialised for one precision
+and one set of features. Factories are cached, so a second call with the same arguments compiles nothing.
 """
 
 if __name__ != "warpcrete.kernels":

@@ -1,7 +1,8 @@
-"""Scenes: one file each, with `scene(**parameters)`, which makes one, and `check(run)`, its own acceptance.
+"""Scenes, one file for each: the function `scene(**parameters)` builds a scene, and `check(run)` judges its runs.
 
-Every file of this folder is a scene: `modules` finds it by the file's name, with hyphens, and its function stands here
-under that name itself. What flows do and discrete elements, too, are two scenes: NAME and NAME-dem.
+Every file in this folder is a scene, which `modules` finds by the file's name with hyphens. The scene functions are
+also attributes of this package. If both a flow and discrete elements can simulate a test, there are two scenes: NAME
+and NAME-dem.
 """
 
 from __future__ import annotations
@@ -31,21 +32,21 @@ __all__ = ["by_method", "channel", "funnel", "funnel_dem", "jring_dem", "lbox", 
            "part_dem", "pipe", "slump", "slump_dem", "tube"]  # fmt: skip
 
 METHODS = ("mps", "dem")
-"""Methods by the names that results have for them: moving particles, discrete elements."""
+"""Names of the simulation methods in results: moving particles (mps) and discrete elements (dem)."""
 
 
 def modules() -> dict[str, ModuleType]:
-    """Every scene's module, by its name."""
+    """Return the modules of all scenes, by scene name."""
     names = sorted(info.name for info in pkgutil.iter_modules(__path__))
     found = {name: importlib.import_module(f"{__name__}.{name}") for name in names if not name.startswith("_")}
     return {name.replace("_", "-"): module for name, module in found.items() if hasattr(module, "scene")}
 
 
 def by_method(name: str, method: str) -> str:
-    """Name of the scene that simulates what scene `name` does by `method`, of METHODS, which a scene's name ends with
-    if another one has the plain name.
+    """Return the name of the scene that simulates the same test as scene `name` by a `method`, "mps" or "dem".
 
-    Raises :class:`warpcrete.SceneError` if there is none.
+    If both methods can simulate a test, the scene of discrete elements has the suffix "-dem". Raises
+    :class:`warpcrete.SceneError` if there is no such scene.
     """
     plain = name.removesuffix("-dem")
     found = {METHODS[name.endswith("-dem")]: name for name in modules() if name.removesuffix("-dem") == plain}

@@ -1,4 +1,4 @@
-"""Concrete as a Bingham fluid with a slip layer, up a channel between two planes (Xu, Li & Jiang 2021; 2D)."""
+"""Upward flow of concrete, a Bingham fluid with a slip layer, between two planes in 2D (Xu, Li & Jiang 2021)."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ from warpcrete.mps.column import FlowParameters, check_flow, column_scene, flow_
 from warpcrete.mps.scene import FluidScene
 
 PAPER = {"no1": {"pressure": 9.40e3, "slip_velocity": 0.186}}
-"""Printed for 1500 cm3/s [Pa, m/s]."""
+"""Pressure [Pa] and slip velocity [m/s] that the paper prints for a flow of 1500 cm3/s, by concrete."""
 
 
 @scene_function(FlowParameters)
 def scene(parameters: FlowParameters) -> FluidScene:
-    """Concrete that a piston drives up a channel, by implicit moving particles in two dimensions.
+    """Model concrete that a piston drives up a channel, by implicit moving particles (MPS) in two dimensions.
 
-    The paper's case: planes 10 cm apart, a column of 30 cm. The piston moves at flow / (pi R^2), as there.
+    The defaults are the paper's case: planes 10 cm apart and a column of 30 cm. As in the paper, the piston moves at
+    flow / (pi R^2), where R is half the distance of the planes.
 
-    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated, and where nothing would flow.
+    Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated, and if nothing would flow.
     """
     return column_scene("channel", 2, parameters, PAPER)
 

@@ -1,4 +1,4 @@
-"""V-funnel: the time in which concrete flows out of it (EN 12350-9), as a flow on a grid in space."""
+"""V-funnel test: time in which concrete flows out of a funnel (EN 12350-9), as a three-dimensional flow on a grid."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from warpcrete.mps.free.knobs import free_knobs
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
 
 VOLUME = 0.04
-"""Part of the volume that the surface may gain or lose; measured up to 0.021."""
+"""Limit of the volume error of the free surface, as a fraction of the volume; measured errors reach 0.021."""
 REMARKS = (
     "a quarter is computed, between the planes of symmetry",
     "what leaves the outlet is gone: its weight does not pull",
@@ -26,7 +26,7 @@ REMARKS = (
 
 @dataclass(frozen=True, kw_only=True)
 class FunnelParameters(FreeConcrete):
-    """Funnel; its measures are those of EN 12350-9."""
+    """Dimensions of the funnel; defaults follow EN 12350-9."""
 
     top_width: Annotated[float, "inner, at the brim [m]", Above()] = 0.515
     outlet_width: Annotated[float, "[m]", Above()] = 0.065
@@ -40,9 +40,9 @@ class FunnelParameters(FreeConcrete):
 
 @scene_function(FunnelParameters)
 def scene(parameters: FunnelParameters) -> FreeScene:
-    """A V-funnel full of concrete whose outlet opens at once: the time until light is seen through it.
+    """Model a V-funnel full of concrete whose outlet opens at once, and measure the time until light shines through.
 
-    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
+    Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
     given = parameters
     narrow, brim, throat = given.outlet_width / 2, given.top_width / 2, given.outlet_height
@@ -50,7 +50,7 @@ def scene(parameters: FunnelParameters) -> FreeScene:
     if given.spacing > min(given.outlet_width, given.breadth) / 4:
         refuse("spacing", given.spacing, "must leave four cells across the outlet",
                f"take {min(given.outlet_width, given.breadth) / 4:.2g} m or less")  # fmt: skip
-    # Whole cells over the height, and some above it.
+    # Fit a whole number of cells into the height of the funnel; a few more rows lie above it.
     rows = max(8, round(whole / given.spacing))
     cell = whole / rows
     width, out = cell * math.ceil(max(brim, narrow) / cell + 1), 10 * cell
@@ -85,7 +85,7 @@ CURES = {
 
 @with_cures(CURES)
 def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Acceptance of a funnel: name -> (passed, what was found)."""
+    """Return the checks of a funnel run by name: whether each one passed, and what it found."""
     result = run.result
     if "remaining" not in result:
         return {"finished": (False, "there is no sample besides that at the start")}
@@ -100,7 +100,7 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def _knobs(given: FunnelParameters) -> Iterator[Knob]:
-    coarsest = min(given.outlet_width, given.breadth) / 4  # four cells in the outlet
+    coarsest = min(given.outlet_width, given.breadth) / 4  # at least four cells across the outlet
     fall = given.cone_height + given.outlet_height
     return free_knobs(given, given.spacing, fall, coarsest, (2.0, 1.6, 1.25, 1.0, 0.8), -4.0)
 

@@ -1,4 +1,4 @@
-"""V-funnel: the time in which concrete flows out of it (EN 12350-9), by discrete elements."""
+"""V-funnel test: time in which concrete flows out of a funnel (EN 12350-9), by discrete elements."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ from warpcrete.geometry.prisms import prism, rectangle
 from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed
 
 FALL = 0.3
-"""From the outlet to the floor [m]: what has run out must not reach the outlet again, nor fall so deep that soft grains
-swallow each other."""
+"""Height of the outlet above the floor [m]. Grains on the floor must not pile up to the outlet, and falling grains must
+not become so fast that these soft particles pass into one another.
+"""
 DOOR_SPEED = 5.0
-"""At which the trap door falls away [m/s]: faster than concrete, which begins at rest."""
+"""Speed at which the trap door falls away [m/s]; the concrete starts from rest and is slower."""
 EDGE = 0.01
-"""By which the door is wider than the outlet [m]."""
+"""Distance by which the door extends beyond the outlet on each side [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FunnelElements(VesselParameters):
-    """Funnel; its measures are those of EN 12350-9."""
+    """Dimensions of the funnel; defaults follow EN 12350-9."""
 
     HOLDING: ClassVar[dict[str, float]] = {"mortar": 1.0, "plastic": 1.0}
 
@@ -41,12 +42,12 @@ class FunnelElements(VesselParameters):
 
 @scene_function(FunnelElements)
 def scene(parameters: FunnelElements) -> Scene:
-    """A V-funnel full of grains whose outlet opens at once: the time until light is seen through it.
+    """Model a V-funnel full of grains whose outlet opens at once, and measure the time until light shines through.
 
-    Light is seen when grains in the funnel darken less than half of the outlet, as seen from above. The trap door falls
-    away at 5 m/s; what has run out lies on a floor 0.3 m below.
+    Light shines through when the grains in the funnel, seen from above, cover less than half of the outlet. The trap
+    door falls away at 5 m/s, and the grains that have left lie on a floor 0.3 m below.
 
-    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
+    Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
     given = parameters
     narrowest = min(given.outlet_width, given.breadth)
@@ -89,7 +90,7 @@ def scene(parameters: FunnelElements) -> Scene:
 
 @with_cures(CURES)
 def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Acceptance of a funnel: name -> (passed, what was found)."""
+    """Return the checks of a funnel run by name: whether each one passed, and what it found."""
     time = run.result.get("funnel_time")
     return found_bad(run) | {
         "light is seen": (

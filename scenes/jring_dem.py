@@ -1,4 +1,4 @@
-"""Spread through a ring of bars (J-ring, EN 12350-12), by discrete elements."""
+"""J-ring test: spread of concrete through a ring of bars (EN 12350-12), by discrete elements."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from .slump_dem import SlumpElements, lifted_cone
 from .slump_dem import check as check_of_slump
 
 SIDES = 12
-"""Of a bar."""
+"""Number of facets around a bar."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RingElements(SlumpElements):
-    """Ring; its measures are those of EN 12350-12."""
+    """Dimensions of the ring of bars; defaults follow EN 12350-12."""
 
     bars: Annotated[int, "round the ring: 16 leave gaps of 41 mm, 12 of 59 mm", Within(3)] = 16
     bar_diameter: Annotated[float, "[m]", Above()] = 0.018
@@ -36,19 +36,20 @@ class RingElements(SlumpElements):
 
     @property
     def gap(self) -> float:
-        """Between neighbouring bars [m]."""
+        """Free distance between neighbouring bars [m]."""
         return self.ring_diameter * math.sin(math.pi / self.bars) - self.bar_diameter
 
 
 @scene_function(RingElements)
 def scene(parameters: RingElements) -> Scene:
-    """A cone of grains on a plate, whose mould is lifted within a ring of bars: spread, T500, blocking step.
+    """Model a cone of grains on a plate whose mould is lifted inside a ring of bars: spread, T500, blocking step.
 
-    As `slump-dem`, with bars that stand on the plate and have no ring on top; what rubs on the mould rubs on them, too.
-    The blocking step is how much higher the concrete stands in the middle than around the ring. How far the bars hold a
-    concrete back is its spread here beside that of `slump-dem` with the same seed.
+    The scene equals `slump-dem` with additional bars, which stand on the plate and have no ring on top. Mould and bars
+    resist sliding equally (`mould_grip`). The blocking step is the height of the concrete in the middle minus that
+    around the ring. To see how strongly the bars hold concrete back, compare its spread with that in `slump-dem` with
+    the same seed.
 
-    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
+    Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
     given = parameters
     if given.gap <= 0:
@@ -65,7 +66,7 @@ def scene(parameters: RingElements) -> Scene:
 
 
 def _bars(given: RingElements) -> MeshWall:
-    """All of them as one mesh."""
+    """Return all bars as one mesh."""
     bar = truncated_cone(given.bar_diameter / 2, given.bar_diameter / 2, given.ring_height, SIDES)
     angle = 2 * np.pi * np.arange(given.bars) / given.bars
     axes = 0.5 * given.ring_diameter * np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
@@ -75,7 +76,7 @@ def _bars(given: RingElements) -> MeshWall:
 
 
 def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Acceptance of a J-ring: name -> (passed, what was found)."""
+    """Return the checks of a J-ring run by name: whether each one passed, and what it found."""
     return check_of_slump(run)
 
 

@@ -1,4 +1,4 @@
-"""L-box: how far and how level concrete flows, between bars or without (EN 12350-10), as a flow on a grid in space."""
+"""L-box test: how far and how level concrete flows, with or without bars (EN 12350-10), as a 3D flow on a grid."""
 
 from __future__ import annotations
 
@@ -18,22 +18,24 @@ from warpcrete.mps.free.knobs import free_knobs
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
 
 GAPS = {0: 0.0, 2: 0.059, 3: 0.041}
-"""Between bars, by their number [m] (EN 12350-10)."""
+"""Distance between neighbouring bars [m] by the number of bars (EN 12350-10)."""
 THICK = 2.5
-"""Cells of which the column's front wall and the gate are thick."""
+"""Thickness of the column's front wall and of the gate, in cells."""
 FEWEST = 3
-"""Cells over the opening, at least."""
+"""Minimum number of cells over the height of the opening."""
 SEEN = 1.5
-"""Cells across a bar, at least."""
+"""Minimum number of cells across a bar."""
 AROUND = 24
-"""Sides of a bar's prism."""
+"""Number of sides of the prism that represents a round bar."""
 VOLUME = 0.07
-"""Part of the volume that the surface may gain or lose; measured up to 0.064, at 8 mm with bars."""
+"""Limit of the volume error of the free surface, as a fraction of the volume; with bars and cells of 8 mm, measured
+errors reach 0.064.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoxParameters(FreeConcrete):
-    """Box; its measures are those of EN 12350-10."""
+    """Dimensions of the box; defaults follow EN 12350-10."""
 
     column_width: Annotated[float, "along the box [m]", Above()] = 0.1
     column_height: Annotated[float, "of the concrete at the start [m]", Above()] = 0.6
@@ -50,9 +52,9 @@ class BoxParameters(FreeConcrete):
 
 @scene_function(BoxParameters)
 def scene(parameters: BoxParameters) -> FreeScene:
-    """A column of concrete that flows into a box when its gate is lifted: H2/H1, T200 and T400.
+    """Model a column of concrete that flows into a box when its gate is lifted: H2/H1, T200 and T400.
 
-    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
+    Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
     given = parameters
     if given.length < given.column_width + 0.1:
@@ -104,13 +106,13 @@ def scene(parameters: BoxParameters) -> FreeScene:
 
 
 def _bars(given: BoxParameters, place: float) -> Iterator[MeshWall]:
-    """Upright bars in the half that is computed, the one in the middle whole."""
-    import trimesh  # half a second, which other scenes need not wait for
+    """Yield the upright bars in the simulated half of the box; a bar in the middle plane is complete."""
+    import trimesh  # importing takes half a second, which other scenes avoid
 
     pitch = GAPS[given.bars] + given.bar_diameter
     first = 0.0 if given.bars % 2 else pitch / 2
     for n in range(math.ceil(given.bars / 2)):
-        # From within the floor to the height of the opening.
+        # The bar reaches from below the floor to the height of the opening.
         high = given.opening + 2 * given.spacing
         bar = trimesh.creation.cylinder(given.bar_diameter / 2, high, AROUND)
         bar.apply_translation((place + given.bar_diameter, first + n * pitch, given.opening - high / 2))
@@ -126,7 +128,7 @@ CURES = {
 
 @with_cures(CURES)
 def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Acceptance of an L-box: name -> (passed, what was found)."""
+    """Return the checks of an L-box run by name: whether each one passed, and what it found."""
     result = run.result
     if "h1" not in result:
         return {"finished": (False, "there is no sample besides that at the start")}
@@ -138,7 +140,7 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def _knobs(given: BoxParameters) -> Iterator[Knob]:
-    coarsest = given.bar_diameter / SEEN if given.bars else given.opening / 8  # which sees the bars
+    coarsest = given.bar_diameter / SEEN if given.bars else given.opening / 8  # coarser cells would miss the bars
     return free_knobs(given, given.spacing, given.column_height, coarsest, (1.6, 1.25, 1.0, 0.8, 0.5), -4.0)
 
 

@@ -1,4 +1,4 @@
-"""L-box: how far concrete levels out when a gate opens (EN 12350-10), by discrete elements."""
+"""L-box test: how far concrete levels out when a gate opens (EN 12350-10), by discrete elements."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from warpcrete.geometry.prisms import prism, rectangle
 from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed, Wall
 
 ABOVE = 0.2
-"""By which walls stand above the concrete [m]."""
+"""Height of the walls above the concrete [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoxElements(VesselParameters):
-    """Box; its measures are those of EN 12350-10, without bars."""
+    """Dimensions of the box without bars; defaults follow EN 12350-10."""
 
     column_width: Annotated[float, "along the box [m]", Above()] = 0.1
     column_height: Annotated[float, "of the concrete at the start, before it settles [m]", Above()] = 0.6
@@ -35,12 +35,12 @@ class BoxElements(VesselParameters):
 
 @scene_function(BoxElements)
 def scene(parameters: BoxElements) -> Scene:
-    """A column of grains that flows into a box when its gate is lifted: H2/H1, T200 and T400.
+    """Model a column of grains that flows into a box when its gate is lifted: H2/H1, T200 and T400.
 
-    The gate rises in front of the column's wall, by the radius of the smallest grain, so that none touches both.
-    `plate_grip` is what holds the concrete on the floor, `mould_grip` on all sides and the gate.
+    The gate lies in front of the column's wall, at a distance of the smallest grain's radius, so that no grain touches
+    both. `plate_grip` scales the floor's resistance to sliding, and `mould_grip` that of all sides and the gate.
 
-    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
+    Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
     given = parameters
     gate, width, opening, top = given.column_width, given.width, given.opening, given.column_height
@@ -87,7 +87,7 @@ def scene(parameters: BoxElements) -> Scene:
 
 @with_cures(CURES)
 def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Acceptance of an L-box: name -> (passed, what was found)."""
+    """Return the checks of an L-box run by name: whether each one passed, and what it found."""
     speed = number(run.result["rest_speed"])
     return found_bad(run) | {
         "at rest": (bool(run.result["at_rest"]), f"the fastest goes at {1e3 * speed:.2g} mm/s"),

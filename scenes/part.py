@@ -1,4 +1,4 @@
-"""A part of a line, or a line, full of concrete that is pumped through it: straights, bends, reducers, hoses, bores."""
+"""Flow of concrete pumped through a part of a line or a whole line: straights, bends, reducers, hoses, mesh bores."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ from warpcrete.mps.part.scene import FEWEST, PartScene, PartSettings, Section
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level", "mesh")
 ACCURACY = 0.03
-"""Of the friction of straight stretches, against theory."""
+"""Limit of the relative deviation of the friction in straight stretches from theory."""
 REMARKS = ("concrete enters as a plug, through a plane, and leaves where nothing holds it",)
 
 
 ALONE = Needs("line", lambda line: line is None, "is not given")
 APART = 3.0
-"""Cells between two legs of a line, at least, for no cell to have concrete of both."""
+"""Minimum distance between two legs of a line, in cells, so that no cell contains concrete of both."""
 
 
 def _is_given(value: Any) -> bool:
@@ -48,11 +48,11 @@ def _is_given(value: Any) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class PartParameters(ConcreteParameters, PartSettings):
-    """Pipe, and what flows through it."""
+    """Pipe and flow."""
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return what the file of a line, a concrete or a mesh says of other parameters."""
+        """Return the parameter values that follow from the file of a line, a concrete or a mesh."""
         said = {**said_by_line(values), **said_by_mesh(values)}
         return {**said, **super().implied({**said, **values})}
 
@@ -84,9 +84,9 @@ class PartParameters(ConcreteParameters, PartSettings):
 
 @scene_function(PartParameters)
 def scene(parameters: PartParameters) -> PartScene:
-    """Concrete pumped through a part of a line, or a line, at a given flow: the pressure, and what each part loses.
+    """Model concrete pumped through a part of a line, or a line, at a given flow: pressure, and the loss of each part.
 
-    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
+    Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
     given = parameters
     concrete = concrete_of(given.concrete, given.slip_thickness, **{name: getattr(given, name) for name in CONSTANTS})
@@ -108,18 +108,18 @@ def scene(parameters: PartParameters) -> PartScene:
 
 @dataclass(frozen=True)
 class _Course:
-    """Arguments of a scene that say where the pipe goes, and how wide it is."""
+    """Arguments of a scene that describe the course of the pipe and its width."""
 
     axis: Axis
     bores: Bores
-    """Of the pipe, the slip layer included."""
+    """Inner radii along the pipe, including the slip layer."""
     wall: MeshWall | None = None
     insert: tuple[float, float] | None = None
     parts: tuple[Section, ...] = ()
 
 
 def _unit(given: PartParameters) -> _Course:
-    """A part alone."""
+    """Return the course of a single part."""
     bends = given.unit.startswith("bend")
     if given.unit == "mesh":
         return _mesh(given)
@@ -136,7 +136,7 @@ def _unit(given: PartParameters) -> _Course:
 
 
 def _check_wall(given: PartParameters) -> None:
-    """Refuse what a mesh decides itself."""
+    """Refuse parameters that would contradict the mesh of a wall."""
     if given.outlet_diameter is not None:
         refuse("outlet_diameter", given.outlet_diameter, "is the mesh's own where there is a wall", "leave it out")
     if given.slip_thickness > 0:
@@ -144,7 +144,7 @@ def _check_wall(given: PartParameters) -> None:
 
 
 def _mesh(given: PartParameters) -> _Course:
-    """Return the course of a mesh's bore, which goes on straight before its start and behind its end."""
+    """Return the course of a mesh's bore, with straight stretches before its start and behind its end."""
     if given.wall is None:
         refuse("unit", given.unit, "needs a wall, the path of a mesh file", "give one, or another unit")
     _check_wall(given)
@@ -175,7 +175,7 @@ def _mesh(given: PartParameters) -> _Course:
 
 
 def _line(given: PartParameters) -> _Course:
-    """A line as a whole."""
+    """Return the course of a whole line."""
     assert given.line is not None
     line = read_line(given.line)
     check_straight_ends(line, given.line)
@@ -195,9 +195,9 @@ def _line(given: PartParameters) -> _Course:
 
 
 def _axis(given: PartParameters, bends: bool) -> Axis:
-    """From the origin; z is up."""
+    """Return the axis of a single part, which starts at the origin; z points up."""
     origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
-    # The cone lies in the middle of a straight unit, and a stretch behind a bend.
+    # A cone lies in the middle of a straight unit, or one stretch behind a bend.
     narrowing = given.straight + given.taper if given.outlet_diameter is not None else 0.0
     if not bends:
         return Axis(
@@ -220,7 +220,7 @@ CURES = {
 
 @with_cures(CURES)
 def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Acceptance of a flow through a part: name -> (passed, what was found)."""
+    """Return the checks of a part's run by name: whether each one passed, and what it found."""
     result = run.result
     if "pressure" not in result:
         return {"finished": (False, "there is no sample besides that at the start")}

@@ -1,4 +1,4 @@
-"""A part of a line, or several in a row, full of aggregates that a piston pushes along, by discrete elements."""
+"""Aggregates that a piston pushes through a part of a line, or through several in a row, by discrete elements."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from .pipe import check as check_of_pipe
 
 @scene_function(PartElements)
 def scene(parameters: PartElements) -> Scene:
-    """Aggregates pushed through a part of a line, or through a line: pressure, and what a bend or taper adds to it.
+    """Model aggregates pushed through a part of a line, or a line: pressure, and the loss of a bend or taper.
 
-    The pipe begins with a run-up, in which the piston travels; the part, which begins at the origin, stays full. Slices
-    along it measure stress, stress on the wall, solid fraction and velocity (`stations.csv`), and of straight stretches
-    and what is between them their losses.
+    The pipe begins with a run-up, in which the piston travels, so that the part, which begins at the origin, stays
+    full. Slices along the part measure stress, wall stress, solid fraction and velocity (`stations.csv`). The losses of
+    straight stretches, and of the bend or taper between them, follow from the slices.
 
-    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
+    Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
     given = parameters
     course = course_of(given)
@@ -72,7 +72,7 @@ def scene(parameters: PartElements) -> Scene:
 
 
 def _pipe(given: PartElements, course: Course) -> PipeWall | MeshWall:
-    """An exact pipe, or triangles where it is not as wide everywhere."""
+    """Return an exact round pipe if the bore has one diameter, and a triangle mesh otherwise."""
     axis, bores = course.axis, course.bores
     if bores.is_straight:
         return PipeWall(name="pipe", axis=axis, radius=bores.radii[0])
@@ -83,7 +83,7 @@ def _pipe(given: PartElements, course: Course) -> PipeWall | MeshWall:
 
 
 def _container(course: Course, pipe: PipeWall | MeshWall) -> PipeContainer:
-    """What is packed: all of the pipe from the piston to its end, inside its true wall."""
+    """Return the space that is packed with aggregates: the pipe from the piston to its end."""
     length, least = course.axis.length, course.narrowest / 2
     if isinstance(pipe, PipeWall):
         return PipeContainer(course.axis, least, length)
@@ -97,7 +97,7 @@ def _piston(course: Course, radius: float) -> PlaneWall:
 
 
 def _stations(given: PartElements, course: Course) -> Stations:
-    """Slices of equal length from where the part begins to its end."""
+    """Return slices of equal length from the beginning of the part to its end."""
     begin, end = course.travel, course.axis.length
     count = max(1, round(given.slices * (end - begin) / (2 * float(course.bores.at(begin)))))
     edges = np.linspace(begin, end, count + 1)
@@ -107,7 +107,7 @@ def _stations(given: PartElements, course: Course) -> Stations:
 
 
 def _remarks(given: PartElements, course: Course, sizes: Sizes) -> Iterator[str]:
-    """What is simplified or outside what is pumped."""
+    """Yield remarks on simplifications and on stones that are too large for pumping."""
     narrow = course.narrowest
     yield from law_remarks(given)
     if given.shapes == "spheres":
@@ -124,7 +124,7 @@ def _remarks(given: PartElements, course: Course, sizes: Sizes) -> Iterator[str]
 
 
 def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Acceptance of a run through a part: name -> (passed, what was found)."""
+    """Return the checks of a part's run by name: whether each one passed, and what it found."""
     return check_of_pipe(run)
 
 

@@ -1,7 +1,7 @@
-"""Concrete pumped through one pipe unit by a piston, against a small pressure on a plug (Zhan et al. 2019).
+"""Concrete that a piston pumps through one pipe unit, against a small pressure on a plug (Zhan et al. 2019).
 
-Units: A `vertical` (up), B `horizontal`, C `bend-to-horizontal` (upward in, horizontal out), D `bend-to-vertical`
-(horizontal in, upward out).
+The units are A `vertical` (upward), B `horizontal`, C `bend-to-horizontal` (an elbow with upward inlet and horizontal
+outlet), and D `bend-to-vertical` (an elbow with horizontal inlet and upward outlet).
 """
 
 from __future__ import annotations
@@ -45,29 +45,29 @@ PUBLISHED = {
     "horizontal": Published(source=SOURCE, peak=15.69e3, plateau=12e3, peak_travel=0.10),
     "bend-to-vertical": Published(source=SOURCE, peak=38.58e3),
 }
-"""Section 5.1: read for the units at the reference parameters."""
+"""Pressures of the units with reference parameters, from section 5.1 of Zhan et al. 2019."""
 
 OF_THE_PAPER = ("zhan", "zhan-table1")
-"""Concretes beside which the paper's figures are shown."""
+"""Concretes for which reports show the paper's results."""
 FEWEST = 30
-"""Aggregates that stand for concrete: fewer are so many stones."""
+"""Minimum number of aggregates; fewer of them do not represent concrete."""
 LEAK = 0.01
-"""Part of the aggregates that may slip past the plug."""
+"""Largest fraction of the aggregates that may slip past the plug."""
 LAST_OF_PAUSE = 0.05
-"""Part of the last pause that is left when the rest is put in."""
+"""Fraction of the last pause that remains when the long rest begins."""
 SLICES, MOST_SLICES = 2.0, 1000
-"""Per diameter, and in all, in which recordings show the stress along a round pipe."""
+"""Number of slices per pipe diameter, and their maximum number, in which recordings show the stress along the pipe."""
 BALANCED = 0.01
-"""Part of the largest impulse that may be missing in the balance of momentum."""
+"""Limit of the error in the momentum balance, as a fraction of the largest impulse."""
 
 
 @scene_function(PipeParameters)
 def scene(parameters: PipeParameters) -> Scene:
-    """Concrete pumped through one pipe unit (Zhan et al. 2019).
+    """Model concrete pumped through one pipe unit (Zhan et al. 2019).
 
     The pipe's axis starts at the origin, in +z (vertical, bend-to-horizontal) or +x (horizontal, bend-to-vertical).
-    Defaults are the paper's reference case with single spheres instead of its clumps (`shapes="reference"`).
-    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
+    Defaults are the paper's reference case with single spheres instead of its clumps (`shapes="reference"`). Raises
+    :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
     given = parameters
     sizes = sizes_of(given, given.diameter)
@@ -123,14 +123,14 @@ CURES = {
 
 @with_cures(CURES)
 def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Acceptance of a pipe run: name -> (passed, what was found)."""
+    """Return the checks of a pipe run by name: whether each one passed, and what it found."""
     result, scene = run.result, run.scene
     balance, overlap = result["momentum_balance_error"], result["largest_overlap"]
     travel, goal = float(run.series["travel"][-1]), scene.pipe.travel
     bodies = run.bodies  # type: ignore[attr-defined]
     wall = next(wall for wall in scene.walls if wall.name == "pipe")
     outside = int(np.count_nonzero(~enclosed(wall, scene.pipe.axis, bodies.position)))
-    # The last step ends past the duration.
+    # The last step may end after the planned duration, so allow the travel of one step.
     step = scene.pipe.velocity * number(result["simulated_time"]) / max(result["steps"], 1)
     blocked = bool(result.get("blocked"))
     whole = abs(travel - goal) < 1e-3 * goal + step or (blocked and scene.blockage.stop)
@@ -163,7 +163,7 @@ trading = Trading(pumping_knobs, ("plateau_pressure", "peak_pressure"))
 
 
 def _past_plug(run: Run) -> tuple[int, int] | None:
-    """Aggregates that are ahead of the plug of balls, and how many there are; None without one."""
+    """Count the aggregates ahead of the plug of balls, and all aggregates; return None without such a plug."""
     bodies, axis = run.bodies, run.scene.pipe.axis  # type: ignore[attr-defined]
     plug = np.array([group == "plug" for group in bodies.group], bool)
     if not plug.any():
@@ -173,7 +173,7 @@ def _past_plug(run: Run) -> tuple[int, int] | None:
 
 
 def unit_axis(unit: str, length: float, elbow_radius: float) -> Axis:
-    """Axis of a pipe unit that is at least `length` long [m]."""
+    """Return the axis of a pipe unit that is at least `length` long [m]."""
     origin = (0.0, 0.0, 0.0)
     up, along = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)
     if unit == "vertical":
@@ -186,7 +186,7 @@ def unit_axis(unit: str, length: float, elbow_radius: float) -> Axis:
 
 
 def _piston(given: PipeParameters, axis: Axis) -> PlaneWall:
-    """It moves along a straight pipe, and turns about the centre of a bend."""
+    """Return the piston wall, which moves along a straight pipe or turns about the centre of a bend."""
     points, tangents = axis.at(0.0)
     if given.is_bend:
         arc = axis.pieces[0]
@@ -208,7 +208,7 @@ def _piston(given: PipeParameters, axis: Axis) -> PlaneWall:
 
 
 def _plug(given: PipeParameters, axis: Axis, pipe: Wall) -> Plug:
-    """It fills the bore where the concrete ends."""
+    """Return the plug, which fills the bore at the front end of the concrete."""
     bore = _odd_bore(given, axis, pipe, given.length, given.front) if given.plug == "balls" else None
     inner = bore.smallest if bore is not None else given.radius
     return plug_of(given, axis, given.length, given.radius, given.layers, inner)
@@ -228,8 +228,9 @@ def _pipe_wall(given: PipeParameters, axis: Axis) -> PipeWall | MeshWall:
 
 
 def _stations(given: PipeParameters, axis: Axis) -> Stations:
-    """Slices half as long as wide (longer in a long pipe), from where the piston begins to where it has pushed the
-    concrete.
+    """Return the slices in which stresses are measured, from the piston's start to the final front of the concrete.
+
+    A slice is half as long as the pipe is wide, or longer in a long pipe.
     """
     end = given.length + given.distance
     edges = np.linspace(0, end, 1 + round(min(max(1.0, SLICES * end / given.diameter), MOST_SLICES)))
@@ -237,10 +238,10 @@ def _stations(given: PipeParameters, axis: Axis) -> Stations:
 
 
 def _odd_bore(given: PipeParameters, axis: Axis, pipe: Wall, begin: float, end: float) -> Bore | None:
-    """The bore between two arc lengths [m], where a round pipe does not stand for it."""
+    """Return the bore between two arc lengths [m]; None if the pipe is round there."""
     if not isinstance(pipe, MeshWall):
         return None
-    # Many probes: between the corners of a few facets the wall comes nearest.
+    # Many probes are needed, because a pipe of few facets is narrowest between its corners.
     reach = bore_probes(pipe, axis, given.radius, end, around=72, begin=begin)
     if np.any(reach < 0):
         refuse("wall", given.wall, f"has gaps: {np.count_nonzero(reach < 0)} of {reach.size} probes find no wall",
@@ -252,7 +253,7 @@ def _odd_bore(given: PipeParameters, axis: Axis, pipe: Wall, begin: float, end: 
 def _rest(given: PipeParameters) -> Rest | None:
     if not given.rest or given.stops is None:
         return None
-    # Just before the piston starts again.
+    # The long rest begins just before the piston starts again.
     at = given.stops.count * given.stops.period - LAST_OF_PAUSE * given.pause
     return Rest(
         at=at, duration=given.rest, growth=given.thixotropy, breakdown=given.breakdown, coverage=COVERAGE, wall="piston"
@@ -260,7 +261,7 @@ def _rest(given: PipeParameters) -> Rest | None:
 
 
 def _remarks(given: PipeParameters, sizes: Sizes) -> Iterator[str]:
-    """What is simplified, left unused or outside what is pumped."""
+    """Yield remarks on simplifications, unused parameters, and stones that are too large for pumping."""
     yield from law_remarks(given)
     own = given.contact is None and given.wall_contact is None
     if own and given.concrete in shipped() and concrete(given.concrete).calibrated:
@@ -283,7 +284,10 @@ def _remarks(given: PipeParameters, sizes: Sizes) -> Iterator[str]:
 
 
 def _is_reference(given: PipeParameters) -> bool:
-    """Is this the paper's case, as far as it is stated? (Shapes differ: it shows no coordinates.)"""
+    """Return whether the parameters are the reference case, as far as the paper states it.
+
+    Clump shapes may differ, because the paper gives no coordinates for them.
+    """
     free = {
         "unit",
         "shapes",

@@ -1,4 +1,4 @@
-"""Slump and spread: a cone of concrete whose mould is lifted (EN 12350-2, EN 12350-8), as a flow on a grid."""
+"""Slump test and slump flow test: a cone of concrete whose mould is lifted (EN 12350-2, -8), as a flow on a grid."""
 
 from __future__ import annotations
 
@@ -18,20 +18,22 @@ from warpcrete.mps.mixes import CONSTANTS
 from warpcrete.theory.vessels import cone_volume, long_heap_spread
 
 PUBLISHED = {"no1": 0.13, "no2": 0.18, "no3": 0.22}
-"""Slumps that Xu, Li & Jiang 2021 measured of their concretes [m]."""
+"""Slumps that Xu, Li & Jiang (2021) measured for their concretes [m]."""
 TOP, BASE, HEIGHT = 0.1, 0.2, 0.3
-"""Diameters and height of the mould of EN 12350-2 [m]."""
+"""Top diameter, base diameter and height of the mould in EN 12350-2 [m]."""
 SHELL, ABOVE = 3, 3
-"""Cells of which a mould is thick, and that lie above it."""
+"""Thickness of the mould, and height of the space above it, in cells."""
 VOLUME = 0.05
-"""Part of the volume that the surface may gain or lose; measured up to 0.027 while it moves fastest, and 0.07 to 0.14
-where 20 Pa make a layer a few cells thin, which the check is to tell.
+"""Limit of the volume error of the free surface, as a fraction of the volume.
+
+Measured errors reach 0.027 while the surface moves fastest. They are 0.07 to 0.14 if a yield stress of 20 Pa lets the
+concrete spread into a layer only a few cells thick; the check is meant to detect this case.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class SlumpParameters(FreeConcrete):
-    """Mould and plate."""
+    """Dimensions of mould and plate."""
 
     top_diameter: Annotated[float, "of the mould [m]", Above()] = TOP
     base_diameter: Annotated[float, "of the mould [m]", Above()] = BASE
@@ -46,19 +48,19 @@ class SlumpParameters(FreeConcrete):
 
 @scene_function(SlumpParameters)
 def scene(parameters: SlumpParameters) -> FreeScene:
-    """A cone of concrete on a plate, whose mould is lifted: slump, spread, T500.
+    """Model a cone of concrete on a plate whose mould is lifted: slump, spread, T500.
 
-    The mould opens from below, as it is lifted, and nothing rubs on it; the concrete sticks to the plate. It flows
-    about the axis, as a Bingham fluid.
+    The mould opens from below as it is lifted, and has no friction; the concrete sticks to the plate by default. The
+    concrete is a Bingham fluid, and the flow is symmetric about the axis.
 
-    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
+    Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
     given = parameters
     concrete = given.mixed(given.plate == "slips")
     top, base, height = given.top_diameter / 2, given.base_diameter / 2, given.mould_height
     room = given.plate_radius or _room(top, base, height, concrete.yield_stress, concrete.density, given.gravity)
     outline = ((0.0, 0.0), (base, 0.0), (top, height), (0.0, height))
-    # Whole cells in the mould's height and foot.
+    # Fit a whole number of cells into the height of the mould and into the radius of its base.
     rows, rings = max(4, round(height / given.spacing)), max(4, round(base / given.spacing))
     thick = SHELL * base / rings
     gate = ((base, 0.0), (base + thick, 0.0), (top + thick, height), (top, height)) if given.lift_time else ()
@@ -83,7 +85,10 @@ def scene(parameters: SlumpParameters) -> FreeScene:
 
 
 def _room(top: float, base: float, height: float, yield_stress: float, density: float, gravity: float) -> float:
-    """Radius of a plate that the concrete will not leave [m]: the long heap's, which is more than any, and a fifth."""
+    """Return the radius of a plate that the concrete will not leave [m].
+
+    It is 1.2 times the radius of a long heap, which is an upper bound, but at least 1.5 and at most 5 base radii.
+    """
     widest = 5 * base
     if yield_stress > 0:
         widest = 0.6 * long_heap_spread(cone_volume(top, base, height), yield_stress, density, gravity)
@@ -99,7 +104,7 @@ CURES = {
 
 @with_cures(CURES)
 def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Acceptance of a slump: name -> (passed, what was found)."""
+    """Return the checks of a slump run by name: whether each one passed, and what it found."""
     result = run.result
     if "slump" not in result:
         return {"finished": (False, "there is no sample besides that at the start")}
@@ -111,7 +116,7 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def _knobs(given: SlumpParameters) -> Iterator[Knob]:
-    coarsest = min(given.top_diameter / 8, given.mould_height / 4)  # four cells in the mould
+    coarsest = min(given.top_diameter / 8, given.mould_height / 4)  # at least four cells across the mould
     return free_knobs(given, given.spacing, given.mould_height, coarsest, (1.6, 1.25, 1.0, 0.8, 0.5), -3.0)
 
 

@@ -1,4 +1,4 @@
-"""Slump and spread of a cone whose mould is lifted (EN 12350-2, EN 12350-8), by discrete elements."""
+"""Slump test and slump flow test: a cone whose mould is lifted (EN 12350-2, EN 12350-8), by discrete elements."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from warpcrete.geometry.prisms import truncated_cone
 from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed, Wall
 
 STRAYS = 0.05
-"""Part of the grains that may have left the heap."""
+"""Largest fraction of the grains that may leave the heap."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SlumpElements(VesselParameters):
-    """Mould."""
+    """Dimensions of the mould."""
 
     top_diameter: Annotated[float, "of the mould [m]", Above()] = 0.1
     base_diameter: Annotated[float, "of the mould [m]", Above()] = 0.2
@@ -33,13 +33,14 @@ class SlumpElements(VesselParameters):
 
 @scene_function(SlumpElements)
 def scene(parameters: SlumpElements) -> Scene:
-    """A cone of grains on a plate, whose mould is lifted: slump, spread, T500.
+    """Model a cone of grains on a plate whose mould is lifted: slump, spread, T500.
 
-    The mould is a thin shell of 48 facets that rises at an even speed; `mould_grip` is what rubs on it, `plate_grip` on
-    the plate, which has no end. Grains are packed into the closed mould and settle in it, so the concrete is somewhat
-    lower than the mould when that is lifted (`fill_height`); the slump is counted from there.
+    The mould is a thin shell of 48 facets that rises at constant speed. `mould_grip` scales the mould's resistance to
+    sliding, and `plate_grip` that of the plate, which is unlimited. The grains are packed into the closed mould and
+    settle there, so that the concrete is somewhat lower than the mould when lifting starts (`fill_height`); the slump
+    is measured from that height.
 
-    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated.
+    Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
     return lifted_cone(parameters, "slump", {}, (), "the mould")
 
@@ -47,10 +48,10 @@ def scene(parameters: SlumpElements) -> Scene:
 def lifted_cone(
     given: SlumpElements, test: str, dimensions: dict[str, float], around: tuple[Wall, ...], what: str
 ) -> Scene:
-    """Scene of a `test` of VESSELS in which a mould on a plate is lifted, among other walls that stand `around` it.
+    """Build the scene of a `test` of VESSELS in which a mould on a plate is lifted, with further walls `around` it.
 
-    `dimensions` are those that the test needs beside the mould's [m]; `what` concrete slides along is told if it does
-    so freely.
+    `dimensions` holds lengths that the test needs in addition to those of the mould [m]. `what` names the surfaces
+    along which concrete may slide freely; a remark then mentions them.
     """
     cone = truncated_cone(given.base_diameter / 2, given.top_diameter / 2, given.mould_height)
     narrowest = min(given.top_diameter, given.base_diameter, given.mould_height)
@@ -79,7 +80,7 @@ def lifted_cone(
 
 @with_cures(CURES)
 def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Acceptance of a slump: name -> (passed, what was found)."""
+    """Return the checks of a slump run by name: whether each one passed, and what it found."""
     result = run.result
     speed, strays = number(result["rest_speed"]), result["strays"]
     return found_bad(run) | {

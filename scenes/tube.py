@@ -1,4 +1,4 @@
-"""Concrete as a Bingham fluid with a slip layer, up a round pipe (the case of Xu, Li & Jiang 2021 in 3D)."""
+"""Upward flow of concrete, a Bingham fluid with a slip layer, in a round pipe (3D case of Xu, Li & Jiang 2021)."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from warpcrete.mps.scene import FluidScene
 
 @dataclass(frozen=True, kw_only=True)
 class TubeParameters(FlowParameters):
-    """A column in a round tube."""
+    """Concrete column in a round pipe."""
 
     spacing: Annotated[float, "of the particles [m]; the nearest that divides the radius is taken"] = 10e-3
 
 
 @scene_function(TubeParameters)
 def scene(parameters: TubeParameters) -> FluidScene:
-    """Concrete that a piston drives up a round pipe, by implicit moving particles in three dimensions.
+    """Model concrete that a piston drives up a round pipe, by implicit moving particles (MPS) in three dimensions.
 
-    Raises :class:`warpcrete.SceneError` for anything that cannot be simulated, and where nothing would flow.
+    Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated, and if nothing would flow.
     """
     return column_scene("tube", 3, parameters)
 

@@ -355,3 +355,23 @@ def test_the_stable_step_of_an_oblique_contact_is_by_the_rows_of_its_matrix(star
         steps.append(start(scene).estimate())
     rows = np.abs(np.eye(3) - np.outer(n, n)).sum(1)
     assert steps[1] / steps[0] == pytest.approx(1 / np.sqrt(rows.max()), rel=1e-12)
+
+
+@pytest.mark.parametrize("spin, slides", [((0.0, 0.0, 8.0), False), ((0.0, 0.0, -4.0), True)])
+def test_unequal_spheres_that_turn_like_gears_do_not_slide(start, spin, slides):
+    """The surfaces at the contact have speeds arm x spin: with arms of 1 and 2, spins of 8 and -4 rad/s roll off."""
+    small, large, gap = 0.005, 0.01, -1e-6
+    spins = np.array([spin, [0.0, 0.0, -4.0]])
+    scene = dataclasses.replace(
+        two_spheres(contact=Contact(effective_modulus=MODULUS, friction=0.5, normal_damping_ratio=0.0), dt=1e-6),
+        bodies=(Bodies(positions=[[0, 0, 0], [small + large + gap, 0, 0]], sizes=[2 * small, 2 * large],
+                       spins=spins),),
+    )  # fmt: skip
+    stepper = start(scene)
+    stepper.take(20)
+    across = np.abs(by_id(stepper.state, "velocity")[:, 1])
+    slip = (small + 0.5 * gap) * spins[0, 2] + (large + 0.5 * gap) * spins[1, 2]
+    if slides:
+        assert across[0] > 1e-7 and slip < -0.05
+    else:
+        assert np.all(across < 1e-9) and abs(slip) < 3e-6

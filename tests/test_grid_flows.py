@@ -13,7 +13,8 @@ from warpcrete.core.device import find_device
 from warpcrete.core.errors import CapacityError, ConvergenceError, SceneError
 from warpcrete.core.run_loop import Recorder
 from warpcrete.kernels.mps.grid.bingham import bingham_functions
-from warpcrete.kernels.mps.grid.cells import LIQUID, cells_struct
+from warpcrete.kernels.mps.grid.cells import LIQUID, Kind, cells_struct
+from warpcrete.kernels.mps.grid.forces import relaxing_function
 from warpcrete.mps.column import check_flow
 from warpcrete.mps.grid.flow import GridFlow
 from warpcrete.mps.grid.layout import pipe_layout
@@ -368,3 +369,21 @@ def test_a_periodic_pipe_by_the_command(tmp_path):
                                     "--device", "cpu", "--out", str(out), "--quiet"])  # fmt: skip
     assert done.exit_code == 0, done.output
     assert "FAIL" not in done.output and {"flow.png", "run.rrd", "scene.usdc"} <= {p.name for p in out.iterdir()}
+
+
+@pytest.mark.parametrize("periodic, thinned", [(False, 1.0), (True, 2.0)])
+def test_yielding_concrete_under_a_free_surface_takes_its_new_viscosity_at_once(device, periodic, thinned):
+    """From 4 Pa s to 1 Pa s where the shear stress exceeds the yield stress; a full pipe goes half the way."""
+    scalar = wp.float64
+    relaxed = relaxing_function(scalar, Kind(periodic=periodic))
+    Cells = cells_struct(scalar, 2)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def follow(g: Cells, viscosity: wp.array(dtype=scalar)):
+        viscosity[0] = relaxed(g, scalar(4.0), scalar(1.0), scalar(100.0))
+
+    cells = Cells()
+    cells.viscosity, cells.yield_stress, cells.regularisation = 0.5, 50.0, 10.0
+    found = wp.zeros(1, scalar, device=device)
+    wp.launch(follow, 1, [cells, found], device=device)
+    assert found.numpy()[0] == pytest.approx(thinned, rel=1e-12)

@@ -164,6 +164,14 @@ def sheared_wall(law, depth=1e-4, speed=0.2, dt=1e-6):
     )  # fmt: skip
 
 
+@pytest.mark.parametrize("rigid_partner, bodies", [(False, 2), (True, 1)])
+def test_hertz_mindlin_moduli_follow_from_youngs_modulus(rigid_partner, bodies):
+    """Mindlin 1949: 1/E* = sum of (1 - nu^2)/E over both bodies, 1/G* = sum of (2 - nu)/G, G = E/(2 (1 + nu))."""
+    law = HertzMindlin.of(1e9, 0.25, rigid_partner=rigid_partner)
+    assert law.effective_modulus == pytest.approx(1e9 / 0.9375 / bodies, rel=1e-12)
+    assert law.effective_shear_modulus == pytest.approx(0.4e9 / 1.75 / bodies, rel=1e-12)
+
+
 @pytest.mark.parametrize("speed", [0.05, 0.2])
 def test_lubrication_layer_drags_with_yield_stress_and_viscosity(start, speed):
     contact = Contact(friction=0.1, normal_damping_ratio=0.0)

@@ -15,14 +15,15 @@ from warpcrete import Simulation, scenes
 from warpcrete.core.display import DrawnWall
 from warpcrete.core.frames import LEAST, SLOWEST, Frames
 from warpcrete.core.later import Later
+from warpcrete.core.paint import on_palette
 from warpcrete.core.run_loop import Recorder
 from warpcrete.dem.probes import largest_forces, pair_forces
 from warpcrete.geometry.axis import Axis, Line
-from warpcrete.record.blueprint import behind, cut_walls
+from warpcrete.record.blueprint import PLAYED, behind, blueprint, cut_walls
 from warpcrete.record.legend import legend, legend_title, meaning, paint_legend
 from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.usd import UsdRecorder
-from warpcrete.record.usd_looks import linear
+from warpcrete.record.usd_looks import CLEAR, linear, wall_look
 from warpcrete.theory.pipe import velocity
 
 TUBE = dict(spacing=0.02, duration=0.012, sample_interval=4e-3)
@@ -376,3 +377,25 @@ def test_notes_of_usd_are_readable(pumped):
 
     notes = Sdf.Layer.FindOrOpen(str(pumped[0] / "scene.usdc")).customLayerData
     assert json.loads(json.dumps(dict(notes)))["title"] == "warpcrete: pipe"
+
+
+@pytest.mark.parametrize("alpha, moves, opacity", [(10, False, CLEAR), (200, False, 200 / 255), (10, True, 1.0)])
+def test_clear_walls_of_usd_stay_visible(alpha, moves, opacity):
+    from pxr import Usd
+
+    wall = DrawnWall("wall", np.eye(3), np.array([[0, 1, 2]]), moves, (10, 20, 30, alpha))
+    assert wall_look(Usd.Stage.CreateInMemory(), wall, "wall")[2] == pytest.approx(opacity)
+
+
+@pytest.mark.parametrize("duration, speed", [(0.1 * PLAYED, 0.1), (10 * PLAYED, 1.0)])
+def test_a_short_run_plays_slowly_and_a_long_one_in_its_own_time(duration, speed):
+    simulation = Simulation(scenes.channel(ends="periodic"), device="cpu")
+    simulation.prepare()
+    shown = blueprint(simulation.display(), network=False, legend=False, duration=duration)
+    assert shown.time_panel.playback_speed == pytest.approx(speed)
+
+
+def test_a_scale_may_begin_above_zero():
+    """Viridis between 3 and 5: its ends, and its middle for 4."""
+    values = np.array([2.0, 3.0, 4.0, 5.0, 6.0])
+    assert np.array_equal(on_palette(values, 5.0, 3.0), on_palette(np.array([0.0, 0.0, 0.5, 1.0, 1.0]), 1.0))

@@ -1,5 +1,7 @@
 """Where the aggregate is, of stones placed by hand; what a run says of it."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from pumping import SMALL
@@ -7,6 +9,7 @@ from pumping import SMALL
 from warpcrete import SceneError, Simulation, scenes
 from warpcrete.dem import clumps, segregation
 from warpcrete.dem.scene import Bodies, Scene
+from warpcrete.dem.segregation import QUANTITIES
 from warpcrete.geometry.axis import Arc, Axis, Line
 
 STRAIGHT = Axis((0, 0, 0), (0, 0, 1), (Line(1.0),))
@@ -110,3 +113,11 @@ def test_a_run_tells_it(device):
 def test_segregation_needs_a_pipe():
     with pytest.raises(SceneError, match=r"^segregation = True: needs a pipe"):
         Scene(name="none", duration=1.0, segregation=True)
+
+
+def test_segregation_is_the_difference_of_the_halves_over_their_mean():
+    """The inner half of the radius is a quarter of the cross-section, the outer half three quarters."""
+    series = {"aggregate_inner": np.array([0.3, 0.1]), "aggregate_outer": np.array([0.3, 0.5])}
+    found = {each.name: each.of(SimpleNamespace(series=series)) for each in QUANTITIES}
+    assert found["segregation_at_start"] == 0.0
+    assert found["segregation"] == pytest.approx(0.4 / (0.25 * 0.1 + 0.75 * 0.5))

@@ -104,6 +104,23 @@ def test_stress_of_two_bodies_that_touch(device):
     assert again == pytest.approx(found, rel=1e-9)
 
 
+def test_stress_along_an_oblique_pipe_has_all_shear_components():
+    """The stress along the tangent t is t . S t, with S written as its components xx, yy, zz, xy, yz and zx."""
+    axis = Axis((0, 0, 0), (1, 0, 0), (Line(1.0),))
+    stations = Stations(axis=axis, bores=Bores((0.0,), (0.05,)), edges=(0.0, 0.5, 1.0))
+    t = np.array([1.0, 2.0, -2.0]) / 3.0
+    volume = math.pi * 0.05**2 * 0.5
+    for components in ([1.0, 2.0, 3.0, 0, 0, 0], *np.eye(6)[3:]):
+        xx, yy, zz, xy, yz, zx = components
+        tensor = np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]])
+        stress = np.array([components, np.zeros(6)])  # the second body only makes the first slice full
+        places, sizes = np.array([0.25, 0.75]), np.array([0.02, 0.02])
+        found = stresses_along(stations, stress, places, np.array([t, t]), sizes, sizes > 0, 0.0)
+        mean, along = found[0] * volume
+        assert along == pytest.approx(t @ tensor @ t, abs=1e-12)
+        assert mean == pytest.approx(np.trace(tensor) / 3, abs=1e-12)
+
+
 def test_stress_of_a_clump_on_a_wall(device):
     """Push times branch, which goes from the clump's middle to where it touches: by way of the sphere's own."""
     contact = Contact(effective_modulus=1e5, friction=0.0, normal_damping_ratio=0.0)

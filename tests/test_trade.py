@@ -291,8 +291,8 @@ def test_settings_for_an_accuracy(flow_trade):
     # What somebody chose stays; where the scene is another one, that is said.
     advice = advise(flow_trade.folder, "channel", channel, COARSE | dict(time_step=3e-4, flow=1e-3), 0.2)
     assert "time_step" not in advice.changes and set(advice.outside) == {
-        "time_step 0.0003 for 0.0005",
-        "flow 0.001 for None",
+        "time_step 0.0003 instead of 0.0005",
+        "flow 0.001 instead of None",
     }
     with pytest.raises(SceneError, match=r"accuracy = .0\.0001 %.: was not reached: this trade guarantees"):
         advise(flow_trade.folder, "channel", channel, COARSE, 1e-6)

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed
 from warpcrete.kernels.mps.grid.cells import Kind
 from warpcrete.kernels.mps.grid.walls import STICKY
+from warpcrete.mps.free import probes
 from warpcrete.mps.free.layout import fill_cells, free_layout
 from warpcrete.mps.free.probes import volume
 from warpcrete.mps.free.simulation import FreeSimulation
@@ -391,3 +393,28 @@ def test_a_mould_is_a_cone():
     assert cut.sum() > 30 and np.all((layout.opened.part == 0) | (layout.opened.part == 1))
     differ = layout.geometry.room != layout.opened.room
     assert differ.sum() > 50 and np.all(layout.opens[differ] < 3.1)
+
+
+def test_the_front_in_an_l_box_is_counted_from_the_gate(monkeypatch):
+    """Concrete deeper than half a cell ends in the cell whose middle is at 0.305 m; the gate is at 0.1 m."""
+    across = np.arange(0.005, 0.7, 0.01)
+    depth = np.where(across < 0.1, 0.5, np.where(across < 0.31, 0.02, 0.001))
+    monkeypatch.setattr(probes, "surface", lambda flow: (across, depth))
+    scene = SimpleNamespace(dimensions={"column_width": 0.1, "width": 0.2}, width=0.7)
+    flow: Any = SimpleNamespace(scene=scene, state=SimpleNamespace(layout=SimpleNamespace(spacing=0.01)))
+    found = probes.box_depths(flow)
+    assert found["front"] == pytest.approx(0.31 - 0.1) and found["near_depth"] == 0.5 and found["far_depth"] == 0.001
+
+
+@pytest.mark.parametrize("bars, middles", [(2, [0.0355]), (3, [0.0, 0.053])])
+def test_bars_of_an_l_box_leave_the_gaps_of_the_standard(bars, middles):
+    """EN 12350-10: bars of 12 mm leave gaps of 59 mm (two bars) or 41 mm (three, one of them in the middle plane)."""
+    walls = scenes.lbox(bars=bars, bar_diameter=0.012, spacing=0.008).walls
+    found = sorted(float(np.ptp(wall.vertices[:, 1]) / 2 + wall.vertices[:, 1].min()) for wall in walls)
+    assert found == pytest.approx(middles, abs=1e-9)
+
+
+def test_half_of_a_funnel_is_computed():
+    """The front side is a mirror, so the depth is half of the funnel's breadth."""
+    scene = scenes.funnel(breadth=0.075)
+    assert scene.sides["front"] == "mirror" and scene.depth == 0.0375

@@ -1,7 +1,9 @@
-"""warpcrete: particle simulation of fresh concrete being pumped, on GPU or CPU.
+"""Particle simulation of fresh concrete being pumped, on a GPU or a CPU.
 
-import warpcrete
-run = warpcrete.Simulation(warpcrete.scenes.pipe(unit="vertical"), device="cpu").run()
+This example runs the scene of a vertical pipe on the CPU::
+
+    import warpcrete
+    run = warpcrete.Simulation(warpcrete.scenes.pipe(unit="vertical"), device="cpu").run()
 """
 
 from __future__ import annotations
@@ -61,14 +63,14 @@ _LAZY |= {
 
 
 def __getattr__(name: str) -> Any:
-    # Warp takes half a second to import: only what is used is loaded.
+    # Importing Warp takes half a second, so a module is imported only when one of its names is used.
     if name in _LAZY:
         return getattr(importlib.import_module(f".{_LAZY[name]}", __name__), name)
     if name == "scenes":
         return importlib.import_module(".scenes", __name__)
     if name == "__version__":
         return importlib.import_module(".core.version", __name__).version_of("warpcrete")
-    if name == "FluidSimulation":  # its name before Simulation took every scene
+    if name == "FluidSimulation":  # FluidSimulation is an old name; Simulation now takes every scene.
         return importlib.import_module(".mps.simulation", __name__).FluidSimulation
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 

@@ -1,4 +1,4 @@
-"""`python -m warpcrete`: the command, where its script is not on the path."""
+"""Entry point of `python -m warpcrete`, for systems where the script `warpcrete` is not on the path."""
 
 from .cli import main
 

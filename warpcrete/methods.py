@@ -1,4 +1,4 @@
-"""The methods of simulation, one line each; the type of a scene says which one simulates it."""
+"""List of all simulation methods; the type of a scene selects the method that simulates it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ METHODS: tuple[Method, ...] = (
 
 
 def method_of(scene: Any) -> Method:
-    """The method that simulates a scene."""
+    """Return the method that simulates a scene; raises :class:`SceneError` if no method simulates its type."""
     for method in METHODS:
         if isinstance(scene, method.scene_type):
             return method

@@ -1,1 +1,1 @@
-"""Warp kernels that every method uses."""
+"""Warp kernels and device functions that all simulation methods share."""

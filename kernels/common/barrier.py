@@ -1,18 +1,19 @@
-"""A barrier for threads that replay their own chunks of a step on the CPU.
+"""A barrier for CPU threads that each run their own chunks of a simulation step.
 
-Warp runs a CPU kernel on the thread that launches it, and lets Python's other threads run meanwhile. Each thread
-replays a graph of its own; at the barriers, which are kernels too, all wait for the last.
+Warp runs a CPU kernel on the thread that launches it and lets Python's other threads run meanwhile. Each thread
+therefore replays a launch graph of its own. The barrier is a kernel in these graphs: every thread waits in it until
+the last thread has arrived.
 
-A thread spins for some microseconds, which is all it takes while every thread has a core to itself, and then sleeps
-(a futex, on Linux): a thread that another process keeps from its core may then take the core of one that waits.
+A waiting thread first spins for some microseconds, which is enough while every thread has a core to itself. Then it
+sleeps (with a futex on Linux). This frees its core for a thread whose own core is busy with another process.
 """
 
 import warp as wp
 
 GATE = 3
-"""Numbers that a barrier keeps: threads that are here, rounds completed, threads asleep."""
+"""Length of a barrier's integer array, which counts arrived threads, completed rounds and sleeping threads."""
 SPINS = 2000
-"""Looks at the round before a thread goes to sleep, some 30 microseconds."""
+"""Number of times a waiting thread checks the barrier before it sleeps, which takes about 30 microseconds."""
 
 MEET = """
     int* here = &gate.data[0];
@@ -65,5 +66,5 @@ def meet(gate: wp.array(dtype=wp.int32), parties: wp.int32): ...
 
 @wp.kernel(enable_backward=False)
 def barrier(gate: wp.array(dtype=wp.int32), parties: wp.int32):
-    """One thread: wait until `parties` threads are here."""
+    """Wait until `parties` threads have launched this kernel, each with one task."""
     meet(gate, parties)

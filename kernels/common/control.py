@@ -1,17 +1,17 @@
-"""Slots of the integer control array `flags`, one row a scene, which the kernels of every method share."""
+"""Slots of the integer control array `flags` (one row per scene), which the kernels of all methods share."""
 
 import warp as wp
 
-HALTED = wp.constant(0)  # every kernel of a step passes the scene by; why stands below
-STALE = wp.constant(1)  # the neighbour lists no longer cover every pair that may matter
-FAILED = wp.constant(2)  # the state left the range in which it means anything; what exactly is the method's to say
-STEPS = wp.constant(3)  # completed steps
-GOAL = wp.constant(4)  # step count at which the scene halts
-OVERFLOW = wp.constant(5)  # a list of fixed size was too short
-LATE = wp.constant(6)  # set within a step; becomes STALE when the step is complete
-ESTIMATED = wp.constant(7)  # step count at which the stable step was estimated last
+HALTED = wp.constant(0)  # Nonzero if all kernels of a step skip the scene.
+STALE = wp.constant(1)  # Nonzero if the neighbour lists no longer cover every pair of bodies that may interact.
+FAILED = wp.constant(2)  # Nonzero if the scene's state is no longer valid; each method defines its own error codes.
+STEPS = wp.constant(3)  # Number of completed steps.
+GOAL = wp.constant(4)  # Step count at which the scene halts.
+OVERFLOW = wp.constant(5)  # Nonzero if a list of fixed size was too short.
+LATE = wp.constant(6)  # Set within a step if the neighbour lists became stale; STALE is set when the step is complete.
+ESTIMATED = wp.constant(7)  # Step count at which the stable time step was last estimated.
 FLAGS = 8
 
-# Why a scene of discrete elements is HALTED.
-WAITS = wp.constant(1)  # for its lists, or for ever
-ARRIVED = wp.constant(2)  # at its goal, or where the stable step must be estimated
+# The value of HALTED says why a scene of discrete elements has halted.
+WAITS = wp.constant(1)  # The scene waits for new neighbour lists, or it has failed and cannot continue.
+ARRIVED = wp.constant(2)  # The scene has reached its goal, or its stable time step must be estimated again.

@@ -1,4 +1,4 @@
-"""Pipe axes made of lines and arcs, and closest points on triangles."""
+"""Device functions for pipe axes made of lines and arcs, and for closest points on triangles."""
 
 import functools
 from types import SimpleNamespace
@@ -10,30 +10,31 @@ from .types import types
 LINE = wp.constant(0)
 ARC = wp.constant(1)
 
-# Features of a triangle that can hold its closest point, as returned by `closest_on_triangle`.
-FACE = wp.constant(0)  # 1, 2, 3: the edge from corner 0, 1, 2 to the next; 4, 5, 6: corner 0, 1, 2
+# Codes returned by `closest_on_triangle` for the part of the triangle that holds the closest point: 0 for the face,
+# 1, 2, 3 for the edge from corner 0, 1, 2 to the next corner, and 4, 5, 6 for corner 0, 1, 2.
+FACE = wp.constant(0)
 FIRST_EDGE = wp.constant(1)
 FIRST_CORNER = wp.constant(4)
 
 
 @functools.cache
 def axis_functions(scalar):
-    """Struct ``Segment`` and functions of a pipe axis in one precision."""
+    """Build the struct ``Segment`` of a pipe axis, and the function `closest_on_axis`, in one precision."""
     t = types(scalar)
 
     @wp.struct
     class Segment:
         kind: wp.int32
-        start: t.vec3  # first point of the segment
-        tangent: t.vec3  # unit tangent there
-        outward: t.vec3  # arcs: unit vector from the arc's centre to its start
-        radius: scalar  # arcs: radius of the centreline
-        lower: scalar  # range of the arc length (lines) or angle (arcs) that counts as this segment
-        upper: scalar
+        start: t.vec3  # First point of the segment [m].
+        tangent: t.vec3  # Unit tangent at the segment's first point.
+        outward: t.vec3  # Unit vector from an arc's centre to its first point; unused for lines.
+        radius: scalar  # Radius of an arc's centreline [m]; unused for lines.
+        lower: scalar  # Smallest arc length (lines) or angle (arcs) that belongs to the segment.
+        upper: scalar  # Largest arc length (lines) or angle (arcs) that belongs to the segment.
 
     @wp.func
     def closest_on_axis(segments: wp.array(dtype=Segment), first: wp.int32, last: wp.int32, x: t.vec3):
-        """Vector from the nearest axis point to `x` (shape 3) and the axis' unit tangent there."""
+        """Return the vector from the nearest point of the axis to `x` [m], and the axis' unit tangent at that point."""
         best = scalar(1.0e30)
         best_offset = t.vec3()
         best_tangent = t.vec3()
@@ -65,16 +66,16 @@ def axis_functions(scalar):
 
 @functools.cache
 def triangle_functions(scalar):
-    """Closest point on a triangle, in one precision.
+    """Build the function for the closest point on a triangle, in one precision.
 
-    Built on distances to the plane and to the edges, which stay exact to rounding on triangles that are
-    hundreds of times longer than wide (a straight pipe in an STL file); barycentric products do not.
+    It uses distances to the triangle's plane and edges. These stay exact to rounding on triangles that are hundreds of
+    times longer than wide (a straight pipe in an STL file), where barycentric coordinates lose accuracy.
     """
     t = types(scalar)
 
     @wp.func
     def closest_on_edge(p: t.vec3, a: t.vec3, b: t.vec3):
-        """Closest point of the segment and where it lies: 0 at a, 1 between, 2 at b."""
+        """Return the point of segment ab closest to p, and a code of its place: 0 at a, 1 between a and b, 2 at b."""
         along = b - a
         part = wp.dot(p - a, along) / wp.dot(along, along)
         if part <= scalar(0.0):
@@ -93,7 +94,7 @@ def triangle_functions(scalar):
 
     @wp.func
     def closest_on_triangle(p: t.vec3, a: t.vec3, b: t.vec3, c: t.vec3):
-        """Closest point of triangle abc to p, and the feature (face, edge or corner) that holds it."""
+        """Return the point of triangle abc closest to p, and the code of the face, edge or corner that holds it."""
         zero = scalar(0.0)
         n = wp.normalize(wp.cross(b - a, c - a))
         outside_ab = wp.dot(wp.cross(n, b - a), p - a) < zero

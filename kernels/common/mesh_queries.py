@@ -1,4 +1,4 @@
-"""Distance of points to a mesh, and its nearest triangle."""
+"""Kernels that query a triangle mesh: distances of points, hits of rays, and nearest triangles."""
 
 import warp as wp
 
@@ -7,7 +7,10 @@ import warp as wp
 def signed_distances(
     mesh: wp.uint64, points: wp.array(dtype=wp.vec3), reach: wp.float32, distance: wp.array(dtype=wp.float32)
 ):
-    """Signed distance (negative inside, by winding number), or `reach` where nothing is that near."""
+    """Compute each point's signed distance to the mesh, or `reach` where the surface is farther than that.
+
+    Points inside the mesh, as judged by the winding number, have negative distances.
+    """
     i = wp.tid()
     query = wp.mesh_query_point_sign_winding_number(mesh, points[i], reach)
     distance[i] = reach
@@ -20,7 +23,7 @@ def signed_distances(
 def distances(
     mesh: wp.uint64, points: wp.array(dtype=wp.vec3), reach: wp.float32, distance: wp.array(dtype=wp.float32)
 ):
-    """Compute the distance of each point to the surface, or `reach` where nothing is that near."""
+    """Compute the distance of each point to the surface, or `reach` where the surface is farther than that."""
     i = wp.tid()
     query = wp.mesh_query_point_no_sign(mesh, points[i], reach)
     distance[i] = reach
@@ -36,7 +39,10 @@ def ray_distances(
     reach: wp.float32,
     distance: wp.array(dtype=wp.float32),
 ):
-    """Distance along each unit direction to the surface, or -1 where the ray meets none within `reach`."""
+    """Compute the distance along each ray to the surface, or -1 where the ray hits nothing within `reach`.
+
+    `directions` are unit vectors.
+    """
     i = wp.tid()
     query = wp.mesh_query_ray(mesh, origins[i], directions[i], reach)
     distance[i] = -1.0
@@ -46,7 +52,7 @@ def ray_distances(
 
 @wp.kernel(enable_backward=False)
 def nearest_faces(mesh: wp.uint64, points: wp.array(dtype=wp.vec3), reach: wp.float32, face: wp.array(dtype=wp.int32)):
-    """Triangle nearest to each point, or -1 where none is within `reach`."""
+    """Find the number of the triangle nearest to each point, or -1 where no triangle lies within `reach`."""
     i = wp.tid()
     query = wp.mesh_query_point_no_sign(mesh, points[i], reach)
     face[i] = -1

@@ -1,4 +1,4 @@
-"""Sums over all rows that are the same to the bit every time."""
+"""Sums over all rows of an array, always added in the same order so that every run gives the same bits."""
 
 import functools
 from types import SimpleNamespace
@@ -6,16 +6,16 @@ from types import SimpleNamespace
 import warp as wp
 
 BLOCK = 256
-"""Threads of a CUDA block, which forms one partial sum."""
+"""Number of threads in a CUDA block; each block forms one partial sum."""
 
 
 @functools.cache
 def block_sums(width: int) -> SimpleNamespace:
-    """`keep` and `total` of blocks of so many threads."""
+    """Build the functions `keep` and `total`, which sum over blocks of `width` threads."""
 
     @wp.func
     def keep(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64):
-        """Add up what the threads of a block bring, into `partial[first + block]`. All of them must call."""
+        """Store a block's sum of `own` in `partial[first + block]`; all threads of the block must call this."""
         whole = wp.tile_sum(wp.tile(own))
         sum = whole[0]
         if thread % width == 0:
@@ -23,7 +23,7 @@ def block_sums(width: int) -> SimpleNamespace:
 
     @wp.func
     def total(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, blocks: wp.int32) -> wp.float64:
-        """Sum of the partial sums of all blocks, for every thread of a block. All of them must call."""
+        """Return the sum of all blocks' partial sums; all threads of the calling block must call this."""
         own = wp.float64(0.0)
         for k in range(thread % width, blocks, width):
             own += partial[first + k]
@@ -38,7 +38,7 @@ keep, total = block_sums(BLOCK).keep, block_sums(BLOCK).total
 
 @functools.cache
 def serial_scale(scalar):
-    """Factor that gives weights a wanted sum, on a CPU: a kernel of one task."""
+    """Build the CPU kernel (one task) that computes the factor by which weights must be scaled to a wanted sum."""
 
     @wp.kernel(enable_backward=False, module="unique")
     def scale_alone(
@@ -54,7 +54,10 @@ def serial_scale(scalar):
 
 @functools.cache
 def parallel_scale(scalar):
-    """The same on a GPU: `gather` in whole blocks, `divide` in one."""
+    """Build the GPU kernels that compute the factor by which weights must be scaled to a wanted sum.
+
+    `gather` runs in whole blocks and stores partial sums; `divide` then runs in a single block.
+    """
 
     @wp.kernel(enable_backward=False, module="unique")
     def gather(count: wp.int32, weight: wp.array(dtype=scalar), partial: wp.array(dtype=wp.float64)):

@@ -1,4 +1,4 @@
-"""Blocks of a GPU's kernel that stay, and wait for one another. There must be room for all of them at once."""
+"""A barrier for all blocks of one GPU kernel; the GPU must have room to run all these blocks at the same time."""
 
 import warp as wp
 
@@ -22,4 +22,4 @@ GATHER = """
 
 @wp.func_native(GATHER)
 def gather(gate: wp.array(dtype=wp.int32), parties: wp.int32):
-    """All threads of a kernel's blocks, `parties` of them, wait here for the last. A CPU has one block."""
+    """Wait until all `parties` blocks of the kernel have arrived; a CPU has a single block and does not wait."""

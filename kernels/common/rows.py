@@ -1,8 +1,8 @@
-"""Reads and writes of arrays' rows, for the loops where most of the time goes.
+"""Fast reads and writes of array rows, and products of sparse matrix rows, for the most expensive loops.
 
-Warp's own indexing allows negative indices and any stride, which costs a CPU six instructions an access; and on a GPU
-it moves a 4-vector in four pieces, since its type promises no alignment. These functions take contiguous arrays of one
-dimension, allocated by Warp, and indices from 0 on, and check nothing.
+Warp's own indexing allows negative indices and any stride, which costs a CPU six instructions per access. On a GPU it
+moves a 4-vector in four pieces, because its type guarantees no alignment. The functions of this module take contiguous
+one-dimensional arrays that Warp has allocated and indices from 0 on, and they check nothing.
 """
 
 import functools
@@ -130,8 +130,11 @@ DOUBLE = SimpleNamespace(
 
 
 def row_functions(scalar) -> SimpleNamespace:
-    """`read_int`, `read_vec3`, `read_vec4`, `write_vec3` and `write_vec4` of one precision; `read_half` and
-    `write_half`, the first (0) or the second (1) four numbers of a row of eight."""
+    """Return the functions of one precision that read and write array rows.
+
+    They are `read_int`, `read_vec3`, `read_vec4`, `write_vec3`, `write_vec4`, `read_half` and `write_half`. The last
+    two access the first (0) or second (1) four numbers of a row of eight.
+    """
     return DOUBLE if scalar is wp.float64 else SINGLE
 
 
@@ -150,7 +153,8 @@ PRODUCT = """
         a += factor[k] * value.data[place[k]];
     return (a + b) + (c + d);
 """
-"""Four sums abreast: one alone would wait for every addition before the next."""
+"""C++ source of a sparse row times a vector. It adds up four independent sums, because in a single sum every addition
+would have to wait for the one before."""
 
 
 DIRECTED = """
@@ -179,10 +183,12 @@ DIRECTED = """
 
 @functools.cache
 def directed_product(scalar, value_type):
-    """Function of (neighbour, coefficient, value, direction, factor, first, row, rows, count): coefficients of a row of
-    lists by entry, times the neighbours' `value` and `factor` times their `direction`, whose rows begin at `first`.
+    """Build the product of a sparse matrix row with the vector ``value + factor * direction``.
 
-    Neighbours and coefficients must not change in the kernel.
+    The function takes (neighbour, coefficient, value, direction, factor, first, row, rows, count) and returns the sum
+    of ``coefficient * (value[j] + factor * direction[first + j])`` over the row's entries, where j is the neighbour of
+    an entry. Entry k of a row is stored at ``k * rows + row``. Neighbours and coefficients must not change while the
+    kernel runs, because a GPU reads them through its read-only cache.
     """
     width = getattr(value_type, "_length_", 1)
     name = "double" if scalar is wp.float64 else "float"
@@ -207,8 +213,11 @@ def directed_product(scalar, value_type):
 
 @functools.cache
 def entry_product(scalar, value_type):
-    """Function of (neighbour, coefficient, value, row, rows, count): coefficients of a row of lists by entry, times the
-    neighbours' `value`. Neighbours and coefficients must not change in the kernel.
+    """Build the product of a sparse matrix row with a vector, for matrices stored entry by entry (GPU).
+
+    The function takes (neighbour, coefficient, value, row, rows, count) and returns the sum of ``coefficient *
+    value[j]`` over the row's entries, where j is the neighbour of an entry. Entry k of a row is stored at
+    ``k * rows + row``. Neighbours and coefficients must not change while the kernel runs.
     """
     width = getattr(value_type, "_length_", 1)
     name = "double" if scalar is wp.float64 else "float"
@@ -229,7 +238,11 @@ def entry_product(scalar, value_type):
 
 @functools.cache
 def row_product(scalar, value_type):
-    """Function of (neighbour, coefficient, value, first, count): coefficients of a row times the neighbours' values."""
+    """Build the product of a sparse matrix row with a vector, for matrices stored row by row (CPU).
+
+    The function takes (neighbour, coefficient, value, first, count) and returns the sum of ``coefficient * value[j]``
+    over the `count` entries from `first` on, where j is the neighbour of an entry.
+    """
     width = getattr(value_type, "_length_", 1)
     name = "double" if scalar is wp.float64 else "float"
     snippet = PRODUCT.replace("VALUE", name if width == 1 else f"wp::vec_t<{width}, {name}>").replace("SCALAR", name)

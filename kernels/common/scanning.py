@@ -1,4 +1,4 @@
-"""Where each of many rows begins: the sum of the lengths of all before it."""
+"""Exclusive prefix sums, which turn the lengths of consecutive rows into the index where each row begins."""
 
 import functools
 from types import SimpleNamespace
@@ -8,13 +8,15 @@ import warp as wp
 from .reductions import BLOCK, block_sums
 
 EACH = 8
-"""Numbers that fall to a thread of a GPU, one after the other."""
+"""Number of consecutive values that one GPU thread adds up."""
 
 
 @functools.cache
 def scanning_kernels(alone: bool) -> SimpleNamespace:
-    """Kernels that make of `values` their sums so far, `before` each, both of shape (count,): ``spread`` in one task if
-    it is `alone`; else ``add_up``, then ``spread``, in whole blocks of which each leaves a `partial` sum.
+    """Build the kernels that write the exclusive prefix sums of `values` to `before`, both of shape (count,).
+
+    If `alone` is true, the kernel ``spread`` does this in a single task (CPU). Otherwise ``add_up`` stores a `partial`
+    sum for each block and ``spread`` completes the sums; both run in whole blocks (GPU).
     """
     sums = block_sums(BLOCK)
     keep, total = sums.keep, sums.total
@@ -35,7 +37,7 @@ def scanning_kernels(alone: bool) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique", grid_stride=False)
     def add_up(count: wp.int32, values: wp.array(dtype=wp.int32), partial: wp.array(dtype=wp.float64)):
-        # Whole numbers below 2^53, so no sum is rounded.
+        # Sums in float64 are exact here, because all values are whole numbers below 2^53.
         keep(wp.tid(), partial, 0, wp.float64(own_sum(values, wp.tid(), count)))
 
     @wp.kernel(enable_backward=False, module="unique", grid_stride=False)

@@ -1,4 +1,4 @@
-"""Scalar-dependent Warp types, and small functions that all kernels share."""
+"""Vector types of each precision, compiler flags, and small device functions that all kernels share."""
 
 import functools
 from pathlib import Path
@@ -7,22 +7,25 @@ from types import SimpleNamespace
 import warp as wp
 
 SPAN = 1024
-"""Bodies that one task of a CPU kernel takes in a loop of its own: Warp loads a kernel's arguments anew for each task,
-which costs 10 to 20 ns. On a GPU a task is a thread, with one body."""
+"""Number of bodies that one task of a CPU kernel processes in a loop. Warp loads a kernel's arguments again for each
+task, which costs 10 to 20 ns. On a GPU a task is a thread, which processes one body."""
 
 
 vec8f, vec8d = wp.types.vector(8, wp.float32), wp.types.vector(8, wp.float64)
 
 
 def module_of(name: str, *kind) -> str:
-    """Name of a module for all kernels of one call of a factory, small ones that are wanted together: each module takes
-    a compiler a tenth of a second, however little is in it. `kind` is what the factory was given."""
+    """Return the name of a Warp module that holds all kernels made by one call of a kernel factory.
+
+    Every module takes at least a tenth of a second to compile, however small it is. Small kernels that are used
+    together therefore share a module. `kind` holds the arguments of the factory.
+    """
     return "_".join(["warpcrete", name, *(getattr(each, "__name__", str(each)) for each in kind)])
 
 
 @functools.cache
 def types(scalar):
-    """Vector, matrix and quaternion types of one scalar type (``wp.float32`` or ``wp.float64``)."""
+    """Return the vector, matrix and quaternion types of one scalar type (``wp.float32`` or ``wp.float64``)."""
     double = scalar is wp.float64
     return SimpleNamespace(
         vec2=wp.vec2d if double else wp.vec2f,
@@ -36,11 +39,11 @@ def types(scalar):
 
 @functools.cache
 def cpu_flags() -> str:
-    """Compiler flags for the kernels that take most of the time: fused multiply-add, worth a tenth.
+    """Return the compiler flags of the CPU kernels that take most of the time.
 
-    With AVX2 instead of all that the processor has (AVX-512) single precision is faster by another tenth. LLVM's
-    options are those of all other kernels: a process has one set of them, so that kernels of two are not compiled side
-    by side.
+    Fused multiply-add makes these kernels a tenth faster. In single precision, AVX2 is faster by another tenth than
+    AVX-512. The LLVM options must be the same as those of all other kernels: a process has only one set of them, and
+    kernels with different options could not be compiled in parallel.
     """
     try:
         features = set(Path("/proc/cpuinfo").read_text(encoding="utf-8").split())
@@ -62,7 +65,7 @@ LOWEST_BIT = """
 
 @wp.func_native(LOWEST_BIT)
 def lowest_bit(bits: wp.int32) -> wp.int32:
-    """Place of the lowest bit that is set; `bits` is not 0."""
+    """Return the index of the lowest set bit; `bits` must not be 0."""
 
 
 LENGTHENED = """
@@ -87,7 +90,12 @@ LENGTHENED = """
 
 @functools.cache
 def vector_functions(scalar):
-    """Small helpers of one precision: ``xyz`` of a 4-vector, ``pack`` the reverse."""
+    """Build small vector functions of one precision.
+
+    ``xyz`` returns the first three components of a 4-vector, and ``pack`` appends a fourth component to a 3-vector.
+    ``safe_normalize`` returns a unit vector, or a fallback for the zero vector. ``rotated_with_normal`` rotates a shear
+    vector together with its contact plane.
+    """
     t = types(scalar)
 
     @wp.func
@@ -106,18 +114,18 @@ def vector_functions(scalar):
         return fallback
 
     @wp.func_native(LENGTHENED)
-    def lengthened(u: t.vec3, square: scalar, shrink: scalar) -> t.vec3: ...  # to the length that it had before
+    def lengthened(u: t.vec3, square: scalar, shrink: scalar) -> t.vec3: ...  # Scale `u` to the length sqrt(square).
 
     @wp.func
     def rotated_with_normal(v: t.vec3, n: t.vec3, twist: scalar):
-        # Follow the contact plane: drop what the plane's tilt turned into a normal part, turn by
-        # `twist` about the normal, and keep the length (the plane turns, it does not stretch).
+        # Rotate the shear vector with the contact plane: remove the normal component that the plane's tilt has
+        # produced, rotate by `twist` about the normal, and restore the length, because a rotation does not change it.
         one = scalar(1.0)
         square = wp.length_sq(v)
         out = wp.dot(v, n)
         u = v - out * n
         u = u + twist * wp.cross(n, u)
-        # |u|^2 = |v|^2 (1 - shrink)
+        # The length has changed to |u|^2 = |v|^2 (1 - tilt) (1 + twist^2) = |v|^2 (1 - shrink).
         tilt = scalar(0.0)
         if square > scalar(0.0):
             tilt = out * out / square

@@ -1,6 +1,7 @@
-"""What walls are, whatever meets them, and how far a point is from one that is given by a formula.
+"""Wall data that all methods share, and distances of points from planes and pipes, the walls given by a formula.
 
-Another such shape is a branch in both functions of :func:`wall_functions`, and a class in `geometry/walls.py`.
+To add a wall shape with a formula, add a branch to both functions of :func:`wall_functions` and a class to
+`geometry/walls.py`.
 """
 
 import functools
@@ -11,17 +12,17 @@ import warp as wp
 from .geometry import axis_functions
 from .types import types, vector_functions
 
-# Shapes. Those given by a formula come before meshes, in numbers as in the order of a scene's walls.
+# Shapes of walls. Shapes given by a formula come before meshes, both in these codes and in a scene's list of walls.
 PLANE = wp.constant(0)
 PIPE = wp.constant(1)
 MESH = wp.constant(2)
 
-# What lies across an edge of a mesh's face, where that is not a single face: nothing, or several faces; then the number
-# of the edge's row in the rings of the corners is taken off.
+# Codes for the far side of an edge of a mesh face, if there is not exactly one other face: BORDER if there is none, and
+# SHARED minus a row number if there are several. That row of the array of corner rings lists these faces.
 BORDER = wp.constant(-1)
 SHARED = wp.constant(-2)
 
-# Motions.
+# Kinds of wall motion: at rest, prescribed as a function of time, or driven by a force.
 FIXED = wp.constant(0)
 PRESCRIBED = wp.constant(1)
 DRIVEN = wp.constant(2)
@@ -29,39 +30,39 @@ DRIVEN = wp.constant(2)
 
 @functools.cache
 def wall_struct(scalar):
-    """What a wall is, its state apart."""
+    """Build the struct of a wall's constant properties, in one precision."""
     t = types(scalar)
 
     @wp.struct
     class Wall:
         kind: wp.int32
         material: wp.int32
-        normal: t.vec3  # planes: unit normal into the material, in the wall's frame
-        radius: scalar  # pipes: inner radius
-        first: wp.int32  # pipes: range of axis segments
-        last: wp.int32
-        mesh: wp.uint64  # meshes: id of the wp.Mesh, in the wall's frame
-        first_face: wp.int32  # meshes: offset of its faces in the flat face arrays
+        normal: t.vec3  # Unit normal of a plane, which points into the material, in the wall's frame.
+        radius: scalar  # Inner radius of a pipe [m].
+        first: wp.int32  # Index of the first axis segment of a pipe.
+        last: wp.int32  # Index after the last axis segment of a pipe.
+        mesh: wp.uint64  # Identifier of a mesh wall's wp.Mesh, whose corners are in the wall's frame.
+        first_face: wp.int32  # Index of a mesh wall's first face in the arrays of all faces.
         motion: wp.int32
-        start_time: wp.float64  # prescribed motion: the speed ramps linearly from start_time on ...
-        ramp_time: wp.float64  # ... for this long, then holds
-        stops: wp.float64  # how often it first goes from rest to rest and pauses, a whole number
-        stroke_time: wp.float64  # from rest to rest, with a ramp at both ends [s]
-        pause: wp.float64  # behind each stroke [s]
-        velocity: wp.vec3d  # of the final, steady motion [m/s]
-        spin: wp.vec3d  # [rad/s], about `pivot`
+        start_time: wp.float64  # Time at which the wall starts to move from rest [s].
+        ramp_time: wp.float64  # Time in which the speed of a prescribed motion rises linearly to its final value [s].
+        stops: wp.float64  # Number of strokes from rest to rest, each followed by a pause, before the steady motion.
+        stroke_time: wp.float64  # Duration of a stroke from rest to rest, including a speed ramp at both ends [s].
+        pause: wp.float64  # Pause after each stroke [s].
+        velocity: wp.vec3d  # Velocity of the final steady motion [m/s]; for driven walls, the direction of motion.
+        spin: wp.vec3d  # Angular velocity of the wall about `pivot` [rad/s].
         pivot: wp.vec3d
-        mass: wp.float64  # driven walls: inertia along `velocity`'s unit direction [kg]
-        drive_force: wp.float64  # force that pushes a driven wall along that direction [N]
-        drive_damping: wp.float64  # [N s/m]
-        extent: wp.float64  # meshes: largest distance of a corner from the wall's origin [m]
+        mass: wp.float64  # Inertia of a driven wall along its direction of motion [kg].
+        drive_force: wp.float64  # Force that pushes a driven wall along its direction of motion [N].
+        drive_damping: wp.float64  # Viscous damping of a driven wall's motion [N s/m].
+        extent: wp.float64  # Largest distance of a mesh corner from the wall's origin [m].
 
     return Wall
 
 
 @functools.cache
 def wall_functions(scalar):
-    """`distance_to_wall` and `into_wall`, for walls given by a formula."""
+    """Build `distance_to_wall` and `into_wall` for walls given by a formula (planes and pipes)."""
     t = types(scalar)
     Wall = wall_struct(scalar)
     axis = axis_functions(scalar)
@@ -71,9 +72,10 @@ def wall_functions(scalar):
 
     @wp.func
     def distance_to_wall(wall: Wall, segments: wp.array(dtype=Segment), place: t.vec3, normal: t.vec3, x: t.vec3):
-        """Distance of `x` to the surface of a wall that is at `place`, turned to `normal`; negative behind it [m].
+        """Return the distance of `x` from a wall's surface [m], negative behind it, and a vector towards the wall.
 
-        Also a vector that points to the nearest place of the surface, of any length.
+        `place` is the wall's position and `normal` the present normal of a plane. The vector points towards the
+        nearest point of the surface, and its length has no meaning.
         """
         if wall.kind == PLANE:
             return wp.dot(place - x, -normal), -normal
@@ -82,10 +84,10 @@ def wall_functions(scalar):
 
     @wp.func
     def into_wall(wall: Wall, direction: t.vec3):
-        """Unit vector of a direction that `distance_to_wall` gave."""
+        """Return the unit vector of a direction that `distance_to_wall` has returned."""
         if wall.kind == PLANE:
             return direction
-        # On the axis of a pipe every direction leads to the wall.
+        # On the axis of a pipe every direction leads to the wall, so any unit vector is correct.
         return safe_normalize(direction, t.vec3(scalar(0.0), scalar(0.0), scalar(1.0)))
 
     return SimpleNamespace(Segment=Segment, distance_to_wall=distance_to_wall, into_wall=into_wall)

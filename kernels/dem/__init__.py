@@ -1,1 +1,1 @@
-"""Warp kernels of discrete elements."""
+"""Warp kernels of the discrete element method (DEM)."""

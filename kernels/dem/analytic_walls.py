@@ -1,7 +1,7 @@
-"""Contact of spheres with planes and pipe surfaces; how forces on all walls are summed.
+"""Contact of spheres with planes and pipe surfaces, and the summation of forces on all walls.
 
-Forces on walls are summed in fixed point (int64, `clock[FORCE_SCALE]` units per newton): the same bits in any
-order. Contact slots of a sphere: one for each plane or pipe; those for meshes follow.
+Forces on walls are summed in fixed point (int64, `clock[FORCE_SCALE]` units per newton), so the sum has the same bits
+in any order. A sphere has one contact slot for each plane or pipe, followed by the slots for meshes.
 """
 
 import functools
@@ -18,8 +18,8 @@ from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs, scene_struct
 from .warps import warp_functions
 from .wear import wear_functions
 
-FARTHEST = 1.0e15  # [m]; its square is still a number in single precision
-WALL_BITS = wp.constant(31)  # walls of a scene whose touching is kept as a bit; of more, the history is always read
+FARTHEST = 1.0e15  # distance beyond any wall [m]; its square still fits into single precision
+WALL_BITS = wp.constant(31)  # number of walls with a touching bit; the history of further walls is read in every step
 LEADER = """
 #if defined(__CUDA_ARCH__)
     unsigned column = 0;
@@ -56,7 +56,7 @@ WARP_TOTAL = """
 
 @functools.cache
 def wall_force_function(scalar):
-    """`add_to_wall`: force and moment, in fixed point, on wall `w` of the whole batch."""
+    """Return the function `add_to_wall`, which adds a force and a moment, in fixed point, to wall `w` of the batch."""
     t = types(scalar)
 
     @wp.func
@@ -72,14 +72,17 @@ def wall_force_function(scalar):
 
 @functools.cache
 def warp_force_function(scalar):
-    """`add_together`: the same for all threads of a warp, first of those among themselves that are `lanes` apart, then
-    once: a wall is added to by all spheres that touch it, which one by one takes most of a small step.
+    """Return the function `add_together`, which adds the wall forces of all threads of a warp with few atomics.
+
+    The threads first sum their forces within the warp, over all threads that are `lanes` apart; one thread then adds
+    the sum to the wall. Many spheres touch the same wall, so single atomic additions would take most of a small step.
     """
     t = types(scalar)
     add_to_wall = wall_force_function(scalar)
 
     @wp.func_native(LEADER)
-    def leader(touches: wp.bool, w: wp.int32, lanes: wp.int32) -> wp.int32: ...  # first that touches; -1: several walls
+    # `leader` returns the first thread that touches, 32 if none touches, or -1 if the threads touch several walls.
+    def leader(touches: wp.bool, w: wp.int32, lanes: wp.int32) -> wp.int32: ...
 
     @wp.func_native(WARP_TOTAL)
     def warp_total(value: wp.int64, lanes: wp.int32) -> wp.int64: ...
@@ -89,7 +92,7 @@ def warp_force_function(scalar):
         step_force: wp.array3d(dtype=wp.int64), touches: wp.bool, thread: wp.int32, lanes: wp.int32, w: wp.int32,
         f: t.vec3, m: t.vec3, scale: wp.float64,
     ):  # fmt: skip
-        """All threads of a warp must call, some of which touch; f and m are 0 where nothing does."""
+        """Add the wall forces of a warp; all its threads must call this, with zero `f`, `m` if they do not touch."""
         first = leader(touches, w, lanes)
         for c in range(3):
             force = warp_total(wp.int64(wp.round(wp.float64(f[c]) * scale)), lanes)
@@ -105,7 +108,7 @@ def warp_force_function(scalar):
 
 @functools.cache
 def surface_touch_function(scalar):
-    """`surface_touch`: the touch of a sphere with a wall `gap` away along `n`, and the point where it is."""
+    """Return the function `surface_touch`: the contact geometry for a wall at distance `gap` along normal `n`."""
     t = types(scalar)
     wall_touch = contact_functions(scalar).wall_touch
     xyz = vector_functions(scalar).xyz
@@ -135,8 +138,11 @@ def surface_touch_function(scalar):
 
 @functools.cache
 def meeting_function(scalar, law, dissipation: bool, wear: bool):
-    """`meet`: what a sphere has of the plane or pipe of a slot: how far its surface is, whether they touch, force and
-    moment on the sphere, moment on the wall, and lost energy. It steps what the contact remembers."""
+    """Return the function `meet`, which evaluates the contact of a sphere with one plane or pipe.
+
+    The result is the distance to the surface, whether they touch, force and moment on the sphere, moment on the wall,
+    and energy lost. The function also steps the contact history.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Spheres, Slots, Walls = structs.Spheres, structs.Slots, structs.Walls
@@ -168,7 +174,7 @@ def meeting_function(scalar, law, dissipation: bool, wear: bool):
         gap = distance - radius
         if gap < scalar(0.0):
             touches = wp.bool(True)
-            n = into_wall(walls.table[w], direction)  # from the sphere into the wall
+            n = into_wall(walls.table[w], direction)  # normal from the sphere into the wall
             touch, point = surface_touch(
                 walls.position[w], walls.velocity[w], walls.spin[w], n, gap, x, radius, velocity, spin, dt
             )  # fmt: skip
@@ -205,12 +211,15 @@ def meeting_function(scalar, law, dissipation: bool, wear: bool):
 
 @functools.cache
 def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bool, width: int = 1):
-    """`on_walls`: force, moment about its centre, and lost energy of one sphere on all planes and pipes. On a GPU all
-    threads of a warp of `width` must call; one that has nothing to look at says that it is not `here`. So many `lanes`
-    beside one another have a sphere in common, and walls in turn; what they find is added up in the order of the walls.
+    """Return the functions `on_walls` and `far_from_walls` for contacts with planes and pipes.
 
-    Most spheres are far from all of those that never move. Each keeps the place where it last looked at them, and how
-    far the nearest was; `far_from_walls` tells by this whether it must look again.
+    `on_walls` returns the force, the moment about the sphere's centre and the lost energy of one sphere on all planes
+    and pipes. On a GPU, `lanes` adjacent threads share a sphere and divide its walls among them; their results are
+    added up in the order of the walls. All threads of a warp of `width` must call `on_walls`; a thread without work
+    passes `here` False.
+
+    Most spheres are far from all fixed walls. Each sphere stores the position where it last measured its distance to
+    the nearest fixed wall, and that distance. `far_from_walls` uses them to decide if the sphere can skip these walls.
     """
     t = types(scalar)
     SceneRow = scene_struct(scalar)
@@ -228,7 +237,7 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
 
     @wp.func
     def far_from_walls(position: t.vec4, clear: t.vec4):
-        """Is a sphere beyond the reach of every fixed wall, by where it was when it last came to look at them?"""
+        """Return True if a sphere is surely out of reach of all fixed walls, by its last measured clearance."""
         room = clear[3] - position[3]
         return room > scalar(0.0) and wp.length_sq(xyz(position) - xyz(clear)) < room * room
 
@@ -300,7 +309,8 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
         if here and now != before:
             slots.touching[i] = now
         if here and not far:
-            write_vec4(spheres.clear, i, pack(x, scalar(0.99) * nearest))  # the rest is room for rounding
+            # the clearance is reduced by 1 % to cover rounding
+            write_vec4(spheres.clear, i, pack(x, scalar(0.99) * nearest))
         return total_force, total_moment, total_lost
 
     return SimpleNamespace(Segment=Segment, far_from_walls=far_from_walls, on_walls=on_walls)
@@ -308,10 +318,10 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
 
 @functools.cache
 def wall_kernel(scalar, law, dissipation: bool, wear: bool):
-    """Kernel over spheres of half lists: adds the forces of planes and pipes.
+    """Return the CPU kernel that adds the forces of planes and pipes to the spheres.
 
-    Two kernels are faster than one with the contacts: clang inlines a law that a kernel calls once, not one that it
-    calls twice.
+    It is separate from the kernel for contacts between spheres because that is faster: clang inlines a contact law that
+    a kernel calls once, but not a law that it calls twice.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Slots, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Walls
@@ -322,17 +332,17 @@ def wall_kernel(scalar, law, dissipation: bool, wear: bool):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def wall_contacts(
-        # model
+        # Arrays of the model.
         wall_parameters: wp.array(dtype=Parameters),
         segments: wp.array(dtype=Segment),
-        # chunk
+        # Range of rows that this launch processes, and number of the CPU thread.
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # state, read and written
+        # Arrays of the state, read and written.
         spheres: Spheres,
         slots: Slots,
         walls: Walls,

@@ -9,13 +9,14 @@ import warp as wp
 from ..common.types import types, vector_functions
 from .contact_law import contact_functions
 
-# State of a contact's bond. Positive values number the bond properties in use.
+# State of a pair's bond. A positive value combines the bond's kind with the row of its load.
 UNBONDED = wp.constant(0)
 BROKEN_IN_TENSION = wp.constant(-1)
 BROKEN_IN_SHEAR = wp.constant(-2)
-HYDRATED = wp.constant(2)  # that of hydrated contacts; 1 is that of the others
+HYDRATED = wp.constant(2)  # kind of the stiff bonds at hydrated contacts; kind 1 is the ordinary bond
 
-# Above the kind stands the row of the bond's load among those of its scene: few of the pairs of a list are bonded.
+# The lowest KIND_BITS bits of a bond state are its kind; the bits above are its row in `pairs.load`. Loads have rows of
+# their own because few pairs of a list are bonded.
 KIND_BITS = wp.constant(4)
 MOST_KINDS = 2 ** int(KIND_BITS) - 1
 MOST_ROWS = 2 ** (31 - int(KIND_BITS))
@@ -23,25 +24,25 @@ MOST_ROWS = 2 ** (31 - int(KIND_BITS))
 
 @wp.func
 def kind_of(bond: wp.int32):
-    """Kind of a pair's bond, or what its state is instead."""
+    """Return the kind of a pair's bond, or the state itself if the pair is unbonded (0) or the bond broken (< 0)."""
     return wp.where(bond > 0, bond & wp.static(MOST_KINDS), bond)
 
 
 @wp.func
 def load_row(bond: wp.int32):
-    """Row of its load, from the scene's first."""
+    """Return the row of the bond's load, counted from the scene's first load row."""
     return bond >> KIND_BITS
 
 
 @wp.func
 def bond_with(kind: wp.int32, row: wp.int32):
-    """State of a pair with a bond of a kind, whose load stands in a row."""
+    """Return the state of a pair with a bond of this kind whose load is stored in this row."""
     return kind | (row << KIND_BITS)
 
 
 @functools.cache
 def bond_functions(scalar):
-    """Struct ``Bond``; functions ``bond_force``, ``bond_stiffness`` and ``bond_energy``."""
+    """Return the struct ``Bond`` and the functions ``bond_force``, ``bond_stiffness`` and ``bond_energy``."""
     t = types(scalar)
     Touch = contact_functions(scalar).Touch
     rotated_with_normal = vector_functions(scalar).rotated_with_normal
@@ -49,17 +50,17 @@ def bond_functions(scalar):
 
     @wp.struct
     class Bond:
-        effective_modulus: scalar
-        shear_to_normal: scalar
-        tensile_strength: scalar
-        cohesion: scalar
-        tan_friction_angle: scalar
-        radius_multiplier: scalar
-        moment_factor: scalar
+        effective_modulus: scalar  # bond modulus E, with normal stiffness E area / length [Pa]
+        shear_to_normal: scalar  # ratio of shear stiffness to normal stiffness
+        tensile_strength: scalar  # normal stress at which the bond breaks [Pa]
+        cohesion: scalar  # shear strength at zero normal stress [Pa]
+        tan_friction_angle: scalar  # increase of shear strength per compressive stress
+        radius_multiplier: scalar  # bond radius divided by the smaller sphere radius
+        moment_factor: scalar  # share of bending and torsion that counts in the peak stresses
 
     @wp.func
     def bond_stiffness(p: Bond, touch: Touch):
-        """Normal, shear [N/m], bending and torsion [N m] stiffness."""
+        """Return the normal and shear stiffness [N/m] and the bending and torsion stiffness [N m] of a bond."""
         radius = p.radius_multiplier * touch.smaller_radius
         normal = p.effective_modulus / touch.length * scalar(wp.static(float(np.pi))) * radius * radius
         bending = scalar(0.25) * normal * radius * radius
@@ -67,7 +68,7 @@ def bond_functions(scalar):
 
     @wp.func
     def bond_energy(p: Bond, touch: Touch, force: t.vec4, moment: t.vec4):
-        """Elastic energy [J]."""
+        """Return the elastic energy stored in a bond [J]."""
         k = bond_stiffness(p, touch)
         total = force[3] * force[3] / k[0] + wp.length_sq(xyz(force)) / k[1]
         return scalar(0.5) * (total + wp.length_sq(xyz(moment)) / k[2] + moment[3] * moment[3] / k[3])
@@ -82,11 +83,11 @@ def bond_functions(scalar):
         moment: t.vec4,
         dt: scalar,
     ):
-        """New force, new moment and the state of the bond; a broken one still shows the load that broke it.
+        """Return the new force, moment and state of a bond; a broken bond returns the load that broke it.
 
-        `force` and `moment` hold the shear (bending) vector and, last, the normal (twisting) part. `stretch` is
-        the step's change of the centres' distance; `velocity dt` along the normal would count a rotation of the
-        pair as stretch, in first order of dt.
+        `force` and `moment` hold the shear (bending) vector and, last, the normal (twisting) component. `stretch` is
+        the exact change of the distance between the centres in this step. The approximation `velocity dt` along the
+        normal would count a rotation of the pair as stretch, with an error of first order in dt.
         """
         n = touch.normal
         k = bond_stiffness(p, touch)
@@ -99,7 +100,7 @@ def bond_functions(scalar):
 
         radius = p.radius_multiplier * touch.smaller_radius
         per_area = scalar(wp.static(float(1.0 / np.pi))) / (radius * radius)
-        per_section = scalar(4.0) * per_area / radius  # R / I
+        per_section = scalar(4.0) * per_area / radius  # bond radius divided by its moment of area, R / I
         stress = tension * per_area
         peak_tension = stress + p.moment_factor * wp.length(bending) * per_section
         peak_shear = wp.length(shear) * per_area + scalar(0.5) * p.moment_factor * wp.abs(torsion) * per_section

@@ -1,4 +1,4 @@
-"""Making bonds at existing contacts, and giving some of them other properties."""
+"""Kernels that create bonds at existing contacts and assign another bond kind to a random share of them."""
 
 import functools
 
@@ -12,9 +12,9 @@ from .structs import array_structs
 
 @functools.cache
 def bond_kernels(scalar):
-    """Kernels ``make`` (bond contacts within a gap) and ``reassign`` (a random fraction to another kind).
+    """Return the kernels ``make`` (bond contacts within a gap) and ``reassign`` (change the kind of a random fraction).
 
-    They run over the spheres of one scene, whose structs hold its own arrays, not those of a batch.
+    They run over the spheres of one scene; the structs hold the arrays of that scene alone, not those of a batch.
     """
     structs = array_structs(scalar)
     Bodies, Spheres, Pairs = structs.Bodies, structs.Spheres, structs.Pairs
@@ -27,14 +27,17 @@ def bond_kernels(scalar):
         healing: wp.bool,
         gap: scalar,
         group: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         bodies: Bodies,
         spheres: Spheres,
-        # state, read and written
+        # Arrays of the state, read and written.
         pairs: Pairs,
     ):
-        """Bonds pairs not bonded yet; with a `group` only pairs inside it, else (-1) any. Where contacts heal, each
-        entry has a row for the load, which is cleared; elsewhere bonds are given theirs later."""
+        """Bond all pairs within the gap that have no intact bond; `group` >= 0 selects pairs inside that group.
+
+        With `healing`, each list entry has its own load row, which is cleared here. Without it, bonds receive their
+        load rows later.
+        """
         i = wp.tid()
         for k in range(pairs.start[i], pairs.start[i + 1]):
             j = decode(pairs.other[k])
@@ -53,12 +56,16 @@ def bond_kernels(scalar):
         new_kind: wp.int32,
         fraction: wp.float64,
         seed: wp.uint32,
-        # state, read
+        # Arrays of the state, read only.
         spheres: Spheres,
-        # state, read and written
+        # Arrays of the state, read and written.
         pairs: Pairs,
     ):
-        """The draw depends on seed and permanent numbers only: the same on every device and in any order."""
+        """Give a random fraction of the bonds of one kind another kind.
+
+        The random number depends only on the seed and the permanent numbers of the two spheres. The result is therefore
+        the same on every device and in any order of threads.
+        """
         i = wp.tid()
         for k in range(pairs.start[i], pairs.start[i + 1]):
             if kind_of(pairs.bond[k]) == old_kind:

@@ -1,4 +1,4 @@
-"""The end of a step: time goes on, and scenes that must wait are halted."""
+"""Kernel for the end of a step: advance the time, and halt the scenes that must wait."""
 
 import functools
 
@@ -19,12 +19,12 @@ from ..common.control import (
 from .structs import DT, DT_PREVIOUS, SINCE_BUILD, TIME, array_structs
 
 CLOSE = 1.0e-6
-"""Part of a step that may be missing where a scene has got to its time."""
+"""Fraction of a step by which a scene may miss its end time and still count as arrived (absorbs rounding)."""
 
 
 @functools.cache
 def arrived_function(scalar):
-    """`arrived`: whether a scene is at its goal, or must have its stable step estimated before it goes on."""
+    """Return the function `arrived`: true if a scene has reached its goal or needs a new stable step estimate."""
     Scenes = array_structs(scalar).Scenes
 
     @wp.func
@@ -39,19 +39,25 @@ def arrived_function(scalar):
 
 @wp.func
 def is_there(beyond_goal: wp.int32, beyond_estimate: wp.int32, left: wp.float64, dt: wp.float64) -> wp.bool:
-    """Steps beyond the goal and beyond the next estimate of the stable step, and the time that is left [s]."""
+    """Return True if the step goal, the next estimate of the stable step or the end time is reached.
+
+    `beyond_goal` and `beyond_estimate` count steps beyond the goal and the next estimate; `left` is the time left [s].
+    """
     return beyond_goal >= 0 or beyond_estimate >= 0 or not (left > wp.float64(wp.static(CLOSE)) * dt)
 
 
 @functools.cache
 def clock_kernel(scalar, growth: bool):
-    """One thread a scene: complete the step (time, step count, growth), and halt the scene where it must wait."""
+    """Return the kernel, one thread a scene, that completes a step and halts the scene where it must wait.
+
+    It advances the time, the step count and, with `growth`, the growth of the spheres during packing.
+    """
     Scenes = array_structs(scalar).Scenes
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def advance_clock(flags: wp.array2d(dtype=wp.int32), scenes: Scenes):
         s = wp.tid()
-        # Nothing else happens on a GPU while this thread waits for memory: it asks for all that it needs at once.
+        # This kernel is bound by memory latency, so it issues all its loads at once instead of one after another.
         halted = wp.int32(flags[s, HALTED])
         failed = wp.int32(flags[s, FAILED])
         late = wp.int32(flags[s, LATE])
@@ -75,7 +81,8 @@ def clock_kernel(scalar, growth: bool):
         flags[s, STEPS] = steps
         if wp.static(growth):
             scenes.scale[s] = wp.min(scenes.scale[s] + scenes.row[s].growth_rate, scenes.row[s].growth_end)
-        # Bodies are sorted with lists that are new for that: after so many steps, whenever lists are built else.
+        # Bodies are re-sorted at fixed step counts, and sorting always forces a list rebuild. The result of the sorting
+        # therefore does not depend on when the lists were last rebuilt for other reasons.
         if late != 0 or (sort_every > 0 and steps % sort_every == 0):
             flags[s, LATE] = 0
             flags[s, STALE] = 1

@@ -1,4 +1,4 @@
-"""Motion of bodies of one or more spheres: forces gathered from them, leapfrog, spheres carried along."""
+"""Motion of bodies of one or more spheres: forces gathered from the spheres, a leapfrog step, new sphere positions."""
 
 import functools
 
@@ -15,8 +15,10 @@ from .warps import warp_functions
 
 @functools.cache
 def gather_functions(scalar, dissipation: bool, rows: int, width: int):
-    """What a body's spheres have met: force [N], moment about its centroid [N m], cleared for the next step. `gather`
-    of half lists; `gather_abreast` of full ones, by so many lanes a body, and the energy that their links lost [J].
+    """Return the functions that gather the force [N] and moment about the centroid [N m] of a body's spheres.
+
+    `gather` serves half lists (CPU). `gather_abreast` serves full lists (GPU): `lanes` threads share a body, and it
+    also returns the energy that the body's links lost [J]. Both clear the spheres' forces for the next step.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -46,8 +48,10 @@ def gather_functions(scalar, dissipation: bool, rows: int, width: int):
         spheres: Spheres, pairs: Pairs, links: Links, begin: wp.int32, end: wp.int32, first: wp.int32, lane: wp.int32,
         lanes: wp.int32, row: wp.int32, scene: wp.int32, x: t.vec3,
     ):  # fmt: skip
-        """All threads of a warp must call; `first` is where in it the body's lanes begin. Sums go by the order of the
-        spheres, whatever the number of lanes."""
+        """Gather the forces of a body with `lanes` threads; all threads of a warp must call this together.
+
+        `first` is the body's first lane in the warp. The sums run in the order of the spheres, for any number of lanes.
+        """
         total = t.vec3()
         torque = t.vec3()
         lost = wp.float64(0.0)
@@ -82,7 +86,7 @@ def gather_functions(scalar, dissipation: bool, rows: int, width: int):
 
 @functools.cache
 def carry_function(scalar, growth: bool, meshes: bool, half: bool):
-    """`carry`: takes a sphere along with its body, and looks whether lists still hold all that it may touch."""
+    """Return the function `carry`, which moves a sphere with its body and checks if the lists are still complete."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Links = structs.Scenes, structs.Spheres, links_struct(scalar)
@@ -96,7 +100,10 @@ def carry_function(scalar, growth: bool, meshes: bool, half: bool):
         flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres, links: Links, s: wp.int32, i: wp.int32,
         x: t.vec3, orientation: t.quat, size: scalar, velocity: t.vec3, spin: t.vec3, mass: scalar, dt: scalar,
     ):  # fmt: skip
-        """`x` and what follows are the body's; `size` is a factor of its full size."""
+        """Set position and velocity of sphere i from the motion of its body.
+
+        `x` and the following arguments belong to the body; `size` is the current scale factor of its size.
+        """
         offset = read_vec4(spheres.offset, i)
         arm = wp.quat_rotate(orientation, xyz(offset)) * size
         speed = velocity + wp.cross(spin, arm)
@@ -112,15 +119,17 @@ def clump_kernel(
     scalar, drives: bool, growth: bool, meshes: bool, half: bool, subcycling: bool, dissipation: bool, rows: int,
     width: int,
 ):  # fmt: skip
-    """Kernel over bodies of one or more spheres: one leapfrog step (Zhan et al. 2019, Eqs. 2-3).
+    """Return the kernel over bodies of one or more spheres that makes one leapfrog step (Zhan et al. 2019, Eqs. 2-3).
 
-    Velocities live at half steps, positions at full steps; the kick spans from the middle of the step
-    before to the middle of this one, so the step size may change on the way. Bodies with three principal
-    moments keep their angular momentum in space; the spin is taken at the middle of the turn, which makes the turn
-    time-reversible and its energy error bounded. Of bodies with stiff bonds, which move in rounds, it notes the forces.
+    Velocities are known at half steps and positions at full steps. The velocity kick spans from the middle of the
+    previous step to the middle of this one, so the step size may vary. Angular momentum is integrated in space axes,
+    which conserves it also for three different principal moments. The spin is evaluated at the middle of the rotation,
+    which makes the rotation time-reversible and bounds its energy error. Bodies with stiff bonds move in sub-cycling
+    rounds instead; for them the kernel only stores the forces.
 
-    On a GPU, of full lists, 2^`lane_bits` threads of a warp of `width` share a body: each adds up what some of its
-    spheres have met, `rows` a link, all move it, and each carries its spheres along. Tasks are whole warps.
+    On a GPU (full lists), 2^`lane_bits` threads of a warp of `width` share a body. Each thread sums the forces of some
+    of the body's spheres (`rows` rows a link), all threads compute the body's motion, and each updates the positions of
+    its spheres. The launch consists of whole warps.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -134,13 +143,13 @@ def clump_kernel(
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
     def move_clumps(
-        # model
+        # Arrays of the model.
         segments: wp.array(dtype=Segment), drive_axis: wp.array2d(dtype=wp.int32), drive_force: wp.array(dtype=scalar),
-        # chunk
+        # Range of rows that this launch processes, in which 2^lane_bits threads share a body.
         first: wp.int32, last: wp.int32, lane_bits: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         scenes: Scenes, pairs: Pairs,
-        # state, read and written
+        # Arrays of the state, read and written.
         flags: wp.array2d(dtype=wp.int32), bodies: Bodies, spheres: Spheres, links: Links, subcycled: Subcycled,
     ):  # fmt: skip
         lanes = 1 << lane_bits
@@ -167,7 +176,7 @@ def clump_kernel(
             mass = bodies.mass[b]
             begin = scenes.row[scene].spheres + bodies.first[b + scene]
             end = scenes.row[scene].spheres + bodies.first[b + scene + 1]
-            # All that other lanes may overwrite is read before they meet.
+            # Every value that another lane may overwrite is read before the lanes synchronise.
             velocity = bodies.velocity[b]
             rounding = bodies.rounding[b]
             spin_before = bodies.spin[b]

@@ -1,10 +1,11 @@
-"""What contact laws share: the geometry of a touch, and a shear spring with slider.
+"""Functions that all contact laws share: the geometry of a contact, and shear springs with Coulomb sliders.
 
-A law is a class of `warpcrete/dem/laws`, which kernels are given: its `functions(scalar)` are what they call.
+Contact laws are classes in `warpcrete/dem/laws`. A kernel factory receives such a class and calls the functions that
+its method `functions(scalar)` returns.
 
-Sign conventions, for a contact between bodies a and b: the normal n points from a to b, forces and moments
-are those on a (b gets the opposite force), relative velocity is that of b seen from a, so a positive normal
-component separates. A bonded contact may have a positive gap: springs are then slack.
+Sign conventions for a contact between bodies a and b: The normal n points from a to b. Forces and moments act on a; b
+receives the opposite force. The relative velocity is that of b minus that of a, so a positive normal component means
+separation. A bonded contact may have a positive gap; the contact's own springs are then unloaded.
 """
 
 import functools
@@ -17,22 +18,24 @@ from ..common.types import types, vector_functions
 
 @functools.cache
 def contact_functions(scalar):
-    """The struct ``Touch`` and functions for laws: ``shear_spring``, ``plane_spring``, ``spring_energy``,
-    ``sphere_touch``, ``wall_touch``."""
+    """Return the struct ``Touch`` and the functions from which contact laws are built.
+
+    The functions are ``shear_spring``, ``plane_spring``, ``spring_energy``, ``sphere_touch`` and ``wall_touch``.
+    """
     t = types(scalar)
     rotated_with_normal = vector_functions(scalar).rotated_with_normal
 
     @wp.struct
     class Touch:
         normal: t.vec3
-        gap: scalar  # negative where the surfaces overlap [m]
-        velocity: t.vec3  # at the contact point [m/s]
-        twist: scalar  # mean turn of the bodies about the normal in the step [rad]
-        tilt: t.vec3  # turn of the normal itself in the step [rad]; nothing against a wall
-        smaller_radius: scalar  # of the two spheres; the sphere's own against a wall [m]
-        length: scalar  # distance of the centres at first touch; the radius against a wall [m]
-        reduced_radius: scalar  # R1 R2 / (R1 + R2); the radius against a wall [m]
-        mass: scalar  # reduced mass of the two bodies; the body's own against a wall [kg]
+        gap: scalar  # distance between the surfaces, negative where they overlap [m]
+        velocity: t.vec3  # relative velocity at the contact point [m/s]
+        twist: scalar  # mean rotation of the two bodies about the normal in this step [rad]
+        tilt: t.vec3  # rotation of the normal itself in this step [rad]; zero against a wall
+        smaller_radius: scalar  # smaller radius of the two spheres; the sphere's radius against a wall [m]
+        length: scalar  # distance of the centres at first contact; the radius against a wall [m]
+        reduced_radius: scalar  # reduced radius R1 R2 / (R1 + R2); the radius against a wall [m]
+        mass: scalar  # reduced mass of the two bodies; the body's own mass against a wall [kg]
 
     @wp.func
     def sphere_touch(
@@ -71,11 +74,11 @@ def contact_functions(scalar):
 
     @wp.func
     def plane_spring(touch: Touch, rate: t.vec3, history: t.vec3, stiffness: scalar, limit: scalar, dt: scalar):
-        """Spring that grows with a `rate` in the contact plane, cut at `limit`; also whether it slips and the work lost
-        in slip [J].
+        """Step a spring in the contact plane; return its new force, True if it slips, and the energy lost by slip [J].
 
-        The history turns with the plane. Only the part of the step after first touch loads the spring. The loss
-        is the trapezoidal work of the step less what the spring stores.
+        The spring is loaded at `rate` and its force is cut at `limit`. Its old force `history` rotates with the contact
+        plane. In the first step of a contact, only the time after first touch loads the spring. The energy lost is the
+        mean spring force of the step times the slip distance.
         """
         overlap = wp.max(-touch.gap, scalar(0.0))
         loading = dt
@@ -97,13 +100,13 @@ def contact_functions(scalar):
 
     @wp.func
     def shear_spring(touch: Touch, history: t.vec3, stiffness: scalar, limit: scalar, dt: scalar):
-        """The same of the spring that sliding loads."""
+        """Step the spring that is loaded by sliding; results as for `plane_spring`."""
         vn = wp.dot(touch.velocity, touch.normal)
         return plane_spring(touch, touch.velocity - vn * touch.normal, history, stiffness, limit, dt)
 
     @wp.func
     def spring_energy(history: t.vec3, stiffness: scalar):
-        """What a spring stores at a force or moment `history` [J]; one without stiffness holds none."""
+        """Return the elastic energy of a spring with force or moment `history` [J]; zero without stiffness."""
         square = wp.length_sq(history)
         stored = scalar(0.0)
         if square > scalar(0.0):

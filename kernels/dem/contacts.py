@@ -1,14 +1,14 @@
-"""Sphere-sphere contact forces over a stored neighbour list, on a CPU.
+"""Contact forces between spheres over a stored neighbour list, on a CPU.
 
-In the *half* list of a CPU, where a thread owns the spheres of a chunk, a pair inside a chunk stands once and its force
-is added to both spheres; a pair across two chunks stands at both. (The list of a GPU holds all pairs at both spheres:
-see `links`.) A pair is always evaluated in the order of its spheres' permanent numbers, so both copies compute and
-store the same bits.
+A CPU uses *half* lists: each thread owns the spheres of a chunk. A pair inside a chunk has one entry, and its force is
+added to both spheres. A pair across two chunks has an entry at both spheres. (GPU lists hold every pair at both
+spheres; see `links`.) A pair is always evaluated in the order of its spheres' permanent numbers, so both copies compute
+and store the same bits.
 
-A row of the list is gone through twice: first the distances, which leave a bit for each contact, then the
-contacts, one bit after the other, which are gathered into lanes (see `lanes`) and evaluated when these are full. The
-bits of the first BLOCK entries are kept for the next step, so that contacts which have parted are known without reading
-the history of all that never touched.
+The kernel goes through each row of the list twice. The first pass computes distances and sets one bit for each contact.
+The second pass gathers these contacts into lanes (see `lanes`) and evaluates the lanes whenever they are full. The bits
+of the first BLOCK entries are kept for the next step. They show which contacts have parted without reading the history
+of pairs that never touched.
 """
 
 import functools
@@ -25,8 +25,11 @@ from .structs import DT_PREVIOUS, array_structs
 
 
 def contact_options(half: bool) -> dict:
-    """Of the compiler. A GPU's exact division and root are subroutines that take most of a contact's time; those of
-    `fast_math` are off by two units in the last place, in single precision only."""
+    """Return the compiler options of a contact kernel.
+
+    On a GPU, exact division and square root are subroutines that take most of a contact's time. With `fast_math` they
+    are inexact by up to two units in the last place, in single precision only.
+    """
     return {"fast_math": not half, "cpu_compiler_flags": cpu_flags()}
 
 
@@ -34,10 +37,10 @@ def contact_options(half: bool) -> dict:
 def contact_kernel(
     scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool, mixed: bool
 ):
-    """Kernel over spheres of a half list: adds contact forces [N] and moments about sphere centres [N m].
+    """Return the CPU kernel that adds contact forces [N] and moments about sphere centres [N m], with half lists.
 
-    With `dissipation` it also adds up what energy friction, dashpots and breaking bonds take [J]. The launch owns
-    spheres `first` to `last`.
+    With `dissipation` it also adds up the energy that friction, dashpots and breaking bonds dissipate [J]. The launch
+    owns spheres `first` to `last`.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -56,22 +59,22 @@ def contact_kernel(
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(True))
     def contacts(
-        # model
+        # Arrays of the model.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # chunk
+        # Range of rows that this launch processes.
         first: wp.int32,
         last: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # state, read and written
+        # Arrays of the state, read and written.
         spheres: Spheres,
         pairs: Pairs,
     ):
         columns = wp.zeros(shape=(numbers,), dtype=scalar)
         ints = wp.zeros(shape=(integers,), dtype=wp.int32)
-        count = wp.int32(0)  # of lanes that are taken
+        count = wp.int32(0)  # number of lanes in use
         used_row = wp.int32(0)
         used_dt = scalar(0.0)
         i = first + wp.tid() * SPAN - 1
@@ -81,8 +84,8 @@ def contact_kernel(
         begin, block, end, bits = wp.int32(0), wp.int32(0), wp.int32(0), wp.int32(0)
         dt = scalar(0.0)
         position_i, velocity_i, spin_i = t.vec4(), t.vec4(), t.vec3()
-        # Bit by bit of a block, block by block of a row, sphere by sphere, in one loop: what evaluates lanes is long,
-        # and stands in it once.
+        # One loop runs over the bits of a block, the blocks of a row and the rows of spheres. Nested loops would
+        # contain several calls of the long function `evaluate`; in one loop it is compiled once.
         going = wp.bool(True)
         while going:
             full = wp.bool(False)
@@ -100,7 +103,8 @@ def contact_kernel(
             else:
                 block = block + BLOCK
                 if wp.static(dissipation):
-                    full = block < end  # energies of a row are added up in the order of its blocks
+                    # The lanes are evaluated after each block, so that the energies of a row add up block by block.
+                    full = block < end
                 if block >= end:
                     i = i + 1
                     begin = 0
@@ -115,7 +119,7 @@ def contact_kernel(
                             base = scenes.row[s].spheres
                             material = spheres.material[i]
                             row = scenes.row[s].laws + material * scenes.row[s].materials
-                            # The displacement that led here is that of the step before.
+                            # dt is the previous step, because the displacement of that step led to the current overlap.
                             dt = scalar(scenes.clock[s, DT_PREVIOUS])
                             position_i = read_vec4(spheres.position, i)
                             velocity_i = read_vec4(spheres.velocity, i)
@@ -126,7 +130,7 @@ def contact_kernel(
                 if block < end:
                     bits, held = close_entries(spheres, pairs, base, position_i, block, wp.min(BLOCK, end - block))
                     if wp.static(history or healing):
-                        # What a stiff bond held may part at its first look after that broke.
+                        # A pair held by a stiff bond may part at the first check after that bond broke.
                         parted = wp.static(ALL_TOUCHED) & ~(bits | held)
                         if block == begin:
                             before = spheres.touching[i]

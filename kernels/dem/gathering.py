@@ -1,4 +1,4 @@
-"""What contacts of each sphere add to the estimate of the stable step: stiffness and damping, of pairs and walls."""
+"""Kernel that adds up the stiffness and damping of each sphere's contacts, for the estimate of the stable step."""
 
 import functools
 
@@ -15,16 +15,16 @@ from .structs import array_structs
 from .warps import group_functions
 
 ESTIMATE_LANES = 4
-"""Threads of a GPU's warp that share a sphere: they read its row of the list together."""
+"""Number of GPU threads that share a sphere in the estimate; they read its list row together."""
 
 
 @functools.cache
 def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcycling: bool, lanes: int):
-    """Kernel over spheres from `begin` on: what their contacts add to `estimate`; with `stiff` those that are stepped
-    in rounds only.
+    """Return the kernel over spheres from `begin` on that adds stiffness and damping of their contacts to `estimate`.
 
-    In the half list `first` and `last` bound the chunk of spheres whose pairs are counted. `part` is the number of the
-    thread, 0 on a GPU, where so many `lanes` of a warp share a sphere.
+    With `stiff` it counts only pairs that are stepped in sub-cycling rounds. With half lists, `first` and `last` bound
+    the chunk of spheres whose pairs are counted. `part` is the number of the CPU thread; it is 0 on a GPU, where
+    `lanes` threads share a sphere.
     """
     t = types(scalar)
     sum_of_group = group_functions(scalar, lanes).sum_of_group
@@ -49,26 +49,26 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
 
     @wp.kernel(module="unique", enable_backward=False, module_options=estimate_options(half))
     def gather_stiffness(
-        # model
+        # Arrays of the model.
         pair_parameters: wp.array(dtype=PairParameters),
         bond_parameters: wp.array(dtype=Bond),
         wall_parameters: wp.array(dtype=WallParameters),
         segments: wp.array(dtype=Segment),
-        # chunk
+        # Scenes with an estimate due, rows of this launch, number of the CPU thread, and kind of pairs.
         due: wp.array(dtype=wp.int32),
         begin: wp.int32,
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,
         stiff: wp.bool,
-        # state, read
+        # Arrays of the state, read only.
         scenes: Scenes,
         bodies: Bodies,
         spheres: Spheres,
         slots: Slots,
         pairs: Pairs,
         walls: Walls,
-        # written
+        # Arrays that are written.
         estimate: Estimate,
     ):
         i = begin + wp.tid() / wp.static(lanes)
@@ -101,7 +101,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
             met = 0
         for slot in range(met):
             w = first_wall + slot
-            n = t.vec3()  # into the wall
+            n = t.vec3()  # normal into the wall
             overlap = scalar(-1.0)
             if slot < scenes.row[s].analytic:
                 distance, direction = distance_to_wall(walls.table[w], segments, walls.position[w], walls.normal[w], xi)
@@ -121,7 +121,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
                 sums.k_turn = sums.k_turn + turning(arm_i + radius_i * n, n, k[0], k[1], zero, zero)
                 sums.c_turn = sums.c_turn + turning(arm_i + radius_i * n, n, k[2], k[3], zero, zero)
                 load_wall(estimate, part, w, k)
-        if wp.static(half):  # the other sphere of a pair may have left its part
+        if wp.static(half):  # add the pairs that are listed at the other sphere
             sums.k = sums.k + estimate.sums[i, 0]
             sums.c = sums.c + estimate.sums[i, 1]
             sums.k_turn = sums.k_turn + estimate.sums[i, 2]

@@ -1,7 +1,8 @@
-"""A grid of cells that says which spheres are near a place: built and asked on the device, so that a graph may hold it.
+"""Uniform grid for the search of neighbouring spheres, built and queried on the device.
 
-Places wrap around: cells lie side by side without end, and those a whole grid apart are one. Any place is in a cell; to
-lie far away, or to have few cells, costs time and loses nobody.
+Because no host is involved, the search can be part of a CUDA graph. The grid is periodic: positions that differ by the
+size of the grid fall into the same cell. Every position therefore has a cell. Bodies far away or a grid with few cells
+cost time, but no neighbour is missed.
 """
 
 import functools
@@ -12,44 +13,48 @@ import warp as wp
 from ..common.types import module_of, types
 
 FARTHEST = 1.0e9
-"""Cells from the origin from which on it does not matter how far a place is; twice that is still a 32-bit number."""
+"""Largest distance from the origin, in cells, that is still distinguished; twice that fits into 32 bits."""
 
 
 @functools.cache
 def grid_struct(scalar):
-    """Struct `Grid`."""
+    """Return the struct `Grid`."""
 
     @wp.struct
     class Grid:
-        dims: wp.vec3i  # cells along each axis
-        per_width: wp.array(dtype=scalar)  # one over the width of a cell [1/m], shape (1,)
-        held: wp.array(dtype=wp.int32)  # how many points each cell has, and 0, shape (cells + 1,)
-        start: wp.array(dtype=wp.int32)  # first entry of each cell in `point`, and the end, shape (cells + 1,)
-        cell: wp.array(dtype=wp.int32)  # of each point, shape (points,) as the rest
-        rank: wp.array(dtype=wp.int32)  # its place among those of its cell, in any order
-        point: wp.array(dtype=wp.int32)  # points cell by cell
+        dims: wp.vec3i  # number of cells along each axis
+        per_width: wp.array(dtype=scalar)  # inverse width of a cell [1/m], shape (1,)
+        held: wp.array(dtype=wp.int32)  # number of points in each cell, followed by a zero, shape (cells + 1,)
+        start: wp.array(dtype=wp.int32)  # index in `point` of each cell's first point, and the end, shape (cells + 1,)
+        cell: wp.array(dtype=wp.int32)  # cell index of each point, shape (points,)
+        rank: wp.array(dtype=wp.int32)  # rank of each point within its cell, in any order, shape (points,)
+        point: wp.array(dtype=wp.int32)  # point indices, sorted by cell, shape (points,)
 
     return Grid
 
 
 @functools.cache
 def grid_functions(scalar) -> SimpleNamespace:
-    """`cell_at`; `region` (the cells that may hold what is within a reach of a place) and `run_of` (its entries in
-    `point`, run by run: cells beside one another along x are one run, or two where the grid ends between them)."""
+    """Return the functions `cell_at`, `region` and `run_of` for queries of the grid.
+
+    `cell_at` returns the cell of a position. `region` returns the block of cells that may hold points within a reach of
+    a position. `run_of` returns the entries in `point` for one run of the block. A run is a line of adjacent cells
+    along x; it splits into two runs where the periodic grid ends between them.
+    """
     t = types(scalar)
     Grid = grid_struct(scalar)
 
     @wp.struct
     class Region:
-        lowest: wp.vec3i  # cell
-        count: wp.vec3i  # of cells along each axis
+        lowest: wp.vec3i  # lowest cell of the block
+        count: wp.vec3i  # number of cells along each axis
         runs: wp.int32
 
     @wp.func
     def along(v: scalar) -> wp.int32:
-        """Cell of a coordinate, in widths."""
+        """Return the cell number of a coordinate, given in cell widths."""
         far = scalar(wp.static(FARTHEST))
-        place = wp.where(v > -far, v, -far)  # what is no number is far, too
+        place = wp.where(v > -far, v, -far)  # NaN fails this comparison and is mapped to the farthest cell
         return wp.int32(wp.floor(wp.where(place < far, place, far)))
 
     @wp.func
@@ -80,7 +85,7 @@ def grid_functions(scalar) -> SimpleNamespace:
 
     @wp.func
     def run_of(grid: Grid, region: Region, number: wp.int32) -> wp.vec2i:
-        """First entry of a run, and its end."""
+        """Return the first and the end entry in `point` of a run."""
         row = number
         begin = region.lowest[0]
         end = begin + region.count[0]
@@ -103,8 +108,11 @@ def grid_functions(scalar) -> SimpleNamespace:
 
 @functools.cache
 def grid_kernels(scalar) -> SimpleNamespace:
-    """Kernels over points: ``count`` those of each cell, from `held` of zero, then, when it is known where cells begin,
-    ``put`` them there."""
+    """Return two kernels over points that sort points into cells.
+
+    ``count`` counts the points of each cell; `held` must be zero before. When the starts of the cells are known,
+    ``put`` writes the points there.
+    """
     Grid = grid_struct(scalar)
     cell_at = grid_functions(scalar).cell_at
     vec3 = types(scalar).vec3

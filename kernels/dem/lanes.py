@@ -1,12 +1,12 @@
-"""Contacts of a CPU, as many at a time as a vector register takes.
+"""Vectorised contact forces on a CPU: contacts are gathered into lanes and evaluated with vector instructions.
 
-What a contact needs is gathered into columns, one for each number, in which every one of LANES contacts has its place.
-The law is then worked out by a loop over these places that touches nothing but columns, so that the compiler turns it
-into vector instructions: eight contacts at a time in single precision, four in double. What comes of it is handed
-out contact by contact, in the order of the list.
+The inputs of LANES contacts are first copied into columns, one column for each scalar quantity (structure of arrays).
+The contact law then runs in a loop over the lanes that reads and writes only columns. The compiler turns this loop into
+vector instructions: eight contacts at a time in single precision with AVX2, four in double. Finally the results are
+added to spheres and pairs one contact at a time, in the order of the list.
 
-The loop stays one of vectors only where nothing in it is a branch that assigns a vector or a struct: functions return
-those in pairs of numbers, which a compiler does not widen. Laws therefore choose between numbers, and multiply.
+The compiler vectorises the loop only if no branch in it assigns a vector or a struct. Contact laws therefore select
+between scalars with `wp.where`, or multiply by 0 or 1.
 """
 
 import functools
@@ -20,18 +20,22 @@ from .bond_parallel import UNBONDED, bond_functions, bond_with, kind_of, load_ro
 from .pairs import bond_pull_functions, broken_function, decode, pair_functions
 from .structs import array_structs
 
+# Number of contacts that are gathered before the law is evaluated.
 LANES = wp.constant(32)
 BOND = (
     "effective_modulus", "shear_to_normal", "tensile_strength", "cohesion", "tan_friction_angle", "radius_multiplier",
     "moment_factor",
 )  # fmt: skip
-"""Parameters of a bond, in the order of their columns."""
+"""Names of the bond parameters, in the order of their columns."""
 
 
 @functools.cache
 def column_functions(scalar):
-    """`get3`, `get4`, `put3`, `put4` and those of single numbers: what stands in columns from `at` on in a lane;
-    `where3`, `where4`: a vector where something holds, else zero."""
+    """Return functions that read and write vectors in columns, and that select a vector or zero.
+
+    `get`, `put` and their variants access the lane `lane` of the columns that start at index `at`. `where3` and
+    `where4` return the vector if a condition holds, else zero.
+    """
     t = types(scalar)
     Columns, Ints = wp.array(dtype=scalar), wp.array(dtype=wp.int32)
 
@@ -85,7 +89,7 @@ def column_functions(scalar):
 
 @functools.cache
 def layout(rolls: bool, history: bool, bonds: bool) -> SimpleNamespace:
-    """Where the columns of each quantity begin: `numbers` and `integers`, and how many places there are of each."""
+    """Return the first index of each quantity's columns and the total sizes, for float and integer columns."""
     numbers = dict(position_i=4, velocity_i=4, spin_i=3, position_j=4, velocity_j=4, spin_j=3, sign=1)
     numbers |= (dict(history=3) if history else {}) | (dict(rolling=3) if rolls else {})
     numbers |= dict(bond=len(BOND), bond_force=4, bond_moment=4) if bonds else {}
@@ -100,7 +104,7 @@ def layout(rolls: bool, history: bool, bonds: bool) -> SimpleNamespace:
 
 @functools.cache
 def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixed: bool):
-    """`gather`: what a contact of sphere i, the entry k of the list, needs, into a lane."""
+    """Return the function `gather`, which copies the inputs of one contact (entry k of sphere i) into a lane."""
     t = types(scalar)
     structs = array_structs(scalar)
     Spheres, Pairs = structs.Spheres, structs.Pairs
@@ -122,7 +126,10 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
         first_load: wp.int32, row: wp.int32, base: wp.int32, i: wp.int32, k: wp.int32, position_i: t.vec4,
         velocity_i: t.vec4, spin_i: t.vec3, columns: Columns, ints: Ints, lane: wp.int32,
     ):  # fmt: skip
-        """`row` is the first of the laws of the sphere's material, `base` the first sphere of the scene."""
+        """Copy the inputs of list entry k into the lane.
+
+        `row` is the first contact parameter row of the sphere's material, and `base` is the first sphere of the scene.
+        """
         entry = read_int(pairs.other, k)
         j = base + decode(entry)
         put_int(ints, wp.static(int_at["i"]), lane, i)
@@ -149,7 +156,8 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
                     pairs.bond[k] = bond
             kind = kind_of(bond)
             put_int(ints, wp.static(int_at["bond"]), lane, kind)
-            # One that is not bonded goes through the same numbers, which then count for nothing.
+            # The loop has no branches, so an unbonded lane computes with the parameters of kind 1; its result is
+            # discarded.
             write_bond(columns, lane, bond_parameters[first_bond + wp.max(kind, 1)])
             force, moment, at_row = t.vec4(), t.vec4(), wp.int32(-1)
             if bond > 0:
@@ -164,10 +172,10 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
 
 @functools.cache
 def evaluate_function(scalar, law, history: bool, bonds: bool, dissipation: bool, mixed: bool):
-    """`evaluate`: forces, moments, histories and bonds of all lanes.
+    """Return the function `evaluate`, which computes forces and moments and steps histories and bonds of all lanes.
 
-    Unless bodies are `mixed`, of several materials, all lanes have the same law: one that is read in the loop keeps it
-    from being one of vectors.
+    Without `mixed`, all spheres have one material and all lanes share one parameter set. Reading parameters in the loop
+    would keep the compiler from vectorising it.
     """
     t = types(scalar)
     Columns, Ints = wp.array(dtype=scalar), wp.array(dtype=wp.int32)
@@ -214,7 +222,7 @@ def evaluate_function(scalar, law, history: bool, bonds: bool, dissipation: bool
                     get4(columns, wp.static(at["bond_force"]), lane),
                     get4(columns, wp.static(at["bond_moment"]), lane), lost, dt,
                 )  # fmt: skip
-                # Chosen number by number: what comes of a bond that is none may be none.
+                # An unbonded lane may yield NaN, so the selection is made for each component.
                 total = wp.where(kind > 0, pull.contact, scalar(1.0)) * total + where3(kind > 0, pull.total)
                 bending = where3(kind > 0, pull.bending)
                 lost = wp.where(kind > 0, pull.lost, lost)
@@ -241,7 +249,7 @@ def evaluate_function(scalar, law, history: bool, bonds: bool, dissipation: bool
 
 @functools.cache
 def give_function(scalar, law, history: bool, bonds: bool, dissipation: bool):
-    """`give`: what came of the first lanes, to spheres and pairs."""
+    """Return the function `give`, which adds the results of the first `count` lanes to spheres and pairs."""
     structs = array_structs(scalar)
     Spheres, Pairs = structs.Spheres, structs.Pairs
     Columns, Ints = wp.array(dtype=scalar), wp.array(dtype=wp.int32)
@@ -260,8 +268,11 @@ def give_function(scalar, law, history: bool, bonds: bool, dissipation: bool):
     def give(
         spheres: Spheres, pairs: Pairs, first: wp.int32, last: wp.int32, columns: Columns, ints: Ints, count: wp.int32
     ):
-        """A half list's thread owns spheres `first` to `last`; of a pair across its border each side has a copy, and
-        that of the sphere with the lower permanent number counts."""
+        """Add the results of the lanes to spheres and pairs.
+
+        The CPU thread owns spheres `first` to `last`. A pair across the border of that range has a copy on either side.
+        Only the copy at the sphere with the lower permanent number counts energy and broken bonds.
+        """
         lane = wp.int32(0)
         while lane < count:
             i = get_int(ints, wp.static(int_at["i"]), lane)
@@ -303,7 +314,7 @@ def give_function(scalar, law, history: bool, bonds: bool, dissipation: bool):
 
 @functools.cache
 def bond_columns(scalar, at: int):
-    """`read_bond` and `write_bond`: a bond's parameters in columns from `at` on."""
+    """Return `read_bond` and `write_bond`, which access a bond's parameters in the columns that start at index `at`."""
     Bond = bond_functions(scalar).Bond
     assert tuple(Bond.vars) == BOND
     Columns = wp.array(dtype=scalar)

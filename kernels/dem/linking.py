@@ -1,4 +1,4 @@
-"""What a GPU evaluates for each pair of its lists (`links`), found anew with the lists."""
+"""Kernels that derive the links of a GPU (each pair once) from its neighbour lists, after each rebuild."""
 
 import functools
 from types import SimpleNamespace
@@ -11,14 +11,17 @@ from .pairs import BLOCK, decode
 from .structs import array_structs, links_struct
 
 MORE = wp.constant(4)
-"""Numbers with bits for those entries of a sphere's row that come after the first BLOCK."""
+"""Number of bit masks per sphere for list entries after the first BLOCK, whose bits are in `spheres.touching`."""
 BITS = wp.constant((int(MORE) + 1) * int(BLOCK))
-"""Entries of a row of which bits tell whether they touch; a large sphere among small ones has a hundred."""
+"""Number of leading entries in a row whose touching is recorded in bit masks; later entries have no bits.
+
+A row with more entries is rare: a large sphere among small ones has about a hundred.
+"""
 
 
 @functools.cache
 def mark_function(scalar):
-    """`mark`: notes in a sphere's bits whether the entry at a place of its row touches."""
+    """Return the function `mark`, which records in a sphere's bit masks if the entry at `place` of its row touches."""
     Spheres, Links = array_structs(scalar).Spheres, links_struct(scalar)
 
     @wp.func
@@ -41,8 +44,10 @@ def mark_function(scalar):
 
 @functools.cache
 def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, lanes: int):
-    """Kernels of a rebuild: ``clear_links`` over links, ``count_own`` over spheres, and ``fill_links``, so many `lanes`
-    a sphere, to which its entries fall in turn. A link gives so many `rows`.
+    """Return the kernels of a rebuild: ``clear_links`` over links, ``count_own`` over spheres, and ``fill_links``.
+
+    ``fill_links`` runs with `lanes` threads a sphere, which share the sphere's entries. A link has `rows` rows of
+    results.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -61,7 +66,7 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
         flags: wp.array2d(dtype=wp.int32), scenes: Scenes, pairs: Pairs, count: wp.array(dtype=wp.int32),
         spheres: Spheres, links: Links,
     ):  # fmt: skip
-        """Entries of a row that are no twins; none of the row touches yet."""
+        """Count each row's entries that are not twins, and clear the touching bits of spheres in stale scenes."""
         i = wp.tid()
         s = spheres.scene[i]
         own = wp.int32(0)
@@ -77,7 +82,7 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
 
     @wp.func
     def twin_of(pairs: Pairs, begin: wp.int32, end: wp.int32, i: wp.int32):
-        """Entry of a row, in which places ascend, that stands for sphere i of the scene."""
+        """Return the entry of sphere i in a row sorted by sphere index (binary search)."""
         low = begin
         high = end - 1
         while low < high:
@@ -93,8 +98,10 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
         flags: wp.array2d(dtype=wp.int32), scenes: Scenes, pairs: Pairs, scanned: wp.array(dtype=wp.int32),
         spheres: Spheres, links: Links,
     ):  # fmt: skip
-        """Links of a row's own entries; one that remembers anything counts as touching until it is looked at. Twins
-        are told of the bond of their pair."""
+        """Fill in the links of a row's own entries, and copy bonds to the twin entries.
+
+        A link with contact history or a bond counts as touching until a step checks it.
+        """
         i = wp.tid() / lanes
         s = spheres.scene[i]
         if flags[s, STALE] == 0:
@@ -118,12 +125,13 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
                 if wp.static(bonds):
                     remembers = remembers or pairs.bond[row + k] != 0
                     if pairs.bond[row + k] > 0:
-                        pairs.bond[row + twin] = pairs.bond[row + k]  # with the same row for the load
+                        pairs.bond[row + twin] = pairs.bond[row + k]  # both entries share one load row
                 links.link[p] = wp.vec4i(i - base, j, k, twin)
                 links.touched[p] = wp.where(remembers, 1, 0)
                 links.end[row + k] = p - row / 2
                 links.end[row + twin] = -1 - (p - row / 2)
-                if k - pairs.start[i + s] >= BITS or twin - begin >= BITS:  # summed, whether it touches or not
+                # entries without bits are always summed, so their results must start at zero
+                if k - pairs.start[i + s] >= BITS or twin - begin >= BITS:
                     for each in range(rows):
                         links.pull[rows * p + each] = t.vec4()
                 if remembers:

@@ -1,8 +1,9 @@
-"""Contacts between spheres on a GPU: a thread a pair, and sums of each sphere's in a fixed order.
+"""Contact forces between spheres on a GPU: one thread a pair, and sums for each sphere in a fixed order.
 
-Lists hold every pair at both spheres; a *link* is a pair once. A step looks at those that are `near`: most links of a
-list do not touch. What a link gives is added up for each of its spheres in the order of the list, by the kernel that
-moves bodies: forces need no atomic, and bits depend on no order of threads. See :mod:`surfaces` for planes and pipes.
+Neighbour lists hold every pair at both spheres; a *link* is a pair once. A step evaluates only the near links (see
+:mod:`near`), because most links of a list do not touch. The kernel that moves bodies adds up the results of each
+sphere's links in the order of its list. Forces therefore need no atomic operations, and results do not depend on the
+order in which threads run. :mod:`surfaces` handles planes and pipes.
 """
 
 import functools
@@ -22,15 +23,21 @@ from .structs import DT_PREVIOUS, array_structs, links_struct
 
 
 def pull_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
-    """Rows of four numbers that a link gives: two for both its spheres; two for each where it has a moment of its own
-    or loses energy."""
+    """Return the number of `links.pull` rows a link has: four with bonds, rolling or dissipation, else two.
+
+    Two rows serve both spheres. Where a link has a moment of its own or loses energy, each sphere needs its own two
+    rows.
+    """
     return 4 if bonds or rolls or dissipation else 2
 
 
 @functools.cache
 def pull_functions(scalar, count: int):
-    """`pull` writes the rows of a link, `count` of them, and `part_pull` those of one that meets no more; `pulled` adds
-    up what its links give a sphere: force [N], moment [N m] and lost energy [J]."""
+    """Return functions that write the results of a link (`count` rows) and that add them up for a sphere.
+
+    `pull` writes the rows of a link, and `part_pull` those of a link that has just parted. `pulled` returns the sums
+    over the links of a sphere: force [N], moment [N m] and lost energy [J].
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Spheres, Pairs = structs.Spheres, structs.Pairs
@@ -59,28 +66,31 @@ def pull_functions(scalar, count: int):
 
     @wp.func
     def row_of(first: wp.int32, end: wp.int32):
-        """Of what a link gives at one of its ends."""
+        """Return the first row in `links.pull` that holds a link's result at one of its ends."""
         if wp.static(apart):
             return count * (first + wp.where(end >= 0, end, -1 - end)) + wp.where(end >= 0, 0, 2)
         return count * (first + wp.where(end >= 0, end, -1 - end))
 
     @wp.func
     def force_at(end: wp.int32, force: t.vec4):
-        """On the sphere there."""
+        """Return the link's force on the sphere at this end [N]."""
         if wp.static(apart):
             return xyz(force)
         return wp.where(end >= 0, xyz(force), -xyz(force))
 
     @wp.func
     def moment_at(end: wp.int32, force: t.vec4, turn: t.vec4):
-        """About the centre of that sphere."""
+        """Return the link's moment about the centre of the sphere at this end [N m]."""
         if wp.static(apart):
             return xyz(turn)
         return wp.where(end >= 0, force[3], turn[3]) * xyz(turn)
 
     @wp.func
     def pulled(spheres: Spheres, pairs: Pairs, links: Links, i: wp.int32, row: wp.int32, slot: wp.int32):
-        """`row` is the scene's first entry, `slot` the sphere's place in `pairs.start`."""
+        """Add up force, moment and lost energy of the links of sphere i, in list order.
+
+        `row` is the scene's first entry, and `slot` is the sphere's place in `pairs.start`.
+        """
         force = t.vec3()
         moment = t.vec3()
         lost = wp.float64(0.0)
@@ -95,7 +105,7 @@ def pull_functions(scalar, count: int):
             else:
                 left = read_int(links.more, MORE * i + word - 1)
             while left != 0:
-                # Four at a time: while one is waited for, the others come.
+                # Each pass loads the results of up to four links at once, so that their memory latencies overlap.
                 q = read_int(links.end, block + lowest_bit(left))
                 left = left & (left - 1)
                 u, v, w = wp.int32(0), wp.int32(0), wp.int32(0)
@@ -124,7 +134,8 @@ def pull_functions(scalar, count: int):
                 if found > 3:
                     r = row_of(row / 2, w)
                     g, h = read_vec4(links.pull, r), read_vec4(links.pull, r + 1)
-                # One after the other: what has just parted, and adds nothing, may stand between.
+                # The sums run strictly one after the other. A link that has just parted adds zero, which then cannot
+                # change the rounding of the rest.
                 force = (((force + force_at(q, a)) + force_at(u, c)) + force_at(v, e)) + force_at(w, g)
                 moment = (moment + moment_at(q, a, b)) + moment_at(u, c, d)
                 moment = (moment + moment_at(v, e, f)) + moment_at(w, g, h)
@@ -132,7 +143,7 @@ def pull_functions(scalar, count: int):
                     lost = (((lost + wp.float64(a[3])) + wp.float64(c[3])) + wp.float64(e[3])) + wp.float64(g[3])
             block += BLOCK
             word += 1
-        for entry in range(begin + BITS, end):  # no bits tell of these
+        for entry in range(begin + BITS, end):  # entries beyond BITS have no touching bits
             q = read_int(links.end, entry)
             r = row_of(row / 2, q)
             a, b = read_vec4(links.pull, r), read_vec4(links.pull, r + 1)
@@ -147,7 +158,7 @@ def pull_functions(scalar, count: int):
 
 @functools.cache
 def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool):
-    """`looks`: whether a link touches or is bonded; lets go of what has parted."""
+    """Return the function `looks`: check if a link touches or is bonded, and clear the history if it parted."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
@@ -166,7 +177,7 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
         scenes: Scenes, spheres: Spheres, pairs: Pairs, parameters: wp.array(dtype=Parameters), s: wp.int32,
         i: wp.int32, j: wp.int32, k: wp.int32, twin: wp.int32,
     ):  # fmt: skip
-        """Clear what a pair remembers; returns the energy that its spring, still loaded, takes with it [J]."""
+        """Clear the history of a pair that parted, and return the elastic energy left in its springs [J]."""
         lost = scalar(0.0)
         if wp.static(history):
             if wp.static(dissipation):
@@ -187,7 +198,7 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
                 pairs.rolling[k] = t.vec3()
         if wp.static(healing):
             if pairs.bond[k] < 0:
-                pairs.bond[k] = 0  # may bond again at the next touch
+                pairs.bond[k] = 0  # the pair may bond again at the next touch
                 pairs.load[k] = t.vec8()
                 pairs.bond[twin] = 0
         return lost
@@ -197,7 +208,10 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
         scenes: Scenes, spheres: Spheres, pairs: Pairs, links: Links, parameters: wp.array(dtype=Parameters),
         s: wp.int32, ends: wp.vec4i, position_i: t.vec4, position_j: t.vec4, state: wp.int32, kind: wp.int32,
     ) -> wp.bool:  # fmt: skip
-        """`state` is that of `links.touched`, `kind` that of the bond."""
+        """Return True if the link touches or is bonded, and update its state where that changed.
+
+        `state` is the link's value in `links.touched`; `kind` is the kind of its bond.
+        """
         i, j, k, p = ends[0], ends[1], ends[2], ends[3]
         reach = position_i[3] + position_j[3]
         close = wp.length_sq(xyz(position_j) - xyz(position_i)) < reach * reach
@@ -205,11 +219,11 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
         if wp.static(bonds):
             close = close or kind > 0
             if wp.static(subcycling):
-                held_apart = kind == HYDRATED  # stepped in rounds of its own
+                held_apart = kind == HYDRATED  # sub-cycling rounds step a pair in a stiff bond
                 close = close and not held_apart
         after = wp.where(close, 1, 0)
         if held_apart:
-            after = 3  # may part at the first look after its bond broke
+            after = 3  # state of a pair in a stiff bond; it may part at the first check after the bond broke
         if state != after:
             lost = scalar(0.0)
             row = scenes.row[s].pairs
@@ -217,7 +231,7 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
             if after == 0 and state != 2:
                 lost = part(scenes, spheres, pairs, parameters, s, i, j, k, twin)
             if lost > scalar(0.0):
-                after = 2  # its rows count once more
+                after = 2  # the link's rows stay in the sums for one more step, which counts the loss
             else:
                 mark(spheres, links, i, k - row - pairs.start[i + s], close)
                 mark(spheres, links, j, twin - row - pairs.start[j + s], close)
@@ -231,7 +245,10 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
 
 @functools.cache
 def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissipation: bool, mixed: bool):
-    """`evaluate`: force and moments of a link, its history and bond. Bodies may be `mixed`, of several materials."""
+    """Return the function `evaluate`, which computes force and moments of a link and steps its history and bond.
+
+    `mixed` says that the spheres have several materials.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
@@ -255,7 +272,8 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
         bond_parameters: wp.array(dtype=Bond), s: wp.int32, ends: wp.vec4i, position_i: t.vec4, position_j: t.vec4,
     ):  # fmt: skip
         i, j, k, p = ends[0], ends[1], ends[2], ends[3]
-        dt = scalar(scenes.clock[s, DT_PREVIOUS])  # the displacement that led here is that of the step before
+        # dt is the previous step, because the displacement of that step led to the current overlap.
+        dt = scalar(scenes.clock[s, DT_PREVIOUS])
         spin_i, spin_j = xyz(read_vec4(spheres.spin, i)), xyz(read_vec4(spheres.spin, j))
         material = read_int(spheres.material, i)
         law_row = scenes.row[s].laws + material * scenes.row[s].materials
@@ -306,10 +324,10 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
 def link_kernel(
     scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool, mixed: bool
 ):
-    """Kernel over links: contacts of those that touch.
+    """Return the kernel over links that computes the contacts of those that touch.
 
-    Each of its threads, of which there are `threads`, takes a near link, and one more for so many as there are; then
-    links of scenes whose near ones may miss a contact.
+    The launch has `threads` threads. They first share the near links. Then they share all links of those scenes whose
+    near links may miss a contact; for these scenes the near links are skipped.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
@@ -322,14 +340,14 @@ def link_kernel(
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
     def link_contacts(
-        # model
+        # Arrays of the model.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # state, read
+        # Arrays of the state, read only.
         threads: wp.int32,
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # state, read and written
+        # Arrays of the state, read and written.
         spheres: Spheres,
         pairs: Pairs,
         links: Links,
@@ -350,7 +368,7 @@ def link_kernel(
                 first, row = scenes.row[links.scene[p]].spheres, scenes.row[links.scene[p]].pairs
                 ends = wp.vec4i(first + link[0], first + link[1], row + link[2], p)
             s = spheres.scene[ends[0]]
-            # Asked for before it is known whether they are wanted: nobody waits for the one and then for the other.
+            # All loads are issued before the branch that decides if they are needed, so that their latencies overlap.
             position_i, position_j = read_vec4(spheres.position, ends[0]), read_vec4(spheres.position, ends[1])
             state, kind = read_int(links.touched, ends[3]), wp.int32(0)
             if wp.static(bonds):

@@ -1,6 +1,6 @@
-"""Verlet lists from what a search found, with contact history carried over exactly.
+"""Kernels that build neighbour (Verlet) lists from the result of a search and carry over contact history exactly.
 
-All kernels run over a whole batch and pass by the scenes whose lists are fresh: those keep their rows.
+All kernels run over a whole batch. They skip scenes whose lists are still valid; those scenes keep their rows.
 """
 
 import functools
@@ -17,14 +17,15 @@ from .search import find_function
 from .structs import SINCE_BUILD, array_structs
 
 SAMPLED = wp.constant(16)
-"""Spheres of a part of a scene whose velocities are added up, about."""
+"""Approximate number of spheres sampled in each part of a scene for the mean velocity."""
 
 
 @functools.cache
 def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool, healing: bool, lanes: int = 1):
-    """Kernel over the spheres of a chunk: entries of the new rows, each with what the pair brings from the old list.
+    """Return a kernel over the spheres of a chunk that fills the new rows with entries and their contact history.
 
-    A sphere's entries fall to so many `lanes`, threads of a GPU, in turn.
+    The kernel copies history, rolling moment and bond of each pair from the old list. On a GPU, `lanes` threads share
+    the entries of a sphere.
     """
     t = types(scalar)
     span = SPAN if half else 1
@@ -34,8 +35,11 @@ def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool,
 
     @wp.func
     def row_of_entry(scenes: Scenes, pairs: Pairs, s: wp.int32, bond: wp.int32, own: wp.bool):
-        """A bond as an entry of a half list has it. Of a pair across a border of chunks both threads step the load: the
-        entry that does not count has the row after that of the other, an even one."""
+        """Return the bond number to store at an entry of a half list.
+
+        Both CPU threads step the load of a bond whose pair crosses a chunk border, and each needs its own copy. The
+        owning entry uses an even row of `load`; the other entry uses the odd row after it.
+        """
         found = bond
         if bond > 0:
             row = load_row(bond) / 2 * 2
@@ -48,17 +52,17 @@ def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool,
 
     @wp.kernel(module="unique", enable_backward=False)
     def transfer_history(
-        # chunk
+        # Range of rows that this launch processes.
         first: wp.int32,
         last: wp.int32,
-        # read
+        # Arrays that are only read.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
         old_pairs: Pairs,
         old_place: wp.array(dtype=wp.int32),
         place: wp.array(dtype=wp.int32),
         found: wp.array(dtype=wp.int32),
-        # read and written
+        # Arrays that are read and written.
         spheres: Spheres,
         pairs: Pairs,
     ):
@@ -97,7 +101,7 @@ def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool,
                         if old >= 0:
                             bond = old_pairs.bond[old]
                         if wp.static(healing):
-                            load = t.vec8()  # of what is not bonded now nothing is left, should it bond again
+                            load = t.vec8()  # an unbonded pair must start with zero load if it bonds again
                             if bond > 0:
                                 load = old_pairs.load[old]
                                 bond = bond_with(kind_of(bond), k - row)
@@ -111,7 +115,7 @@ def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool,
 
 @functools.cache
 def list_kernels(scalar):
-    """Kernels around a search: ``centres``, ``stretch``, ``starts``, ``drift``, ``clear_stale``."""
+    """Return the kernels around a search: ``centres``, ``stretch``, ``starts``, ``drift``, ``clear_stale``."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs, Walls = structs.Scenes, structs.Spheres, structs.Pairs, structs.Walls
@@ -123,7 +127,7 @@ def list_kernels(scalar):
         flags: wp.array2d(dtype=wp.int32), shift: wp.array(dtype=t.vec3), spheres: Spheres,
         centre: wp.array(dtype=t.vec3),
     ):  # fmt: skip
-        """Points for the grid; from here on spheres of stale scenes count how far they go."""
+        """Write the sphere centres for the grid, and store the positions from which displacements are measured."""
         i = wp.tid()
         centre[i] = xyz(spheres.position[i]) + shift[spheres.scene[i]]
         if flags[spheres.scene[i], STALE] != 0:
@@ -139,7 +143,10 @@ def list_kernels(scalar):
         new_place: wp.array(dtype=wp.int32),
         stretched: wp.array(dtype=scalar),
     ):
-        """Longest gap of each sphere across which a bond of the old list holds, a little more for rounding."""
+        """Store for each sphere the longest gap that a bond of the old list spans, with a margin for rounding.
+
+        Only gaps longer than the skin are stored, because the search finds all shorter ones anyway.
+        """
         i = wp.tid()
         s = spheres.scene[i]
         if flags[s, STALE] == 0:
@@ -165,7 +172,10 @@ def list_kernels(scalar):
         start: wp.array(dtype=wp.int32),
         total: wp.array(dtype=wp.int32),
     ):
-        """Row starts of the stale scenes from a scan over all; a scene's last row tells how many entries it has."""
+        """Compute the row starts of stale scenes from a prefix sum over the whole batch.
+
+        The last row start of a scene is its number of entries, which goes into `total`.
+        """
         e = wp.tid()
         s = slot_scene[e]
         if flags[s, STALE] == 0:
@@ -177,9 +187,10 @@ def list_kernels(scalar):
 
     @wp.kernel(module=module_of("lists", scalar), enable_backward=False)
     def drift(flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres, lanes: wp.array2d(dtype=wp.vec3d)):
-        """Sum of velocities of some of a scene's spheres.
+        """Sum the velocities of a sample of each scene's spheres, to estimate the common drift.
 
-        Lists are complete whatever the common drift is, only not for as long: a sample of all does.
+        Displacements are measured relative to the drift. Lists stay complete whatever the drift is; a poor estimate
+        only makes them expire sooner, so a sample is enough.
         """
         s, lane = wp.tid()
         if flags[s, STALE] == 0:
@@ -197,7 +208,7 @@ def list_kernels(scalar):
 
     @wp.kernel(module=module_of("lists", scalar), enable_backward=False)
     def clear_stale(lanes: wp.array2d(dtype=wp.vec3d), flags: wp.array2d(dtype=wp.int32), scenes: Scenes, walls: Walls):
-        """One thread a scene: the lists are as new; go on, unless there is another reason to wait."""
+        """Mark the lists as valid, one thread a scene, and resume the scene unless it has another reason to wait."""
         s = wp.tid()
         if flags[s, STALE] == 0:
             return

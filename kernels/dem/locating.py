@@ -1,4 +1,4 @@
-"""Where pairs with stiff bonds and their bodies are after a rebuild of the lists; see :mod:`subcycling`."""
+"""Kernels that find the new rows of stiff pairs and their bodies after a list rebuild; see :mod:`subcycling`."""
 
 import functools
 from types import SimpleNamespace
@@ -12,8 +12,11 @@ from .structs import array_structs, subcycled_struct
 
 @functools.cache
 def locating_kernels(scalar, half: bool, history: bool):
-    """Kernels ``note_spheres``, ``note_bodies``, ``locate_pairs`` and ``locate_bodies``: where everything is after a
-    rebuild of the lists."""
+    """Return the kernels ``note_spheres``, ``note_bodies``, ``locate_pairs`` and ``locate_bodies``.
+
+    The first two record the row of each permanent sphere and body number. The other two then find the rows of stiff
+    pairs and their bodies after a list rebuild, and copy their data.
+    """
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
     Subcycled = subcycled_struct(scalar)
@@ -56,13 +59,14 @@ def locating_kernels(scalar, half: bool, history: bool):
         subcycled.higher_offset[p] = spheres.offset[j]
         row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
         subcycled.law[p] = row + spheres.material[j]
-        # A pair in two chunks, or in a full list, stands at both spheres: both entries must hold the same.
+        # A pair across two chunks, or in a full list, has an entry at both spheres. Both entries must be kept up to
+        # date.
         k = find(pairs, s, base, scenes.row[s].pairs, i, j)
         copy = find_own(pairs, s, base, scenes.row[s].pairs, j, i)
         subcycled.entry[p] = k
         subcycled.copy[p] = wp.where(copy == k, -1, copy)
         subcycled.active[p] = 0
-        if k >= 0:  # else parted, long after its bond broke
+        if k >= 0:  # a missing pair parted long after its bond broke
             bond = pairs.bond[k]
             subcycled.active[p] = wp.where(kind_of(bond) == HYDRATED, 1, 0)
             subcycled.held.bond[p] = bond

@@ -1,18 +1,19 @@
 """Contact of spheres with triangle meshes.
 
-Mesh contact keeps a candidate only where its closest point is a local minimum of the distance to the
-*whole* surface: on an edge, neither adjacent face may fall towards the sphere's centre; at a corner,
-no edge that meets there may. That leaves one contact on any triangulated plane and on convex edges and
-corners, whatever the triangle sizes. Facets that approximate a concave curved surface can each hold a
-minimum; those whose normals differ by less than `MERGE_ANGLE` count as one surface, and the deepest wins.
+A mesh contact is accepted only where the triangle's closest point is a local minimum of the distance to the *whole*
+surface. On an edge, a step along either adjacent face must not lead closer to the sphere's centre; at a corner, the
+same holds for every edge that meets there. This gives exactly one contact on any triangulated plane and on convex edges
+and corners, whatever the triangle sizes. Facets that approximate a concave curved surface can each hold a minimum.
+Minima whose normals differ by less than `MERGE_ANGLE` therefore count as one contact, and the deepest one is used.
 
-A wall's own surface hides what lies behind it: of two contacts the farther one is none if its point lies behind the
-plane through the nearer one, across the line from the sphere's centre. So the outer skin of a wall that is thinner than
-an overlap adds nothing, nor does an edge of faces that lie on one another without having corners in common. Where the
-overlap is small, nothing that touches the sphere is hidden.
+A surface also hides what lies behind it. The farther of two contacts is dropped if its point lies behind the plane
+through the nearer contact point, perpendicular to the nearer normal. A tolerance of BEHIND allows for rounded corners.
+The outer skin of a wall that is thinner than the overlap thus adds no force. The same holds for edges of coincident
+faces that do not share corners. Where the overlap is small, no true contact is hidden.
 
-The kernel takes the arrays of walls and slots one by one, and looks for an old contact's history in its own loop: with
-structs of them, or with a function for that, CUDA's compiler unrolls loops otherwise and the kernel takes 5 % longer.
+The kernel takes the arrays of walls and slots one by one and searches an old contact's history in its own loop. With
+structs, or with a function for the search, CUDA's compiler unrolls the loops differently and the kernel takes 5 %
+longer.
 """
 
 import functools
@@ -29,16 +30,16 @@ from .analytic_walls import surface_touch_function, wall_force_function
 from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs
 from .wear import wear_functions
 
-MERGE_ANGLE = 30.0  # degrees between normals of mesh contacts below which they count as one
+MERGE_ANGLE = 30.0  # angle between the normals of two mesh contacts below which they count as one [degrees]
 MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
-BEHIND = 2.0e-2  # radii that a hidden point may lie before the plane through a nearer one: corners are rounded
-MESH_SLOTS = 6  # mesh contacts that one sphere can hold at a time after those of planes and pipes; more sets OVERFLOW
+BEHIND = 2.0e-2  # largest distance in front of the plane at which a point still counts as hidden [sphere radii]
+MESH_SLOTS = 6  # mesh contact slots of a sphere, after those of planes and pipes; more contacts set OVERFLOW
 Owners = wp.types.vector(MESH_SLOTS, wp.int32)
 
 
 @functools.cache
 def surface_functions(scalar) -> SimpleNamespace:
-    """The closest point of a face, whether that is one of the whole surface, and the normal into the wall there."""
+    """Return functions for a face: its closest point, the test for a minimum of the surface, and the normal."""
     t = types(scalar)
     Wall = wall_struct(scalar)
     closest_on_triangle = triangle_functions(scalar).closest_on_triangle
@@ -53,8 +54,8 @@ def surface_functions(scalar) -> SimpleNamespace:
 
     @wp.func
     def falls_towards(direction: t.vec3, offset: t.vec3):
-        # Would a step along `direction` on the surface come nearer to the sphere's centre? The tolerance
-        # covers single-precision noise; a minimum reported twice within it merges by angle anyway.
+        # Return True if a step along `direction` on the surface comes nearer to the sphere's centre. The tolerance
+        # covers rounding in single precision. Minima reported twice because of the tolerance are merged by angle later.
         return wp.dot(direction, offset) > scalar(1.0e-3) * wp.length(direction) * wp.length(offset)
 
     @wp.func
@@ -73,12 +74,17 @@ def surface_functions(scalar) -> SimpleNamespace:
         ring_start: wp.array(dtype=wp.int32),
         ring: wp.array(dtype=wp.int32),
     ):
-        """`offset` points from the closest point to the centre. Ties between faces go to the lowest face."""
+        """Return True if the face's closest point is a local minimum of the distance to the whole surface.
+
+        `offset` points from the closest point to the sphere's centre. Only the face with the lowest number reports a
+        point that several faces share.
+        """
         if feature == 0:
             return True
         if feature < 4:
             edge = feature - 1
-            beyond = across[face, edge]  # far corner of the neighbour, its face number in `edge + 3`
+            # index of the neighbour's far corner; `edge + 3` holds the neighbour's face number
+            beyond = across[face, edge]
             if beyond == BORDER:
                 return True
             a = corners[faces[face, edge]]
@@ -86,19 +92,19 @@ def surface_functions(scalar) -> SimpleNamespace:
             if beyond <= SHARED:
                 row = SHARED - beyond
                 if ring[ring_start[row]] != face - wall.first_face:
-                    return False  # the lowest face reports this edge
+                    return False  # avoid a duplicate: the face with the lowest number reports this edge
                 for k in range(ring_start[row] + 1, ring_start[row + 1]):
                     if falls_towards(across_edge(corners[ring[k]] - a, along), offset):
                         return False
                 return True
             if across[face, edge + 3] < face:
-                return False  # the neighbour reports this edge
+                return False  # avoid a duplicate: the neighbour has a lower number and reports this edge
             return not falls_towards(across_edge(corners[beyond] - a, along), offset)
         corner = faces[face, feature - 4]
         a = corners[corner]
         lowest = ring[ring_start[corner]]
         if lowest != face - wall.first_face:
-            return False  # the lowest face of the ring reports this corner
+            return False  # avoid a duplicate: the lowest face of the ring reports this corner
         for k in range(ring_start[corner] + 1, ring_start[corner + 1]):
             if falls_towards(corners[ring[k]] - a, offset):
                 return False
@@ -112,7 +118,7 @@ def surface_functions(scalar) -> SimpleNamespace:
         corners: wp.array(dtype=t.vec3),
         faces: wp.array2d(dtype=wp.int32),
     ):
-        """Against the offset, or against the face's own normal where the centre lies on the face."""
+        """Return the normal into the wall: against `offset`, or against the face's normal if the centre is on it."""
         a = corners[faces[face, 0]]
         plain = wp.cross(corners[faces[face, 1]] - a, corners[faces[face, 2]] - a)
         n = -safe_normalize(offset, -wp.normalize(plain))
@@ -123,13 +129,13 @@ def surface_functions(scalar) -> SimpleNamespace:
 
 @functools.cache
 def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
-    """Functions that tell contacts of one sphere apart, and one step's from the next's."""
+    """Return functions that merge the contacts of one sphere and match them with those of the previous step."""
     t = types(scalar)
     Vectors, Values = wp.types.matrix((MESH_SLOTS, 3), scalar), wp.types.vector(MESH_SLOTS, scalar)
 
     @wp.func
     def hides(n: t.vec3, gap: scalar, farther_n: t.vec3, farther_gap: scalar, radius: scalar):
-        """Return whether a contact is the same as a `farther` one with this wall, or has it behind its surface."""
+        """Return True if a contact merges with a `farther` one with the same wall, or hides it behind its surface."""
         if gap > farther_gap:
             return False
         c = wp.dot(n, farther_n)
@@ -141,10 +147,10 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
         normals: Vectors, gaps: Values, owners: Owners, found: wp.int32, w: wp.int32, n: t.vec3, gap: scalar,
         radius: scalar,
     ):  # fmt: skip
-        """Return the contacts with one more on wall `w`, unless another hides it; those that it hides are dropped.
+        """Return the contacts with a new one on wall `w` added, without those that the new contact hides.
 
-        The new contact takes the place of the first one that it hides. A count above MESH_SLOTS means that there is no
-        room for it.
+        The list stays unchanged if another contact hides the new one. The new contact takes the place of the first
+        contact that it hides. A count above MESH_SLOTS means that there was no room for it.
         """
         for s in range(found):
             if owners[s] == w and hides(normals[s], gaps[s], n, gap, radius):
@@ -181,9 +187,12 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
         slot_wall: wp.array2d(dtype=wp.int32),
         slot_normal: wp.array2d(dtype=t.vec3),
     ):
-        """Normal and gap; of a centre pushed through the surface, as seen from the side it touched before."""
+        """Return normal and gap, seen from the side of the surface that the sphere touched in the previous step.
+
+        This matters when the sphere's centre has been pushed through the surface: the normal must then not flip.
+        """
         gap = distance - radius
-        side = scalar(0.0)  # cosine to the normal before, on this wall, that is most nearly along n
+        side = scalar(0.0)  # cosine between `n` and the old normal on this wall that is most nearly parallel to it
         for s in range(MESH_SLOTS):
             if slot_wall[i, first + s] == wall:
                 c = wp.dot(slot_normal[i, first + s], n)
@@ -211,7 +220,7 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
         slot_history: wp.array2d(dtype=t.vec3),
         slot_rolling: wp.array2d(dtype=t.vec3),
     ):
-        """Write the contacts of this step to the slots from the `first` on, for the next step."""
+        """Store the contacts of this step in the slots from `first` onwards, for the next step."""
         for s in range(MESH_SLOTS):
             if s < found:
                 slot_wall[i, first + s] = owners[s] - first_wall
@@ -234,8 +243,10 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
 
 @functools.cache
 def meeting_function(scalar, law):
-    """`meets`: force on a sphere and moment about its centre by a contact with a mesh, moment about the wall's place,
-    what the contact remembers of shear and of rolling, and the energy that it loses.
+    """Return the function `meets`, which evaluates the contact of a sphere with a mesh.
+
+    The result is force and moment on the sphere, moment about the wall's position, the new histories of shear and
+    rolling, and the energy lost.
     """
     t = types(scalar)
     functions, rolls = law.functions(scalar), law.rolls
@@ -265,7 +276,7 @@ def meeting_function(scalar, law):
 
 @functools.cache
 def mesh_parts(scalar, law) -> SimpleNamespace:
-    """What a mesh kernel is made of: types and functions of meshes, of merging, of walls, and of a contact law."""
+    """Return the types and functions that a mesh kernel needs, for meshes, merging, walls and the contact law."""
     structs, functions = array_structs(scalar), law.functions(scalar)
     return SimpleNamespace(
         **vars(surface_functions(scalar)),
@@ -285,24 +296,24 @@ def mesh_parts(scalar, law) -> SimpleNamespace:
 
 @functools.cache
 def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
-    """Kernel over spheres: adds the forces of triangle meshes to spheres and to the walls."""
+    """Return the kernel over spheres that adds the contact forces of triangle meshes to spheres and walls."""
     t = types(scalar)
     parts, rolls = mesh_parts(scalar, law), law.rolls
     span = SPAN if half else 1
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def mesh_contacts(
-        # model
+        # Arrays of the model.
         wall_parameters: wp.array(dtype=parts.Parameters), corners: wp.array(dtype=t.vec3),
         faces: wp.array2d(dtype=wp.int32), across: wp.array2d(dtype=wp.int32), ring_start: wp.array(dtype=wp.int32),
         ring: wp.array(dtype=wp.int32), face_wall: wp.array(dtype=wp.int32), wall_table: wp.array(dtype=parts.Wall),
-        # chunk
+        # Range of rows that this launch processes, and number of the CPU thread.
         first: wp.int32, last: wp.int32, part: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         scenes: parts.Scenes, candidates: parts.Candidates, wall_position: wp.array(dtype=t.vec3),
         wall_orientation: wp.array(dtype=t.quat), wall_velocity: wp.array(dtype=t.vec3),
         wall_spin: wp.array(dtype=t.vec3),
-        # state, read and written
+        # Arrays of the state, read and written.
         flags: wp.array2d(dtype=wp.int32), spheres: parts.Spheres, slot_wall: wp.array2d(dtype=wp.int32),
         slot_normal: wp.array2d(dtype=t.vec3), slot_overlap: wp.array2d(dtype=scalar),
         slot_history: wp.array2d(dtype=t.vec3), slot_rolling: wp.array2d(dtype=t.vec3),
@@ -358,7 +369,7 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
             for s in range(found):
                 n = normals[s]
                 w = owners[s]
-                # History belongs to the old contact on this wall with the nearest normal.
+                # A contact inherits the history of the old contact on the same wall whose normal is nearest.
                 history = t.vec3()
                 rolling = t.vec3()
                 best = scalar(wp.static(MERGE_COSINE))
@@ -374,7 +385,9 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
                     wall_parameters[row + wall_table[w].material], wall_position[w], wall_velocity[w], wall_spin[w], n,
                     gaps[s], x, radius, velocity, spin, history, rolling, dt,
                 )  # fmt: skip
-                if gaps[s] < -radius:  # the centre is behind the surface, and a step further the whole sphere may be
+                # The sphere's centre is behind the surface. The scene fails if the whole sphere could be behind it
+                # after one more step.
+                if gaps[s] < -radius:
                     if dt * wp.dot(parts.xyz(velocity) - wall_velocity[w], n) - gaps[s] > scalar(2.0) * radius:
                         wp.atomic_cas(flags, scene, FAILED, 0, 1 + spheres.body[i])
                 histories[s] = sheared
@@ -404,7 +417,7 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
 
 @functools.cache
 def candidate_kernels(scalar):
-    """Count and fill kernels of the faces within reach of each sphere (reach: radius plus mesh skin)."""
+    """Return the kernels that count and store the faces within reach (radius plus mesh skin) of each sphere."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Candidates, Walls = structs.Scenes, structs.Spheres, structs.Candidates, structs.Walls
@@ -414,15 +427,15 @@ def candidate_kernels(scalar):
     def kernel(fill: bool):
         @wp.kernel(module="unique", enable_backward=False)
         def find_candidates(
-            # model
+            # Arrays of the model.
             corners: wp.array(dtype=t.vec3),
             faces: wp.array2d(dtype=wp.int32),
-            # state, read
+            # Arrays of the state, read only.
             flags: wp.array2d(dtype=wp.int32),
             scenes: Scenes,
             spheres: Spheres,
             walls: Walls,
-            # written: the count of each sphere, or its candidates
+            # Arrays that are written: the count of each sphere, or its candidates.
             count: wp.array(dtype=wp.int32),
             candidates: Candidates,
         ):
@@ -438,7 +451,7 @@ def candidate_kernels(scalar):
             for w in range(first_wall + scenes.row[s].analytic, first_wall + scenes.row[s].wall_count):
                 local = wp.quat_rotate_inv(walls.orientation[w], x - walls.position[w])
                 centre = wp.vec3(wp.float32(local[0]), wp.float32(local[1]), wp.float32(local[2]))
-                # The tree is in single precision; the margin covers its rounding.
+                # The mesh's tree is in single precision; the margin covers its rounding.
                 margin = wp.float32(reach) + wp.float32(1.0e-6) * wp.length(centre)
                 box = wp.vec3(margin, margin, margin)
                 query = wp.mesh_query_aabb(walls.table[w].mesh, centre - box, centre + box)

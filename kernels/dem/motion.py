@@ -1,4 +1,4 @@
-"""Motion of bodies that are all single spheres, and what all bodies share: turns, drives, damping, tests of lists."""
+"""Motion of single-sphere bodies, and functions that all bodies share: rotation, drives, damping, list checks."""
 
 import functools
 from types import SimpleNamespace
@@ -15,14 +15,20 @@ from .structs import DT, DT_PREVIOUS, SINCE_BUILD, array_structs, links_struct
 
 
 def motion_options(half: bool) -> dict:
-    """Of the compiler: a GPU divides as for contacts, see :func:`contacts.contact_options`; sines, which only drives
-    along bends need, are off by 4e-7."""
+    """Return the compiler options of a motion kernel.
+
+    On a GPU, `fast_math` speeds up division as for contacts, see :func:`contacts.contact_options`. It makes sines,
+    which only drives along bends use, inexact by 4e-7.
+    """
     return {"fast_math": not half}
 
 
 @functools.cache
 def rotation_functions(scalar):
-    """Quaternion turn by a rotation vector (not normalised), and the spin that an angular momentum gives."""
+    """Return `turned` (rotate a quaternion by a rotation vector) and `spin_at_middle` (spin from angular momentum).
+
+    `turned` does not normalise its result.
+    """
     t = types(scalar)
 
     @wp.func
@@ -30,12 +36,14 @@ def rotation_functions(scalar):
         a = wp.length_sq(rotation)
         part = scalar(1.0)
         doublings = wp.int32(0)
-        # A turn by more than 0.1 rad is one by a part of it, doubled: sines take a GPU more instructions than all else.
+        # A rotation by more than 0.1 rad is computed by halving the angle and squaring the result. Series and squaring
+        # take a GPU fewer instructions than sine and cosine.
         while a > scalar(0.01) and doublings < 40:
             a = scalar(0.25) * a
             part = scalar(0.5) * part
             doublings += 1
-        # sin(x / 2) / x and cos(x / 2) in powers of x^2: below 0.1 rad right to the last digit of double precision.
+        # These are Taylor series of sin(x / 2) / x and cos(x / 2) in x^2. Below 0.1 rad they are exact to the last
+        # digit of double precision.
         s = scalar(wp.static(1 / 2)) - a * (
             scalar(wp.static(1 / 48)) - a * (scalar(wp.static(1 / 3840)) - a * scalar(wp.static(1 / 645120)))
         )
@@ -58,11 +66,11 @@ def rotation_functions(scalar):
 
     @wp.func
     def spin_at_middle(q: t.quat, angular_momentum: t.vec3, inertia: t.vec3, dt: scalar):
-        """Spin in the middle of the turn that it makes in a step, by a fixed-point iteration."""
+        """Return the spin in the middle of the step's rotation, found by fixed-point iteration (midpoint rule)."""
         spin = spin_of(q, angular_momentum, inertia)
         if inertia[0] != inertia[1] or inertia[1] != inertia[2]:
             iteration = wp.int32(0)
-            while iteration < 3:  # not unrolled
+            while iteration < 3:  # a `while` loop keeps the compiler from unrolling the iterations
                 spin = spin_of(turned(q, scalar(0.5) * dt * spin), angular_momentum, inertia)
                 iteration += 1
         return spin
@@ -72,7 +80,7 @@ def rotation_functions(scalar):
 
 @functools.cache
 def motion_functions(scalar, dissipation: bool):
-    """What both kinds of bodies share: drives, damping, position without lost rounding, and the test of the lists."""
+    """Return the functions that all kinds of bodies share: drives, damping, compensated positions and list checks."""
     t = types(scalar)
     xyz = vector_functions(scalar).xyz
     Scenes, Links = array_structs(scalar).Scenes, links_struct(scalar)
@@ -89,13 +97,13 @@ def motion_functions(scalar, dissipation: bool):
         group: wp.int32,
         x: t.vec3,
     ):
-        """Force along the pipe's axis on a body of a group of the batch."""
+        """Return the drive force along the pipe's axis on a body of group `group` at position `x`."""
         from_axis, tangent = closest_on_axis(segments, drive_axis[group, 0], drive_axis[group, 1], x)
         return drive_force[group] * tangent
 
     @wp.func
     def damped(total: t.vec3, velocity: t.vec3, damping: scalar, kick: scalar):
-        """Force (moment) less local damping, which acts against each component of the motion, and the energy lost."""
+        """Return the force (or moment) after local damping, which opposes each velocity component, and the loss."""
         lost = wp.float64(0.0)
         if damping > scalar(0.0):
             for c in range(3):
@@ -107,7 +115,10 @@ def motion_functions(scalar, dissipation: bool):
 
     @wp.func
     def moved_on(x: t.vec3, displacement: t.vec3, rounding: t.vec3):
-        """New position, and what single precision could not add of this step: the next one gives it back."""
+        """Return the new position and its rounding error, which the next step adds again (compensated summation).
+
+        In double precision the compensation is left out.
+        """
         if wp.static(single):
             displacement = displacement + rounding
             after = x + displacement
@@ -116,12 +127,15 @@ def motion_functions(scalar, dissipation: bool):
 
     @wp.func
     def drift_of(scenes: Scenes, s: wp.int32):
-        """How far the common drift of a scene has gone since the lists were built, this step included."""
+        """Return the displacement of the scene's common drift since the last list rebuild, including this step."""
         return scalar(scenes.clock[s, SINCE_BUILD] + scenes.clock[s, DT]) * scenes.reference_velocity[s]
 
     @wp.func
     def outgrows(skin: scalar, place: t.vec3, radius: scalar, built: t.vec4, drift: t.vec3):
-        """Has a sphere gone so far since pairs within a skin were noted that one in contact may not be among them?"""
+        """Return True if a sphere has moved so far that a list with this skin may miss one of its contacts.
+
+        The sphere may move by half the skin relative to the common drift; any growth of its radius is subtracted.
+        """
         slack = scalar(0.5) * skin - (radius - built[3])
         return wp.length_sq(place - xyz(built) - drift) > slack * slack or slack < scalar(0.0)
 
@@ -129,7 +143,7 @@ def motion_functions(scalar, dissipation: bool):
     def outgrows_lists(
         scenes: Scenes, s: wp.int32, place: t.vec3, radius: scalar, built: t.vec4, drift: t.vec3, meshes: bool
     ):
-        """Has a sphere gone so far since the build that lists may miss a contact in the next step?"""
+        """Return True if a sphere has moved so far that the pair or mesh lists may miss a contact in the next step."""
         late = outgrows(scenes.row[s].skin, place, radius, built, drift)
         if meshes:
             moved = wp.length(place - xyz(built)) + (radius - built[3])
@@ -138,7 +152,7 @@ def motion_functions(scalar, dissipation: bool):
 
     @wp.func
     def watch_near(scenes: Scenes, links: Links, s: wp.int32, i: wp.int32, place: t.vec3, radius: scalar):
-        """Note where sphere i has gone so far that near links may miss a contact in the next step."""
+        """Set `outrun` if sphere i has moved so far that the near links may miss a contact in the next step."""
         gone = scenes.clock[s, SINCE_BUILD] + scenes.clock[s, DT] - links.seen_at[s]
         drift = scalar(gone) * scenes.reference_velocity[s]
         if outgrows(scalar(wp.static(NEAR)) * scenes.row[s].skin, place, radius, read_vec4(links.seen, i), drift):
@@ -153,8 +167,10 @@ def motion_functions(scalar, dissipation: bool):
 
 @functools.cache
 def taking_function(scalar, half: bool):
-    """`take_away`: clears for the next step what a sphere has met, that is force and moment as they were read. On a GPU
-    only walls leave some, and most spheres meet none."""
+    """Return the function `take_away`, which clears a sphere's force and moment for the next step.
+
+    On a GPU only walls write to these arrays, so the function writes zeros only where a value is not zero.
+    """
     t = types(scalar)
     Spheres = array_structs(scalar).Spheres
     write_vec3 = row_functions(scalar).write_vec3
@@ -173,10 +189,11 @@ def taking_function(scalar, half: bool):
 
 @functools.cache
 def placing_function(scalar, growth: bool, meshes: bool, half: bool):
-    """`place_sphere`: writes where a sphere has got to, and notes where lists may miss a contact in the next step.
+    """Return the function `place_sphere`, which stores a sphere's new position and checks the neighbour lists.
 
-    A sphere that goes further than its radius in a step may pass through another, or through a wall: its body FAILED.
-    While bodies grow, which begin small and overlap anyway, that is no failure.
+    The function sets LATE or `outrun` where the lists may miss a contact in the next step. It sets FAILED if a sphere
+    moves by more than its radius in one step, because the sphere may then pass through another one or a wall. During
+    growth in packing this is no failure, because spheres start small and overlap anyway.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -209,10 +226,10 @@ def placing_function(scalar, growth: bool, meshes: bool, half: bool):
 def sphere_kernel(
     scalar, drives: bool, growth: bool, meshes: bool, rotation: bool, half: bool, dissipation: bool, rows: int
 ):
-    """Kernel over bodies that are all single spheres: one leapfrog step on the sphere arrays alone.
+    """Return the kernel over single-sphere bodies that makes one leapfrog step on the sphere arrays alone.
 
-    The same step as `clump_kernel`, and of full lists the sums of `links`, of which each gives so many `rows`. What
-    bodies hold besides is written by `sync_kernel`, when somebody looks.
+    The step is the same as in `clump_kernel`. With full lists (GPU) it adds up the results of `links`, `rows` rows a
+    link. The remaining arrays of bodies are updated later by `sync_kernel`, when they are needed.
     """
     t = types(scalar)
     span = SPAN if half else 1
@@ -232,17 +249,17 @@ def sphere_kernel(
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
     def move_spheres(
-        # model
+        # Arrays of the model.
         segments: wp.array(dtype=Segment),
         drive_axis: wp.array2d(dtype=wp.int32),
         drive_force: wp.array(dtype=scalar),
-        # chunk
+        # Range of rows that this launch processes.
         first: wp.int32,
         last: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         scenes: Scenes,
         pairs: Pairs,
-        # state, read and written
+        # Arrays of the state, read and written.
         flags: wp.array2d(dtype=wp.int32),
         bodies: Bodies,
         spheres: Spheres,
@@ -308,7 +325,7 @@ def sphere_kernel(
 
 @functools.cache
 def sync_kernel(scalar):
-    """Kernel over bodies that are all single spheres: bring what bodies hold up to date with their spheres."""
+    """Return the kernel that copies position, velocity and spin of spheres to their single-sphere bodies."""
     structs = array_structs(scalar)
     Bodies, Spheres = structs.Bodies, structs.Spheres
     xyz = vector_functions(scalar).xyz

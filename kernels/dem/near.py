@@ -1,9 +1,10 @@
-"""Links that are close: those of a GPU's pairs that may touch within the next steps, chosen every now and then.
+"""Kernels that choose the near links of a GPU: the pairs that may touch within the next few steps.
 
-A list holds pairs within a skin that lasts for a hundred steps or more, and most of them do not touch. Near links are
-those within a part of the skin, NEAR, which lasts for so much shorter; a step looks at these alone. They are chosen
-anew every so many steps (`stages.CHOSEN`), without the host. Where a sphere goes further than they allow before that,
-its scene's links are all looked at until then: nothing is missed, and what comes of a link is the same either way.
+Near links are a second, shorter neighbour list. The main list holds all pairs within a skin that lasts for a hundred
+steps or more, and most of these pairs do not touch. Near links are the pairs within a fraction NEAR of the skin. They
+stay valid for a correspondingly shorter time, and a step evaluates only them. The device chooses them anew at a fixed
+interval (`stages.CHOSEN`), without the host. If a sphere moves further than they allow before that, its scene evaluates
+all its links until the next choice. No contact is missed, and the results are the same either way.
 """
 
 import functools
@@ -16,9 +17,9 @@ from ..common.types import vector_functions
 from .structs import SINCE_BUILD, array_structs, links_struct
 
 NEAR = 0.25
-"""Of the skin of a list: how far apart two spheres of a near link are at most when it is chosen."""
+"""Largest gap of a near link when it is chosen, as a fraction of the neighbour list's skin."""
 CHOICE_BLOCK = 256
-"""Threads of a block that choose; tasks are whole blocks."""
+"""Threads in a block of the choosing kernel; its launches consist of whole blocks."""
 TAKE_PLACES = """
 #if defined(__CUDA_ARCH__)
     __shared__ int before[32], begin;
@@ -45,14 +46,19 @@ TAKE_PLACES = """
 
 @wp.func_native(TAKE_PLACES)
 def take_place(count: wp.array(dtype=wp.int32), wants: wp.bool) -> wp.int32:
-    """Next free place of a list for each thread that wants one, else -1; all threads of a block must call. Blocks come
-    in any order, so places do too."""
+    """Return the next free list index to each thread that wants one, else -1; all threads of a block must call this.
+
+    One atomic addition per block reserves the indices. Blocks run in any order, so the order of the list varies.
+    """
 
 
 @functools.cache
 def near_kernels(scalar) -> SimpleNamespace:
-    """`see_spheres` over spheres, scenes and counts, whatever are most: where spheres are now; then `choose_near` over
-    links, in whole blocks."""
+    """Return the two kernels that choose near links.
+
+    First `see_spheres` records the current positions; its launch size is the largest of the numbers of spheres and
+    scenes and 2. Then `choose_near` runs over the links, in whole blocks.
+    """
     structs = array_structs(scalar)
     Scenes, Spheres = structs.Scenes, structs.Spheres
     Links = links_struct(scalar)
@@ -86,7 +92,7 @@ def near_kernels(scalar) -> SimpleNamespace:
             a, b = read_vec4(spheres.position, first + link[0]), read_vec4(spheres.position, first + link[1])
             reach = a[3] + b[3] + scalar(wp.static(NEAR)) * scenes.row[s].skin
             near = wp.length_sq(xyz(b) - xyz(a)) < reach * reach
-            # What remembers a touch must be told that it is over; what is bonded counts as touching.
+            # A link that touched must be visited again, so that its parting is noticed. Bonded links count as touching.
             near = near or links.touched[p] != 0
         place = take_place(links.near_count, near)
         if near:

@@ -1,4 +1,4 @@
-"""Parts of the contact kernel that go through list entries: a pair's geometry and bond, what touches, what parted."""
+"""Functions for the entries of neighbour lists: a pair's geometry, its bond, and which pairs touch or have parted."""
 
 import functools
 from types import SimpleNamespace
@@ -11,13 +11,16 @@ from .bond_parallel import BROKEN_IN_TENSION, HYDRATED, UNBONDED, bond_functions
 from .contact_law import contact_functions
 from .structs import array_structs
 
-BLOCK = wp.constant(31)  # list entries gone through at a time; their bits leave the sign of an int32 alone
-ALL_TOUCHED = 2**31 - 1  # bits after a rebuild: whatever touched before
+BLOCK = wp.constant(31)  # list entries checked at a time; one bit each, without the sign bit of an int32
+ALL_TOUCHED = 2**31 - 1  # all bits set: after a rebuild every entry counts as touched before
 
 
 @wp.func
 def decode(entry: wp.int32):
-    """Neighbour index of a list entry; entries are j, or -1 - j where j has the lower permanent number."""
+    """Return the neighbour index of a list entry.
+
+    An entry is j, or -1 - j where the neighbour j has the lower permanent number.
+    """
     if entry < 0:
         return -1 - entry
     return entry
@@ -25,7 +28,7 @@ def decode(entry: wp.int32):
 
 @functools.cache
 def pair_functions(scalar):
-    """`pair_touch`: the geometry of a touching or bonded pair."""
+    """Return the struct `PairTouch` and the function `pair_touch`: the geometry of a touching or bonded pair."""
     t = types(scalar)
     contact = contact_functions(scalar)
     Touch, sphere_touch = contact.Touch, contact.sphere_touch
@@ -34,9 +37,9 @@ def pair_functions(scalar):
     @wp.struct
     class PairTouch:
         touch: Touch
-        apart: t.vec3  # velocity of the second centre seen from the first [m/s]
-        distance: scalar  # of the centres [m]
-        arm_i: scalar  # from either centre to the contact point [m]
+        apart: t.vec3  # velocity of the second centre relative to the first [m/s]
+        distance: scalar  # distance between the centres [m]
+        arm_i: scalar  # distance from the first centre to the contact point [m]
         arm_j: scalar
 
     @wp.func
@@ -50,23 +53,27 @@ def pair_functions(scalar):
         sign: scalar,
         dt: scalar,
     ):
-        """`sign` is 1 where i has the lower permanent number, else -1: the normal points from that sphere on."""
+        """Compute the geometry of the contact between spheres i and j.
+
+        `sign` is 1 where sphere i has the lower permanent number, else -1. The normal points away from that sphere.
+        """
         pair = PairTouch()
         offset = xyz(position_j) - xyz(position_i)
         distance = wp.length(offset)
         gap = distance - (position_i[3] + position_j[3])
-        # Coincident centres have no direction: any fixed one will part them.
+        # Coincident centres define no normal. The fixed direction z separates them.
         per_distance = scalar(0.0)
         upwards = scalar(1.0)
         if distance > scalar(0.0):
             per_distance = scalar(1.0) / distance
             upwards = scalar(0.0)
         n = (sign * per_distance) * offset + t.vec3(scalar(0.0), scalar(0.0), upwards)
-        # The contact point halves the overlap.
+        # The contact point lies in the middle of the overlap.
         arm_i = position_i[3] + scalar(0.5) * gap
         arm_j = position_j[3] + scalar(0.5) * gap
         apart = sign * (xyz(velocity_j) - xyz(velocity_i))
-        # arm_i spin_i + arm_j spin_j, in a form that rounds alike in both copies of a pair, fused or not.
+        # The two copies of a pair must give the same bits, also where the compiler fuses multiply and add. This form of
+        # arm_i spin_i + arm_j spin_j rounds the same way when i and j are exchanged.
         spins = spin_i + spin_j
         sliding = (scalar(0.5) * (arm_i + arm_j)) * spins
         sliding = sliding + (scalar(0.5) * (arm_j - arm_i)) * (spin_j - spin_i)
@@ -85,8 +92,10 @@ def pair_functions(scalar):
 
 @functools.cache
 def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool, dissipation: bool):
-    """`part_entries`: pairs of the list that touched in the last step and do not any more, a bit for each entry from
-    `block` to `end`; the energy that they lose [J]."""
+    """Return the function `part_entries`, which clears the history of pairs that parted in this step.
+
+    `bits` marks these pairs among the list entries from `block` to `end`. The function returns the energy lost [J].
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Spheres, Pairs = structs.Spheres, structs.Pairs
@@ -114,7 +123,7 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
         lost = wp.float64(0.0)
         if wp.static(history):
             if wp.static(dissipation):
-                # A spring still loaded when the surfaces part takes its energy with it.
+                # A spring that is still loaded when the surfaces part loses its elastic energy.
                 entry = pairs.other[k]
                 j = base + decode(entry)
                 counts = entry >= 0 or (j >= first and j < last)
@@ -135,7 +144,7 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
                 pairs.rolling[k] = t.vec3()
         if wp.static(healing):
             if pairs.bond[k] < 0:
-                pairs.bond[k] = 0  # may bond again at the next touch
+                pairs.bond[k] = 0  # the pair may bond again at the next touch
                 pairs.load[k] = t.vec8()
         return lost
 
@@ -161,7 +170,7 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
             left = left & (left - 1)
             if wp.static(subcycling):
                 if k < end and kind_of(pairs.bond[k]) == HYDRATED:
-                    continue  # its history is not a contact's of this step
+                    continue  # the sub-cycling rounds, not this kernel, update the history of a stiff pair
             if k < end:
                 lost += part(spheres, pairs, parameters, row, base, first, last, radius, mass, k)
         return lost
@@ -171,7 +180,7 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
 
 @functools.cache
 def broken_function(scalar):
-    """`count_broken`: notes at a sphere how a bond of it broke."""
+    """Return the function `count_broken`, which counts a broken bond at a sphere by its failure mode."""
     Spheres = array_structs(scalar).Spheres
 
     @wp.func
@@ -188,7 +197,7 @@ def broken_function(scalar):
 
 @functools.cache
 def bond_pull_functions(scalar, dissipation: bool):
-    """`bond_pull`: load of a pair's bond after a step, and what is left of the pair's contact."""
+    """Return the function `bond_pull`, which steps a pair's bond and adds up its forces and energy loss."""
     t = types(scalar)
     PairTouch = pair_functions(scalar).PairTouch
     bond = bond_functions(scalar)
@@ -197,22 +206,22 @@ def bond_pull_functions(scalar, dissipation: bool):
 
     @wp.struct
     class BondPull:
-        force: t.vec4  # shear vector and tension [N], nothing where it broke
-        moment: t.vec4  # bending vector and torsion [N m], likewise
-        total: t.vec3  # force on the first body [N]
-        bending: t.vec3  # moment on it [N m]
-        contact: scalar  # 0 where the bond broke and left a pair that does not touch, else 1
-        lost: scalar  # energy that contact and bond lose [J]
-        outcome: wp.int32  # 1, or how it broke
+        force: t.vec4  # shear vector and tension [N]; zero if the bond broke
+        moment: t.vec4  # bending vector and torsion [N m]; zero if the bond broke
+        total: t.vec3  # force of the bond on the first body [N]
+        bending: t.vec3  # moment of the bond on the first body [N m]
+        contact: scalar  # 0 if the bond broke and the spheres do not touch, else 1
+        lost: scalar  # energy lost by contact and bond [J]
+        outcome: wp.int32  # 1: the bond holds; negative: code of the failure mode
 
     @wp.func
     def bond_pull(
         p: Bond, pair: PairTouch, relative_spin: t.vec3, force: t.vec4, moment: t.vec4, lost: scalar, dt: scalar
     ):
-        """`lost` is what the contact alone loses [J]."""
+        """Compute the bond's new load, force, moment and state; `lost` is the energy lost by the contact alone [J]."""
         touch = pair.touch
         n = touch.normal
-        # Distance now less distance before, without cancellation.
+        # The new distance minus the old one is computed as (d^2 - d_old^2) / (d + d_old), which avoids cancellation.
         way = dt * pair.apart
         came_from = pair.distance * n - way
         stretch = wp.dot(way, pair.distance * n + came_from) / (pair.distance + wp.length(came_from))
@@ -223,7 +232,8 @@ def bond_pull_functions(scalar, dissipation: bool):
         pull.lost = lost
         if outcome < 0:
             holds = scalar(0.0)
-            # A bond that breaks may leave a pair that no longer touches: the contact's dashpot must not outlive it.
+            # A bond may break while the spheres are apart. The contact's dashpot must then vanish together with the
+            # bond.
             if touch.gap >= scalar(0.0):
                 pull.contact = scalar(0.0)
                 pull.lost = scalar(0.0)
@@ -241,7 +251,7 @@ def bond_pull_functions(scalar, dissipation: bool):
 
 @functools.cache
 def bonded_function(scalar, healing: bool, dissipation: bool):
-    """`bonded`: what the bond of a pair adds to its contact's force, and what becomes of the bond."""
+    """Return the function `bonded`, which adds the bond's force to that of the contact and updates the bond."""
     t = types(scalar)
     Pairs = array_structs(scalar).Pairs
     PairTouch = pair_functions(scalar).PairTouch
@@ -263,7 +273,10 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
         lost: scalar,
         dt: scalar,
     ):
-        """Force of contact and bond [N], moment of the bond [N m], energy lost [J], and how it broke, or 1."""
+        """Return force of contact and bond [N], moment of the bond [N m], energy lost [J] and outcome of the bond.
+
+        The outcome is 1 if the bond holds, else the negative code of how it broke.
+        """
         moment = t.vec3()
         outcome = wp.int32(1)
         bond = read_int(pairs.bond, k)
@@ -292,8 +305,10 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
 
 @functools.cache
 def closeness_function(scalar, bonds: bool, subcycling: bool):
-    """`close_entries`: a bit for each of some list entries whose sphere touches sphere i, or is bonded to it, but for
-    pairs that are stepped in rounds of their own; and a bit for each of these.
+    """Return the function `close_entries`, which checks a block of list entries for contacts of sphere i.
+
+    The first result has a bit set for each entry that touches sphere i or is bonded to it. With `subcycling`, stiff
+    pairs are left out of it and have their bits in the second result.
     """
     t = types(scalar)
     structs = array_structs(scalar)

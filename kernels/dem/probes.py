@@ -1,4 +1,4 @@
-"""What is measured: per-body and per-sphere contributions, to be summed in a fixed order."""
+"""Kernels that measure sums over contacts, bodies and walls; each column is summed in a fixed order."""
 
 import functools
 
@@ -13,48 +13,53 @@ from .contact_law import contact_functions
 from .pairs import decode
 from .structs import DT_PREVIOUS, array_structs
 
-# Columns of the per-sphere contact sums.
-CONTACTS = wp.constant(0)  # touching pairs
-OVERLAP_SUM = wp.constant(1)  # of overlap over the smaller radius
+# Columns of the sums over the contacts of each sphere.
+CONTACTS = wp.constant(0)  # number of touching pairs
+OVERLAP_SUM = wp.constant(1)  # sum of overlap divided by the smaller radius
+# OVERLAP_MAX is the largest overlap divided by the smaller radius.
 OVERLAP_MAX = wp.constant(2)
-ELASTIC_ENERGY = wp.constant(3)  # [J], springs, walls included, at the middle of the last step
-BOND_ENERGY = wp.constant(4)  # [J]
-BONDED = wp.constant(5)  # pairs with a bond
-VIRIAL = wp.constant(6)  # sum of normal spring force times branch vector of the bodies [J]
-BONDED_HYDRATED = wp.constant(7)  # pairs with a bond of the second kind
-DEPTH_MAX = wp.constant(8)  # overlap over what swallows a sphere or halves the centres' distance; on walls: the radius
-BROKEN_TENSION = wp.constant(9)  # bonds broken by tension since the start
-BROKEN_SHEAR = wp.constant(10)  # bonds broken by shear since the start
+ELASTIC_ENERGY = wp.constant(3)  # energy of contact springs, walls included, at the middle of the last step [J]
+BOND_ENERGY = wp.constant(4)  # elastic energy of bonds [J]
+BONDED = wp.constant(5)  # number of bonded pairs
+VIRIAL = wp.constant(6)  # sum over pairs of normal spring force times branch vector between the bodies [J]
+BONDED_HYDRATED = wp.constant(7)  # number of bonded pairs with hydrated (stiff) bonds
+# DEPTH_MAX is the largest overlap relative to its limit. Between spheres the limit is the overlap that swallows the
+# smaller sphere or halves the distance of the centres; at a wall it is the radius.
+DEPTH_MAX = wp.constant(8)
+BROKEN_TENSION = wp.constant(9)  # number of bonds broken in tension since the start
+BROKEN_SHEAR = wp.constant(10)  # number of bonds broken in shear since the start
 CONTACT_COLUMNS = wp.constant(11)
 ContactRow = wp.types.vector(int(CONTACT_COLUMNS), wp.float64)
-CONTACT_MAXIMA = (int(OVERLAP_MAX), int(DEPTH_MAX))  # of these columns the largest counts, of the others the sum
+CONTACT_MAXIMA = (int(OVERLAP_MAX), int(DEPTH_MAX))  # columns of which the maximum is taken
 
-# Columns of the per-body sums.
-KINETIC = wp.constant(0)  # [J], at the middle of the last step
-POTENTIAL = wp.constant(1)  # [J], gravity, from the origin, at the middle of the last step
-MOMENTUM = wp.constant(2)  # ..4 [kg m/s], at the middle of the last step
-LIFT = wp.constant(5)  # ..7 sum of mass times position [kg m]
-DRIVEN = wp.constant(8)  # ..10 sum of axis drive forces [N]
-DRIVE_POWER = wp.constant(11)  # of the axis drives [W]
-REACH = wp.constant(12)  # largest coordinate [m]
+# Columns of the sums over bodies.
+KINETIC = wp.constant(0)  # kinetic energy at the middle of the last step [J]
+POTENTIAL = wp.constant(1)  # potential energy of gravity, relative to the origin, at the middle of the last step [J]
+MOMENTUM = wp.constant(2)  # columns 2 to 4: momentum at the middle of the last step [kg m/s]
+LIFT = wp.constant(5)  # columns 5 to 7: sum of mass times position [kg m]
+DRIVEN = wp.constant(8)  # columns 8 to 10: sum of axis drive forces [N]
+DRIVE_POWER = wp.constant(11)  # power of the axis drives [W]
+REACH = wp.constant(12)  # largest absolute coordinate of any body [m]
 BODY_COLUMNS = wp.constant(13)
 BODY_MAXIMA = (int(REACH),)
 
-# Columns of what is read of every wall.
-IMPULSE = wp.constant(0)  # ..5 [N s] and [N m s], about the wall's position
-FORCE = wp.constant(6)  # ..11 [N] and [N m]
-TURN = wp.constant(12)  # ..15 quaternion of the wall's frame
-TRAVEL = wp.constant(16)  # [m]
-WORK = wp.constant(17)  # [J]
+# Columns of the values that are read from each wall.
+IMPULSE = wp.constant(0)  # columns 0 to 5: impulse of force and moment about the wall's position [N s], [N m s]
+FORCE = wp.constant(6)  # columns 6 to 11: force [N] and moment [N m]
+TURN = wp.constant(12)  # columns 12 to 15: orientation quaternion of the wall's frame
+TRAVEL = wp.constant(16)  # displacement of the wall along its path [m]
+WORK = wp.constant(17)  # work done by the wall on the concrete [J]
 WALL_COLUMNS = 18
 
-LANES = 256  # partial sums of a column; their order, and so the bits of a sum, depends on the number of rows only
+LANES = 256  # number of partial sums of a column; the order of a sum depends only on the number of rows
 
 
 @functools.cache
 def column_kernels():
-    """Kernels that add up every column, or take the maximum of those that have a bit in `maxima`: rows to LANES partial
-    results, then those."""
+    """Return two kernels that sum every column, or take its maximum where its bit in `maxima` is set.
+
+    The first kernel reduces the rows to LANES partial results, the second reduces those to one.
+    """
 
     @wp.kernel(module=module_of("columns"), enable_backward=False)
     def partial(
@@ -87,7 +92,7 @@ def column_kernels():
 
 @functools.cache
 def wall_probe(scalar):
-    """Kernel over the walls of all scenes: a row of values each."""
+    """Return the kernel over the walls of all scenes that writes one row of values for each wall."""
     Walls = array_structs(scalar).Walls
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -108,7 +113,7 @@ def wall_probe(scalar):
 
 @functools.cache
 def body_probe(scalar):
-    """Kernel over the bodies of scene `s`: a row of values each, in the order of permanent numbers."""
+    """Return the kernel over the bodies of scene `s` that writes one row of values each, by permanent number."""
     structs = array_structs(scalar)
     Scenes, Bodies = structs.Scenes, structs.Bodies
     axis = axis_functions(scalar)
@@ -116,15 +121,15 @@ def body_probe(scalar):
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure_bodies(
-        # model
+        # Arrays of the model.
         segments: wp.array(dtype=Segment),
         drive_axis: wp.array2d(dtype=wp.int32),
         drive_force: wp.array(dtype=scalar),
-        # state, read
+        # Arrays of the state, read only.
         s: wp.int32,
         scenes: Scenes,
         bodies: Bodies,
-        # written
+        # Arrays that are written.
         values: wp.array2d(dtype=wp.float64),
     ):
         b = scenes.row[s].bodies + wp.tid()
@@ -155,7 +160,7 @@ def body_probe(scalar):
 
 @functools.cache
 def pair_probe_function(scalar, law, history: bool, bonds: bool):
-    """`measure_pair`: its normal force [N], and the `sums` of sphere i with what a listed pair brings to them."""
+    """Return the function `measure_pair`, which returns a pair's normal force [N] and adds the pair to `sums`."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
@@ -236,20 +241,22 @@ def pair_probe_function(scalar, law, history: bool, bonds: bool):
 
 @functools.cache
 def load_probe(scalar):
-    """Kernel over spheres of scene `s`: raises what is known of the largest normal force on the bodies of their pairs,
-    by the forces that :func:`contact_probe` found."""
+    """Return the kernel over spheres of scene `s` that updates the largest normal force on each body.
+
+    The pairs' normal forces come from :func:`contact_probe`.
+    """
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
 
     @wp.kernel(module="unique", enable_backward=False)
     def raise_loads(
         s: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         scenes: Scenes,
         spheres: Spheres,
         pairs: Pairs,
         pair_normal_force: wp.array(dtype=scalar),
-        # written
+        # Arrays that are written.
         loads: wp.array(dtype=scalar),
     ):
         base = scenes.row[s].spheres
@@ -266,7 +273,10 @@ def load_probe(scalar):
 
 @functools.cache
 def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool):
-    """Kernel over spheres of scene `s`: a row of values each, by permanent numbers, and each pair's normal force."""
+    """Return the kernel over spheres of scene `s` that writes one row of contact sums each, by permanent number.
+
+    It also writes the normal force of each pair.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres, Slots, Pairs, Walls = (
@@ -285,23 +295,23 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure_contacts(
-        # model
+        # Arrays of the model.
         pair_parameters: wp.array(dtype=PairParameters),
         bond_parameters: wp.array(dtype=Bond),
         wall_parameters: wp.array(dtype=WallParameters),
         segments: wp.array(dtype=Segment),
-        # chunk
+        # Scene, and range of rows that this launch processes.
         s: wp.int32,
         first: wp.int32,
         last: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         scenes: Scenes,
         bodies: Bodies,
         spheres: Spheres,
         slots: Slots,
         pairs: Pairs,
         walls: Walls,
-        # written
+        # Arrays that are written.
         values: wp.array2d(dtype=wp.float64),
         pair_normal_force: wp.array(dtype=scalar),
     ):
@@ -332,7 +342,7 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
         material = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
         for slot in range(slots.history.shape[1]):
             w = scenes.row[s].walls + slot
-            n = t.vec3()  # into the wall
+            n = t.vec3()  # normal into the wall
             overlap = scalar(-1.0)
             towards = half_step
             known = slot < scenes.row[s].analytic
@@ -342,7 +352,7 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
                 overlap = radius - distance
             else:
                 known = slots.wall[i, slot] >= 0
-                towards = -half_step  # a mesh's overlap is that of the step's start
+                towards = -half_step  # a mesh contact stores the overlap at the start of the step
                 if known:
                     w = scenes.row[s].walls + slots.wall[i, slot]
                     n = slots.normal[i, slot]

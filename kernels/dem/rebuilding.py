@@ -1,4 +1,4 @@
-"""What a GPU decides by itself of a rebuild of its lists."""
+"""Kernels with which a GPU decides, without the host, when to rebuild its neighbour lists."""
 
 import functools
 from types import SimpleNamespace
@@ -11,14 +11,17 @@ from .structs import array_structs
 
 @functools.cache
 def rebuilding_kernels(scalar) -> SimpleNamespace:
-    """Kernels of one task, for a scene alone: ``ask`` whether lists are to be built now, ``fit`` whether there is room
-    for those that were found. What they say no to is left to the host."""
+    """Return two kernels of one thread each, for a scene that runs alone: ``ask`` and ``fit``.
+
+    ``ask`` decides if the lists must be rebuilt now. ``fit`` decides if the arrays have room for the new lists. Where
+    either answers no, the host handles the rebuild.
+    """
     Scenes = array_structs(scalar).Scenes
 
     @wp.kernel(module="unique", enable_backward=False)
     def ask(flags: wp.array2d(dtype=wp.int32), scenes: Scenes, asked: wp.array(dtype=wp.int32)):
         every = scenes.row[0].sort_every
-        sorts = every > 0 and flags[0, STEPS] % wp.max(every, 1) == 0  # which takes the host
+        sorts = every > 0 and flags[0, STEPS] % wp.max(every, 1) == 0  # sorting is left to the host
         fails = flags[0, FAILED] != 0 or flags[0, OVERFLOW] != 0
         asked[0] = wp.where(flags[0, STALE] != 0 and not fails and not sorts, 1, 0)
 
@@ -27,7 +30,11 @@ def rebuilding_kernels(scalar) -> SimpleNamespace:
         scanned: wp.array(dtype=wp.int32), room: wp.int32, face_scanned: wp.array(dtype=wp.int32), face_room: wp.int32,
         fits: wp.array(dtype=wp.int32), built: wp.array(dtype=wp.int32),
     ):  # fmt: skip
-        """Entries of all rows, of which the last, of no sphere, says how many they are; no rows need no room."""
+        """Set `fits` to 1 if the rows found by the search fit into the allocated arrays.
+
+        Both `scanned` arrays are running sums of row lengths; the last value is the total number of entries. An empty
+        `face_scanned` means that the scene has no meshes.
+        """
         wanted = scanned[scanned.shape[0] - 1]
         holds = wanted >= 0 and wanted <= room
         if face_scanned.shape[0] > 0:

@@ -1,6 +1,6 @@
-"""Who is near whom: searches of the grid.
+"""Kernels that search a grid for neighbouring spheres.
 
-All kernels run over a whole batch and pass by the scenes whose lists are fresh: those keep their rows.
+All kernels run over a whole batch. They skip scenes whose lists are still valid; those scenes keep their rows.
 """
 
 import functools
@@ -18,13 +18,16 @@ from .structs import array_structs
 
 @functools.cache
 def find_function(scalar, half: bool):
-    """`find`: the place of a pair in a list, or -1. A half list may hold it at either sphere."""
+    """Return the function `find`: the entry of a pair in a list, or -1; a half list may hold it at either sphere."""
     Pairs = array_structs(scalar).Pairs
     read_int = row_functions(scalar).read_int
 
     @wp.func
     def find(pairs: Pairs, s: wp.int32, base: wp.int32, first: wp.int32, i: wp.int32, j: wp.int32):
-        """`base` is the scene's first sphere, `first` its first entry."""
+        """Return the list entry of spheres i and j, or -1.
+
+        `base` is the scene's first sphere, and `first` is its first list entry.
+        """
         for k in range(first + pairs.start[i + s], first + pairs.start[i + s + 1]):
             if base + decode(read_int(pairs.other, k)) == j:
                 return k
@@ -39,10 +42,10 @@ def find_function(scalar, half: bool):
 
 @wp.func
 def insert(other: wp.array(dtype=wp.int32), row: wp.int32, found: wp.int32, entry: wp.int32):
-    """Put an entry into a row that so far has `found`, in its place.
+    """Insert an entry at its sorted position in a row that holds `found` entries.
 
-    Rows ascend, whatever the order in which the grid finds neighbours: the sums of a step then do not depend on the
-    grid, which scenes of a batch share.
+    Rows are sorted in ascending order, whatever the order in which the grid finds neighbours. The sums of a step then
+    do not depend on the grid, which is shared by all scenes of a batch.
     """
     k = row + found
     for ahead in range(found):
@@ -55,7 +58,7 @@ def insert(other: wp.array(dtype=wp.int32), row: wp.int32, found: wp.int32, entr
 
 @wp.func
 def sort_row(other: wp.array(dtype=wp.int32), begin: wp.int32, end: wp.int32):
-    """Put a long row in order: Shell's sort, with gaps of Knuth's."""
+    """Sort a long row with Shell sort and Knuth's gap sequence."""
     gap = wp.int32(1)
     while gap < (end - begin) / 3:
         gap = 3 * gap + 1
@@ -78,13 +81,20 @@ SQUARE_APART = """
     return wp::length_sq(a - b);
 #endif
 """
-"""Rounded alike wherever it is asked for: no compiler may fuse these."""
+"""Source of a function that returns the squared distance between two points.
+
+Its intrinsics keep the GPU compiler from fusing multiply and add, so that the result is rounded the same way in every
+kernel.
+"""
 
 
 @functools.cache
 def close_function(scalar):
-    """`is_close`: is a sphere within a gap of another? On a GPU the same answer at every place of a kernel, so that a
-    bond at the very skin is neither lost nor listed twice."""
+    """Return the function `is_close`: true if the gap between two spheres is below a limit.
+
+    On a GPU it gives the same answer wherever it is called. A bond exactly at the edge of the skin is therefore neither
+    lost nor listed twice.
+    """
     t = types(scalar)
     name, letter = ("double", "d") if scalar is wp.float64 else ("float", "f")
     snippet = SQUARE_APART.replace("SCALAR", name)
@@ -104,9 +114,10 @@ def close_function(scalar):
 
 @functools.cache
 def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
-    """Where to look for a sphere's neighbours, and who is one: `beginning`, `padded`, `belongs` and `held`.
+    """Return the functions that decide where to search for neighbours and which spheres are neighbours.
 
-    Half lists look for bonds across wider gaps among all that is near, full ones in the list before, by `held`.
+    They are `beginning`, `padded`, `belongs` and `held`. A bond may span a gap wider than the skin. Half lists find
+    such pairs by a wider search in the grid, full lists take them from the old list (`held`).
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -118,12 +129,12 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
 
     @wp.struct
     class Seeker:
-        s: wp.int32  # its scene
-        base: wp.int32  # the scene's first sphere
+        s: wp.int32  # scene index in the batch
+        base: wp.int32  # first sphere of the scene
         body: wp.int32
-        x: t.vec3  # its place [m]
-        radius: scalar  # [m]
-        margin: scalar  # gap within which neighbours are looked for [m]
+        x: t.vec3  # centre of the sphere [m]
+        radius: scalar  # radius of the sphere [m]
+        margin: scalar  # largest gap to a neighbour [m]
 
     is_close = close_function(scalar)
     wider = half and bonds
@@ -144,7 +155,7 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
 
     @wp.func
     def padded(reach: scalar, middle: t.vec3) -> scalar:
-        """Reach of a query about a shifted place, which is rounded, as are the grid's points."""
+        """Return the reach enlarged by the rounding error of shifted positions, in the query and in the grid."""
         return reach + scalar(wp.static(rounding)) * wp.max(wp.abs(middle))
 
     @wp.func
@@ -152,7 +163,11 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
         scenes: Scenes, spheres: Spheres, old_pairs: Pairs, old_place: wp.array(dtype=wp.int32),
         stretched: wp.array(dtype=scalar), seeker: Seeker, i: wp.int32, j: wp.int32, position_j: t.vec4,
     ) -> wp.bool:  # fmt: skip
-        """Are i and j within a skin of each other, or held by a bond across a wider gap, and not of one body?"""
+        """Return True if spheres i and j belong in the list as a pair.
+
+        They belong if they are parts of different bodies of one scene and their gap is within the skin, or is spanned
+        by a bond.
+        """
         skin = scenes.row[seeker.s].skin
         close = is_close(seeker.x, seeker.radius, xyz(position_j), position_j[3], skin)
         if wp.static(wider):
@@ -169,7 +184,7 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
         scenes: Scenes, spheres: Spheres, old_pairs: Pairs, new_place: wp.array(dtype=wp.int32), seeker: Seeker,
         old: wp.int32,
     ) -> wp.int32:  # fmt: skip
-        """Sphere that an entry of the list before holds by a bond across more than the skin, or -1."""
+        """Return the sphere that an old list entry binds across a gap wider than the skin, or -1."""
         if old_pairs.bond[old] <= 0:
             return -1
         j = new_place[seeker.base + decode(old_pairs.other[old])]
@@ -183,12 +198,13 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
 
 @functools.cache
 def half_search_kernel(scalar, bonds: bool):
-    """Kernel ``search`` of half lists.
+    """Return the kernel ``search`` for half lists (CPU).
 
-    The larger sphere of a pair holds it (the lower place of two equal ones), so a search reaches no farther than its
-    own diameter; pairs across chunks stand at both, so near another chunk the search reaches for the largest. One task
-    searches for a chunk, writes one row after the other into the chunk's `room` of a buffer, and counts at once;
-    `wanted` tells how much room the chunk needs.
+    A pair inside a chunk is listed at its larger sphere, or at the one with the lower index if both are equal. The
+    search then reaches no further than a sphere's own diameter plus the margin. Pairs across two chunks are listed at
+    both spheres, so a search near another chunk must reach as far as the largest sphere. Each task searches one chunk,
+    writes the rows one after the other into the chunk's part `room` of a buffer, and counts the entries. `wanted`
+    returns the room that the chunk needs.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -208,7 +224,7 @@ def half_search_kernel(scalar, bonds: bool):
 
     @wp.func
     def near_another(x: t.vec3, reach: scalar, boxes: wp.array2d(dtype=t.vec3), part: wp.int32):
-        """May a sphere that `reach` takes in belong to another chunk? `boxes` bound the centres of each chunk."""
+        """Return True if a neighbour within `reach` may belong to another chunk, bounded by its box in `boxes`."""
         for other in range(boxes.shape[0]):
             if other != part:
                 beyond = wp.max(wp.max(boxes[other, 0] - x, x - boxes[other, 1]), t.vec3())
@@ -220,19 +236,19 @@ def half_search_kernel(scalar, bonds: bool):
     def search(
         grid: Grid,
         shift: wp.array(dtype=t.vec3),
-        # chunk
+        # Rows and number of this chunk, and bounding boxes of all chunks.
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,
         boxes: wp.array2d(dtype=t.vec3),
-        # state, read
+        # Arrays of the state, read only.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
         spheres: Spheres,
         old_pairs: Pairs,
         old_place: wp.array(dtype=wp.int32),
         stretched: wp.array(dtype=scalar),
-        # written
+        # Arrays that are written.
         count: wp.array(dtype=wp.int32),
         place: wp.array(dtype=wp.int32),
         room: wp.vec2i,
@@ -271,7 +287,7 @@ def half_search_kernel(scalar, bonds: bool):
 
 @functools.cache
 def octant_functions(scalar):
-    """`side`, which way along an axis an octant lies, and `within`: is a place this far from the middle in one?"""
+    """Return `side` (sign of an octant along an axis) and `within` (true if a point lies in an octant)."""
     t = types(scalar)
 
     @wp.func
@@ -280,7 +296,7 @@ def octant_functions(scalar):
 
     @wp.func
     def within(away: t.vec3, octant: wp.int32) -> wp.bool:
-        # Every place is in one.
+        # Each point lies in exactly one octant, also on the boundaries.
         place = wp.where(away[0] < scalar(0.0), 0, 1) + wp.where(away[1] < scalar(0.0), 0, 2)
         return place + wp.where(away[2] < scalar(0.0), 0, 4) == octant
 
@@ -289,7 +305,7 @@ def octant_functions(scalar):
 
 @functools.cache
 def noting_functions(scalar, bonds: bool):
-    """`old_row` and `note` of a search of full lists."""
+    """Return the functions `old_row` and `note` for the search of full lists."""
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs
     Seeker = search_functions(scalar, False, bonds).Seeker
@@ -298,7 +314,7 @@ def noting_functions(scalar, bonds: bool):
     def old_row(
         scenes: Scenes, old_pairs: Pairs, old_place: wp.array(dtype=wp.int32), seeker: Seeker, i: wp.int32
     ):  # fmt: skip
-        """First entry of a sphere's row in the list before, and the end."""
+        """Return the first and the end entry of a sphere's row in the old list."""
         row = scenes.row[seeker.s].pairs
         place = old_place[i] + seeker.s
         return row + old_pairs.start[place], row + old_pairs.start[place + 1]
@@ -308,7 +324,7 @@ def noting_functions(scalar, bonds: bool):
         count: wp.array(dtype=wp.int32), finds: wp.array2d(dtype=wp.int32), total: wp.array(dtype=wp.int32),
         seeker: Seeker, i: wp.int32, j: wp.int32,
     ):  # fmt: skip
-        """Count a neighbour, and keep it if there is room."""
+        """Count a neighbour, and store it in `finds` if there is room."""
         found = wp.atomic_add(count, i + seeker.s, 1)
         if found < finds.shape[0]:
             finds[found, i] = j - seeker.base
@@ -320,13 +336,15 @@ def noting_functions(scalar, bonds: bool):
 
 @functools.cache
 def full_search_kernels(scalar, bonds: bool, lanes: int):
-    """Kernels ``search`` and ``fill`` of full lists.
+    """Return the kernels ``search`` and ``fill`` for full lists (GPU).
 
-    The first finds and counts the neighbours of each sphere (`count` is zero before), and keeps those for which there
-    is room in `finds`; when it is known where rows begin, the second puts them there in order. Where there are few
-    spheres each has eight `lanes`, threads beside one another, each of which searches one octant around it. The last
-    of `total` is to be the longest row for which there was no room. What bonds hold across more than the skin comes
-    from the list before: to look for it among all that is near kept a few threads, and all others waiting.
+    ``search`` counts the neighbours of each sphere (`count` must be zero before) and stores them in `finds` as far as
+    there is room. After a prefix sum has given the row starts, ``fill`` writes the neighbours to their rows in
+    sorted order. If there are few spheres, each has eight threads (`lanes`), which search one octant each. The last
+    element of `total` receives the length of the longest row without room.
+
+    Pairs that a bond holds across more than the skin are taken from the old list. A wider search in the grid would make
+    a few threads slow and let all others wait for them.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -349,7 +367,7 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
     def search(
         grid: Grid,
         shift: wp.array(dtype=t.vec3),
-        # state, read
+        # Arrays of the state, read only.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
         spheres: Spheres,
@@ -357,7 +375,7 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
         old_place: wp.array(dtype=wp.int32),
         new_place: wp.array(dtype=wp.int32),
         stretched: wp.array(dtype=scalar),
-        # written
+        # Arrays that are written.
         count: wp.array(dtype=wp.int32),
         finds: wp.array2d(dtype=wp.int32),
         total: wp.array(dtype=wp.int32),
@@ -411,7 +429,7 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
                     before += wp.where(finds[m, i] < entry, 1, 0)
                 pairs.other[row + before] = entry
         elif wp.tid() % lanes == 0:
-            # A sphere among so many others is searched for once more.
+            # A sphere with more neighbours than `finds` holds is searched again.
             seeker = beginning(scenes, spheres, stretched, i)
             middle = seeker.x + shift[s]
             found = wp.int32(0)

@@ -1,4 +1,4 @@
-"""Spatial re-sorting of bodies and their spheres."""
+"""Kernels that re-sort bodies and their spheres in space, for memory locality."""
 
 import functools
 from types import SimpleNamespace
@@ -11,7 +11,7 @@ from .structs import array_structs, scene_struct
 
 @functools.cache
 def permute_kernels(scalar) -> dict:
-    """target[i] = source[order[i]], or the same for rows of a 2D array: by type, and whether it has columns."""
+    """Return kernels for target[i] = source[order[i]], keyed by data type and True for arrays with columns."""
     t = types(scalar)
     module = module_of("permuting", scalar)
 
@@ -42,11 +42,10 @@ def permute_kernels(scalar) -> dict:
 
 @functools.cache
 def order_kernels(scalar):
-    """Kernels that re-sort bodies and their spheres: ``corner``, ``keys``, ``counts``, ``place_spheres``,
-    ``invert``.
+    """Return kernels that re-sort bodies and spheres: ``corner``, ``keys``, ``counts``, ``place_spheres``, ``invert``.
 
-    Scenes keep their rows; inside those of a scene to be sorted (`sort[s]`) bodies follow the Morton code of their
-    cell, in the others they stay.
+    Scenes keep their rows. Within a scene to be sorted (`sort[s]`), bodies are ordered by the Morton code of their
+    cell. In the other scenes, bodies stay where they are.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -59,7 +58,7 @@ def order_kernels(scalar):
 
     @wp.kernel(module=module_of("sorting", scalar), enable_backward=False)
     def corner(scenes: Scenes, bodies: Bodies, lowest: wp.array2d(dtype=wp.int32)):
-        """Lowest cell of each scene in each direction."""
+        """Find the lowest cell index of each scene in each direction."""
         b = wp.tid()
         s = bodies.scene[b]
         for c in range(3):
@@ -69,16 +68,19 @@ def order_kernels(scalar):
 
     @wp.kernel(module=module_of("sorting", scalar), enable_backward=False)
     def keys(
-        # state, read
+        # Arrays of the state, read only.
         scenes: Scenes,
         bodies: Bodies,
         sort: wp.array(dtype=wp.int32),
         lowest: wp.array2d(dtype=wp.int32),
-        # written
+        # Arrays that are written.
         key: wp.array(dtype=wp.int64),
         value: wp.array(dtype=wp.int32),
     ):
-        """Scene, then Morton code of the body's cell from the lowest on, 10 bits a direction, wrapping beyond."""
+        """Compute the sort keys: the scene, then the Morton code of the body's cell.
+
+        The code counts cells from the scene's lowest cell, with 10 bits a direction; larger indices wrap around.
+        """
         b = wp.tid()
         s = bodies.scene[b]
         code = wp.int32(0)
@@ -94,24 +96,24 @@ def order_kernels(scalar):
 
     @wp.kernel(module=module_of("sorting", scalar), enable_backward=False)
     def counts(bodies: Bodies, order: wp.array(dtype=wp.int32), count: wp.array(dtype=wp.int32)):
-        """Spheres of the body that comes to place i."""
+        """Count the spheres of the body that moves to place i."""
         i = wp.tid()
         s = bodies.scene[i]
         count[i] = bodies.first[order[i] + s + 1] - bodies.first[order[i] + s]
 
     @wp.kernel(module=module_of("sorting", scalar), enable_backward=False)
     def place_spheres(
-        # read
+        # Arrays that are only read.
         scenes: Scenes,
         order: wp.array(dtype=wp.int32),
         old_first: wp.array(dtype=wp.int32),
         new_start: wp.array(dtype=wp.int32),
-        # written
+        # Arrays that are written.
         bodies: Bodies,
         spheres: Spheres,
         old_place: wp.array(dtype=wp.int32),
     ):
-        """Old places of the spheres in their new order, their bodies' new places, and the bodies' first spheres."""
+        """Compute the old places of spheres in the new order, and update `spheres.body` and `bodies.first`."""
         i = wp.tid()
         s = bodies.scene[i]
         base = scenes.row[s].spheres
@@ -124,7 +126,7 @@ def order_kernels(scalar):
 
     @wp.kernel(module=module_of("sorting", scalar), enable_backward=False)
     def invert(order: wp.array(dtype=wp.int32), inverse: wp.array(dtype=wp.int32)):
-        """inverse[order[i]] = i"""
+        """Compute the inverse permutation, inverse[order[i]] = i."""
         i = wp.tid()
         inverse[order[i]] = i
 

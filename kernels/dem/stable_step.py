@@ -1,14 +1,18 @@
-"""Stable step from masses, live stiffness and dashpots, bonds included.
+"""Kernels that estimate the stable time step from masses, current stiffness and dashpots, bonds included.
 
-For each body the 3x3 stiffness K and damping C of its touching or bonded contacts, and the same about its
-centroid (lever arms of contacts, moments of bonds) in principal axes, scaled by the moments of inertia. With k and
-c the largest absolute row sums, the step is min 2 m / (c + sqrt(c^2 + 4 m k)): half of what leapfrog with dashpots
-on the velocity of half a step ago can stand against fixed neighbours, so that neighbours of equal mass may move in
-opposition. For one contact it is PFC's sqrt(m/k) (sqrt(1 + beta^2) - beta); for many it counts the dashpots
-together, which that formula does not.
+For each body, the 3x3 stiffness K and damping C of all its touching or bonded contacts are added up. The same is done
+for rotation about the centroid, from the lever arms of contacts and the moments of bonds; these matrices are rotated to
+principal axes and scaled by the moments of inertia. With k and c the largest absolute row sums, the step is the minimum
+over all bodies of
 
-An automatic step also resolves impacts that lose little, so that they do not gain, and no sphere goes
-further in it than LEAP of its radius.
+    dt = 2 m / (c + sqrt(c^2 + 4 m k)).
+
+This is half the stability limit of leapfrog for a body between fixed neighbours, with dashpots that use the velocity of
+half a step ago. The factor of a half allows neighbours of equal mass to move in opposition. For one contact, dt equals
+PFC's sqrt(m/k) (sqrt(1 + beta^2) - beta). For several contacts, dt includes all dashpots, which PFC's formula does not.
+
+An automatic step obeys two more limits. Impacts that lose little energy are resolved finely enough not to gain any, and
+no sphere moves further in a step than a fraction LEAP of its radius.
 """
 
 import functools
@@ -28,24 +32,31 @@ from .structs import DT, STABLE, array_structs, subcycled_struct
 from .subcycling import PART, RELAXATION
 
 DEFAULT_SAFETY = 0.8
-"""Part of the stable step that a scene takes unless it says otherwise."""
+"""Default safety factor: the time step as a fraction of the stable step."""
 LEAP = 0.4
-"""Part of its radius that a sphere may go in an automatic step; two that approach one another go twice as far."""
+"""Largest motion of a sphere in an automatic step, as a fraction of its radius.
+
+Two spheres that approach each other may close in by twice that distance.
+"""
 LONGEST = 1.0e30
-"""Step that nothing bounds [s]."""
+"""Step size where no limit applies [s]."""
 
 
 def estimate_options(half: bool) -> dict:
-    """Of the compiler, as for contacts; see :func:`contacts.contact_options`. The sums' reduction is exact: inertias of
-    small bodies, multiplied, are numbers that `fast_math` takes for zero."""
+    """Return the compiler options of the estimate's kernels; see :func:`contacts.contact_options`.
+
+    The kernel that reduces the sums does not use `fast_math`, because `fast_math` flushes products of small bodies'
+    moments of inertia to zero.
+    """
     return {"fast_math": not half, "cpu_compiler_flags": cpu_flags()}
 
 
 @functools.cache
 def begin_kernel(scalar):
-    """Kernel over scenes: of those that are `due` nothing is known yet; the others count in no kernel here.
+    """Return the kernel over scenes that selects the scenes with an estimate due and resets their sums.
 
-    Due are scenes that were `asked` for, and, where the device decides, those that have come to where they must be.
+    A scene is due if the host set its entry in `asked`. With `by_device` the device decides instead: a scene is due if
+    it has halted because its interval between estimates is over.
     """
     structs = array_structs(scalar)
     Scenes = structs.Scenes
@@ -53,19 +64,20 @@ def begin_kernel(scalar):
 
     @wp.kernel(module="unique", enable_backward=False)
     def begin_estimate(
-        # read
+        # Arrays that are only read.
         asked: wp.array(dtype=wp.int32),
         by_device: wp.bool,
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # written
+        # Arrays that are written.
         due: wp.array(dtype=wp.int32),
         estimate: Estimate,
     ):
         s = wp.tid()
         wanted = asked[s] != 0
         if by_device:
-            # Where lists are stale the estimate comes after them, as on a CPU: sums go by the order of the rows.
+            # A scene with stale lists waits for the rebuild, as on a CPU, because the sums depend on the order of the
+            # rows.
             wanted = flags[s, HALTED] == ARRIVED and flags[s, STALE] == 0 and flags[s, FAILED] == 0
             wanted = wanted and flags[s, STEPS] - flags[s, ESTIMATED] >= scenes.row[s].interval
         due[s] = wp.where(wanted, 1, 0)
@@ -84,20 +96,23 @@ def begin_kernel(scalar):
 
 @functools.cache
 def noting_functions(scalar):
-    """`hurry` and `load_wall`: the fastest thing of a scene, and what a wall has to bear; `fastest` and `least`:
-    what all parts found."""
+    """Return functions that record speeds and wall loads in an `Estimate`, and that combine its parts.
+
+    `hurry` records a speed, `load_wall` adds a contact's stiffness and damping to a wall, `fastest` returns a scene's
+    largest speed over all parts, and `least` its smallest value.
+    """
     t = types(scalar)
     Estimate = estimate_struct(scalar)
 
     @wp.func
     def hurry(estimate: Estimate, part: wp.int32, s: wp.int32, speed: scalar):
-        # The plain read spares nearly all atomics; it may be old, never too high.
+        # Reading the maximum first avoids nearly all atomic operations. The value may be outdated, but never too high.
         if wp.float64(speed) > estimate.fastest[part, s]:
             wp.atomic_max(estimate.fastest, part, s, wp.float64(speed))
 
     @wp.func
     def load_wall(estimate: Estimate, part: wp.int32, w: wp.int32, k: t.vec4):
-        # Whole numbers add up the same in any order.
+        # Integers give the same sum in any order.
         wp.atomic_add(estimate.wall_load, part, w, 0, wp.int64(wp.float64(k[0]) * wp.float64(1000.0)))
         wp.atomic_add(estimate.wall_load, part, w, 1, wp.int64(wp.float64(k[2]) * wp.float64(1000.0)))
 
@@ -120,7 +135,10 @@ def noting_functions(scalar):
 
 @functools.cache
 def floor_function(scalar, pair_law, wall_law):
-    """`floor_of`: stiffness and damping that a body in flight must be able to bear at its next touch."""
+    """Return the function `floor_of`: the least stiffness and damping for which the step must be stable.
+
+    They cover a body in free flight, which must survive its next contact.
+    """
     t = types(scalar)
     Pair, pair_stiffness = pair_law.functions(scalar).Parameters, pair_law.functions(scalar).stiffness
     Wall, wall_stiffness = wall_law.functions(scalar).Parameters, wall_law.functions(scalar).stiffness
@@ -128,10 +146,11 @@ def floor_function(scalar, pair_law, wall_law):
 
     @wp.func
     def resolved(k: t.vec4, onset: scalar, mass: scalar):
-        """Stiffness k for which a step sqrt(m / k) keeps an impact's energy to 1 % and a quarter of what it loses.
+        """Return the stiffness k for which a step sqrt(m / k) keeps the energy of an impact within a tolerance.
 
-        A spring of stiffness `onset` begins and ends within a step: at angular frequency w that is worth up to
-        (w dt)^2 / 4 of the energy. The bend of a law that stiffens from nothing is worth less than a third of that.
+        The tolerance is 1 % of the impact's energy plus a quarter of the energy that it loses. A spring of stiffness
+        `onset` that starts and ends within a step causes an error of up to (w dt)^2 / 4 of the energy, with angular
+        frequency w. For a law whose stiffness grows from zero the error is less than a third of that.
         """
         stiffest = wp.max(onset, scalar(0.3) * k[0])
         if stiffest <= scalar(0.0):
@@ -151,11 +170,13 @@ def floor_function(scalar, pair_law, wall_law):
         turn: scalar,
         tip: scalar,
     ):
-        """`turn` is what shear does to move and turn the body, over what it does to move it; `tip` is that of a push.
+        """Return stiffness and damping for the next contact of a body in flight, and the stiffness to be resolved.
 
-        Springs may be twice as stiff as the step allows two bodies, since a single one has nothing that moves against
-        it; dashpots, taken half a step late, have no such reserve. The third number is the stiffness that the step
-        must resolve for the sake of energy.
+        `turn` is the body's total response to a shear force (translation and rotation) over its translation alone;
+        `tip` is the same ratio for a normal force. The step limit holds a reserve of two in stiffness for neighbours
+        that move in opposition. A body with a single contact does not need it, so only half of the shear stiffness
+        counts. Dashpots act half a step late and have no such reserve. The third result is the stiffness that the step
+        must resolve to conserve energy.
         """
         n = t.vec3(scalar(0.0), scalar(0.0), scalar(1.0))
         touch = wall_touch(n, scalar(0.0), -speed * n, scalar(0.0), radius, mass)
@@ -179,8 +200,10 @@ def floor_function(scalar, pair_law, wall_law):
 
 @functools.cache
 def reduce_kernel(scalar, pair_law, wall_law, half: bool):
-    """Kernel over bodies from `begin` on: the smallest step that any of a scene allows; clears the sums of half lists,
-    to which both spheres of a pair add."""
+    """Return the kernel over bodies from `begin` on that finds the smallest stable step of each scene.
+
+    With half lists it also clears `estimate.sums`, to which both spheres of a pair add.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres = structs.Scenes, structs.Bodies, structs.Spheres
@@ -198,10 +221,10 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
 
     @wp.kernel(module="unique", enable_backward=False, module_options=estimate_options(True))
     def reduce_step(
-        # model
+        # Arrays of the model.
         pair_parameters: wp.array(dtype=PairParameters),
         wall_parameters: wp.array(dtype=WallParameters),
-        # state, read
+        # Arrays of the state, read only.
         due: wp.array(dtype=wp.int32),
         begin: wp.int32,
         part: wp.int32,
@@ -209,7 +232,7 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
         scenes: Scenes,
         bodies: Bodies,
         spheres: Spheres,
-        # written
+        # Arrays that are written.
         estimate: Estimate,
     ):
         b = begin + wp.tid()
@@ -239,8 +262,9 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
             if wp.static(half):
                 for column in range(4):
                     estimate.sums[place, column] = vec6()
-            # A body in flight must survive its next touch, in shear, too, with the fastest thing that may come.
-            # Shear turns it about its long axis with the sphere's radius as lever, across it with the whole arm.
+            # A body in flight must survive its next contact with the fastest object in the scene, also in shear. Shear
+            # at a sphere turns the body about its long axis with the sphere's radius as lever, and across it with the
+            # whole arm.
             position = read_vec4(spheres.position, place)
             radius = position[3]
             own = wp.length(xyz(read_vec4(spheres.velocity, place)))
@@ -279,7 +303,7 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
 
 @functools.cache
 def keep_kernel(scalar):
-    """Kernel over scenes: what has been found holds for the pairs that are stepped in rounds."""
+    """Return the kernel over scenes that keeps the estimate as the stable step of sub-cycled pairs."""
     Estimate, Subcycled = estimate_struct(scalar), subcycled_struct(scalar)
     least = noting_functions(scalar).least
 
@@ -295,9 +319,9 @@ def keep_kernel(scalar):
 
 @functools.cache
 def settle_kernel(scalar, subcycling: bool):
-    """Kernel over scenes: the stable step, driven walls included, and the size of the next steps.
+    """Return the kernel over scenes that sets the stable step, driven walls included, and the next time step.
 
-    Where the device decides, scenes go on with that; those for which it is not usable wait for the host to say so.
+    With `by_device`, scenes then continue. A scene without a usable step stays halted, so that the host can report it.
     """
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls
@@ -307,13 +331,13 @@ def settle_kernel(scalar, subcycling: bool):
 
     @wp.kernel(module="unique", enable_backward=False)
     def settle_step(
-        # read
+        # Arrays that are only read.
         due: wp.array(dtype=wp.int32),
         by_device: wp.bool,
         estimate: Estimate,
         subcycled: Subcycled,
         walls: Walls,
-        # read and written
+        # Arrays that are read and written.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
     ):
@@ -324,13 +348,14 @@ def settle_kernel(scalar, subcycling: bool):
         step = least(estimate.smallest, s)
         if wp.static(subcycling):
             if subcycled.rounds[s] > 0:
-                # Dashpots of stiff bonds go with stiffness and step.
+                # The dashpots of stiff bonds have c = RELAXATION step k. With h the length of a round, stability
+                # requires k h^2 + c h <= m, hence h <= stable / sqrt(1 + RELAXATION rounds).
                 rounds = wp.float64(subcycled.rounds[s])
                 stiff = subcycled.stable[s] * rounds / wp.sqrt(one + wp.float64(RELAXATION) * rounds)
                 step = wp.min(wp.float64(PART) * step, stiff)
         for w in range(scenes.row[s].walls, scenes.row[s].walls + scenes.row[s].wall_count):
             if walls.table[w].motion == DRIVEN:
-                # A driven wall is a body, too; never less than one contact with the largest sphere.
+                # A driven wall has inertia like a body. Its load is at least one contact with the largest sphere.
                 spring = wp.int64(0)
                 dashpot = wp.int64(0)
                 for part in range(estimate.wall_load.shape[0]):
@@ -339,7 +364,8 @@ def settle_kernel(scalar, subcycling: bool):
                 load = wp.float64(1.0e-3) * wp.float64(spring)
                 stiffness = wp.max(load, scenes.row[s].wall_stiffness)
                 mass = walls.table[w].mass
-                # Dashpots are sized for the aggregates' masses and may be far beyond critical for the wall's.
+                # Dashpots are sized for the masses of the aggregate and may be far above critical for the mass of the
+                # wall.
                 ratio = wp.float64(0.5e-3) * wp.float64(dashpot) / wp.sqrt(mass * stiffness)
                 own = wp.sqrt(mass / stiffness) * (wp.sqrt(one + ratio * ratio) - ratio)
                 step = wp.min(step, own)

@@ -1,4 +1,4 @@
-"""Forces of all contacts as vectors, for stresses in slices of a pipe."""
+"""Kernels that measure contact forces as vectors, for the stresses in slices of a pipe."""
 
 import functools
 
@@ -15,10 +15,10 @@ from .structs import array_structs
 
 @functools.cache
 def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool):
-    """Kernel over spheres of scene `s`: the force of every listed pair that counts, bond included, and of every contact
-    with a wall, on that sphere.
+    """Return the kernel over spheres of scene `s` that writes the force vector of each pair and wall contact.
 
-    Springs in shear and bonds are as the last step left them, gaps and velocities as they are.
+    The force acts on the sphere whose row lists the contact, and includes the bond. Shear springs and bonds are as the
+    last step left them; gaps and velocities are the current ones.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -58,21 +58,21 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure_forces(
-        # model
+        # Arrays of the model.
         pair_parameters: wp.array(dtype=PairParameters),
         wall_parameters: wp.array(dtype=WallParameters),
         segments: wp.array(dtype=Segment),
-        # chunk
+        # Scene, and range of rows that this launch processes.
         s: wp.int32,
         first: wp.int32,
         last: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         scenes: Scenes,
         spheres: Spheres,
         slots: Slots,
         pairs: Pairs,
         walls: Walls,
-        # written
+        # Arrays that are written.
         pair_push: wp.array(dtype=t.vec3),
         wall_push: wp.array2d(dtype=t.vec3),
         wall_arm: wp.array2d(dtype=t.vec3),
@@ -97,7 +97,7 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
         radius = spheres.position[i][3]
         for slot in range(slots.history.shape[1]):
             w = scenes.row[s].walls + slot
-            n = t.vec3()  # into the wall
+            n = t.vec3()  # normal into the wall
             gap = scalar(1.0)
             if slot < scenes.row[s].analytic:
                 distance, direction = distance_to_wall(walls.table[w], segments, walls.position[w], walls.normal[w], x)
@@ -125,14 +125,16 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
 
 
 STRESSES = wp.constant(6)
-"""Of a body: force times branch, xx, yy, zz, xy, yz, zx."""
+"""Number of stress components of a body: force times branch vector, in the order xx, yy, zz, xy, yz, zx."""
 
 
 @functools.cache
 def stress_probe(scalar):
-    """Kernel over spheres of scene `s`: adds to the bodies, half to each of a pair, force times branch of the contacts
-    that :func:`force_probe` found, positive where they push. Sums are of whole numbers, `scale` to a joule, which come
-    to the same in any order."""
+    """Return the kernel over spheres of scene `s` that adds force times branch vector of contacts to the bodies.
+
+    The forces come from :func:`force_probe`. Each body of a pair receives half; compression is positive. Sums are
+    integers in units of 1 / `scale` joules, so they are the same in any order.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
@@ -153,7 +155,7 @@ def stress_probe(scalar):
     def add_stresses(
         s: wp.int32,
         scale: wp.float64,
-        # state, read
+        # Arrays of the state, read only.
         scenes: Scenes,
         bodies: Bodies,
         spheres: Spheres,
@@ -161,7 +163,7 @@ def stress_probe(scalar):
         pair_push: wp.array(dtype=t.vec3),
         wall_push: wp.array2d(dtype=t.vec3),
         wall_arm: wp.array2d(dtype=t.vec3),
-        # written
+        # Arrays that are written.
         stress: wp.array2d(dtype=wp.int64),
     ):
         base = scenes.row[s].spheres

@@ -16,26 +16,31 @@ from .warps import group_functions
 
 @functools.cache
 def estimate_struct(scalar):
-    """What the estimate adds up; `sums` has columns K and C of translation, K and C of rotation. Each thread of a CPU
-    is a `part` that notes extremes and loads of its own: there nothing is atomic."""
+    """Return the struct `Estimate`: the arrays in which the estimate of the stable step adds up its sums.
+
+    The columns of `sums` are the stiffness K and damping C of translation, then K and C of rotation. Each CPU thread
+    (`part`) has its own row of extremes and wall loads, so the CPU needs no atomic operations.
+    """
     vec6 = wp.types.vector(6, scalar)
 
     @wp.struct
     class Estimate:
-        sums: wp.array2d(dtype=vec6)  # of each sphere, shape (spheres, 4); zero between two estimates
+        sums: wp.array2d(dtype=vec6)  # one row a sphere, shape (spheres, 4); zero between estimates
         wall_load: wp.array3d(dtype=wp.int64)  # stiffness [mN/m], damping [mN s/m] of walls, shape (parts, walls, 2)
-        smallest: wp.array2d(dtype=wp.float64)  # step of any body of a scene [s], shape (parts, scenes)
-        finest: wp.array2d(dtype=wp.float64)  # that impacts and speeds of any body ask for [s], (parts, scenes)
-        fastest: wp.array2d(dtype=wp.float64)  # speed of anything in a scene [m/s], shape (parts, scenes)
+        smallest: wp.array2d(dtype=wp.float64)  # smallest stable step of any body, shape (parts, scenes) [s]
+        finest: wp.array2d(dtype=wp.float64)  # smallest step limit by impacts and speeds, (parts, scenes) [s]
+        fastest: wp.array2d(dtype=wp.float64)  # largest speed of any body or wall, shape (parts, scenes) [m/s]
 
     return Estimate
 
 
 @functools.cache
 def stiffness_functions(scalar):
-    """`outer` and `turning`, matrices of one contact; `full`, `row_sum` and `stable`, what they allow of a step.
+    """Return functions for the matrices of one contact and for the stable step that a matrix allows.
 
-    Matrices are symmetric, and stand as xx, yy, zz, yz, xz, xy until they are `full`: a thread of a GPU has four sums.
+    `outer` and `turning` build stiffness or damping matrices; `full`, `row_sum` and `stable` derive the step from them.
+    Matrices are symmetric and stored as six components xx, yy, zz, yz, xz, xy until `full` expands them. This storage
+    saves registers, because each GPU thread holds four sums.
     """
     t = types(scalar)
     vec6 = wp.types.vector(6, scalar)
@@ -54,20 +59,23 @@ def stiffness_functions(scalar):
 
     @wp.func
     def outer(n: t.vec3, kn: scalar, ks: scalar):
-        """Stiffness kn along n and ks across it."""
+        """Return the matrix of a spring with stiffness `kn` along the unit vector `n` and `ks` across it."""
         return (kn - ks) * squared(n) + times_unit(ks)
 
     @wp.func
     def turning(r: t.vec3, n: t.vec3, kn: scalar, ks: scalar, bending: scalar, torsion: scalar):
-        """Stiffness against rotation of a contact at `r` from the centroid: springs at the end of the lever, and the
-        bond's own moments. Dashpots likewise."""
+        """Return the rotational stiffness of a contact at `r` from the body's centroid.
+
+        It adds the contact's springs, which act at the end of the lever `r`, to the bond's own bending and torsion
+        stiffness. The same formula gives the rotational damping of dashpots.
+        """
         c = wp.cross(r, n)
         levers = times_unit(wp.length_sq(r)) - squared(r)
         return (kn - ks) * squared(c) + ks * levers + outer(n, torsion, bending)
 
     @wp.func
     def row_sum(m: t.mat33, scale: t.vec3):
-        """Largest absolute row sum of m / sqrt(scale_r scale_c)."""
+        """Return the largest absolute row sum of the matrix m[r, c] / sqrt(scale[r] scale[c])."""
         largest = scalar(0.0)
         for r in range(3):
             total = scalar(0.0)
@@ -78,7 +86,7 @@ def stiffness_functions(scalar):
 
     @wp.func
     def stable(k: scalar, c: scalar):
-        """Step for stiffness and damping per mass."""
+        """Return the stable step [s] for stiffness `k` and damping `c` per mass: the root of k dt^2 + c dt = 1."""
         return scalar(2.0) / (c + wp.sqrt(c * c + scalar(4.0) * k))
 
     return SimpleNamespace(outer=outer, turning=turning, full=full, row_sum=row_sum, stable=stable)
@@ -86,8 +94,11 @@ def stiffness_functions(scalar):
 
 @functools.cache
 def counting_function(scalar, bonds: bool, subcycling: bool):
-    """`counts`: whether the pair of an entry touches or is bonded; with `subcycling` either one that is stepped in
-    rounds (`stiff`) or another."""
+    """Return the function `counts`: true if the pair of a list entry is in contact or bonded.
+
+    With `subcycling`, `counts` accepts only pairs that sub-cycling rounds step (`stiff` true) or only the others
+    (false).
+    """
     structs = array_structs(scalar)
     Spheres, Pairs = structs.Spheres, structs.Pairs
     xyz = vector_functions(scalar).xyz
@@ -112,11 +123,13 @@ def counting_function(scalar, bonds: bool, subcycling: bool):
 
 @functools.cache
 def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bool, lanes: int):
-    """`add_pairs`: K and C of all touching or bonded pairs in the row of sphere i, or, of full lists, of every so many
-    of them from the `lane`-th on; a half list adds to both spheres.
+    """Return the function `add_pairs`, which adds up K and C of all touching or bonded pairs of sphere i.
 
-    With `subcycling` either of those pairs that are stepped in rounds (`stiff`) or of the others. Sums do not depend on
-    what else is in a list: when that is built is nobody's business.
+    On a full list (GPU), a group of `lanes` threads shares the row: each thread takes every `lanes`-th such pair. On a
+    half list (CPU), each pair is added to both of its spheres.
+
+    With `subcycling` the sums hold only the pairs stepped in rounds (`stiff` true) or only the others. List entries
+    that neither touch nor are bonded add nothing, so the time of the last list rebuild cannot change the sums.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -206,8 +219,9 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
                         estimate,
                     )  # fmt: skip
         else:
-            # Lanes look for what counts together, and then take that in turn, all at the same time.
-            others = lane  # that are to be left to other lanes, before the next of this one
+            # The threads of a group first search together for the pairs that count. Then they share these pairs evenly,
+            # so that all threads evaluate pairs at the same time.
+            others = lane  # number of pairs left to other threads before this thread takes its next pair
             for block in range(begin, end, BLOCK):
                 left = wp.int32(0)
                 for place in range(lane, wp.min(BLOCK, end - block), wp.static(lanes)):

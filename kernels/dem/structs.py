@@ -1,11 +1,11 @@
-"""The arrays that kernels of discrete elements work on, as structs: scenes, bodies, spheres, slots, pairs, walls.
+"""Structs of the arrays that the discrete-element kernels work on: scenes, bodies, spheres, slots, pairs, walls.
 
-Arrays are flat over all scenes of a batch. Indices that an array holds (`bodies.first`, `spheres.body`, entries of
-`pairs.other`, `slots.wall`, `candidates.face`) count from the scene's first row, so a scene alone and in a batch holds
-the same numbers. Those of a mesh's tables and of axes, which no state holds, count over the whole batch. What the
-features of a scene do not need has no rows.
+Arrays are flat over all scenes of a batch. Indices stored in state arrays (`bodies.first`, `spheres.body`, entries of
+`pairs.other`, `slots.wall`, `candidates.face`) count from the scene's first row, so a scene holds the same numbers
+alone and in a batch. Indices into the tables of meshes and pipe axes, which are not part of the state, count over the
+whole batch. Arrays of features that no scene uses have zero rows.
 
-Beside them stands `flags`, an array of the slots of `common.control`, shape (scenes, FLAGS), no member of `Scenes`.
+The integer array `flags`, shape (scenes, FLAGS), is passed to kernels separately; `common.control` lists its slots.
 """
 
 import functools
@@ -16,41 +16,42 @@ import warp as wp
 from ..common.types import types
 from ..common.walls import wall_struct
 
-# Slots of the double-precision array `clock`, one row a scene.
-TIME = wp.constant(0)  # [s]
-DT = wp.constant(1)  # step about to be taken [s]
-DT_PREVIOUS = wp.constant(2)  # step taken before; 0 at the start, which makes the first kick a half one [s]
+# Columns of the double-precision array `clock`, which has one row a scene.
+TIME = wp.constant(0)  # simulated time [s]
+DT = wp.constant(1)  # the coming time step [s]
+DT_PREVIOUS = wp.constant(2)  # the previous time step; 0 at the start, which halves the first velocity kick [s]
 SINCE_BUILD = wp.constant(3)  # time since the neighbour lists were built [s]
-FORCE_SCALE = wp.constant(4)  # fixed-point units per newton
-STABLE = wp.constant(5)  # the stable step as last estimated, without safety factor [s]
+FORCE_SCALE = wp.constant(4)  # fixed-point units per newton, for sums of wall forces in integers
+STABLE = wp.constant(5)  # latest estimate of the stable step, without safety factor [s]
+# Number of columns of `clock`.
 CLOCK = 8
 
 
 @functools.cache
 def scene_struct(scalar):
-    """What kernels must know of one scene of a batch: its numbers, and where its rows begin in the flat arrays."""
+    """Return the struct `SceneRow`: the parameters of one scene and the first row of the scene in each flat array."""
     t = types(scalar)
 
     @wp.struct
     class SceneRow:
-        gravity: t.vec3
-        local_damping: scalar
-        speed_limit: scalar
-        skin: scalar  # of the pair lists
-        mesh_skin: scalar  # of the mesh candidates
-        sphere_allowance: scalar  # of the mesh skin, for spheres to go in; moving meshes take the rest [m]
-        growth_rate: scalar
-        growth_end: scalar
-        safety: wp.float64  # of the automatic time step
-        largest_step: wp.float64
-        fixed_step: wp.float64  # 0: automatic
+        gravity: t.vec3  # acceleration of gravity [m/s2]
+        local_damping: scalar  # coefficient of local damping; 0: off
+        speed_limit: scalar  # body speed above which the scene fails [m/s]
+        skin: scalar  # margin of the pair lists beyond contact [m]
+        mesh_skin: scalar  # margin of the sphere-triangle candidate lists [m]
+        sphere_allowance: scalar  # part of the mesh skin reserved for motion of spheres; moving meshes use the rest [m]
+        growth_rate: scalar  # increase of the size scale factor per step, during growth in packing
+        growth_end: scalar  # size scale factor at which the growth stops
+        safety: wp.float64  # safety factor of the automatic time step
+        largest_step: wp.float64  # upper limit of the automatic time step [s]
+        fixed_step: wp.float64  # fixed time step [s]; 0: automatic
         until: wp.float64  # time at which the scene halts [s]
-        interval: wp.int32  # steps from one estimate of the stable step to the next
-        sort_every: wp.int32  # steps from one re-sorting of the bodies to the next, 0: never
-        foreseen_speed: wp.float64  # that a wall will have or forces can give before the next estimate
-        wall_stiffness: wp.float64  # least that a driven wall meets [N/m]
-        largest_radius: scalar  # at full size
-        bodies: wp.int32  # first rows, and how many
+        interval: wp.int32  # steps between two estimates of the stable step
+        sort_every: wp.int32  # steps between two re-sortings of the bodies; 0: never
+        foreseen_speed: wp.float64  # largest speed expected before the next stable step estimate [m/s]
+        wall_stiffness: wp.float64  # lower bound of the contact stiffness that a driven wall meets [N/m]
+        largest_radius: scalar  # largest sphere radius, at full size [m]
+        bodies: wp.int32  # first row of the scene in each flat array, here and below; `..._count`: number of rows
         body_count: wp.int32
         spheres: wp.int32
         sphere_count: wp.int32
@@ -60,11 +61,11 @@ def scene_struct(scalar):
         faces: wp.int32
         walls: wp.int32
         wall_count: wp.int32
-        analytic: wp.int32  # planes and pipes, which come first
-        still: wp.int32  # 1: none of those ever moves
-        held: wp.int32  # 1: walls that move by prescription stand still for now
-        materials: wp.int32  # contact parameters form a square table of them
-        laws: wp.int32  # first row of that table
+        analytic: wp.int32  # number of planes and pipes, which precede meshes in the list of walls
+        still: wp.int32  # 1: planes and pipes never move
+        held: wp.int32  # 1: walls with prescribed motion are held at rest for now
+        materials: wp.int32  # number of materials; contact parameters form a square table over pairs of materials
+        laws: wp.int32  # first row of the scene in the table of contact parameters
         bonds: wp.int32
         groups: wp.int32
 
@@ -73,99 +74,101 @@ def scene_struct(scalar):
 
 @functools.cache
 def array_structs(scalar) -> SimpleNamespace:
-    """Structs `Scenes`, `Bodies`, `Spheres`, `Slots`, `Pairs`, `Candidates` and `Walls`."""
+    """Return the structs `Scenes`, `Bodies`, `Spheres`, `Slots`, `Pairs`, `Candidates` and `Walls`."""
     t = types(scalar)
     SceneRow = scene_struct(scalar)
     Wall = wall_struct(scalar)
 
     @wp.struct
     class Scenes:
-        row: wp.array(dtype=SceneRow)  # numbers and first rows, shape (scenes,)
-        clock: wp.array2d(dtype=wp.float64)  # slots above, shape (scenes, CLOCK)
-        scale: wp.array(dtype=scalar)  # factor of all sizes while packing grows them, shape (scenes,)
-        reference_velocity: wp.array(dtype=t.vec3)  # mean at the lists' building, the common drift [m/s]
+        row: wp.array(dtype=SceneRow)  # parameters and first rows of each scene, shape (scenes,)
+        clock: wp.array2d(dtype=wp.float64)  # times and steps, in the columns listed above, shape (scenes, CLOCK)
+        scale: wp.array(dtype=scalar)  # scale factor of all sphere sizes during growth in packing, shape (scenes,)
+        reference_velocity: wp.array(dtype=t.vec3)  # mean velocity when the lists were built (common drift) [m/s]
 
     @wp.struct
     class Bodies:
-        id: wp.array(dtype=wp.int32)  # permanent number, shape (bodies,) as the rest
-        scene: wp.array(dtype=wp.int32)  # number in the batch
-        shape: wp.array(dtype=wp.int32)  # an index into the state's templates
-        group: wp.array(dtype=wp.int32)  # index into the model's groups; 0 is none
+        id: wp.array(dtype=wp.int32)  # permanent number of each body, shape (bodies,)
+        scene: wp.array(dtype=wp.int32)  # index of the scene in the batch
+        shape: wp.array(dtype=wp.int32)  # index into the state's clump templates
+        group: wp.array(dtype=wp.int32)  # index into the model's groups; 0: no group
         size: wp.array(dtype=scalar)  # diameter of the sphere of equal volume, at full size [m]
-        mass: wp.array(dtype=scalar)  # [kg]
-        inertia: wp.array(dtype=t.vec3)  # principal moments [kg m2]
-        position: wp.array(dtype=t.vec3)  # centroid [m]
-        rounding: wp.array(dtype=t.vec3)  # what rounding took from the position so far [m]
-        velocity: wp.array(dtype=t.vec3)  # at the middle of the last step [m/s]
-        spin: wp.array(dtype=t.vec3)  # in space, likewise [rad/s]
-        orientation: wp.array(dtype=t.quat)  # from body to space
-        angular_momentum: wp.array(dtype=t.vec3)  # in space [kg m2/s]
-        first: wp.array(dtype=wp.int32)  # sphere of each body, and the end of the last, shape (bodies + scenes,)
+        mass: wp.array(dtype=scalar)  # body mass [kg]
+        inertia: wp.array(dtype=t.vec3)  # principal moments of inertia [kg m2]
+        position: wp.array(dtype=t.vec3)  # position of the centroid [m]
+        rounding: wp.array(dtype=t.vec3)  # rounding error of the position, for compensated summation [m]
+        velocity: wp.array(dtype=t.vec3)  # velocity of the centroid in the middle of the last step [m/s]
+        spin: wp.array(dtype=t.vec3)  # angular velocity in space axes, in the middle of the last step [rad/s]
+        orientation: wp.array(dtype=t.quat)  # rotation from body axes to space axes
+        angular_momentum: wp.array(dtype=t.vec3)  # angular momentum in space axes [kg m2/s]
+        first: wp.array(dtype=wp.int32)  # first sphere of each body, and an end marker per scene, (bodies + scenes,)
 
     @wp.struct
     class Spheres:
-        id: wp.array(dtype=wp.int32)  # permanent number, shape (spheres,) as the rest
-        scene: wp.array(dtype=wp.int32)  # number in the batch
-        body: wp.array(dtype=wp.int32)  # that it belongs to
+        id: wp.array(dtype=wp.int32)  # permanent number of each sphere, shape (spheres,)
+        scene: wp.array(dtype=wp.int32)  # index of the scene in the batch
+        body: wp.array(dtype=wp.int32)  # index of the body that the sphere belongs to
         material: wp.array(dtype=wp.int32)  # index into the model's materials
-        offset: wp.array(dtype=t.vec4)  # centre in the body's frame, radius; at full size [m]
-        position: wp.array(dtype=t.vec4)  # centre and radius [m]
-        velocity: wp.array(dtype=t.vec4)  # of the centre [m/s], and the body's mass [kg]
-        spin: wp.array(dtype=t.vec4)  # of the body [rad/s], and nothing: rows of four are moved at once
+        offset: wp.array(dtype=t.vec4)  # centre in the body's frame, and radius, at full size [m]
+        position: wp.array(dtype=t.vec4)  # centre in space, and radius [m]
+        velocity: wp.array(dtype=t.vec4)  # velocity of the centre [m/s], and mass of the body [kg]
+        spin: wp.array(dtype=t.vec4)  # angular velocity of the body [rad/s], padded to four numbers for fast access
         built: wp.array(dtype=t.vec4)  # position and radius when the lists were built [m]
-        clear: wp.array(dtype=t.vec4)  # where its distance to still walls was last measured, and that distance [m]
-        force: wp.array(dtype=t.vec3)  # of all contacts in this step, on a GPU of those with walls; 0 between steps [N]
-        moment: wp.array(dtype=t.vec3)  # about its centre [N m]
-        touching: wp.array(dtype=wp.int32)  # a bit for each of the first list entries that touched in the last step
-        dissipated_energy: wp.array(dtype=wp.float64)  # since the start [J]
-        broken: wp.array(dtype=wp.vec2i)  # bonds since the start: by tension, by shear
+        clear: wp.array(dtype=t.vec4)  # centre at the last check of fixed walls, and clearance from them [m]
+        force: wp.array(dtype=t.vec3)  # contact force (CPU: all contacts, GPU: walls only); zero between steps [N]
+        moment: wp.array(dtype=t.vec3)  # contact moment about the sphere's centre [N m]
+        touching: wp.array(dtype=wp.int32)  # bit mask of the first list entries that touched in the last step
+        dissipated_energy: wp.array(dtype=wp.float64)  # energy dissipated since the start [J]
+        broken: wp.array(dtype=wp.vec2i)  # bonds broken since the start: in tension, in shear
 
     @wp.struct
     class Slots:
-        touching: wp.array(dtype=wp.int32)  # a bit for each plane or pipe touched in the last step, shape (spheres,)
-        history: wp.array2d(dtype=t.vec3)  # of a contact with a wall: planes and pipes, then meshes, (spheres, slots)
-        rolling: wp.array2d(dtype=t.vec3)  # moment of a contact's spring against rolling [N m], (spheres, slots)
-        normal: wp.array2d(dtype=t.vec3)  # of mesh contacts, into the wall, (spheres, slots)
-        overlap: wp.array2d(dtype=scalar)  # of mesh contacts [m], (spheres, slots)
-        wall: wp.array2d(dtype=wp.int32)  # of mesh contacts, -1 for none, (spheres, slots)
-        worn: wp.array2d(dtype=wp.vec3d)  # by contacts with each wall since the last sample: work of sliding [J], loss
-        # of impacts [J], load times way slid [N m], (spheres, walls)
-        worn_at: wp.array2d(dtype=t.vec3)  # where it last touched each wall, in the wall's frame [m], (spheres, walls)
+        touching: wp.array(dtype=wp.int32)  # bit mask of planes and pipes touched in the last step, shape (spheres,)
+        history: wp.array2d(dtype=t.vec3)  # contact history of planes and pipes, then of meshes, (spheres, slots)
+        rolling: wp.array2d(dtype=t.vec3)  # moment of the rolling-resistance spring [N m], (spheres, slots)
+        normal: wp.array2d(dtype=t.vec3)  # normal of each mesh contact, into the wall, (spheres, slots)
+        overlap: wp.array2d(dtype=scalar)  # overlap of each mesh contact [m], (spheres, slots)
+        wall: wp.array2d(dtype=wp.int32)  # wall index of each mesh contact, -1: slot unused, (spheres, slots)
+        # `worn` holds the wear of each wall since the last sample, shape (spheres, walls): work of sliding [J], energy
+        # loss of impacts [J] and the integral of load over sliding distance [N m].
+        worn: wp.array2d(dtype=wp.vec3d)
+        worn_at: wp.array2d(dtype=t.vec3)  # last point of contact with each wall, in its frame [m], (spheres, walls)
 
     @wp.struct
     class Pairs:
-        start: wp.array(dtype=wp.int32)  # first entry of each sphere's row, and the end, shape (spheres + scenes,)
-        other: wp.array(dtype=wp.int32)  # the other sphere j, or -1 - j if j has the lower number, shape (pairs,)
-        history: wp.array(dtype=t.vec4)  # of the contact, for springs the shear force [N], and nothing, shape (pairs,)
-        rolling: wp.array(dtype=t.vec3)  # moment of the contact's spring against rolling [N m], shape (pairs,)
-        bond: wp.array(dtype=wp.int32)  # its kind and row as of `bond_parallel`, 0 for none, below 0 broken, (pairs,)
-        load: wp.array(dtype=t.vec8)  # of each bond: shear vector and tension [N], bending vector and torsion [N m],
-        # shape (rows,), see `warpcrete/dem/bonding.py`; one row each, since a GPU moves 32 bytes or none
+        start: wp.array(dtype=wp.int32)  # first list entry of each sphere, and end markers, shape (spheres + scenes,)
+        other: wp.array(dtype=wp.int32)  # the neighbour j, or -1 - j if j has the lower permanent number, (pairs,)
+        history: wp.array(dtype=t.vec4)  # contact history, for springs the shear force [N], padded to four, (pairs,)
+        rolling: wp.array(dtype=t.vec3)  # moment of the rolling-resistance spring [N m], shape (pairs,)
+        bond: wp.array(dtype=wp.int32)  # bond kind and load row (`bond_parallel`); 0: no bond, < 0: broken, (pairs,)
+        # `load` holds the load of each bond, shape (rows,): shear vector and tension [N], bending vector and torsion
+        # [N m]. It is one array because a GPU moves memory in units of 32 bytes. See `warpcrete/dem/bonding.py`.
+        load: wp.array(dtype=t.vec8)
 
     @wp.struct
     class Candidates:
-        start: wp.array(dtype=wp.int32)  # first entry of each sphere's row, and the end, shape (spheres + scenes,)
-        face: wp.array(dtype=wp.int32)  # triangles within reach of it, from the scene's first, shape (candidates,)
+        start: wp.array(dtype=wp.int32)  # first entry of each sphere, and end markers, shape (spheres + scenes,)
+        face: wp.array(dtype=wp.int32)  # triangles within reach of each sphere, numbered per scene, shape (candidates,)
 
     @wp.struct
     class Walls:
-        scene: wp.array(dtype=wp.int32)  # number in the batch, shape (walls,) as the rest
-        table: wp.array(dtype=Wall)  # what each wall is
-        rest_position: wp.array(dtype=wp.vec3d)  # at the start [m]
-        position_exact: wp.array(dtype=wp.vec3d)  # in double precision [m]
-        velocity_exact: wp.array(dtype=wp.vec3d)  # likewise [m/s]
-        position: wp.array(dtype=t.vec3)  # of the wall's frame [m]
-        orientation: wp.array(dtype=t.quat)  # of the wall's frame
-        normal: wp.array(dtype=t.vec3)  # planes: unit normal into the material
-        velocity: wp.array(dtype=t.vec3)  # mean over the step [m/s]
-        spin: wp.array(dtype=t.vec3)  # mean over the step [rad/s]
-        force: wp.array(dtype=wp.vec3d)  # of all contacts in the last step [N]
-        moment: wp.array(dtype=wp.vec3d)  # about the wall's position [N m]
-        impulse: wp.array(dtype=wp.vec3d)  # of that force since the start [N s]
-        angular_impulse: wp.array(dtype=wp.vec3d)  # of that moment since the start [N m s]
-        travel: wp.array(dtype=wp.float64)  # displacement along its path since the start [m]
-        work: wp.array(dtype=wp.float64)  # done on the material since the start [J]
-        moved: wp.array(dtype=wp.float64)  # meshes: way that a corner may have gone since the lists were built [m]
+        scene: wp.array(dtype=wp.int32)  # index of each wall's scene in the batch, shape (walls,)
+        table: wp.array(dtype=Wall)  # constant properties of each wall
+        rest_position: wp.array(dtype=wp.vec3d)  # position at the start [m]
+        position_exact: wp.array(dtype=wp.vec3d)  # position in double precision [m]
+        velocity_exact: wp.array(dtype=wp.vec3d)  # velocity in double precision [m/s]
+        position: wp.array(dtype=t.vec3)  # position of the wall's frame [m]
+        orientation: wp.array(dtype=t.quat)  # orientation of the wall's frame
+        normal: wp.array(dtype=t.vec3)  # planes only: unit normal that points into the concrete
+        velocity: wp.array(dtype=t.vec3)  # mean velocity over the step [m/s]
+        spin: wp.array(dtype=t.vec3)  # mean angular velocity over the step [rad/s]
+        force: wp.array(dtype=wp.vec3d)  # total contact force on the wall in the last step [N]
+        moment: wp.array(dtype=wp.vec3d)  # total contact moment about the wall's position [N m]
+        impulse: wp.array(dtype=wp.vec3d)  # time integral of the contact force since the start [N s]
+        angular_impulse: wp.array(dtype=wp.vec3d)  # time integral of the contact moment since the start [N m s]
+        travel: wp.array(dtype=wp.float64)  # displacement along the wall's path since the start [m]
+        work: wp.array(dtype=wp.float64)  # work done by the wall on the concrete since the start [J]
+        moved: wp.array(dtype=wp.float64)  # meshes only: largest possible corner displacement since the rebuild [m]
         step_force: wp.array3d(dtype=wp.int64)  # force and moment of this step in fixed point, (threads, walls, 6)
 
     return SimpleNamespace(
@@ -175,71 +178,78 @@ def array_structs(scalar) -> SimpleNamespace:
 
 @functools.cache
 def links_struct(scalar):
-    """Struct `Links`: pairs as a GPU evaluates them, a thread each. A pair's `entry` is that of its sphere with the
-    lower permanent number; the entry of the other is its `twin`. Only entries that are no twins hold history.
+    """Return the struct `Links`: the pairs as a GPU evaluates them, one thread a pair.
+
+    A GPU list holds each pair at both spheres. The pair's `entry` is in the row of the sphere with the lower permanent
+    number; its `twin` is in the row of the other sphere. Only entries store contact history, twins do not.
     """
     t = types(scalar)
 
     @wp.struct
     class Links:
-        link: wp.array(dtype=wp.vec4i)  # lower and higher sphere, entry and twin, from the scene's first; or -1
-        scene: wp.array(dtype=wp.int32)  # number in the batch, shape (links,) as the rest
-        touched: wp.array(dtype=wp.int32)  # 1: in the last step, 2: in the one before, 3: a stiff bond holds it
-        more: wp.array(dtype=wp.int32)  # as `touching` of spheres, of the entries after those, MORE for each sphere
-        end: wp.array(dtype=wp.int32)  # of each entry of the lists: its link p from the scene's first, of twins -1 - p
-        pull: wp.array(dtype=t.vec4)  # rows of what a link gave in this step. Of two: force on its lower sphere [N] and
-        # the arm of that [m]; the contact's moment over the arm [N] and the arm of the other. Of four, two for each
-        # sphere: force on it [N] and, of the lower, lost energy [J]; moment about its centre [N m]
-        near: wp.array(dtype=wp.vec4i)  # of links that are close: spheres and entry, from the batch's first, and link
-        near_count: wp.array(dtype=wp.int32)  # how many they are, and whether some scene's no longer do, shape (2,)
-        outrun: wp.array(dtype=wp.int32)  # 1: near links of the scene may miss a contact, shape (scenes,)
-        seen: wp.array(dtype=t.vec4)  # position and radius when near links were chosen [m], shape (spheres,)
-        seen_at: wp.array(dtype=wp.float64)  # time since the lists were built then [s], shape (scenes,)
+        link: wp.array(dtype=wp.vec4i)  # lower and higher sphere, entry and twin, numbered per scene; or -1: unused
+        scene: wp.array(dtype=wp.int32)  # index of each link's scene in the batch, shape (links,)
+        touched: wp.array(dtype=wp.int32)  # state: 0 apart, 1 touching, 2 parted with loss to count, 3 in a stiff bond
+        more: wp.array(dtype=wp.int32)  # touching bits of later list entries, MORE integers a sphere
+        end: wp.array(dtype=wp.int32)  # per list entry: index p of its link in the scene; for a twin, -1 - p
+        # `pull` holds the result of each link in this step. A link has two rows: (force on its lower sphere [N], arm of
+        # that sphere [m]) and (contact moment divided by the arm [N], arm of the higher sphere [m]). With bonds,
+        # rolling resistance or energy sums it has four rows, two for each sphere: (force on the sphere [N], lost
+        # energy [J] at the lower sphere or 0) and (moment about its centre [N m], 0).
+        pull: wp.array(dtype=t.vec4)
+        near: wp.array(dtype=wp.vec4i)  # links that are close: both spheres, entry and link, numbered over the batch
+        near_count: wp.array(dtype=wp.int32)  # number of near links, and 1 if any scene must check all its links, (2,)
+        outrun: wp.array(dtype=wp.int32)  # 1: the scene's near links may miss a contact, shape (scenes,)
+        seen: wp.array(dtype=t.vec4)  # sphere positions and radii when near links were chosen [m], (spheres,)
+        seen_at: wp.array(dtype=wp.float64)  # time since the list rebuild when near links were chosen [s], (scenes,)
 
     return Links
 
 
 @functools.cache
 def subcycled_struct(scalar):
-    """Struct `Subcycled`: pairs that are stepped in rounds, and bodies that have such pairs. All that a round needs
-    stands here, row by row: a GPU waits for memory in each."""
+    """Return the struct `Subcycled`: pairs that are stepped in sub-cycling rounds, and the bodies that they join.
+
+    The struct holds its own copy of everything that a round reads, in contiguous rows, because a GPU round is bound by
+    memory latency.
+    """
     t = types(scalar)
     Pairs = array_structs(scalar).Pairs
 
     @wp.struct
     class Subcycled:
-        rounds: wp.array(dtype=wp.int32)  # in a step, 0 for none, shape (scenes,)
-        stable: wp.array(dtype=wp.float64)  # step for these pairs alone [s], shape (scenes,)
-        pair_scene: wp.array(dtype=wp.int32)  # number in the batch, shape (pairs,) as the rest
-        lower: wp.array(dtype=wp.int32)  # permanent numbers of the two spheres
-        higher: wp.array(dtype=wp.int32)  # likewise
-        ends: wp.array(dtype=wp.vec4i)  # rows of the bodies of both, and their rows in `force`
-        lower_offset: wp.array(dtype=t.vec4)  # centre in the body's frame, radius [m]
-        higher_offset: wp.array(dtype=t.vec4)  # likewise
-        law: wp.array(dtype=wp.int32)  # row of the contact's parameters
-        entry: wp.array(dtype=wp.int32)  # of the list, that holds the pair
-        copy: wp.array(dtype=wp.int32)  # of the list, that holds it a second time, or -1
-        held: Pairs  # history and bonds, a row for each pair; those of the list follow at the end of a step
-        active: wp.array(dtype=wp.int32)  # 0: the bond is broken, and the contact is one as all others
-        lost: wp.array(dtype=wp.float64)  # energy, in the rounds so far of the step [J]
-        outcome: wp.array(dtype=wp.int32)  # 1, or how the bond broke in this step
-        body_scene: wp.array(dtype=wp.int32)  # number in the batch, shape (bodies,) as the rest
-        body_number: wp.array(dtype=wp.int32)  # permanent
-        place: wp.array(dtype=wp.int32)  # where it is now, in the batch
-        start: wp.array(dtype=wp.int32)  # first of its rows in `force` and `torque`, and the end, shape (bodies + 1,)
-        ref: wp.array(dtype=wp.int32)  # twice the pair's number, 1 more for its higher end, shape (2 pairs,)
-        mass: wp.array(dtype=scalar)  # [kg]
-        inertia: wp.array(dtype=t.vec3)  # principal moments [kg m2]
-        position: wp.array(dtype=t.vec3)  # in the middle of a step, as the velocities of all bodies [m]
-        rounding: wp.array(dtype=t.vec3)  # what rounding took from the position so far [m]
-        orientation: wp.array(dtype=t.quat)  # from body to space
-        velocity: wp.array(dtype=t.vec3)  # [m/s]
-        spin: wp.array(dtype=t.vec3)  # in space [rad/s]
-        angular_momentum: wp.array(dtype=t.vec3)  # in space [kg m2/s]
-        other_force: wp.array(dtype=t.vec3)  # of all but stiff pairs [N]
-        other_torque: wp.array(dtype=t.vec3)  # about the centroid [N m]
-        force: wp.array(dtype=t.vec3)  # of each end of a pair on its body, body by body [N], shape (2 pairs,)
-        torque: wp.array(dtype=t.vec3)  # about the centroid [N m], shape (2 pairs,)
-        member: wp.array(dtype=wp.int32)  # of every body of the batch: 1 + its row here, or 0
+        rounds: wp.array(dtype=wp.int32)  # number of rounds in a step; 0: no sub-cycling, shape (scenes,)
+        stable: wp.array(dtype=wp.float64)  # stable step of the stiff pairs alone [s], shape (scenes,)
+        pair_scene: wp.array(dtype=wp.int32)  # index of each pair's scene in the batch, shape (pairs,)
+        lower: wp.array(dtype=wp.int32)  # permanent number of the sphere with the lower number
+        higher: wp.array(dtype=wp.int32)  # permanent number of the sphere with the higher number
+        ends: wp.array(dtype=wp.vec4i)  # rows of both bodies, and rows of both ends in `force`
+        lower_offset: wp.array(dtype=t.vec4)  # lower sphere: centre in the body's frame, and radius [m]
+        higher_offset: wp.array(dtype=t.vec4)  # higher sphere: centre in the body's frame, and radius [m]
+        law: wp.array(dtype=wp.int32)  # row of the pair's contact parameters
+        entry: wp.array(dtype=wp.int32)  # index of the neighbour list entry that holds the pair
+        copy: wp.array(dtype=wp.int32)  # index of the second list entry that holds the pair, or -1
+        held: Pairs  # history and bond of each pair; copied to the neighbour list at the end of a step
+        active: wp.array(dtype=wp.int32)  # 0: the bond is broken and the pair is an ordinary contact again
+        lost: wp.array(dtype=wp.float64)  # energy lost in the rounds of this step so far [J]
+        outcome: wp.array(dtype=wp.int32)  # 1: the bond holds; negative: failure mode of a bond that broke in this step
+        body_scene: wp.array(dtype=wp.int32)  # index of each body's scene in the batch, shape (bodies,)
+        body_number: wp.array(dtype=wp.int32)  # permanent number of the body
+        place: wp.array(dtype=wp.int32)  # current row of the body in the batch
+        start: wp.array(dtype=wp.int32)  # first row of each body in `force`, and an end marker, shape (bodies + 1,)
+        ref: wp.array(dtype=wp.int32)  # twice the pair's index, plus 1 at the pair's higher end, shape (2 pairs,)
+        mass: wp.array(dtype=scalar)  # body mass [kg]
+        inertia: wp.array(dtype=t.vec3)  # principal moments of inertia [kg m2]
+        position: wp.array(dtype=t.vec3)  # centroid, in the middle of a step like the velocities of all bodies [m]
+        rounding: wp.array(dtype=t.vec3)  # rounding error of the position, for compensated summation [m]
+        orientation: wp.array(dtype=t.quat)  # rotation from body axes to space axes
+        velocity: wp.array(dtype=t.vec3)  # velocity of the centroid [m/s]
+        spin: wp.array(dtype=t.vec3)  # angular velocity in space axes [rad/s]
+        angular_momentum: wp.array(dtype=t.vec3)  # angular momentum in space axes [kg m2/s]
+        other_force: wp.array(dtype=t.vec3)  # all forces other than those of stiff pairs, gravity included [N]
+        other_torque: wp.array(dtype=t.vec3)  # torque of those other forces about the centroid [N m]
+        force: wp.array(dtype=t.vec3)  # force of each pair end on its body, grouped by body [N], shape (2 pairs,)
+        torque: wp.array(dtype=t.vec3)  # torque of each pair end about the centroid [N m], shape (2 pairs,)
+        member: wp.array(dtype=wp.int32)  # for every body of the batch: 1 + its row in this struct, or 0
 
     return Subcycled

@@ -1,4 +1,4 @@
-"""What a lubrication layer gained at rest, and how slip wears it off."""
+"""Kernel that lowers the yield stress which a lubrication layer gained at rest, as the concrete slips along it."""
 
 import functools
 
@@ -9,9 +9,10 @@ from .structs import array_structs
 
 @functools.cache
 def wear_kernel(scalar, law):
-    """One thread a scene: yield stress of a :class:`LubricationLayer` `law` after the slip so far.
+    """Return a kernel, one thread a scene, that updates the yield stress of a :class:`LubricationLayer` `law`.
 
-    What is left of it depends on the travel of one wall alone, so it may be worked out at any time.
+    The yield stress that the layer gained at rest decays with the slip as exp(-slip / breakdown). Slip is the travel of
+    one wall since slip began, so the kernel may run at any time.
     """
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls
@@ -19,15 +20,15 @@ def wear_kernel(scalar, law):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def wear_structure(
-        own_yield: wp.array(dtype=scalar),  # of each law [Pa]
-        gained: wp.array(dtype=wp.float64),  # of each scene [Pa]; 0: nothing yet
-        breakdown: wp.array(dtype=wp.float64),  # slip by which it falls to 1/e [m]
-        begun: wp.array(dtype=wp.float64),  # travel at which slip began [m]
-        slip_wall: wp.array(dtype=wp.int32),  # whose travel it is, of the batch
-        # state, read
+        own_yield: wp.array(dtype=scalar),  # yield stress without the gain at rest, one a law [Pa]
+        gained: wp.array(dtype=wp.float64),  # yield stress gained at rest, one a scene [Pa]; 0: no gain yet
+        breakdown: wp.array(dtype=wp.float64),  # slip after which the gain has fallen to 1/e, one a scene [m]
+        begun: wp.array(dtype=wp.float64),  # travel of the wall at which slip began, one a scene [m]
+        slip_wall: wp.array(dtype=wp.int32),  # index in the batch of the wall whose travel is the slip, one a scene
+        # Arrays of the state, read only.
         scenes: Scenes,
         walls: Walls,
-        # read and written
+        # Arrays that are read and written.
         wall_parameters: wp.array(dtype=Parameters),
     ):
         s = wp.tid()

@@ -1,17 +1,21 @@
-"""Stiff bonds in rounds of their own within a step (multiple time stepping).
+"""Sub-cycling of stiff bonds: a time step is split into rounds for the bodies that have them (multiple time stepping).
 
-Bonds of hydrated contacts are so stiff that leapfrog needs steps of a tenth or a hundredth of what all other contacts
-allow. A step then goes: contacts as always, but for pairs with such a bond; bodies without one move as always; those
-that have some go through rounds of velocity Verlet, from the middle of the step before to the middle of this one,
-under the forces of their stiff pairs (contact and bond), computed in every round, and under those of all else, which
-stay. What these contacts see is where a body will be at the end of the step if it keeps its velocity. To a body that
-moves as a whole that is leapfrog (drift by half, kick, drift by half), and momentum is kept, since all get the same
-impulse of a contact.
+Bonds of hydrated contacts are so stiff that leapfrog needs a tenth or a hundredth of the step that all other contacts
+allow. A step with sub-cycling has three parts. First, the contact kernels evaluate all contacts other than pairs in a
+stiff bond. Second, bodies without stiff bonds move by one leapfrog step, as always. Third, bodies with stiff bonds go
+through several rounds of velocity Verlet, from the middle of the previous step to the middle of this one. Each round
+recomputes the forces of the stiff pairs (contact and bond); all other forces stay constant through the step.
 
-The usual way, one kick a step by all else (Tuckerman et al. 1992), was built first: the kicks load a stiff bond by as
-many times the force as a step has its periods, and broke bonds that single steps do not break. Forces that stay for a
-step, as here, feed vibrations of a half to a whole step's period, those of contacts' dashpots most of all, as they find
-another velocity by the time they act. So a step is half of what contacts alone allow, and stiff bonds have dashpots.
+The contact kernels need positions at the end of a step. For a body with stiff bonds they use its position extrapolated
+with its velocity. For a group of bodies that moves as a whole this scheme equals leapfrog (half a drift, kick, half a
+drift). Momentum is conserved, because both bodies of a contact receive the same impulse.
+
+An alternative was tried and rejected: the usual scheme that applies all other forces as one kick per step (Tuckerman et
+al. 1992). A kick loads a stiff bond with the force multiplied by the number of bond periods in a step, which broke
+bonds that survive without sub-cycling. Forces held constant, as used here, have a drawback too. They feed energy into
+vibrations with periods between half a step and a full step, mostly through the dashpots of ordinary contacts, which act
+when the velocity has already changed. Therefore the step is limited to half of what ordinary contacts allow (`PART`),
+and stiff bonds have dashpots (`RELAXATION`).
 """
 
 import functools
@@ -29,14 +33,17 @@ from .pairs import bonded_function, broken_function, pair_functions
 from .structs import DT, DT_PREVIOUS, array_structs, links_struct, subcycled_struct
 
 PART = 0.5
-"""Of the stable step by all else, that a step may have."""
+"""Largest step with sub-cycling, as a fraction of the stable step of all other contacts."""
 RELAXATION = 0.01
-"""Time of a stiff bond's dashpots, damping over stiffness, over the step."""
+"""Relaxation time of a stiff bond's dashpots (damping / stiffness), as a fraction of the time step."""
 
 
 @functools.cache
 def stiff_pair_function(scalar, law, history: bool, dissipation: bool):
-    """`stiff_pair`: force [N] on the lower sphere of a pair and the bond's moment [N m]; it steps the pair's state."""
+    """Return the function `stiff_pair`, which computes the forces of a stiff pair and steps its contact and bond.
+
+    The function returns the force on the lower sphere [N] and the moment of the bond [N m].
+    """
     t = types(scalar)
     Subcycled = subcycled_struct(scalar)
     Parameters, contact_force = law.functions(scalar).Parameters, law.functions(scalar).force
@@ -48,7 +55,7 @@ def stiff_pair_function(scalar, law, history: bool, dissipation: bool):
 
     @wp.func
     def dashpots(p: Bond, touch: Touch, relative_spin: t.vec3, relaxation: scalar):
-        """Force and moment of a stiff bond's dashpots, and the power that they take [W]."""
+        """Return the force and moment of a stiff bond's dashpots, and the power that they dissipate [W]."""
         c = relaxation * bond_stiffness(p, touch)
         along = wp.dot(touch.velocity, touch.normal)
         across = touch.velocity - along * touch.normal
@@ -96,7 +103,7 @@ def stiff_pair_function(scalar, law, history: bool, dissipation: bool):
 
 @functools.cache
 def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: bool):
-    """`pair_round`: force and moments of contact and stiff bond of a pair after a round."""
+    """Return the function `pair_round`, which evaluates contact and stiff bond of a pair once a round."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs
@@ -109,7 +116,7 @@ def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: 
 
     @wp.func
     def keep(pairs: Pairs, subcycled: Subcycled, p: wp.int32, first_load: wp.int32, k: wp.int32):
-        """Bring an entry of the list up to date."""
+        """Copy the pair's bond, load and contact history to an entry of the neighbour list."""
         if pairs.bond[k] > 0:
             pairs.load[first_load + load_row(pairs.bond[k])] = subcycled.held.load[p]
         if subcycled.held.bond[p] <= 0:
@@ -145,13 +152,14 @@ def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: 
             scalar(RELAXATION) * step, dt,
         )  # fmt: skip
         if turn + 1 == rounds:
-            if subcycled.held.bond[p] <= 0:  # the next step's contacts have it
+            # the bond broke: from the next step on, the contact kernels evaluate the pair
+            if subcycled.held.bond[p] <= 0:
                 subcycled.active[p] = 0
                 total = t.vec3()
                 moment = t.vec3()
                 if wp.static(healing):
                     if pair.touch.gap >= scalar(0.0):
-                        subcycled.held.bond[p] = 0  # may bond again at the next touch
+                        subcycled.held.bond[p] = 0  # the pair may bond again at the next touch
             first_load = scenes.row[s].loads
             keep(pairs, subcycled, p, first_load, subcycled.entry[p])
             if subcycled.copy[p] >= 0:
@@ -167,7 +175,7 @@ def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: 
 
 @functools.cache
 def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
-    """Kernel over pairs, of half lists: see :func:`pair_round_function`."""
+    """Return the CPU kernel over stiff pairs for one round; see :func:`pair_round_function`."""
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs
     Subcycled = subcycled_struct(scalar)
@@ -176,17 +184,17 @@ def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(True))
     def subcycle_pairs(
-        # model
+        # Arrays of the model.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # chunk and round
+        # Range of rows that this launch processes, and number of the round.
         first: wp.int32,
         last: wp.int32,
         turn: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # state, read and written
+        # Arrays of the state, read and written.
         pairs: Pairs,
         subcycled: Subcycled,
     ):
@@ -199,14 +207,14 @@ def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
 
 @functools.cache
 def kick_functions(scalar, dissipation: bool):
-    """`kicked` and `book`: what forces do to a body, and what its stiff bonds took."""
+    """Return the functions `kicked` (apply the forces to a body) and `book` (record losses and broken bonds)."""
     Spheres = array_structs(scalar).Spheres
     Subcycled = subcycled_struct(scalar)
     count_broken = broken_function(scalar)
 
     @wp.func
     def kicked(subcycled: Subcycled, q: wp.int32, kick: scalar):
-        """Velocity and angular momentum after all forces have acted for `kick` [s]."""
+        """Return velocity and angular momentum of body q after all forces have acted for the time `kick` [s]."""
         total = subcycled.other_force[q]
         torque = subcycled.other_torque[q]
         for place in range(subcycled.start[q], subcycled.start[q + 1]):
@@ -217,7 +225,7 @@ def kick_functions(scalar, dissipation: bool):
 
     @wp.func
     def book(subcycled: Subcycled, spheres: Spheres, q: wp.int32, i: wp.int32):
-        """Note at sphere i of a body what its bonds took, and how they broke; each pair counts at its lower end."""
+        """Add energy loss and broken bonds of body q's stiff pairs to sphere i; pairs count at their lower end."""
         for place in range(subcycled.start[q], subcycled.start[q + 1]):
             if subcycled.ref[place] % 2 == 0:
                 p = subcycled.ref[place] / 2
@@ -233,7 +241,7 @@ def kick_functions(scalar, dissipation: bool):
 
 @functools.cache
 def body_round_function(scalar):
-    """`body_round`: a round's motion of a body with stiff bonds."""
+    """Return the function `body_round`, which moves a body with stiff bonds through one round."""
     Scenes = array_structs(scalar).Scenes
     Subcycled = subcycled_struct(scalar)
     turned, spin_at_middle = rotation_functions(scalar)
@@ -266,21 +274,21 @@ def body_round_function(scalar):
 
 @functools.cache
 def body_kernel(scalar):
-    """Kernel over bodies with stiff bonds, of half lists: see :func:`body_round_function`."""
+    """Return the CPU kernel over bodies with stiff bonds for one round; see :func:`body_round_function`."""
     Scenes = array_structs(scalar).Scenes
     Subcycled = subcycled_struct(scalar)
     body_round = body_round_function(scalar)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def subcycle_bodies(
-        # chunk and round
+        # Range of rows that this launch processes, and number of the round.
         first: wp.int32,
         last: wp.int32,
         turn: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # state, read and written
+        # Arrays of the state, read and written.
         subcycled: Subcycled,
     ):
         begin_q = first + wp.tid() * SPAN
@@ -292,8 +300,11 @@ def body_kernel(scalar):
 
 @functools.cache
 def rounds_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
-    """Kernel of all rounds of a step on a GPU, so many `threads` in blocks that stay: of two kernels a round each had
-    the next one wait for it."""
+    """Return the GPU kernel that performs all rounds of a step with `threads` resident threads.
+
+    Its blocks stay on the GPU and wait for each other at barriers. This is faster than two kernel launches per round,
+    where each launch must wait for the previous one.
+    """
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs
     Subcycled = subcycled_struct(scalar)
@@ -303,24 +314,25 @@ def rounds_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
     def subcycle_all(
-        # model
+        # Arrays of the model.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # how
+        # Number of threads and of barrier participants, and sizes of the arrays.
         threads: wp.int32,
         parties: wp.int32,
         body_count: wp.int32,
         pair_count: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # state, read and written
+        # Arrays of the state, read and written.
         pairs: Pairs,
         subcycled: Subcycled,
         gate: wp.array(dtype=wp.int32),
     ):
         thread = wp.tid()
-        # No barrier for scenes that all wait: flags stay as they are in here, so all threads see the same.
+        # `flags` do not change in this kernel, so all threads compute the same number of rounds and meet at the same
+        # barriers. If all scenes are halted, no barrier is needed.
         most = wp.int32(0)
         for s in range(flags.shape[0]):
             if flags[s, HALTED] == 0:
@@ -338,8 +350,11 @@ def rounds_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
 
 @functools.cache
 def foreseeing_kernel(scalar, meshes: bool, half: bool, dissipation: bool):
-    """Kernel over bodies with stiff bonds, after the last round: where they will be at the end of the step, and what
-    their bonds took in it."""
+    """Return the kernel over bodies with stiff bonds that runs after the last round of a step.
+
+    It applies the last half kick, predicts the bodies' positions at the end of the step for the contact kernels, and
+    records the energy loss and broken bonds of their stiff pairs.
+    """
     span = SPAN if half else 1
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres = structs.Scenes, structs.Bodies, structs.Spheres
@@ -350,12 +365,12 @@ def foreseeing_kernel(scalar, meshes: bool, half: bool, dissipation: bool):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def foresee_bodies(
-        # chunk
+        # Range of rows that this launch processes.
         first: wp.int32,
         last: wp.int32,
-        # state, read
+        # Arrays of the state, read only.
         scenes: Scenes,
-        # state, read and written
+        # Arrays of the state, read and written.
         flags: wp.array2d(dtype=wp.int32),
         bodies: Bodies,
         spheres: Spheres,

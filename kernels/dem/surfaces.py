@@ -1,5 +1,7 @@
-"""Contacts of spheres with planes and pipes on a GPU: a thread or a few for each sphere, of which most meet none. They
-have a kernel of their own, which runs beside that of `links`."""
+"""Contacts of spheres with planes and pipes on a GPU, with one or a few threads for each sphere.
+
+Most spheres touch no wall. These contacts have a kernel of their own, which runs concurrently with that of `links`.
+"""
 
 import functools
 
@@ -15,9 +17,11 @@ from .warps import warp_functions
 
 @functools.cache
 def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int):
-    """Kernel over so many spheres, each with 2^`lane_bits` threads, in whole warps of `width` of them (1 on a CPU):
-    force and moment of each by planes and pipes, where it meets some. Meshes add theirs; what moves bodies takes them
-    away."""
+    """Return the kernel over `count` spheres that stores force and moment of the planes and pipes they touch.
+
+    Each sphere has 2^`lane_bits` threads, and the launch consists of whole warps of `width` threads (1 on a CPU). The
+    mesh kernel adds its forces to these, and the kernel that moves bodies reads and clears them.
+    """
     structs = array_structs(scalar)
     Scenes, Spheres, Slots, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Walls
     Parameters = law.functions(scalar).Parameters
@@ -29,15 +33,15 @@ def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
     def surface_contacts(
-        # model
+        # Arrays of the model.
         wall_parameters: wp.array(dtype=Parameters),
         segments: wp.array(dtype=Segment),
-        # state, read
+        # Arrays of the state, read only.
         count: wp.int32,
         lane_bits: wp.int32,
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # state, read and written
+        # Arrays of the state, read and written.
         spheres: Spheres,
         slots: Slots,
         walls: Walls,

@@ -1,4 +1,4 @@
-"""How walls move, by prescription or by the forces on them."""
+"""Kernels that move walls, with a prescribed motion or driven by a force."""
 
 import functools
 
@@ -9,12 +9,12 @@ from ..common.types import types
 from ..common.walls import DRIVEN, FIXED, MESH, PRESCRIBED, wall_struct
 from .structs import DT, DT_PREVIOUS, FORCE_SCALE, TIME, array_structs
 
-SPEED_LIMIT = 1.0e4  # [m/s]; nothing that is pumped or dropped comes near
+SPEED_LIMIT = 1.0e4  # speed above which a scene fails [m/s]; far above that of pumped or dropped concrete
 
 
 @wp.func
 def ramped(time: wp.float64, ramp: wp.float64):
-    """Integral of min(time / ramp, 1), the distance gone at unit final speed."""
+    """Return the integral of min(time / ramp, 1): the distance travelled at a final speed of 1."""
     if time <= wp.float64(0.0):
         return wp.float64(0.0)
     if time < ramp:
@@ -24,20 +24,23 @@ def ramped(time: wp.float64, ramp: wp.float64):
 
 @wp.func
 def stopped(time: wp.float64, ramp: wp.float64, stroke: wp.float64, pause: wp.float64, stops: wp.float64):
-    """The same with so many strokes, each from rest to rest and with a pause behind it, before speed is kept."""
+    """Return the distance of a motion that first makes `stops` strokes and then keeps its final speed of 1.
+
+    Each stroke goes from rest to rest and is followed by a pause.
+    """
     done = wp.min(wp.max(wp.floor(time / (stroke + pause)), wp.float64(0.0)), stops)
     left = time - done * (stroke + pause)
     each = stroke - ramp
     if done == stops:
         return stops * each + ramped(left, ramp)
-    if left >= stroke:  # one number all through a pause
+    if left >= stroke:  # the distance is constant through the pause, to the last bit
         return (done + wp.float64(1.0)) * each
     return done * each + ramped(left, ramp) - ramped(left - each, ramp)
 
 
 @functools.cache
 def motion_functions(scalar, strokes: bool):
-    """`follow` a prescribed motion, `drive` a wall by a force: each for one wall and one step."""
+    """Return `follow` (prescribed motion) and `drive` (motion under a force), each for one wall and one step."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls
@@ -62,11 +65,11 @@ def motion_functions(scalar, strokes: bool):
             after = wall.pivot + wp.quat_rotate(q, after - wall.pivot)
             walls.orientation[w] = t.quat(q)
             walls.normal[w] = wp.quat_rotate(t.quat(q), wall.normal)
-        after += gone * wall.velocity  # the pivot travels along
+        after += gone * wall.velocity  # the pivot moves with the wall's velocity
         rate = wp.float64(0.0)
         if dt > wp.float64(0.0):
             rate = (gone - gone_at(wall, now - dt)) / dt
-        # Average over the step, as the particles' leapfrog velocities are.
+        # The velocity is averaged over the step, like the leapfrog velocities of bodies.
         walls.spin[w] = t.vec3(rate * wall.spin)
         walls.position_exact[w] = after
         walls.velocity_exact[w] = (after - before) / wp.max(dt, wp.float64(1.0e-300))
@@ -91,11 +94,12 @@ def motion_functions(scalar, strokes: bool):
         direction = wp.normalize(wall.velocity)
         speed = wp.dot(walls.velocity_exact[w], direction)
         push_along = wall.drive_force + wp.dot(f, direction)
-        # The damper acts on the mean of old and new speed, which is stable for any damping.
+        # A damper on the mean of old and new speed is stable for any damping (trapezoidal rule).
         half = wp.float64(0.5) * kick * wall.drive_damping / wall.mass
         speed = ((wp.float64(1.0) - half) * speed + kick * push_along / wall.mass) / (wp.float64(1.0) + half)
         if not (wp.abs(speed) <= wp.float64(wp.static(SPEED_LIMIT))):
-            wp.atomic_min(flags, s, FAILED, -1 - (w - scenes.row[s].walls))  # before bodies, which a GPU moves beside
+            # A failed wall has a negative code, which takes precedence over bodies that fail at the same time on a GPU.
+            wp.atomic_min(flags, s, FAILED, -1 - (w - scenes.row[s].walls))
         walls.velocity_exact[w] = speed * direction
         walls.position_exact[w] = walls.position_exact[w] + dt * speed * direction
         walls.travel[w] = walls.travel[w] + dt * speed
@@ -105,7 +109,10 @@ def motion_functions(scalar, strokes: bool):
 
 @functools.cache
 def advance_kernel(scalar, strokes: bool):
-    """One thread a wall: collect the step's forces, move to the next time. With `strokes` some wall may stop."""
+    """Return the kernel, one thread a wall, that collects the wall forces of the step and moves the walls.
+
+    `strokes` must be set if any wall pauses between strokes.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls
@@ -113,9 +120,9 @@ def advance_kernel(scalar, strokes: bool):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def advance_walls(
-        # state, read
+        # Arrays of the state, read only.
         scenes: Scenes,
-        # state, read and written
+        # Arrays of the state, read and written.
         flags: wp.array2d(dtype=wp.int32),
         walls: Walls,
     ):
@@ -124,10 +131,11 @@ def advance_kernel(scalar, strokes: bool):
         if flags[s, HALTED] != 0:
             return
         dt, previous = wp.float64(scenes.clock[s, DT]), wp.float64(scenes.clock[s, DT_PREVIOUS])
-        kick = wp.float64(0.5) * (dt + previous)  # from the middle of the step before to the middle of this one
+        kick = wp.float64(0.5) * (dt + previous)  # time from the middle of the previous step to that of this one
         motion = walls.table[w].motion
         unit = wp.float64(1.0) / scenes.clock[s, FORCE_SCALE]
-        # All is asked for before anything is written: one after the other they keep what waits for walls waiting.
+        # All loads are issued before the first store. Alternating loads and stores would add up memory latencies and
+        # delay the kernels that wait for the walls.
         velocity, spin = wp.vec3d(walls.velocity_exact[w]), wp.vec3d(walls.spin[w])
         impulse, angular_impulse = wp.vec3d(walls.impulse[w]), wp.vec3d(walls.angular_impulse[w])
         work = wp.float64(walls.work[w])
@@ -144,7 +152,8 @@ def advance_kernel(scalar, strokes: bool):
         walls.moment[w] = m
         walls.impulse[w] = impulse + kick * f
         walls.angular_impulse[w] = angular_impulse + kick * m
-        # Work done on the material, with the velocity of the middle of the step that ends here.
+        # The wall's work on the concrete is added in two halves. This half belongs to the previous step, with the
+        # velocity of that step. The half of the coming step is added below.
         work = work - wp.float64(0.5) * previous * (wp.dot(f, velocity) + wp.dot(m, spin))
         now = scenes.clock[s, TIME] + dt - walls.table[w].start_time
         if motion == PRESCRIBED and scenes.row[s].held == 0:

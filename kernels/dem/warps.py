@@ -1,4 +1,4 @@
-"""What the threads of a GPU's warp do together. On a CPU a warp is one thread."""
+"""Cooperative operations of the threads in a GPU warp; on a CPU a warp is one thread."""
 
 import functools
 from types import SimpleNamespace
@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import warp as wp
 
 WARP = 32
-"""Threads of a warp."""
+"""Number of threads in a warp."""
 LANES_BITS = """
     for (int away = lanes / 2; away > 0; away /= 2) value |= __shfl_xor_sync(0xffffffffu, value, away);
     return value;
@@ -22,9 +22,12 @@ LANES_LEAST = """
 
 @functools.cache
 def warp_functions(scalar, width: int) -> SimpleNamespace:
-    """Functions that all threads of a warp of `width` must call: `anywhere` (does something hold for any), `from_lane`
-    (a number that another thread has; `energy_from_lane` in double precision), `settle` (what any has read, others may
-    now write); of so many `lanes` beside one another, a power of two, `bits_of_lanes` (of any) and `least_of_lanes`.
+    """Return functions that all threads of a warp of `width` threads must call together.
+
+    `anywhere` returns True if a condition holds for any thread. `from_lane` reads a number of another thread, and
+    `energy_from_lane` does so in double precision. `settle` is a memory barrier: after it, threads may overwrite what
+    other threads have read. `bits_of_lanes` and `least_of_lanes` return the bitwise or and the minimum over groups of
+    `lanes` adjacent threads, where `lanes` is a power of two.
     """
     alone = width == 1
     taken = "return value;" if alone else "return __shfl_sync(0xffffffffu, value, lane);"
@@ -55,8 +58,10 @@ def warp_functions(scalar, width: int) -> SimpleNamespace:
 
 @functools.cache
 def group_functions(scalar, lanes: int) -> SimpleNamespace:
-    """Functions that so many `lanes` beside one another must call, a power of two, whatever the rest of their warp
-    does: `sum_of_group` of six numbers and `bits_of_group`, set in any."""
+    """Return functions that a group of `lanes` adjacent threads must call together, without the rest of the warp.
+
+    `lanes` is a power of two. `sum_of_group` adds six numbers over the group, and `bits_of_group` is the bitwise or.
+    """
     vec6 = wp.types.vector(6, scalar)
     way = f"""
 #if defined(__CUDA_ARCH__)

@@ -1,4 +1,4 @@
-"""What contacts do to walls: work of sliding, losses of impacts, and load times way, by sphere and wall."""
+"""Wear of walls, by sphere and wall: work of sliding, energy loss of impacts, and load times sliding distance."""
 
 import functools
 from types import SimpleNamespace
@@ -11,7 +11,7 @@ from .contact_law import contact_functions
 
 @functools.cache
 def wear_functions(scalar, law) -> SimpleNamespace:
-    """`worn_by`: what a contact did to a wall in a step; `in_frame`: a point as the wall sees it."""
+    """Return `worn_by` (wear by one contact in one step) and `in_frame` (a point in the wall's frame)."""
     t = types(scalar)
     functions = law.functions(scalar)
     Parameters, contact_force = functions.Parameters, functions.force
@@ -19,9 +19,11 @@ def wear_functions(scalar, law) -> SimpleNamespace:
 
     @wp.func
     def worn_by(p: Parameters, touch: Touch, f: t.vec3, lost: scalar, dt: scalar):
-        """Work of sliding and loss of the impact [J], load times way slid [N m], of a force `f` that lost so much.
+        """Return a contact's work of sliding [J], impact loss [J] and load times sliding distance [N m] in a step.
 
-        Whatever the law: the same touch without any sliding loses what the impact does, and the rest is the slide's.
+        `f` is the contact force and `lost` the contact's total energy loss. The split works for any contact law: the
+        law is evaluated once more without sliding. The loss of that contact is due to the impact, and the rest is due
+        to sliding.
         """
         n = touch.normal
         along = wp.dot(touch.velocity, n)

@@ -1,1 +1,1 @@
-"""Warp kernels of the moving particle method."""
+"""Warp kernels of the implicit moving particle method (MPS)."""

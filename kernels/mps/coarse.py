@@ -1,8 +1,10 @@
-"""A coarse grid that helps the solves of the moving particle method: what is smooth over many particles is found there.
+"""A coarse grid for the preconditioner of the moving particle method's solves.
 
-Particles are gathered in cubes some four spacings wide; the coarse matrix is that of velocities, or pressures, which
-are the same all over each cube (Nicolaides 1987). Its solution, roughly by Chebyshev's polynomial, is added to the
-residual over the diagonal: a preconditioner with which iterations hardly grow with the number of particles.
+Conjugate gradients with a diagonal preconditioner reduce errors that are smooth over many particles only slowly. The
+particles are therefore grouped into cubes about four spacings wide. With P the matrix that assigns each particle the
+value of its cube, the coarse matrix is A_c = P^T A P (Nicolaides 1987). The preconditioner is D^-1 + P A_c^-1 P^T,
+where D is the diagonal of A and a Chebyshev polynomial approximates A_c^-1. With it the number of iterations hardly
+grows with the number of particles.
 """
 
 import functools
@@ -14,18 +16,22 @@ from ..common.control import HALTED
 from .structs import array_structs, flow_struct, row_place
 
 DEGREE = 4
-"""Of the polynomial: the coarse matrix is applied once less. 6 or 8 take a third fewer iterations of tall columns, each
-of which waits longer: no gain on a GPU."""
+"""Degree of the Chebyshev polynomial, which applies the coarse matrix DEGREE - 1 times. A degree of 6 or 8 saves a
+third of the iterations for tall columns, but every iteration takes longer, so a GPU gains nothing."""
 RATIO = 20.0
-"""Of the largest eigenvalue of the coarse matrix over its diagonal, which is 2 at most, and the smallest that the
-polynomial is made for."""
+"""Ratio of the largest to the smallest eigenvalue for which the Chebyshev polynomial is made. The eigenvalues are those
+of the coarse matrix over its diagonal, which are at most 2."""
 MIDDLE, REACH = 1.0 + 1.0 / RATIO, 1.0 - 1.0 / RATIO
-"""Of the eigenvalues from 2 / RATIO to 2."""
+"""Centre and half-width of the interval of eigenvalues, which extends from 2 / RATIO to 2."""
 
 
 @functools.cache
 def slot_function(scalar, dimensions: int):
-    """Which of a cube's neighbours another one is, itself in the middle; none is further than the next."""
+    """Build `slot_of`, which numbers the 3^d cubes around a cube; the cube itself has the middle number.
+
+    Both cubes must be adjacent or equal. This holds for the cubes of neighbouring particles, because a cube is at least
+    as wide as the reach of a particle.
+    """
     Matrix = array_structs(scalar, dimensions).Matrix
 
     @wp.func
@@ -44,8 +50,10 @@ def slot_function(scalar, dimensions: int):
 
 @functools.cache
 def serial_coarse_kernel(scalar, dimensions: int, vector: bool):
-    """Kernel of one task that forms the coarse matrix's rows of cubes from `begin` to `end`; in the middle of a row one
-    over its diagonal, none of cubes that hold nothing."""
+    """Build the CPU kernel (one task) that forms the rows of the coarse matrix for cubes from `begin` to `end`.
+
+    The middle slot of a row holds 1 over the diagonal, or 0 if the cube contains no unknowns.
+    """
     Flow = flow_struct(scalar)
     Matrix = array_structs(scalar, dimensions).Matrix
     slot_of = slot_function(scalar, dimensions)
@@ -86,7 +94,10 @@ def serial_coarse_kernel(scalar, dimensions: int, vector: bool):
 
 @functools.cache
 def coarse_kernels(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
-    """Kernels `pairs`, a task a row, and `sums`, a task an entry, which form the same on a GPU."""
+    """Build the GPU kernels that form the coarse matrix.
+
+    `pairs` runs with one task per particle, then `sums` with one task per entry of the coarse matrix.
+    """
     Flow = flow_struct(scalar)
     Matrix = array_structs(scalar, dimensions).Matrix
     slot_of = slot_function(scalar, dimensions)
@@ -95,7 +106,7 @@ def coarse_kernels(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def pairs(flow: Flow, flags: wp.array(dtype=wp.int32), matrix: Matrix):
-        """What each row has with each neighbour of its cube."""
+        """Sum the couplings of each particle with its own cube and with each of the cubes around it."""
         if flags[HALTED] != 0:
             return
         i = wp.tid()
@@ -121,7 +132,7 @@ def coarse_kernels(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def sums(flow: Flow, flags: wp.array(dtype=wp.int32), matrix: Matrix):
-        """Over the rows of a cube."""
+        """Sum the couplings of all particles of a cube, which gives an entry of the coarse matrix."""
         if flags[HALTED] != 0:
             return
         entry = wp.tid()
@@ -156,13 +167,13 @@ SUMMED = """
 
 @wp.func_native(LANES)
 def lanes() -> wp.int32:
-    """Threads that do as one, a warp of a GPU."""
+    """Return the number of threads that work together: 32 (a warp) on a GPU, 1 on a CPU."""
     ...
 
 
 @functools.cache
 def lane_sum(value):
-    """Function that sums what the lanes of a warp bring, for each of them."""
+    """Build the function that sums a value over all lanes of a warp and returns the sum to each lane."""
     width = getattr(value, "_length_", 1)
     each, one = (f"for (int c = 0; c < {width}; ++c) part[c]", "part[c]") if width > 1 else ("part", "part")
     snippet = SUMMED.replace("EACH +=", f"{each} +=").replace("EACH", one)
@@ -175,10 +186,12 @@ def lane_sum(value):
 
 @functools.cache
 def coarse_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
-    """What the `lane`s of a warp do for every `by`th cube from `first` on: `load` it with the residual, which is the
-    first guess, and `sweep`; a thread of a CPU is its only lane.
+    """Build `load` and `sweep`, which solve the coarse equations approximately by Chebyshev iteration.
 
-    Loops are within, as functions on a CPU copy the structs that they are given.
+    `load` sums the residual over each cube and computes the first guess. Each call of `sweep` improves the solution by
+    one step (Saad, Iterative Methods for Sparse Linear Systems, 2nd ed., algorithm 12.1). All lanes of a warp call
+    these functions together, for every `by`-th cube from `first` on; a CPU thread is a warp with one lane. The loops
+    over cubes are inside the functions, because a function on a CPU copies the structs that it receives.
     """
     structs = array_structs(scalar, dimensions)
     Matrix = structs.Matrix
@@ -208,7 +221,10 @@ def coarse_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
         first: wp.int32, end: wp.int32, by: wp.int32, lane: wp.int32, abreast: wp.int32, old: wp.int32, before: scalar,
         matrix: Matrix, system: Solve,
     ) -> scalar:  # fmt: skip
-        """A step of Chebyshev's recurrence from the guesses that begin at `old`; gives its next factor."""
+        """Make one Chebyshev step from the solution at index `old` of `lift`, and return the recurrence's next factor.
+
+        `before` is the factor of the previous step. The new solution is written to the other half of `lift`.
+        """
         count = matrix.coarse.count
         now = scalar(1.0) / (scalar(wp.static(2.0 * MIDDLE / REACH)) - before)
         for a in range(first, end, by):

@@ -1,12 +1,12 @@
-"""Conjugate gradients for the two kinds of equations of the moving particle method, matrix-free but for pair weights.
+"""Conjugate gradients for the equations of the moving particle method, whose unknowns are vectors or numbers.
 
-A row is: diagonal times own value, less the pair coefficients times the neighbours' values; rows of velocities may
-also resist motion along the wall. The preconditioner is the diagonal. A whole solve is one kernel: on a CPU a thread
-for each chunk of rows, with barriers where sums are formed; on a GPU `resident_solver.py`. Sums are formed in the same
-order every time.
+A row of the matrix is the diagonal times the particle's own value, minus the pair coefficients times the neighbours'
+values. A row of velocities may also contain the wall's resistance to motion along it. The preconditioner is the
+diagonal. A whole solve is one kernel. On a CPU every thread processes some chunks of rows, and all threads meet at
+barriers where sums are formed; `resident_solver.py` is the version for a GPU. Sums are always formed in the same order.
 
-Where particles are bound to rigid grains (`rigid`), their rows come first, and the solution is one of rigid motions:
-directions are rigid motions of each grain, found from resultant and moment of the residual on it (`rigid.py`).
+If some particles form rigid grains (`rigid`), their rows come first. The search directions are then rigid motions of
+each grain, computed from the resultant force and moment of the residual on the grain (`rigid.py`).
 """
 
 import functools
@@ -21,18 +21,20 @@ from ..common.types import cpu_flags
 from .rigid import share_function
 from .structs import array_structs, flow_struct, mps_functions, mps_types
 
-# Slots of the outcome of a solve.
+# Slots of the array `outcome` of a solve.
 ITERATIONS = wp.constant(0)
-BEFORE = wp.constant(1)  # norm of the residual at the start
-AFTER = wp.constant(2)  # and at the end
+BEFORE = wp.constant(1)  # Norm of the residual at the start of the solve.
+AFTER = wp.constant(2)  # Norm of the residual at the end of the solve.
 OUTCOME = 4
 
 
 @functools.cache
 def solver_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
-    """What a row of the solution is (`value`), its `inner` product, the preconditioner, and what walls and surface add.
+    """Build the functions that a solve applies to a row, for vectors or for numbers.
 
-    Rows of velocities are bound to the wall by `drag`, along it only; rows of scalars at the free surface are zero.
+    `inner` is the inner product of two values, `divided` the diagonal preconditioner, and `share` the preconditioner of
+    a rigid grain. `bounded` completes a row of the matrix product: velocities feel `drag` along the wall, and numbers
+    at the free surface are held at zero. `value` is the type of a row, `Solve` the struct of the working arrays.
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
@@ -76,7 +78,11 @@ def solver_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
 @functools.cache
 def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNamespace:
-    """What a thread does for rows, `begin` and `update`, or for grains, `share`; all give what they add to sums."""
+    """Build what a CPU thread does in a solve: `begin` and `update` for its rows, `share` for its rigid grains.
+
+    Each function returns its contributions to two inner products: the residual with the preconditioned residual, and
+    the residual with itself.
+    """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value
     Matrix = array_structs(scalar, dimensions).Matrix
@@ -111,7 +117,7 @@ def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNam
 
     @wp.func
     def share(first: wp.int32, end: wp.int32, matrix: Matrix, system: Solve, z: wp.array(dtype=value)):
-        """Grains' part of `z`, the preconditioned residual."""
+        """Compute `z`, the preconditioned residual, for the particles of the grains from `first` to `end`."""
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
         if wp.static(rigid):
@@ -126,9 +132,10 @@ def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNam
 
 @functools.cache
 def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
-    """Kernel of one task a thread: the whole solve; adds to `x`.
+    """Build the CPU kernel that does a whole solve and adds the solution to `x`; each thread launches one task.
 
-    Rows are in `parts` chunks, of which a thread takes those from `lower` to `upper`; there are `workers` threads.
+    The rows are divided into `parts` chunks. A thread processes the chunks from `lower` to `upper`, and `workers`
+    threads take part.
     """
     f, rows = solver_functions(scalar, dimensions, vector), serial_rows(scalar, dimensions, vector, rigid)
     Solve, value = f.Solve, f.value
@@ -139,26 +146,29 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def solve(
-        # what is solved, and how well
+        # Input: equations, error code, tolerance and iteration limit.
         flow: Flow,
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
-        # chunks
+        # Input: chunks of this thread, and the barrier of all threads.
         parts: wp.int32,
         lower: wp.int32,
         upper: wp.int32,
         workers: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # state, read
+        # Input: state, which is only read.
         matrix: Matrix,
-        # written
+        # Output: arrays that are written.
         flags: wp.array(dtype=wp.int32),
         system: Solve,
         x: wp.array(dtype=value),
     ):
         if flags[HALTED] != 0:
             return
+        # Preconditioned conjugate gradients (Saad, Iterative Methods for Sparse Linear Systems, 2nd ed., algorithm
+        # 9.1). With residual r, preconditioned residual z, search direction p and q = A p, the names of the inner
+        # products are rz = r.z, rr = r.r and pq = p.q.
         bound = wp.int32(0)
         bodies = wp.int32(0)
         if wp.static(rigid):
@@ -235,7 +245,7 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
             system.outcome[AFTER] = wp.sqrt(rr)
             if not rr <= goal:
                 flags[FAILED] = what
-        # Nobody may look at the flags before all have left the loop.
+        # All threads must have left the loop before one of them changes the flag that halts the flow.
         meet(gate, workers)
         if lower == 0 and flags[FAILED] != 0:
             flags[HALTED] = 1

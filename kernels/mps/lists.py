@@ -1,7 +1,8 @@
-"""Lists of neighbours of the moving particle method.
+"""Kernels that build the neighbour lists of the moving particle method.
 
-Fluid particles within the operators' reach stand in a `near` row, those that only the density sees in a `far` row,
-particles of the walls in a third; all with a skin, so that the lists serve for many steps.
+Every fluid particle has three rows: `near` for fluid particles within the reach of the operators, `far` for those that
+only the density reaches, and `wall` for wall particles. A skin is added to every reach, so that the lists stay valid
+for many steps.
 """
 
 import functools
@@ -14,7 +15,7 @@ from .structs import array_structs, flow_struct, mps_types, row_place
 
 @functools.cache
 def list_kernels(scalar, dimensions: int, serial: bool):
-    """`place` (points for the grid) and `search` (all rows)."""
+    """Build the kernels `place`, which writes the points of the hash grid, and `search`, which fills all rows."""
     t = mps_types(scalar, dimensions)
     Flow = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
@@ -39,20 +40,20 @@ def list_kernels(scalar, dimensions: int, serial: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def search(
-        # model
+        # Input: parameters of the flow.
         flow: Flow,
         near_reach: scalar,
         whole_reach: scalar,
         grid: wp.uint64,
-        # state, read
+        # Input: state, which is only read.
         points: wp.array(dtype=wp.vec3f),
-        # written
+        # Output: arrays that are written.
         flags: wp.array(dtype=wp.int32),
         lists: Lists,
     ):
         i = wp.tid()
         here = points[i]
-        # A hair more than the skin, for the rounding of the grid's points.
+        # The reach is enlarged slightly, because the points of the hash grid are rounded to single precision.
         inner = wp.float32(near_reach) * wp.float32(1.0001)
         outer = wp.float32(whole_reach) * wp.float32(1.0001)
         nears, fars, walls = wp.int32(0), wp.int32(0), wp.int32(0)
@@ -74,7 +75,7 @@ def list_kernels(scalar, dimensions: int, serial: bool):
                 if fars < lists.far_capacity:
                     lists.far[entry(i, fars, flow.count, lists.far_capacity)] = j
                 fars += 1
-        # Over the capacity in per mille, so that one number tells how much is missing in any of the three.
+        # Entries over capacity, in per mille: one number shows how much more capacity the fullest of the rows needs.
         needed = wp.max(nears * 1000 / lists.near_capacity, fars * 1000 / lists.far_capacity)
         needed = wp.max(needed, walls * 1000 / lists.wall_capacity)
         if nears > lists.near_capacity or fars > lists.far_capacity or walls > lists.wall_capacity:

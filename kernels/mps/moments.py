@@ -1,6 +1,6 @@
-"""Of every particle, at the start of a step: moments of its neighbours, viscosity, what the wall is to it.
+"""Sums over every particle's neighbours at the start of a step: moments, apparent viscosity and wall terms.
 
-Whether it lies at the free surface and its predicted pressure follow from the same sums.
+The same sums also yield the predicted pressure, and show whether a particle belongs to the free surface.
 """
 
 import functools
@@ -12,15 +12,20 @@ from ..common.control import HALTED
 from .structs import array_structs, flow_struct, mps_functions, mps_types, row_place, span
 
 FREE = wp.constant(0.9)
-"""Part of the lattice's sum of weights below which a particle may lie at the free surface."""
+"""Sum of weights, over that inside a regular lattice, below which a particle may belong to the free surface."""
 BENEATH = {2: 0.2, 3: 0.15}
-"""Part of that sum, in spacings, by which its neighbours must lie beneath it on balance. In a lattice's surface they
-do by 0.33 and 0.28; under a hole of one particle in the inside, where nothing is free, by 0.17 and 0.08."""
+"""How far the neighbours of a surface particle must lie below it on average, by number of dimensions: minus the first
+moment of their weights, over the spacing and over the lattice's sum of weights. In the surface of a lattice this
+number is 0.33 in two and 0.28 in three dimensions. Below a hole of one particle inside the fluid, which is no free
+surface, it is 0.17 and 0.08."""
 
 
 @functools.cache
 def rheology_functions(scalar, dimensions: int):
-    """`rate_of` shear of a velocity gradient, and `apparent`, the viscosity of the regularised Bingham law there."""
+    """Build the functions of the regularised Bingham law.
+
+    `rate_of` returns the shear rate of a velocity gradient [1/s], `apparent` the viscosity at that rate.
+    """
     t = mps_types(scalar, dimensions)
     Flow = flow_struct(scalar)
 
@@ -35,13 +40,17 @@ def rheology_functions(scalar, dimensions: int):
 
     @wp.func
     def apparent(flow: Flow, rate: scalar):
-        """Stress over rate (Xu, Li & Jiang 2021, Eq. 15), and the slope of the stress over the rate [Pa s]."""
+        """Return the apparent viscosity and the derivative of the stress with respect to the rate, both in [Pa s].
+
+        The law is Eq. 15 of Xu, Li & Jiang 2021.
+        """
         viscosity = flow.viscosity
         bent_rate = flow.regularisation * rate
         fall = wp.exp(-bent_rate)
         if bent_rate > scalar(1.0e-3):
             viscosity += flow.yield_stress * (scalar(1.0) - fall) / rate
         else:
+            # Use the series for small rates, where the fraction loses digits.
             viscosity += flow.yield_stress * flow.regularisation * (scalar(1.0) - scalar(0.5) * bent_rate)
         return viscosity, flow.viscosity + flow.yield_stress * flow.regularisation * fall
 
@@ -50,7 +59,10 @@ def rheology_functions(scalar, dimensions: int):
 
 @functools.cache
 def moments_function(scalar, dimensions: int, serial: bool):
-    """`moments`: sums of weights over the neighbours of a particle, and of what they are to be fitted by."""
+    """Build `moments`, the weighted sums over a particle's neighbours, and `open_above`, a test for the free surface.
+
+    Least-squares fits of velocity, pressure and their gradients are computed from these sums.
+    """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
     Flow = flow_struct(scalar)
@@ -61,18 +73,18 @@ def moments_function(scalar, dimensions: int, serial: bool):
 
     @wp.struct
     class Moments:
-        number: scalar  # sum of the fluid's weights
-        whole_number: scalar  # of all weights
-        dense: scalar  # sum of density weights, its own included
-        fluid: t.mat  # second moments of fluid neighbours
-        whole: t.mat  # of all neighbours
-        shear: t.mat  # of the fluid's velocity differences with distances
-        first: t.vec  # first moments of fluid neighbours
-        above: scalar  # first moment of all along the pipe
-        slope: t.vec  # of the fluid's pressure differences with distances
-        rise: scalar  # sum of those
-        wall: scalar  # what the wall would exchange with the particle over its stress
-        inside: scalar  # distance from the wall [m]
+        number: scalar  # Sum of the weights of fluid neighbours.
+        whole_number: scalar  # Sum of the weights of all neighbours, walls included.
+        dense: scalar  # Sum of the density weights, the particle's own weight included.
+        fluid: t.mat  # Second moments of the fluid neighbours' relative positions.
+        whole: t.mat  # Second moments of all neighbours' relative positions, walls included.
+        shear: t.mat  # Moments of the fluid neighbours' velocity differences with their relative positions.
+        first: t.vec  # First moments of the fluid neighbours' relative positions.
+        above: scalar  # First moment of all neighbours' relative positions along the pipe.
+        slope: t.vec  # Moments of the fluid neighbours' pressure differences with their relative positions.
+        rise: scalar  # Weighted sum of the fluid neighbours' pressure differences.
+        wall: scalar  # Viscous force of the wall particles on the particle, per stress of the wall.
+        inside: scalar  # Distance of the particle from the wall [m].
 
     @wp.func
     def moments(
@@ -85,7 +97,8 @@ def moments_function(scalar, dimensions: int, serial: bool):
         fields: Fields,
     ):
         m = Moments()
-        shortest = scalar(1.0e-3) * flow.spacing  # as `distance` has it; calling that, CUDA's compiler adds otherwise
+        # This repeats the function `distance`, because with a call of it CUDA's compiler adds up in a different order.
+        shortest = scalar(1.0e-3) * flow.spacing
         x = position[i]
         v = velocity[i]
         p = pressure[i]
@@ -127,16 +140,16 @@ def moments_function(scalar, dimensions: int, serial: bool):
                 m.above = m.above + w * d[last]
                 beyond = wp.length(f.across(y)) - flow.radius
                 if beyond > scalar(0.0) and y[last] > scalar(0.0):
-                    # Velocity behind the wall continues the slope at the wall: what the pair would exchange is the
-                    # wall's stress times this.
+                    # Behind the wall the velocity is continued with its slope at the wall. The viscous force of the
+                    # wall particle is then the wall's stress times the following term.
                     m.wall = m.wall + w / (r * r) * wp.max(m.inside + beyond, scalar(0.0))
         return m
 
     @wp.func
     def open_above(i: wp.int32, flow: Flow, position: wp.array(dtype=t.vec), lists: Lists) -> wp.int32:
-        """1 if no fluid is above a particle, within half a right angle and the widest reach.
+        """Return 1 if no fluid lies above a particle, within the reach of its lists and 45 degrees of the upward axis.
 
-        Beneath a hole in the inside, however wide, there is some on its other side.
+        A particle below a hole inside the fluid is not at a free surface: it has fluid on the other side of the hole.
         """
         x = position[i]
         for k in range(lists.near_count[i]):
@@ -154,9 +167,11 @@ def moments_function(scalar, dimensions: int, serial: bool):
 
 @functools.cache
 def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
-    """Per particle: sums of weights, moment matrices, weights of the wall, apparent viscosity, predicted pressure.
+    """Build the kernel that evaluates each particle's neighbourhood at the start of a step.
 
-    Arrays of particles come one by one: with a struct of them CUDA's compiler forms other products in double precision.
+    It computes moment matrices, wall weights, apparent viscosity, predicted pressure and the error of the density, and
+    marks particles at the free surface. The particle arrays are passed one by one: if they come in a struct, CUDA's
+    compiler combines products differently in double precision, which changes the last bits of results.
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
@@ -170,18 +185,18 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def geometry(
-        # model
+        # Input: parameters of the flow.
         flow: Flow,
-        # chunk
+        # Input: range of rows of this launch.
         first: wp.int32,
         end: wp.int32,
-        # state, read
+        # Input: state, which is only read.
         flags: wp.array(dtype=wp.int32),
         particle_position: wp.array(dtype=t.vec),
         particle_velocity: wp.array(dtype=t.vec),
         particle_pressure: wp.array(dtype=scalar),
         lists: Lists,
-        # written; of the shift of particles, the residual is the density's error
+        # Output: arrays that are written. The residual of `shifting` becomes the error of the density.
         fields: Fields,
         matrix: Matrix,
         shifting: Solve,
@@ -205,9 +220,11 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
             matrix.free[i] = surface
             excess = m.dense / flow.lattice_density - scalar(1.0)
             shifting.residual[i] = flow.correction * wp.clamp(excess, scalar(-0.01), scalar(0.01))
-            # The least-squares line through the neighbours' pressures filters modes that gradients do not see.
+            # Predict the pressure by a least-squares fit of a linear function to the pressures around. This filters out
+            # checkerboard modes, which the gradient operator does not see. The gradient is eliminated from the normal
+            # equations, which leaves one equation for the change of the particle's own pressure (Schur complement).
             bent = back * m.first
-            own = flow.cutoff / flow.spacing  # weight of the particle's own pressure
+            own = flow.cutoff / flow.spacing  # Weight of the particle's own pressure in the least-squares fit.
             weight = own + m.number - wp.dot(m.first, bent)
             forward = scalar(0.0)
             if weight > scalar(0.1) * own:
@@ -221,11 +238,13 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
             apparent, tangent = apparent_viscosity(flow, rate_of(m.shear * back))
             if wp.static(two_phase):
                 if i < matrix.bound:
-                    # What is sheared between a wall and a grain is the mortar up to the grain's own half spacing.
+                    # Only the mortar between wall and grain is sheared. It ends half a spacing before the centre of a
+                    # grain's particle.
                     m.inside -= scalar(0.5) * flow.spacing
             fields.viscosity[i] = apparent
-            # Velocity from the wall to here over the wall's stress: stress falls in a straight line towards the axis,
-            # and the rate of shear with it, from what the tangent gives at the wall to what it is here.
+            # The compliance is the velocity difference between wall and particle per wall stress. The stress falls
+            # linearly to 0 at the axis. The shear rate is stress / apparent at the particle, and higher at the wall by
+            # the difference in stress / tangent. The mean of both rates times the distance is the velocity difference.
             near_wall = wp.clamp(m.inside, scalar(1.0e-3) * flow.spacing, flow.radius)
             bend = near_wall / flow.radius
             fields.compliance[i] = near_wall * ((scalar(1.0) - bend) / apparent + scalar(0.5) * bend / tangent)

@@ -1,4 +1,4 @@
-"""Where the particles of the moving particle method go at the end of a step."""
+"""Kernels that move the particles at the end of a step of the moving particle method."""
 
 import functools
 
@@ -8,12 +8,16 @@ from ..common.control import FAILED, HALTED, STALE, STEPS
 from .structs import LOST, array_structs, flow_struct, mps_functions, mps_types, row_place, span
 
 CROWDED = wp.constant(0.95)
-"""Spacings at which particles begin to be pushed apart."""
+"""Distance, over the initial spacing, below which two particles are pushed apart."""
 
 
 @functools.cache
 def shift_kernel(scalar, dimensions: int, serial: bool):
-    """How far each particle goes besides with its velocity: off crowds, and apart from those that come too near."""
+    """Build the kernel that computes extra displacements of the particles, which change no velocities.
+
+    These displacements move particles out of crowded regions, down the gradient of a potential, and push close pairs
+    apart.
+    """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
     Flow = flow_struct(scalar)
@@ -23,16 +27,16 @@ def shift_kernel(scalar, dimensions: int, serial: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def shift(
-        # model
+        # Input: parameters of the flow.
         flow: Flow,
-        # chunk
+        # Input: range of rows of this launch.
         first: wp.int32,
         end: wp.int32,
-        # state, read
+        # Input: state, which is only read.
         flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
-        # written
+        # Output: arrays that are written.
         fields: Fields,
     ):
         if flags[HALTED] != 0:
@@ -65,7 +69,7 @@ def shift_kernel(scalar, dimensions: int, serial: bool):
 
 @functools.cache
 def advance_kernel(scalar, dimensions: int, serial: bool):
-    """Particles go to their new places; says when the lists are no longer good, or a particle is lost."""
+    """Build the kernel that moves the particles and reports stale neighbour lists and lost particles."""
     f = mps_functions(scalar, dimensions)
     Flow = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
@@ -74,15 +78,15 @@ def advance_kernel(scalar, dimensions: int, serial: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def advance(
-        # model
+        # Input: parameters of the flow.
         flow: Flow,
-        # chunk
+        # Input: range of rows of this launch.
         first: wp.int32,
         end: wp.int32,
-        # state, read (but for what is late)
+        # Input: state, which is only read, apart from the flags `fields.late`.
         flags: wp.array(dtype=wp.int32),
         fields: Fields,
-        # read and written
+        # Input and output: arrays that are read and written.
         particles: Particles,
     ):
         if flags[HALTED] != 0:
@@ -92,7 +96,7 @@ def advance_kernel(scalar, dimensions: int, serial: bool):
             x = particles.position[i]
             relative = particles.velocity[i]
             relative[last] = relative[last] - flow.piston_speed
-            # What rounding took from small steps is kept and added to the next (Kahan).
+            # Kahan summation: the rounding error of each small step is stored and corrected in the next step.
             step = flow.dt * relative + fields.moved[i] - particles.rounding[i]
             after = x + step
             particles.rounding[i] = (after - x) - step
@@ -114,7 +118,7 @@ def advance_kernel(scalar, dimensions: int, serial: bool):
 
 @wp.kernel(enable_backward=False)
 def finish(late: wp.array(dtype=wp.int32), flags: wp.array(dtype=wp.int32)):
-    """One thread: the step is complete."""
+    """Complete the step in one thread: count it, and halt if the lists are stale or a particle is lost."""
     if flags[HALTED] != 0:
         return
     flags[STEPS] = flags[STEPS] + 1

@@ -1,9 +1,9 @@
-"""Operators of the moving particle method: what a step computes from places and velocities, apart from its solves.
+"""Operators of the moving particle method: forces, divergence and pressure gradient of a step, without its solves.
 
-Gradient and divergence are exact for linear fields (weighted least squares over the neighbours); the Laplacian is the
-pairwise sum of Xu, Li & Jiang 2021 (Eq. 5), with weights that vanish at their reach. Its factor is twice the
-dimensions over the sum of the gradient's weights, which makes it exact for quadratics wherever neighbours lie evenly
-around; a pair takes the mean of both, so that what one gains the other loses.
+Gradient and divergence are exact for linear fields (weighted least squares over the neighbours). The Laplacian is the
+pairwise sum of Xu, Li & Jiang 2021 (Eq. 5), with weights that vanish at their reach. Its factor is twice the number of
+dimensions over the sum of the gradient's weights. This makes it exact for quadratic fields wherever the neighbours are
+distributed evenly. Each pair uses the mean of both particles' factors, so that momentum is conserved.
 """
 
 import functools
@@ -14,29 +14,34 @@ from ..common.control import HALTED
 from .structs import array_structs, flow_struct, mps_functions, mps_types, row_place, span
 
 NEARER, DAMPED = wp.constant(0.45), wp.constant(2.0)
-"""Particles nearer to a wall than this part of a spacing, which stand there in the lattice at a half, get this times
-their diagonal in the pressure's equation: what their increments give back to their own divergence, from the velocity
-that goes on behind the wall, else grows past twice of it, and pressures swing from step to step."""
+"""Limits of a damping at walls: particles closer to a wall than NEARER spacings (in the initial lattice they are half a
+spacing away) get DAMPED times their diagonal in the pressure equation. A pressure increment changes the velocity that
+is continued behind the wall, and thereby the particle's own divergence. Very close to the wall this response exceeds
+twice the undamped diagonal, and the pressure would oscillate from step to step."""
 
 
 @functools.cache
 def wall_law_function(scalar, dimensions: int):
-    """`wall_force`: a force less that of the slip layer, the layer's resistance to more speed, the wall's stress."""
+    """Build `wall_force`, the law of the slip layer between the wall and a particle beside it."""
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
     Flow = flow_struct(scalar)
 
     @wp.func
     def wall_force(flow: Flow, x: t.vec, v: t.vec, area: scalar, compliance: scalar, force: t.vec):
-        """`area` is that of the wall over the particle's volume [1/m]; Xu, Li & Jiang 2021, Eq. 8."""
+        """Return `force` with the slip layer's force added, the layer's resistance, and the wall's shear stress [Pa].
+
+        The slip law is Eq. 8 of Xu, Li & Jiang 2021. `area` is the wall's area over the particle's volume [1/m]. The
+        resistance is the derivative of the layer's force with respect to the particle's velocity [kg/m3/s].
+        """
         resist = scalar(0.0)
         stress = scalar(0.0)
-        # The wall's stress follows from the velocity at the wall, not from the particle's own.
+        # The slip velocity at the wall is smaller than the particle's velocity, by the compliance times the stress.
         n = f.outward(x)
         along = v - wp.dot(n, v) * n
         speed = wp.length(along)
         if speed <= flow.slip_yield * compliance:
-            resist = area / compliance  # the layer does not slip
+            resist = area / compliance  # The layer sticks, because its stress is below its yield stress.
             stress = speed / compliance
         else:
             damp = scalar(1.0) / (scalar(1.0) + flow.slip_viscosity * compliance)
@@ -51,7 +56,10 @@ def wall_law_function(scalar, dimensions: int):
 
 @functools.cache
 def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
-    """Forces at the known velocities, and the matrix of their implicit change: viscosity and the slip layer."""
+    """Build the kernel that computes forces at the known velocities and the matrix of their implicit change.
+
+    The implicit forces are those of viscosity and of the slip layer. The pressure gradient and gravity are explicit.
+    """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
     Flow = flow_struct(scalar)
@@ -64,16 +72,16 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def momentum(
-        # model
+        # Input: parameters of the flow.
         flow: Flow,
-        # chunk
+        # Input: range of rows of this launch.
         first: wp.int32,
         end: wp.int32,
-        # state, read
+        # Input: state, which is only read.
         flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
-        # written
+        # Output: arrays that are written.
         fields: Fields,
         matrix: Matrix,
         viscous: Solve,
@@ -100,8 +108,9 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
                 laplacian = weight * (fields.inverse_number[i] + fields.inverse_number[j])
                 c = laplacian * scalar(2.0) * mu * other / (mu + other)
                 if wp.static(two_phase):
-                    # Half of a pair's distance is rigid where one of both is of a grain. What lies between two grains
-                    # counts as mortar; within one nothing is sheared.
+                    # If one particle of a pair belongs to a rigid grain, only half of their distance is mortar that can
+                    # be sheared, which doubles the coefficient. The space between two grains counts as mortar too.
+                    # Nothing is sheared inside a grain.
                     if i < matrix.bound:
                         if j >= matrix.bound:
                             c = laplacian * scalar(2.0) * other
@@ -133,7 +142,10 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
 
 @functools.cache
 def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
-    """Divergence of the velocities, as right-hand side and matrix of the pressure's increment."""
+    """Build the kernel that sets up the equations of the pressure increment.
+
+    The right-hand side is the divergence of the velocities, the matrix a Laplacian over the density.
+    """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
     Flow = flow_struct(scalar)
@@ -145,16 +157,16 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def divergence(
-        # model
+        # Input: parameters of the flow.
         flow: Flow,
-        # chunk
+        # Input: range of rows of this launch.
         first: wp.int32,
         end: wp.int32,
-        # state, read
+        # Input: state, which is only read.
         flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
-        # written
+        # Output: arrays that are written.
         fields: Fields,
         matrix: Matrix,
         projection: Solve,
@@ -188,7 +200,7 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
                 d = y - x
                 r = f.distance(flow, d)
                 if r < flow.cutoff:
-                    # Behind a wall the velocity towards it goes on in a straight line through its value there.
+                    # Behind a wall the normal velocity is continued linearly through its value at the wall.
                     jump = t.vec()
                     beyond = wp.length(f.across(y)) - flow.radius
                     if beyond > scalar(0.0):
@@ -209,7 +221,7 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
 
 @functools.cache
 def gradient_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
-    """End of the projection: velocities without divergence, and their pressure."""
+    """Build the kernel that ends the projection: it makes velocities divergence-free and updates the pressure."""
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
     Flow = flow_struct(scalar)
@@ -219,16 +231,16 @@ def gradient_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def project(
-        # model
+        # Input: parameters of the flow.
         flow: Flow,
-        # chunk
+        # Input: range of rows of this launch.
         first: wp.int32,
         end: wp.int32,
-        # state, read
+        # Input: state, which is only read.
         flags: wp.array(dtype=wp.int32),
         lists: Lists,
         fields: Fields,
-        # read and written
+        # Input and output: arrays that are read and written.
         particles: Particles,
     ):
         if flags[HALTED] != 0:

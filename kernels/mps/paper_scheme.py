@@ -1,9 +1,10 @@
-"""The operators of Xu, Li & Jiang 2021 as they are printed, to show what they do; `operators.py` has ours.
+"""The operators of Xu, Li & Jiang 2021 exactly as printed, for comparison; `operators.py` has the ones normally used.
 
-Laplacian without calibration (Eq. 5, reach 4.1 spacings), pressure without prediction from the number density's rate
-(Eqs. 4 and 7), gradient from the lowest pressure around with a factor of 2 (Eq. 18). One sign is mended: as printed,
-Eq. 4 gives a pressure that pulls crowded particles closer, and nothing can be run. Walls are ours: what lies behind
-them has the particle's own pressure, and in the rate of number density the wall's velocity.
+The printed Laplacian is not calibrated (Eq. 5, reach 4.1 spacings). The pressure has no prediction and follows from the
+rate of the number density (Eqs. 4 and 7). The gradient uses the lowest pressure nearby and a factor of 2 (Eq. 18). One
+sign is corrected: with Eq. 4 as printed, the pressure pulls crowded particles together, and no run is possible. The
+treatment of walls is not the paper's: a point behind a wall has the particle's own pressure, and it has the wall's
+velocity in the rate of the number density.
 """
 
 import functools
@@ -14,12 +15,12 @@ from ..common.control import HALTED
 from .structs import array_structs, flow_struct, mps_functions, mps_types, row_place, span
 
 LAPLACIAN = 4.1
-"""Reach over the spacing."""
+"""Reach of the printed Laplacian over the initial particle spacing."""
 
 
 @functools.cache
 def weights_kernel(scalar, dimensions: int, serial: bool):
-    """After geometry: pair weights of the printed Laplacian, and no prediction."""
+    """Build the kernel that sets the pair weights of the printed Laplacian, and a predicted pressure of zero."""
     f = mps_functions(scalar, dimensions)
     Flow = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
@@ -28,18 +29,18 @@ def weights_kernel(scalar, dimensions: int, serial: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def weights(
-        # model
+        # Input: parameters of the flow.
         flow: Flow,
         reach: scalar,
         laplacian_number: scalar,
-        # chunk
+        # Input: range of rows of this launch.
         first: wp.int32,
         end: wp.int32,
-        # state, read
+        # Input: state, which is only read.
         flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
-        # written
+        # Output: arrays that are written.
         fields: Fields,
     ):
         if flags[HALTED] != 0:
@@ -54,7 +55,8 @@ def weights_kernel(scalar, dimensions: int, serial: bool):
                     fields.pair_weight[at] = (
                         scalar(wp.static(5.0 - dimensions)) / laplacian_number * reach / (r * r * r)
                     )
-            fields.inverse_number[i] = scalar(0.5)  # of a pair's two, which then leave its weight as it is
+            # A pair's weight is multiplied by the sum of both particles' factors, here by 1.
+            fields.inverse_number[i] = scalar(0.5)
             fields.predicted[i] = scalar(0.0)
 
     return weights
@@ -62,7 +64,7 @@ def weights_kernel(scalar, dimensions: int, serial: bool):
 
 @functools.cache
 def source_kernel(scalar, dimensions: int, serial: bool):
-    """Before the pressure's solve: rate of the number density."""
+    """Build the kernel that sets up the pressure equation from the rate of the number density (Eqs. 4 and 7)."""
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
     Flow = flow_struct(scalar)
@@ -74,16 +76,16 @@ def source_kernel(scalar, dimensions: int, serial: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def source(
-        # model
+        # Input: parameters of the flow.
         flow: Flow,
-        # chunk
+        # Input: range of rows of this launch.
         first: wp.int32,
         end: wp.int32,
-        # state, read
+        # Input: state, which is only read.
         flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
-        # written
+        # Output: arrays that are written.
         fields: Fields,
         matrix: Matrix,
         projection: Solve,
@@ -128,7 +130,10 @@ def source_kernel(scalar, dimensions: int, serial: bool):
 
 @functools.cache
 def projection_kernel(scalar, dimensions: int, serial: bool):
-    """After the pressure's solve: velocities without divergence, as far as the printed gradient goes."""
+    """Build the kernel that subtracts the printed pressure gradient (Eq. 18) from the velocities.
+
+    The gradient is not exact for linear fields, so the velocities are divergence-free only approximately.
+    """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
     Flow = flow_struct(scalar)
@@ -138,16 +143,16 @@ def projection_kernel(scalar, dimensions: int, serial: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def project(
-        # model
+        # Input: parameters of the flow.
         flow: Flow,
-        # chunk
+        # Input: range of rows of this launch.
         first: wp.int32,
         end: wp.int32,
-        # state, read
+        # Input: state, which is only read.
         flags: wp.array(dtype=wp.int32),
         lists: Lists,
         fields: Fields,
-        # read and written
+        # Input and output: arrays that are read and written.
         particles: Particles,
     ):
         if flags[HALTED] != 0:

@@ -1,9 +1,10 @@
-"""Conjugate gradients on a GPU: a whole solve in one kernel, whose blocks stay and wait for one another.
+"""Conjugate gradients on a GPU: a whole solve is one kernel, whose blocks stay resident and meet at barriers.
 
-Rows are in chunks of a block's threads, each of which forms one partial sum; blocks share out chunks. So sums are the
-same to the bit however many blocks there are, and a flow may have many of them while it is alone and few beside others.
-Nobody launches iterations, so solves of many flows go on at once. A small system has one wide block, which waits for
-nobody and keeps its sums to itself. `conjugate_gradient.py` has what a row is.
+Rows are divided into chunks as large as a block. Each chunk forms one partial sum, and the blocks share the chunks
+among them. Sums therefore have the same bits however many blocks there are: a flow may use many blocks while it runs
+alone, and few while it shares the GPU. The host launches no iterations, so the solves of many flows can run at the same
+time. A small system gets a single wide block, which needs no barrier and no partial sums. `conjugate_gradient.py`
+explains the rows of the matrix.
 """
 
 import functools
@@ -19,13 +20,13 @@ from .conjugate_gradient import AFTER, BEFORE, ITERATIONS, solver_functions
 from .structs import array_structs
 
 RESIDENT = 3
-"""Blocks that a multiprocessor surely has room for at once: their kernel takes 85 registers a thread at most."""
+"""Number of blocks that certainly fit on a multiprocessor at once; the kernel uses at most 85 registers per thread."""
 WIDE, SMALL = 1024, 40_000
-"""Threads of the one block of a small system, and its matrix's entries at most."""
+"""Number of threads of the single block of a small system, and maximum number of matrix entries of a small system."""
 
 
 def resident_blocks(device, rows: int, near_capacity: int, abreast: int) -> tuple[int, int]:
-    """Threads of a block, and blocks that a solve gets of a device, `abreast` of which may run at once."""
+    """Return the threads per block and the number of blocks of a solve, if `abreast` solves share the device."""
     if rows * near_capacity <= SMALL:
         return WIDE, 1
     room = RESIDENT * device.sm_count // abreast if device.is_cuda else 1
@@ -34,13 +35,19 @@ def resident_blocks(device, rows: int, near_capacity: int, abreast: int) -> tupl
 
 @functools.cache
 def sum_functions(width: int) -> SimpleNamespace:
-    """`kept`, by each thread of blocks of so many, and `summed` over all."""
+    """Build `kept` and `summed`, which form sums over all threads of blocks of `width` threads.
+
+    Each thread first passes its contributions through `kept`; after a barrier `summed` returns the total.
+    """
     alone = width == WIDE
     keep, total = block_sums(width).keep, block_sums(width).total
 
     @wp.func
     def kept(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64) -> wp.float64:
-        """What a thread itself adds up: all if its block is alone, else nothing, as blocks keep sums of chunks."""
+        """Return the part of `own` that the thread itself must add up: all of it in a single block, else 0.
+
+        If there are several blocks, the sum of the chunk is stored in `partial` instead.
+        """
         if wp.static(alone):
             return own
         else:
@@ -49,7 +56,7 @@ def sum_functions(width: int) -> SimpleNamespace:
 
     @wp.func
     def summed(own: wp.float64, lane: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, sums: wp.int32):
-        """Over all threads; all must have waited for one another."""
+        """Return the sum over all threads of all blocks, which must have met at a barrier before."""
         if wp.static(alone):
             whole = wp.tile_sum(wp.tile(own))
             return whole[0]
@@ -61,10 +68,11 @@ def sum_functions(width: int) -> SimpleNamespace:
 
 @functools.cache
 def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNamespace:
-    """What a thread does for its row, or grain, in a solve; each gives what it adds to the sums.
+    """Build what a GPU thread does for its row, or its rigid grain, in a solve.
 
-    `begin` and `update` give inner products of residual and preconditioned residual, and of the residual with itself;
-    so does `share` for a grain; `multiply` that of direction and product.
+    Each function returns its contributions to inner products. `begin`, `update` and `share` (for a grain) return those
+    of the residual with the preconditioned residual and with itself. `multiply` returns that of the search direction
+    with its matrix product.
     """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value
@@ -89,7 +97,11 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
     def multiply(
         i: wp.int32, count: wp.int32, beta: scalar, old: wp.int32, matrix: Matrix, system: Solve
     ) -> wp.float64:
-        """`old` is where the last directions begin; neighbours' new ones are formed anew: nobody waits for them."""
+        """Compute the new search direction of row `i` and its product with the matrix.
+
+        The previous directions begin at `old`. The new directions of the neighbours are computed again from the
+        previous ones, so that no barrier is needed between directions and product.
+        """
         if i >= count:
             return wp.float64(0.0)
         own = system.preconditioned[i] + beta * system.direction[old + i]
@@ -134,7 +146,10 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
 
 @functools.cache
 def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, width: int = BLOCK):
-    """Kernel of `parties` blocks of `width` threads: the whole solve; adds to `x`. A wide block is alone."""
+    """Build the GPU kernel that does a whole solve and adds the solution to `x`.
+
+    It runs as `parties` blocks of `width` threads; a block of WIDE threads must be the only one.
+    """
     kept, summed = sum_functions(width).kept, sum_functions(width).summed
     f, row = solver_functions(scalar, dimensions, vector), row_functions(scalar, dimensions, vector, rigid)
     Solve, value = f.Solve, f.value
@@ -142,26 +157,29 @@ def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, 
 
     @wp.kernel(enable_backward=False, module="unique", launch_bounds=(width, 1 if width == WIDE else RESIDENT))
     def solve(
-        # what is solved, and how well
+        # Input: equations, error code, tolerance and iteration limit.
         count: wp.int32,
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
-        # blocks
+        # Input: number of blocks, and their barrier.
         parties: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # state, read
+        # Input: state, which is only read.
         matrix: Matrix,
-        # written
+        # Output: arrays that are written.
         flags: wp.array(dtype=wp.int32),
         system: Solve,
         x: wp.array(dtype=value),
     ):
+        # Preconditioned conjugate gradients (Saad, Iterative Methods for Sparse Linear Systems, 2nd ed., algorithm
+        # 9.1). With residual r, preconditioned residual z, search direction p and q = A p, the names of the inner
+        # products are rz = r.z, rr = r.r and pq = p.q.
         thread = wp.tid()
         lane = thread % width
         block = thread / width
         halted = flags[HALTED]
-        # Partial sums: of chunks of rows, then of chunks of grains.
+        # The partial sums of the chunks of rows come first, then those of the chunks of grains.
         blocks = (count + width - 1) / width
         sums = blocks
         if wp.static(rigid):

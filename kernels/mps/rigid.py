@@ -1,9 +1,9 @@
-"""Rigid groups of particles: coarse aggregate.
+"""Rigid groups of particles, which are the grains of coarse aggregate.
 
-The solve for velocities under viscosity knows rigid motions of grains only: a grain's unknowns are a velocity and a
-spin, its forces a resultant and a moment. The pressure then moves its particles as it does fluid, after which their
-mean velocity and angular momentum become those of a rigid body (passively moving solids, Koshizuka, Nobe & Oka 1998).
-Places follow from stored offsets, so that a grain keeps its shape for ever.
+The viscous solve admits only rigid motions of a grain: its unknowns are a velocity and a spin, its loads a resultant
+force and a moment. The pressure then accelerates the grain's particles as if they were fluid. Afterwards the particles
+get the rigid motion that has the same momentum and angular momentum (passively moving solids, Koshizuka, Nobe & Oka
+1998). Their positions follow from stored offsets, so that a grain never changes its shape.
 """
 
 import functools
@@ -18,14 +18,17 @@ from .structs import array_structs, flow_struct, mps_functions, mps_types
 
 @functools.cache
 def rotation_functions(scalar, dimensions: int):
-    """`raised` to three dimensions, `lowered` back, and `turned`, a rotation that is turned further."""
+    """Build functions for rotations that serve two and three dimensions.
+
+    `raised` converts a vector to three dimensions, `lowered` converts it back, and `turned` continues a rotation.
+    """
     t = mps_types(scalar, dimensions)
     vec3 = types(scalar).vec3
     flat = dimensions == 2
 
     @wp.func
     def raised(v: t.vec) -> vec3:
-        """A vector in three dimensions; a plane's is x and z."""
+        """Return a vector in three dimensions; the two axes of a plane become x and z."""
         if wp.static(flat):
             return vec3(v[0], scalar(0.0), v[1])
         else:
@@ -40,12 +43,12 @@ def rotation_functions(scalar, dimensions: int):
 
     @wp.func
     def turned(m: t.mat, angle: vec3) -> t.mat:
-        """A rotation, turned further by a small angle."""
+        """Return rotation `m` followed by a small rotation, given as a rotation vector [rad]."""
         size = wp.length(angle)
         if size == scalar(0.0):
             return m
         if wp.static(flat):
-            # About y: z turns towards x.
+            # The rotation in a plane is about y and turns z towards x.
             s, c = wp.sin(angle[1]), wp.cos(angle[1])
             after = t.mat(c, s, -s, c) * m
             long = wp.sqrt(after[0, 0] * after[0, 0] + after[1, 0] * after[1, 0])
@@ -53,7 +56,7 @@ def rotation_functions(scalar, dimensions: int):
             return t.mat(c, s, -s, c)
         else:
             after = wp.quat_to_matrix(wp.quat_from_axis_angle(angle / size, size)) * m
-            # Rows at right angles and of length one, whatever rounding did.
+            # Make the rows orthonormal again, because rounding errors accumulate.
             x = wp.normalize(vec3(after[0, 0], after[0, 1], after[0, 2]))
             y = vec3(after[1, 0], after[1, 1], after[1, 2])
             y = wp.normalize(y - wp.dot(x, y) * x)
@@ -64,8 +67,11 @@ def rotation_functions(scalar, dimensions: int):
 
 @functools.cache
 def body_functions(scalar, dimensions: int) -> SimpleNamespace:
-    """Of a grain as a rigid body: `lever_inertia` of a particle, `inverted` inertia, `resultant` and `moment` of what
-    its particles bear, velocity of a particle by its `spin`.
+    """Build functions that treat a grain as a rigid body.
+
+    `lever_inertia` is the inertia of one particle of unit mass about a centre, and `inverted` inverts an inertia.
+    `resultant` and `moment` sum forces (or other vectors) over a grain's particles. `spun` is the velocity of a
+    particle due to the grain's spin.
     """
     t = mps_types(scalar, dimensions)
     vec3, mat33 = types(scalar).vec3, types(scalar).mat33
@@ -80,7 +86,7 @@ def body_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def inverted(inertia: mat33) -> mat33:
-        """Spin over moment; in a plane there is one about y alone."""
+        """Return the inverse of an inertia; in a plane only its component about y is not zero."""
         inverse = mat33()
         if wp.static(flat):
             if inertia[1, 1] > scalar(0.0):
@@ -88,7 +94,8 @@ def body_functions(scalar, dimensions: int) -> SimpleNamespace:
         else:
             size = wp.trace(inertia) / scalar(3.0)
             if size > scalar(0.0):
-                # Particles in a row have no inertia about it, and no momentum: a little makes that spin nothing.
+                # Particles on a straight line have no inertia and no angular momentum about that line. A small added
+                # inertia makes the matrix invertible, and the spin about the line stays zero.
                 if wp.determinant(inertia) < scalar(1.0e-3) * size * size * size:
                     inertia += scalar(1.0e-4) * size * wp.identity(n=3, dtype=scalar)
                 inverse = wp.inverse(inertia)
@@ -106,7 +113,7 @@ def body_functions(scalar, dimensions: int) -> SimpleNamespace:
         borne: wp.array(dtype=t.vec), mean: t.vec, place: wp.array(dtype=t.vec), centre: t.vec, begin: wp.int32,
         end: wp.int32,
     ) -> vec3:  # fmt: skip
-        """About the centre, of what is borne over a mean that has none."""
+        """Return the moment about `centre` of vectors at the particles, of which the uniform `mean` has no moment."""
         sum = vec3()
         for i in range(begin, end):
             sum += wp.cross(raised(place[i] - centre), raised(borne[i] - mean))
@@ -123,7 +130,10 @@ def body_functions(scalar, dimensions: int) -> SimpleNamespace:
 
 @functools.cache
 def bodies_kernel(scalar, dimensions: int):
-    """What a step's solve has to know of each grain, a thread a grain: its middle, inertia and mobilities."""
+    """Build the kernel that computes centre, inertia and mobilities of each grain for the viscous solve.
+
+    It runs with one thread per grain.
+    """
     mat33 = types(scalar).mat33
     body = body_functions(scalar, dimensions)
     structs = array_structs(scalar, dimensions)
@@ -155,9 +165,11 @@ def bodies_kernel(scalar, dimensions: int):
 
 @functools.cache
 def share_function(scalar, dimensions: int):
-    """`share`: preconditioned residual of a grain's particles; inner product of it and the residual, residual squared.
+    """Build `share`, which applies the preconditioner to the residual of one rigid grain.
 
-    Of a residual only its resultant and moment count; its square is that of the rigid motion with both.
+    Only the resultant force and moment of the residual matter. The function writes the preconditioned residual of the
+    grain's particles. It returns the inner product of both, and the square of the residual after its projection onto
+    rigid motions.
     """
     t = mps_types(scalar, dimensions)
     body = body_functions(scalar, dimensions)
@@ -188,7 +200,10 @@ def share_function(scalar, dimensions: int):
 
 @functools.cache
 def velocities_kernel(scalar, dimensions: int):
-    """Before particles advance: mean velocity and angular momentum of each grain, a thread a grain."""
+    """Build the kernel that makes the velocities of each grain's particles rigid before the particles advance.
+
+    It preserves mean velocity and angular momentum, and runs with one thread per grain.
+    """
     body = body_functions(scalar, dimensions)
     Flow = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
@@ -218,7 +233,7 @@ def velocities_kernel(scalar, dimensions: int):
 
 @functools.cache
 def places_kernel(scalar, dimensions: int):
-    """After particles advance: each grain at its new place, turned, a thread a grain."""
+    """Build the kernel that moves and rotates each grain after the particles have advanced (one thread per grain)."""
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
     turned = rotation_functions(scalar, dimensions).turned
@@ -236,7 +251,7 @@ def places_kernel(scalar, dimensions: int):
         step = grains.step[g] - grains.middle_rounding[g]
         centre = grains.middle[g] + step
         grains.middle_rounding[g] = (centre - grains.middle[g]) - step
-        # A grain that would reach into a wall goes back as far as its deepest particle does.
+        # A grain that would penetrate a wall is moved back by the depth of its deepest particle.
         deepest = scalar(0.0)
         lowest = scalar(0.0)
         back = t.vec()

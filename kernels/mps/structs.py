@@ -1,7 +1,7 @@
-"""Types, numbers, arrays and small functions that the kernels of the moving particle method share.
+"""Types, parameters, arrays and small functions that the kernels of the moving particle method share.
 
-One source serves two and three dimensions. The last coordinate runs along the pipe, the others across it; places are
-counted from the piston, velocities are those of the room.
+The same source serves two and three dimensions. The last coordinate runs along the pipe, the others across it.
+Positions are relative to the piston, velocities are relative to the room.
 """
 
 import functools
@@ -11,16 +11,19 @@ import warp as wp
 
 from ..common.types import SPAN, types
 
-# What failed, as `flags[FAILED]` of `common.control` has it.
+# Error codes stored in `flags[FAILED]`: the solve that did not converge, or a lost particle.
 VISCOSITY = 1
 PRESSURE = 2
 DENSITY = 3
-LOST = 4  # a particle is not a number, or far outside
+LOST = 4  # The state of a particle is not a number, or the particle is far outside the flow.
 
 
 @functools.cache
 def mps_types(scalar, dimensions: int) -> SimpleNamespace:
-    """`vec` and `mat` of one precision in two or three dimensions, and `whole` numbers as many."""
+    """Return the types of one precision in two or three dimensions.
+
+    They are the vector `vec`, the matrix `mat` and the integer vector `whole`.
+    """
     double = scalar is wp.float64
     if dimensions == 2:
         vec, mat = (wp.vec2d, wp.mat22d) if double else (wp.vec2f, wp.mat22f)
@@ -31,134 +34,140 @@ def mps_types(scalar, dimensions: int) -> SimpleNamespace:
 
 @functools.cache
 def flow_struct(scalar):
-    """Numbers of a flow."""
+    """Build the struct of a flow's parameters, in one precision."""
 
     @wp.struct
     class Flow:
-        count: wp.int32  # fluid particles
-        spacing: scalar  # l0 [m]
-        cutoff: scalar  # reach of gradient, divergence and Laplacian [m]
-        wide: scalar  # reach of the density [m]
-        lattice_number: scalar  # sum of weights inside the lattice
-        lattice_density: scalar  # sum of density weights inside the lattice
-        radius: scalar  # of the pipe, or half the channel's width [m]
-        highest: scalar  # place along the pipe beyond which a particle is lost [m]
-        piston_speed: scalar  # [m/s]
-        gravity: scalar  # along the pipe, against the flow [m/s2]
-        dt: scalar  # [s]
-        density: scalar  # reference of the pressure's equation [kg/m3]
-        viscosity: scalar  # plastic [Pa s]
-        yield_stress: scalar  # [Pa]
-        regularisation: scalar  # beta [s]
-        slip_viscosity: scalar  # eta_L [Pa s/m]
-        slip_yield: scalar  # tau_L0 [Pa]
-        correction: scalar  # part of the density's error that a step takes away
-        skin: scalar  # of the lists [m]
+        count: wp.int32  # Number of fluid particles.
+        spacing: scalar  # Initial particle spacing l0 [m].
+        cutoff: scalar  # Reach of the weights of gradient, divergence and Laplacian [m].
+        wide: scalar  # Reach of the density weights [m].
+        lattice_number: scalar  # Sum of the weights around a particle inside a regular lattice.
+        lattice_density: scalar  # Sum of the density weights around a particle inside a regular lattice.
+        radius: scalar  # Radius of the pipe, or half the width of the channel [m].
+        highest: scalar  # Position along the pipe beyond which a particle counts as lost [m].
+        piston_speed: scalar  # Speed of the piston [m/s].
+        gravity: scalar  # Gravitational acceleration along the pipe, positive against the flow [m/s2].
+        dt: scalar  # Time step [s].
+        density: scalar  # Reference density of the pressure equation [kg/m3].
+        viscosity: scalar  # Plastic viscosity of the Bingham law [Pa s].
+        yield_stress: scalar  # Yield stress of the Bingham law [Pa].
+        regularisation: scalar  # Regularisation time beta of the Bingham law [s].
+        slip_viscosity: scalar  # Viscous constant eta_L of the slip layer [Pa s/m].
+        slip_yield: scalar  # Yield stress tau_L0 of the slip layer [Pa].
+        correction: scalar  # Share of the density error that one step corrects.
+        skin: scalar  # Skin of the neighbour lists [m].
 
     return Flow
 
 
 @functools.cache
 def array_structs(scalar, dimensions: int) -> SimpleNamespace:
-    """Structs `Particles`, `Lists`, `Fields`, `Grains`, `Coarse`, `Matrix`, and `Solve` of vectors and of numbers."""
+    """Build the structs of arrays that the kernels share, for one precision and two or three dimensions.
+
+    They are `Particles`, `Lists` (neighbour lists), `Fields`, `Grains` (rigid coarse aggregate), `Coarse` (coarse grid
+    of the solves), `Matrix`, and the working arrays of a solve for vectors (`VectorSolve`) or numbers (`NumberSolve`).
+    """
     t = mps_types(scalar, dimensions)
     vec3, mat33 = types(scalar).vec3, types(scalar).mat33
 
     @wp.struct
     class Particles:
-        position: wp.array(dtype=t.vec)  # from the piston's middle [m], shape (n,) as the rest
-        rounding: wp.array(dtype=t.vec)  # what rounding took from the position so far [m]
-        velocity: wp.array(dtype=t.vec)  # in the room [m/s]
-        pressure: wp.array(dtype=scalar)  # [Pa]
-        density: wp.array(dtype=scalar)  # of two phases [kg/m3]; one phase has no rows
-        group: wp.array(dtype=wp.int32)  # grain of coarse aggregate, -1 for mortar; one phase has no rows
+        position: wp.array(dtype=t.vec)  # Particle position relative to the piston's centre [m], shape (n,).
+        rounding: wp.array(dtype=t.vec)  # Rounding error of the position, carried to the next step [m], shape (n,).
+        velocity: wp.array(dtype=t.vec)  # Particle velocity relative to the room [m/s], shape (n,).
+        pressure: wp.array(dtype=scalar)  # Pressure at each particle [Pa], shape (n,).
+        density: wp.array(dtype=scalar)  # Density of each particle in two-phase flows [kg/m3], shape (n,); else empty.
+        group: wp.array(dtype=wp.int32)  # Grain of each particle, -1 for mortar, in two-phase flows; else empty.
 
     @wp.struct
     class Lists:
-        near_capacity: wp.int32  # entries that there is room for in a row
-        far_capacity: wp.int32
-        wall_capacity: wp.int32
-        near_count: wp.array(dtype=wp.int32)  # entries in a row, shape (n,)
-        near: wp.array(dtype=wp.int32)  # fluid particles within the operators' reach, shape (n * near_capacity,)
+        near_capacity: wp.int32  # Maximum number of entries in a row of `near`.
+        far_capacity: wp.int32  # Maximum number of entries in a row of `far`.
+        wall_capacity: wp.int32  # Maximum number of entries in a row of `wall`.
+        near_count: wp.array(dtype=wp.int32)  # Number of entries in each row of `near`, shape (n,).
+        near: wp.array(dtype=wp.int32)  # Fluid neighbours within the operators' reach, shape (n * near_capacity,).
         far_count: wp.array(dtype=wp.int32)
-        far: wp.array(dtype=wp.int32)  # those that only the density sees, shape (n * far_capacity,)
+        far: wp.array(dtype=wp.int32)  # Fluid neighbours within reach of the density only, shape (n * far_capacity,).
         wall_count: wp.array(dtype=wp.int32)
-        wall: wp.array(dtype=wp.int32)  # particles of the walls, shape (n * wall_capacity,)
-        wall_position: wp.array(dtype=t.vec)  # of those [m], shape (wall particles,)
+        wall: wp.array(dtype=wp.int32)  # Neighbouring wall particles, shape (n * wall_capacity,).
+        wall_position: wp.array(dtype=t.vec)  # Positions of all wall particles [m], shape (wall particles,).
 
     @wp.struct
     class Fields:
-        pair_weight: wp.array(dtype=scalar)  # of an entry of `near`, over the distance squared [1/m2]
-        fluid_inverse: wp.array(dtype=t.mat)  # of the moment matrix of fluid neighbours [1/m2], shape (n,) as the rest
-        whole_inverse: wp.array(dtype=t.mat)  # of that of all neighbours [1/m2]
-        inverse_number: wp.array(dtype=scalar)  # factor of the Laplacian
-        wall_weight: wp.array(dtype=scalar)  # area of wall that a particle stands for over its volume, unscaled [1/m]
-        wall_scale: wp.array(dtype=wp.float64)  # factor that makes all these areas that of the wall, shape (1,)
-        viscosity: wp.array(dtype=scalar)  # apparent [Pa s]
-        compliance: wp.array(dtype=scalar)  # velocity from wall to particle over the wall's stress [m/s/Pa]
-        predicted: wp.array(dtype=scalar)  # filtered pressure of the step before [Pa]
-        traction: wp.array(dtype=scalar)  # the wall's stress [Pa]
-        increment: wp.array(dtype=scalar)  # of the pressure in this step [Pa]
-        potential: wp.array(dtype=scalar)  # whose slope moves particles off crowds [m2]
-        moved: wp.array(dtype=t.vec)  # displacement of this step besides that by velocity [m]
-        built: wp.array(dtype=t.vec)  # position when the lists were built [m]
-        late: wp.array(dtype=wp.int32)  # 1 if a particle outgrew the lists, 1 if one is lost, shape (2,)
+        pair_weight: wp.array(dtype=scalar)  # Weight of each entry of `near` over its squared distance [1/m2].
+        fluid_inverse: wp.array(dtype=t.mat)  # Inverse moment matrix of the fluid neighbours [1/m2], shape (n,).
+        whole_inverse: wp.array(dtype=t.mat)  # Inverse moment matrix of all neighbours, walls included [1/m2].
+        inverse_number: wp.array(dtype=scalar)  # Calibration factor of the Laplacian at each particle, shape (n,).
+        wall_weight: wp.array(dtype=scalar)  # Wall area per volume of each particle, before scaling [1/m], shape (n,).
+        wall_scale: wp.array(dtype=wp.float64)  # Factor that scales the sum of wall areas to the true area, shape (1,).
+        viscosity: wp.array(dtype=scalar)  # Apparent viscosity at each particle [Pa s], shape (n,).
+        compliance: wp.array(dtype=scalar)  # Velocity difference between particle and wall per wall stress [m/s/Pa].
+        predicted: wp.array(dtype=scalar)  # Filtered pressure of the previous step, the prediction [Pa], shape (n,).
+        traction: wp.array(dtype=scalar)  # Shear stress of the wall beside each particle [Pa], shape (n,).
+        increment: wp.array(dtype=scalar)  # Change of the pressure in this step [Pa], shape (n,).
+        potential: wp.array(dtype=scalar)  # Potential whose gradient moves particles out of crowded regions [m2].
+        moved: wp.array(dtype=t.vec)  # Extra displacement of this step, not caused by the velocity [m], shape (n,).
+        built: wp.array(dtype=t.vec)  # Position when the neighbour lists were built [m], shape (n,).
+        late: wp.array(dtype=wp.int32)  # Flags for stale neighbour lists (slot 0) and a lost particle (1), shape (2,).
 
     @wp.struct
     class Grains:
-        first: wp.array(dtype=wp.int32)  # particle of each grain, and the end of the last, shape (grains + 1,)
-        offset: wp.array(dtype=t.vec)  # of its particles from its middle at the start [m], shape (grain particles,)
-        middle: wp.array(dtype=t.vec)  # [m], shape (grains,) as the rest
-        middle_rounding: wp.array(dtype=t.vec)  # what rounding took from it so far [m]
-        centre: wp.array(dtype=t.vec)  # mean place of its particles in this step [m]
-        inverse_inertia: wp.array(dtype=mat33)  # about that, of particles of mass one [1/m2]
-        mobility: wp.array(dtype=scalar)  # velocity over force by the matrix's diagonal alone, a preconditioner
-        spin_mobility: wp.array(dtype=mat33)  # spin over moment likewise
-        step: wp.array(dtype=t.vec)  # displacement of this step [m]
-        spin: wp.array(dtype=vec3)  # [rad/s]
-        turn: wp.array(dtype=t.mat)  # rotation since the start
+        first: wp.array(dtype=wp.int32)  # First particle of each grain, then the end of the last, shape (grains + 1,).
+        offset: wp.array(dtype=t.vec)  # Initial offset of each particle from its grain's centre [m].
+        middle: wp.array(dtype=t.vec)  # Position of each grain's centre [m], shape (grains,).
+        middle_rounding: wp.array(dtype=t.vec)  # Rounding error of `middle`, carried to the next step [m].
+        centre: wp.array(dtype=t.vec)  # Mean position of a grain's particles in this step [m], shape (grains,).
+        inverse_inertia: wp.array(dtype=mat33)  # Inverse inertia of a grain about `centre` for unit masses [1/m2].
+        mobility: wp.array(dtype=scalar)  # Velocity per force from the matrix's diagonal alone (preconditioner).
+        spin_mobility: wp.array(dtype=mat33)  # Spin per moment from the matrix's diagonal alone (preconditioner).
+        step: wp.array(dtype=t.vec)  # Displacement of each grain in this step [m], shape (grains,).
+        spin: wp.array(dtype=vec3)  # Angular velocity of each grain [rad/s], shape (grains,).
+        turn: wp.array(dtype=t.mat)  # Rotation of each grain since the start, shape (grains,).
 
     @wp.struct
     class Coarse:
-        count: wp.int32  # cubes that particles are gathered in
-        wide: wp.int32  # of them across the pipe, 3 at least
-        of: wp.array(dtype=wp.int32)  # cube of each particle, shape (n,)
-        first: wp.array(dtype=wp.int32)  # place of its particles in `member`, and their end, shape (count + 1,)
-        member: wp.array(dtype=wp.int32)  # particles by cubes, shape (n,)
-        neighbour: wp.array(dtype=wp.int32)  # cubes around each, -1: none, shape (3^d * count,)
-        coefficient: wp.array(dtype=scalar)  # with those; in the middle one over the diagonal, shape (3^d * count,)
-        diagonal: wp.array(dtype=scalar)  # shape (count,)
-        pair: wp.array(dtype=scalar)  # of each particle with the cubes around, shape (3^d * n,), of a GPU alone
+        count: wp.int32  # Number of cubes of the coarse grid.
+        wide: wp.int32  # Number of cubes across the pipe, at least 3.
+        of: wp.array(dtype=wp.int32)  # Cube of each particle, shape (n,).
+        first: wp.array(dtype=wp.int32)  # Start of each cube in `member`, then the end of the last, shape (count + 1,).
+        member: wp.array(dtype=wp.int32)  # Particles sorted by cube, shape (n,).
+        neighbour: wp.array(dtype=wp.int32)  # Cubes around each cube, -1 where there is none, shape (3^d * count,).
+        # Coupling of a cube with the cubes around it, shape (3^d * count,). The middle slot, which is the cube itself,
+        # holds 1 over the diagonal.
+        coefficient: wp.array(dtype=scalar)
+        diagonal: wp.array(dtype=scalar)  # Diagonal of the coarse matrix, shape (count,).
+        pair: wp.array(dtype=scalar)  # Coupling of each particle with the cubes around, shape (3^d * n,); GPU only.
 
     @wp.struct
     class Matrix:
-        near_capacity: wp.int32  # as that of the lists, and so the next two
-        near_count: wp.array(dtype=wp.int32)
-        near: wp.array(dtype=wp.int32)
-        coefficient: wp.array(dtype=scalar)  # of an entry of `near`
-        diagonal: wp.array(dtype=scalar)  # shape (n,) as the rest
-        drag: wp.array(dtype=scalar)  # resistance of the wall to motion along it [kg/m3/s]
-        free: wp.array(dtype=wp.int32)  # 1 at the free surface, whose pressure is none
-        position: wp.array(dtype=t.vec)  # as that of the particles [m]
-        bound: wp.int32  # rows of grains' particles, which come before those of mortar
+        near_capacity: wp.int32  # Maximum number of entries in a row of the matrix.
+        near_count: wp.array(dtype=wp.int32)  # Number of entries in each row of the matrix, shape (n,).
+        near: wp.array(dtype=wp.int32)  # Column of each entry of the matrix, shape (n * near_capacity,).
+        coefficient: wp.array(dtype=scalar)  # Coefficient of each entry of the matrix, shape (n * near_capacity,).
+        diagonal: wp.array(dtype=scalar)  # Diagonal of the matrix, shape (n,).
+        drag: wp.array(dtype=scalar)  # Resistance of the wall to motion along it [kg/m3/s], shape (n,).
+        free: wp.array(dtype=wp.int32)  # 1 where the unknown is held at 0, such as the pressure at a free surface.
+        position: wp.array(dtype=t.vec)  # Positions of the particles [m], shape (n,).
+        bound: wp.int32  # Number of rows that belong to rigid grains; they come before the rows of mortar.
         grains: Grains
         coarse: Coarse
 
     def solve_struct(value):
         @wp.struct
         class Solve:
-            residual: wp.array(dtype=value)  # shape (n,)
-            direction: wp.array(dtype=value)  # shape (n,); of a GPU (2n,): two in turn
-            product: wp.array(dtype=value)  # of the matrix and the direction, shape (n,)
-            preconditioned: wp.array(dtype=value)  # residual over the diagonal, shape (n,); of a GPU alone
-            load: wp.array(dtype=value)  # residual of each cube of the coarse grid, shape (cubes,)
-            lift: wp.array(dtype=value)  # its solution, two in turn, shape (2 cubes,)
-            change: wp.array(dtype=value)  # of that, shape (cubes,)
-            inner: wp.array(dtype=wp.float64)  # product of load and solution of each cube, shape (cubes,)
-            partial: wp.array(dtype=wp.float64)  # sums of each block or thread: three kinds, one after the other
-            least: wp.array(dtype=wp.float64)  # norm of the residual that is small enough, shape (1,)
-            outcome: wp.array(dtype=wp.float64)  # iterations, norms of the residual before and after, shape (OUTCOME,)
-            history: wp.array(dtype=wp.float64)  # norm of the residual after each iteration
+            residual: wp.array(dtype=value)  # Residual of the equations, shape (n,).
+            direction: wp.array(dtype=value)  # Search direction, shape (n,); on a GPU old and new one, shape (2n,).
+            product: wp.array(dtype=value)  # Product of the matrix and the search direction, shape (n,).
+            preconditioned: wp.array(dtype=value)  # Residual over the diagonal, shape (n,); GPU only.
+            load: wp.array(dtype=value)  # Sum of the residual in each cube of the coarse grid, shape (cubes,).
+            lift: wp.array(dtype=value)  # Coarse solution in two buffers, used alternately, shape (2 cubes,).
+            change: wp.array(dtype=value)  # Last change of the coarse solution, shape (cubes,).
+            inner: wp.array(dtype=wp.float64)  # Product of load and coarse solution in each cube, shape (cubes,).
+            partial: wp.array(dtype=wp.float64)  # Partial sums of each block or thread, for up to three different sums.
+            least: wp.array(dtype=wp.float64)  # Residual norm at which the solve stops, shape (1,).
+            outcome: wp.array(dtype=wp.float64)  # Iterations, then first and last residual norm, shape (OUTCOME,).
+            history: wp.array(dtype=wp.float64)  # Residual norm after each iteration.
 
         return Solve
 
@@ -170,20 +179,20 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
 
 @functools.cache
 def mps_functions(scalar, dimensions: int) -> SimpleNamespace:
-    """Weights and geometry of one precision in two or three dimensions."""
+    """Build the weight functions and geometric functions of one precision in two or three dimensions."""
     t = mps_types(scalar, dimensions)
     Flow = flow_struct(scalar)
     last = dimensions - 1
 
     @wp.func
     def across(x: t.vec) -> t.vec:
-        """The part of a vector that is not along the pipe."""
+        """Return the component of a vector across the pipe."""
         x[last] = scalar(0.0)
         return x
 
     @wp.func
     def outward(x: t.vec) -> t.vec:
-        """Unit vector from the axis to a place."""
+        """Return the unit vector from the pipe's axis towards `x`, or zero on the axis."""
         part = across(x)
         size = wp.length(part)
         if size > scalar(0.0):
@@ -192,22 +201,25 @@ def mps_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def beyond_room(flow: Flow, x: t.vec) -> scalar:
-        """How far a place is beyond where particles may be, a quarter of a spacing from the wall."""
+        """Return how far `x` exceeds the limit for particles [m], which is a quarter of a spacing from the wall."""
         return wp.length(across(x)) - (flow.radius - scalar(0.25) * flow.spacing)
 
     @wp.func
     def distance(flow: Flow, d: t.vec) -> scalar:
-        """Length of a vector between particles, never so small that a weight means nothing."""
+        """Return the length of a vector between particles [m], limited from below so that weights stay finite."""
         return wp.max(wp.length(d), scalar(1.0e-3) * flow.spacing)
 
     @wp.func
     def weight(r: scalar, reach: scalar) -> scalar:
-        """Koshizuka & Oka's weight (Xu, Li & Jiang 2021, Eq. 2)."""
+        """Return the weight of Koshizuka & Oka, ``reach / r - 1`` (Xu, Li & Jiang 2021, Eq. 2)."""
         return reach / r - scalar(1.0)
 
     @wp.func
     def density_weight(r: scalar, reach: scalar) -> scalar:
-        """Wendland's quintic: its sum hardly depends on how particles at the same density are arranged."""
+        """Return Wendland's quintic weight.
+
+        At equal density its sum hardly depends on how the particles are arranged.
+        """
         if r >= reach:
             return scalar(0.0)
         q = r / reach
@@ -217,13 +229,19 @@ def mps_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def slope_of_pair(pair_weight: scalar, d: t.vec, difference: scalar) -> t.vec:
-        """What a neighbour at `d` brings to the corrected gradient: times its distance squared, the Laplacian's weight
-        is the gradient's."""
+        """Return the contribution of a neighbour to the corrected gradient.
+
+        `d` is the vector to the neighbour and `difference` the difference of the field. `pair_weight` is the weight
+        of the Laplacian, which equals the weight of the gradient over the squared distance.
+        """
         return (pair_weight * wp.length_sq(d) * difference) * d
 
     @wp.func
     def inverse(m: t.mat) -> t.mat:
-        """Of a moment matrix; where too few neighbours fix it, that of its mean."""
+        """Return the inverse of a moment matrix.
+
+        Where too few neighbours make the matrix nearly singular, its mean diagonal is inverted instead.
+        """
         mean = wp.trace(m) / scalar(dimensions)
         whole = mean
         for _ in range(wp.static(dimensions - 1)):
@@ -241,9 +259,10 @@ def mps_functions(scalar, dimensions: int) -> SimpleNamespace:
 
 
 def row_place(serial: bool):
-    """Function of (row, entry, rows, capacity): where an entry of a row of a list lies.
+    """Return the function of (row, entry, rows, capacity) that locates a list's entry in its flat array.
 
-    A CPU walks a row, so its entries are neighbours; threads of a GPU walk many rows abreast, so those are.
+    A CPU reads one row after the other, so the entries of a row are contiguous. Neighbouring threads of a GPU read
+    the same entry of neighbouring rows, so there the same entries of all rows are contiguous.
     """
     return place_by_row if serial else place_by_entry
 
@@ -259,5 +278,5 @@ def place_by_entry(row: wp.int32, entry: wp.int32, rows: wp.int32, capacity: wp.
 
 
 def span(serial: bool) -> int:
-    """Rows that a task takes: many on a CPU, where a task costs, one on a GPU."""
+    """Return the number of rows per task: many on a CPU, where every task has a cost, and one on a GPU."""
     return SPAN if serial else 1

@@ -1,7 +1,7 @@
-"""Conjugate gradients with the coarse grid (`coarse.py`) in the preconditioner, a whole solve in one kernel.
+"""Conjugate gradients whose preconditioner contains the coarse grid of `coarse.py`; a whole solve is one kernel.
 
-As `conjugate_gradient.py` and `resident_solver.py` have it for the diagonal alone: a thread for each chunk of rows on a
-CPU, blocks that stay and wait for one another on a GPU.
+The structure is that of `conjugate_gradient.py` and `resident_solver.py`, which use the diagonal alone: on a CPU every
+thread processes some chunks of rows, and on a GPU the blocks stay resident and meet at barriers.
 """
 
 import functools
@@ -22,8 +22,11 @@ from .structs import array_structs, flow_struct
 
 @functools.cache
 def serial_correction(scalar, dimensions: int, vector: bool):
-    """`correct`: the coarse solution for the residual, into the arrays from the place that is given back; each part's
-    inner product of both."""
+    """Build `correct`, which solves the coarse equations for the present residual on a CPU.
+
+    It returns the index in `lift` at which the coarse solution begins, and stores each chunk's inner product of
+    residual and coarse solution in `partial`.
+    """
     cube, Solve = coarse_functions(scalar, dimensions, vector), solver_functions(scalar, dimensions, vector).Solve
     Matrix = array_structs(scalar, dimensions).Matrix
 
@@ -55,7 +58,10 @@ def serial_correction(scalar, dimensions: int, vector: bool):
 
 @functools.cache
 def serial_two_level(scalar, dimensions: int, vector: bool):
-    """Kernel of one task a thread: the whole solve; adds to `x`. Parameters are those of `serial_solver`."""
+    """Build the CPU kernel that does a whole solve and adds the solution to `x`; each thread launches one task.
+
+    The parameters are those of `serial_solver` in `conjugate_gradient.py`.
+    """
     f, rows = solver_functions(scalar, dimensions, vector), serial_rows(scalar, dimensions, vector, False)
     Solve, value = f.Solve, f.value
     Flow = flow_struct(scalar)
@@ -65,7 +71,7 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
 
     @wp.func
     def turn(first: wp.int32, end: wp.int32, beta: scalar, old: wp.int32, matrix: Matrix, system: Solve):
-        """New directions, from the residual over the diagonal, where `product` has it, and the coarse solution."""
+        """Compute new search directions from the residual over the diagonal (in `product`) and the coarse solution."""
         for i in range(first, end):
             now = system.product[i]
             if wp.static(vector) or matrix.free[i] == 0:
@@ -74,20 +80,20 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def solve(
-        # what is solved, and how well
+        # Input: equations, error code, tolerance and iteration limit.
         flow: Flow,
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
-        # chunks
+        # Input: chunks of this thread, and the barrier of all threads.
         parts: wp.int32,
         lower: wp.int32,
         upper: wp.int32,
         workers: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # state, read
+        # Input: state, which is only read.
         matrix: Matrix,
-        # written
+        # Output: arrays that are written.
         flags: wp.array(dtype=wp.int32),
         system: Solve,
         x: wp.array(dtype=value),
@@ -161,7 +167,7 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
             system.outcome[AFTER] = wp.sqrt(rr)
             if not rr <= goal:
                 flags[FAILED] = what
-        # Nobody may look at the flags before all have left the loop.
+        # All threads must have left the loop before one of them changes the flag that halts the flow.
         meet(gate, workers)
         if lower == 0 and flags[FAILED] != 0:
             flags[HALTED] = 1
@@ -172,7 +178,11 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
 
 @functools.cache
 def resident_correction(scalar, dimensions: int, vector: bool, width: int):
-    """`correct` as above, by blocks, a warp a cube. All must have waited for the residual, and do for the solution."""
+    """Build `correct`, which solves the coarse equations for the present residual on a GPU, with one warp per cube.
+
+    It returns the index in `lift` at which the coarse solution begins. The caller must place a barrier between the
+    residual and this function; the function itself ends with a barrier.
+    """
     cube, Solve = coarse_functions(scalar, dimensions, vector), solver_functions(scalar, dimensions, vector).Solve
     Matrix = array_structs(scalar, dimensions).Matrix
 
@@ -200,7 +210,10 @@ def resident_correction(scalar, dimensions: int, vector: bool, width: int):
 
 @functools.cache
 def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK):
-    """Kernel of `parties` blocks of `width` threads: the whole solve; adds to `x`. A wide block is alone."""
+    """Build the GPU kernel that does a whole solve and adds the solution to `x`.
+
+    It runs as `parties` blocks of `width` threads; a block of WIDE threads must be the only one.
+    """
     kept, summed, total = sum_functions(width).kept, sum_functions(width).summed, block_sums(width).total
     f, row = solver_functions(scalar, dimensions, vector), row_functions(scalar, dimensions, vector, False)
     Solve, value = f.Solve, f.value
@@ -210,7 +223,7 @@ def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK
 
     @wp.func
     def turn(i: wp.int32, count: wp.int32, beta: scalar, old: wp.int32, matrix: Matrix, system: Solve):
-        """The new direction."""
+        """Compute the new search direction of row `i` from both parts of the preconditioned residual."""
         if i < count:
             now = system.preconditioned[i]
             if wp.static(vector) or matrix.free[i] == 0:
@@ -233,17 +246,17 @@ def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK
 
     @wp.kernel(enable_backward=False, module="unique", launch_bounds=(width, 1 if width == WIDE else RESIDENT))
     def solve(
-        # what is solved, and how well
+        # Input: equations, error code, tolerance and iteration limit.
         count: wp.int32,
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
-        # blocks
+        # Input: number of blocks, and their barrier.
         parties: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # state, read
+        # Input: state, which is only read.
         matrix: Matrix,
-        # written
+        # Output: arrays that are written.
         flags: wp.array(dtype=wp.int32),
         system: Solve,
         x: wp.array(dtype=value),

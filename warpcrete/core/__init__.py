@@ -1,1 +1,1 @@
-"""What any method needs: errors, units, devices, parameters, launching, the run loop, files, provenance."""
+"""Code that all simulation methods share: errors, units, devices, parameters, kernel launches and the run loop."""

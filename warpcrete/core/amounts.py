@@ -1,4 +1,4 @@
-"""Amounts as people write them, `30 m3/h` or `125 mm`, in SI units."""
+"""Parser for amounts with units, such as `30 m3/h` or `125 mm`, which it converts to numbers in SI units."""
 
 from __future__ import annotations
 
@@ -35,22 +35,23 @@ UNITS = {
     "Pa s": {"Pa s": 1.0, "Pa.s": 1.0, "Pa·s": 1.0, "Pas": 1.0, "mPa s": 1e-3},
     "Pa s/m": {"Pa s/m": 1.0, "Pa.s/m": 1.0, "Pa·s/m": 1.0},
 }  # fmt: skip
-"""Units that people write, by the unit in which the program has an amount, and how many of the latter each is."""
+"""Accepted unit names, by internal unit: `UNITS[internal][written]` is the factor that converts a value in the written
+unit to the internal unit."""
 
 
 NUMBER = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)")
-"""A number, and the unit behind it."""
+"""Pattern of an amount: group 1 is the number, group 2 the unit that follows it (possibly empty)."""
 LONGEST = 100
-"""Characters of a number with its unit."""
+"""Maximum length of the text of an amount, in characters."""
 
 
 def _split(given: str) -> re.Match[str] | None:
-    """Return number and unit of a text; None where it is none of an amount."""
+    """Return the match of the pattern `NUMBER` with a text, or None if the text is not an amount."""
     return NUMBER.fullmatch(given.strip()) if len(given) <= LONGEST else None
 
 
 def bare_number(given: Any) -> bool:
-    """Return whether `given` is a number, or a text of one without a unit."""
+    """Return whether `given` is a number, or a text that holds a number without a unit."""
     if not isinstance(given, str):
         return isinstance(given, NUMBERS)
     text = _split(given)
@@ -58,9 +59,10 @@ def bare_number(given: Any) -> bool:
 
 
 def amount(field: str, given: Any, unit: str) -> float:
-    """Return a number in `unit`, one of :data:`UNITS`, from a number or from a text of a number and a unit.
+    """Return a number or a text such as "125 mm" as a number in `unit`.
 
-    Raises :class:`SceneError` for anything else.
+    `unit` is a key of :data:`UNITS`, and `field` names the parameter in error messages. A number without a unit counts
+    as a number in `unit`. Raises :class:`SceneError` for an unknown unit, or if `given` is not a finite number.
     """
     known = UNITS[unit]
     found, more = math.nan, ""

@@ -1,11 +1,11 @@
-"""Parameters whose values are objects of a declared class, such as contact laws: the class by name, its fields beside.
+"""Parameters whose values are objects, such as contact laws, and their plain form: a class name and numbers.
 
-A parameter `contact` takes an object, or the name of its class: a short one, or `package.module:Class`. The class's own
-fields are parameters as well, `contact_FIELD`, and so are the fields of an object among them. Records and the command
-know the object by these names and numbers alone.
+A parameter `contact` takes an object, or the name of its class: either a short name, or `package.module:Class`. Each
+field of that class becomes a parameter of its own, `contact_FIELD`; fields of nested objects are flattened in the same
+way. Records and the command line store an object only as its class name and these numbers.
 
-To import a class runs the code of its module. A name that Python or the command line gives is imported; one that a file
-names only if its module is imported already, or the user trusts the file.
+Importing a class runs the code of its module. A class named in Python or on the command line is imported. A class named
+in a file is imported only if its module is loaded already, or if the user trusts the file (`warpcrete --trust`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,10 @@ _trusted: ContextVar[bool] = ContextVar("trusted", default=False)
 
 @contextmanager
 def names_from_file() -> Iterator[None]:
-    """Import no module, while the block runs, because a file names it; also a decorator."""
+    """Forbid imports of modules that a file names, while the block runs; also usable as a decorator.
+
+    Modules that are loaded already stay usable. Inside :func:`trusted_files` the imports are allowed.
+    """
     token = _from_file.set(True)
     try:
         yield
@@ -42,7 +45,7 @@ def names_from_file() -> Iterator[None]:
 
 @contextmanager
 def trusted_files() -> Iterator[None]:
-    """Import the modules that files name all the same, while the block runs."""
+    """Allow imports of modules that a file names, while the block runs."""
     token = _trusted.set(True)
     try:
         yield
@@ -52,7 +55,11 @@ def trusted_files() -> Iterator[None]:
 
 @contextmanager
 def _folder_on_path() -> Iterator[None]:
-    """Find modules in the current folder as `python -m` does, but behind everything that is installed."""
+    """Add the current folder to the end of Python's module search path, while the block runs.
+
+    `python -m` puts the current folder first. Here it comes last, so that a local file cannot hide an installed
+    package.
+    """
     here = os.getcwd()
     if here in sys.path or "" in sys.path:
         yield
@@ -67,7 +74,7 @@ def _folder_on_path() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class ByName(Spread):
-    """Rule of a parameter whose values are objects of the classes in `classes`, by short names, or of a user's own."""
+    """Rule for a parameter whose value is an object of a class in `classes` (by short name) or of a user's class."""
 
     classes: Mapping[str, type]
 
@@ -75,12 +82,15 @@ class ByName(Spread):
         return hash(tuple(self.classes.items()))
 
     def fields(self, field: Field, value: Any) -> dict[str, Field]:
-        """Return the fields of the class that a value names or belongs to, as parameters."""
+        """Return the fields of the class that `value` names or belongs to, as parameters by name."""
         kind = self.class_of(field, value)
         return {} if kind is None else own_fields(field.name, kind)
 
     def assembled(self, field: Field, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return parameters with an object in place of its class's name and the parameters that belong to it."""
+        """Return parameters with an object in place of its class name and of the object's own parameters.
+
+        For example, the entries `contact` and `contact_FIELD` become one entry `contact` that holds the contact law.
+        """
         found, value = dict(values), values.get(field.name)
         kind = self.class_of(field, value)
         if kind is not None:
@@ -89,9 +99,9 @@ class ByName(Spread):
         return found
 
     def written(self, field: Field, value: Any) -> tuple[dict[str, Any], bool]:
-        """Return the name of an object's class and its fields, and whether these make the object again.
+        """Return an object's class name and field values, and whether these suffice to make an equal object.
 
-        They do not if the class cannot be found by its name, or has fields that are not declared.
+        They do not suffice if the class cannot be imported by its name, or if it has fields that are not declared.
         """
         if value is None:
             return {field.name: None}, True
@@ -110,14 +120,14 @@ class ByName(Spread):
         return {field.name: self.name_of(kind), **own}, same
 
     def name_of(self, kind: type) -> str:
-        """Return the name by which :meth:`class_of` finds a class."""
+        """Return the name by which :meth:`class_of` finds a class: its short name, or `module:Class`."""
         short = {each: name for name, each in self.classes.items()}
         return short.get(kind, f"{kind.__module__}:{kind.__qualname__}")
 
     def class_of(self, field: Field, value: Any) -> type | None:
-        """Return the class that a value of `field` names or belongs to; None where it is not given.
+        """Return the class that a value of `field` names or belongs to; return None if the value is None.
 
-        Raises :class:`SceneError` for a name that leads to no class of the field's kind.
+        Raises :class:`SceneError` if the name leads to no class of the kind that `field` requires.
         """
         if value is None:
             return None
@@ -146,7 +156,7 @@ def _imported(field: Field, value: str, module: str, name: str) -> type:
             raise SceneError(f"{field.name} = {value!r}: cannot be imported: {error}") from error
         refuse(field.name, value, f"there is no module {error.name!r} on Python's path",
                "run it from the module's folder, or set PYTHONPATH to that folder")  # fmt: skip
-    except Exception as error:  # whatever a module of the user's raises
+    except Exception as error:  # The import of a user's module may raise any exception.
         said = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise SceneError(f"{field.name} = {value!r}: cannot be imported ({said})") from error
     if found is None:
@@ -166,7 +176,7 @@ def _checked(field: Field, found: Any, name: str) -> type:
 
 
 def _note_source(kind: type) -> None:
-    """Count the file of a user's class among the files that a scene reads."""
+    """Record the source file of a user's class among the input files of the scene."""
     if kind.__module__ == "__main__":
         return
     with suppress(TypeError, OSError):
@@ -175,13 +185,16 @@ def _note_source(kind: type) -> None:
 
 
 def own_fields(name: str, kind: type) -> dict[str, Field]:
-    """Return the fields of a class as parameters, whose names begin with `name`."""
+    """Return the fields of a class as parameters, whose names begin with `name` and an underscore."""
     group = f"Parameters of {name.replace('_', ' ')} {kind.__name__}."
     return {key: replace(field, name=key, group=group) for key, (field, _) in _leaves(name, kind)}
 
 
 def _leaves(name: str, kind: type) -> Iterator[tuple[str, tuple[Field, tuple[str, ...]]]]:
-    """Yield parameter name, field and path from the object for each field that holds a plain value."""
+    """Yield each field that holds a plain value, as (parameter name, (field, attribute path from the object)).
+
+    Fields that are dataclasses are entered recursively.
+    """
     for own, field in declared_fields(kind).items():
         if is_dataclass(field.kind):
             for key, (leaf, path) in _leaves(f"{name}_{own}", field.kind):
@@ -191,7 +204,7 @@ def _leaves(name: str, kind: type) -> Iterator[tuple[str, tuple[Field, tuple[str
 
 
 def _object(name: str, kind: type, given: Any, values: Mapping[str, Any]) -> Any:
-    """Return an object of a class: as `given`, with `values` in place of its own ones."""
+    """Return an object of class `kind`: a new one, or a copy of `given` whose fields in `values` are replaced."""
     changes: dict[str, Any] = {}
     factories = {f.name for f in fields(kind) if f.default_factory is not MISSING}
     for own, field in declared_fields(kind).items():

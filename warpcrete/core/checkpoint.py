@@ -1,4 +1,4 @@
-"""Checkpoints: everything that the next step depends on, in one file that is complete or not there."""
+"""Checkpoint files, which hold the complete state of a run; an interrupted write never leaves half a file."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ FORMAT = 7
 
 
 def write_beside(path: Path, scene: Any, device: Any, precision: str, contents: dict[str, Any]) -> None:
-    """Write a checkpoint of a run of `scene` to a partial file beside `path`; :func:`commit` puts it in place.
+    """Write a checkpoint of a run of `scene` to a partial file next to `path`; :func:`commit` puts it in place.
 
-    `contents` holds numbers, text, arrays and dictionaries of them. Until `commit`, the previous checkpoint stays at
-    `path`, so that a run whose recorders fail to keep their part goes on from a moment that everybody has on disk.
-    Raises :class:`RunFolderError` where the file cannot be written.
+    `contents` holds numbers, texts, arrays and dictionaries of these. The file is a NumPy archive (npz) with a SHA-256
+    digest of its contents. The previous checkpoint stays at `path` until `commit`. If a recorder fails to write its
+    part, the run can therefore go on from a state that all recorders have on disk. Raises :class:`RunFolderError` if
+    the file cannot be written.
     """
     arrays: dict[str, np.ndarray] = {}
     text = {
@@ -53,7 +54,10 @@ def write_beside(path: Path, scene: Any, device: Any, precision: str, contents: 
 
 
 def commit(path: Path) -> None:
-    """Replace the checkpoint at `path` by the one that :func:`write_beside` wrote."""
+    """Replace the checkpoint at `path` by the partial file that :func:`write_beside` wrote.
+
+    Raises :class:`RunFolderError` if the system refuses this.
+    """
     try:
         partial_of(path).replace(path)
     except OSError as error:
@@ -61,15 +65,16 @@ def commit(path: Path) -> None:
 
 
 def discard(path: Path) -> None:
-    """Remove what :func:`write_beside` wrote; the checkpoint at `path` stays."""
+    """Remove the partial file that :func:`write_beside` wrote; keep the checkpoint at `path`."""
     with suppress(OSError):
         partial_of(path).unlink(missing_ok=True)
 
 
 def read(path: Path, scene: Any, device: Any, precision: str) -> dict[str, Any]:
-    """What :func:`write_beside` was given, if it belongs to the same scene, kind of device, precision and versions.
+    """Return the contents of a checkpoint of the same scene, kind of device, precision and package versions.
 
-    Raises :class:`RunFolderError` with the reason for any other file.
+    Raises :class:`RunFolderError` with the reason if the file is missing, damaged or belongs to another run. A
+    different processor only causes a warning, because results may then differ in the last bits.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
@@ -110,7 +115,7 @@ def read(path: Path, scene: Any, device: Any, precision: str) -> dict[str, Any]:
 
 
 def remove(path: Path) -> None:
-    """Remove a checkpoint, and what an interruption left of writing one."""
+    """Remove a checkpoint, and the partial file that an interrupted write may have left."""
     path.unlink(missing_ok=True)
     discard(path)
 
@@ -132,7 +137,7 @@ def _digest(arrays: dict[str, np.ndarray]) -> bytes:
 
 
 def _flatten(value: Any, name: str, arrays: dict[str, np.ndarray]) -> Any:
-    """JSON of `value`; arrays in it go to `arrays` and leave their name."""
+    """Return `value` as JSON data; move arrays to `arrays` and leave a reference by name in their place."""
     if isinstance(value, np.ndarray):
         arrays[name] = value
         return {"array": name}

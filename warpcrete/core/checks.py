@@ -1,4 +1,4 @@
-"""Acceptance of runs: what a scene checks, and the option that cures a check that failed."""
+"""Acceptance checks of finished runs, with the option that usually cures a failed check."""
 
 from __future__ import annotations
 
@@ -8,11 +8,15 @@ from functools import wraps
 from .run import Run
 
 Check = Callable[[Run], dict[str, tuple[bool, str]]]
-"""Takes a finished run and returns for each name of a check whether it passed, and what was found."""
+"""Function that takes a finished run. It returns, by the name of each check, whether the run passed and a text with the
+finding."""
 
 
 def with_cures(cures: Mapping[str, str]) -> Callable[[Check], Check]:
-    """Return a decorator of a check: it adds the usual cure to what was found of each entry that failed."""
+    """Return a decorator that adds the usual cure to the finding of each failed check.
+
+    `cures` maps the name of a check to a text with the cure.
+    """
 
     def decorate(check: Check) -> Check:
         @wraps(check)

@@ -1,15 +1,16 @@
-"""Concretes by name or from a file: what each method takes them for.
+"""Concretes by name or from a file, with the parameters that each simulation method takes from them.
 
-A file is YAML (or JSON) with up to two sections of parameters by name, both in SI units:
+A file is YAML or JSON with up to two sections of parameters, both in SI units:
 
-- `elements`: of scenes of discrete elements, as `warpcrete run pipe --help` lists them under aggregate, contacts and
-  bonds;
-- `flow`: the five constants of a Bingham fluid with a slip layer;
+- `elements`: parameters of scenes with discrete elements, which `warpcrete run pipe --help` lists under aggregate,
+  contacts and bonds;
+- `flow`: the five constants of a Bingham fluid with a slip layer.
 
-or with a section `mix`, which stands for both (:mod:`warpcrete.mix`): amounts there have their units.
+A section `mix` may take the place of both; it describes the concrete by amounts with units, from which
+:mod:`warpcrete.mix` derives the parameters.
 
-`base` names a concrete whose sections the file's own values complete or replace; `source` and `calibrated` say where
-the numbers come from.
+The key `base` names another concrete, whose sections the values in this file complete or replace. The keys `source` and
+`calibrated` say where the numbers come from.
 """
 
 from __future__ import annotations
@@ -29,12 +30,12 @@ SECTIONS = ("elements", "flow")
 TEXTS = ("name", "source", "calibrated", "base")
 KEYS = (*TEXTS, *SECTIONS, "mix")
 LONGEST_CHAIN = 10
-"""Of concretes that are each the base of the next."""
+"""Maximum number of concretes in a chain in which each one is the base of the next."""
 
 
 @dataclass(frozen=True)
 class MixSection:
-    """What a file says of a mix, unread, and its own entries for what would follow from it."""
+    """Section `mix` of a concrete's file, not yet evaluated, and the file's values that override the mix's results."""
 
     values: Any
     folder: Path
@@ -44,31 +45,34 @@ class MixSection:
 
 @dataclass(frozen=True)
 class NamedConcrete:
-    """What is known of a concrete."""
+    """Parameters of a concrete for each simulation method, and the source of the numbers."""
 
     name: str
     source: str = ""
     calibrated: str = ""
-    """What was fitted, and to what; nothing if all is as published or measured."""
+    """Which parameters were fitted, and to which measurement; empty if all values are published or measured."""
     elements: Mapping[str, Any] = field(default_factory=dict)
-    """Parameters of discrete elements; empty where nothing is known."""
+    """Parameters of discrete elements, in SI units; empty if unknown."""
     flow: Mapping[str, float] = field(default_factory=dict)
-    """Constants of a Bingham fluid with a slip layer; empty where nothing is known."""
+    """Constants of a Bingham fluid with a slip layer, in SI units; empty if unknown."""
     mix: MixSection | None = None
 
 
 def shipped() -> tuple[str, ...]:
-    """Names of the concretes that come with the package."""
+    """Return the names of the concretes that come with the package."""
     return tuple(sorted(path.stem for path in SHIPPED.glob("*.yaml")))
 
 
 def is_file(name: str) -> bool:
-    """Is a concrete of this name read from a file of the user's?"""
+    """Return whether the name of a concrete is the path of a YAML or JSON file."""
     return Path(name).suffix.lower() in FILES
 
 
 def concrete(name: str) -> NamedConcrete:
-    """The concrete of a name or a path. Raises :class:`SceneError` where there is none, or its file is wrong."""
+    """Return the concrete with a shipped name or from a file.
+
+    Raises :class:`SceneError` if there is no such concrete, or if its file has errors.
+    """
     if is_file(name):
         return _read(Path(name), 0)
     if name not in shipped():
@@ -102,7 +106,8 @@ def _read(path: Path, depth: int) -> NamedConcrete:
     mix = MixSection(given["mix"], path.parent, **sections) if "mix" in given else None
     if "base" in texts:
         base = _base(texts.pop("base"), path, depth)
-        if mix is None and base.mix is not None:  # the file's own entries go before what follows from it, too
+        # Values in this file take precedence over values that follow from the mix of its base.
+        if mix is None and base.mix is not None:
             mix = replace(base.mix, **{section: {**getattr(base.mix, section), **sections[section]}
                                        for section in SECTIONS})  # fmt: skip
         sections = {section: dict(getattr(base, section)) | sections[section] for section in SECTIONS}
@@ -124,7 +129,7 @@ def _base(name: str, path: Path, depth: int) -> NamedConcrete:
 
 
 def known_only(section: str, values: Mapping[str, Any], known: Collection[str], name: str) -> dict[str, Any]:
-    """Values of a section of the concrete `name`, all of which must be `known`."""
+    """Return the values of a section of the concrete `name`; refuse a value whose key is not in `known`."""
     for key in values:
         if key not in known:
             refuse(f"concrete {section}", key, f"is not known (in {name})", known_names(key, known))

@@ -1,8 +1,9 @@
-"""Whether threads that wait for one another many times a step have a core each, on a machine that others use too.
+"""Detection of core contention: threads that wait for one another lose time if other processes use their cores.
 
-Where another process wants a core, the thread that shares it is late at every barrier by a slice of the scheduler,
-milliseconds, and all wait for it. Then one thread had better do the work of all, chunk by chunk: what it computes is
-the same. Threads that are as many as the cores take one each.
+Threads of a run meet at barriers many times per step. If another process occupies the core of one thread, that thread
+arrives late by a time slice of the scheduler (milliseconds), and all other threads wait for it. One thread that
+computes all chunks in turn is then faster and gives the same results. If there are as many threads as cores, each
+thread is pinned to a core of its own.
 """
 
 from __future__ import annotations
@@ -15,32 +16,36 @@ from collections.abc import Callable
 from pathlib import Path
 
 WINDOW = 0.01
-"""Time of stepping [s] from one look at the threads to the next."""
+"""Stepping time between two checks for core contention [s]."""
 LATE = 0.4
-"""Part of that time that threads may wait for a core."""
+"""Fraction of the stepping time that the threads together may wait for a core; more counts as contention."""
 HOLD = 0.5, 8.0
-"""Shortest and longest time [s] that one thread does the work of all before they are tried again."""
+"""Shortest and longest time for which one thread does all work before several threads are tried again [s]."""
 
 
 def own_cores(threads: int) -> Callable[[], None]:
-    """What each of so many threads does first: it takes a core for itself, where there are as many as threads.
+    """Return a function that pins the calling thread to a core, if there are as many cores as threads.
 
-    A system may wake two threads on one core and move one of them only milliseconds later. Where threads are fewer than
-    cores it is left to find free ones.
+    Each thread calls this function once when it starts. Without pinning, the system may wake two threads on one core
+    and move one of them to another core only milliseconds later. With fewer threads than cores, the system chooses free
+    cores.
     """
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
     places = iter(cores)
 
     def take() -> None:
         if len(cores) == threads:
-            with contextlib.suppress(OSError):  # a core may be taken from this process meanwhile
-                os.sched_setaffinity(0, {next(places)})  # of the thread that calls
+            with contextlib.suppress(OSError):  # The process may have lost this core in the meantime.
+                os.sched_setaffinity(0, {next(places)})  # The number 0 means the calling thread.
 
     return take
 
 
 def waited(thread: int) -> float:
-    """Time that a thread of this process was ready to run and had no core [s]; 0 where the system does not say."""
+    """Return the time that a thread of this process was ready to run but had no core [s]; 0 if unknown.
+
+    Linux reports this time in `/proc/self/task/THREAD/schedstat`.
+    """
     try:
         return 1e-9 * int(Path(f"/proc/self/task/{thread}/schedstat").read_text(encoding="utf-8").split()[1])
     except (OSError, ValueError, IndexError):
@@ -48,7 +53,11 @@ def waited(thread: int) -> float:
 
 
 class Crowding:
-    """Watches threads, and says whether they had better be one."""
+    """Monitor of core contention, which decides whether one thread should do the work of all threads.
+
+    Two late windows in a row count as contention. One thread then does all work for a time `HOLD`, which doubles after
+    each new attempt with several threads that fails.
+    """
 
     def __init__(self) -> None:
         self.crowded = False
@@ -59,23 +68,26 @@ class Crowding:
         self._sure = self._suspected = False
 
     def enter(self) -> None:
-        """To be called by each thread when it sets out."""
+        """Register the calling thread, so that its waiting time is monitored."""
         self._threads.add(threading.get_native_id())
 
     @property
     def on_trial(self) -> bool:
-        """Nobody knows yet whether there are cores enough: the next steps had better be few."""
+        """Whether it is still unknown if there are enough cores; the caller should then take few steps at a time."""
         return not self.crowded and not self._sure
 
     def look(self) -> bool:
-        """Whether one thread is to do the next steps of all."""
+        """Return whether one thread should do the next steps for all threads."""
         if self.crowded and time.monotonic() > self._until:
             self.crowded = self._sure = False
             self._stepped, self._late = 0.0, sum(map(waited, self._threads))
         return self.crowded
 
     def stepped(self, seconds: float) -> None:
-        """So much time was spent on steps by all threads; none of them runs now."""
+        """Add the wall time [s] that all threads spent on steps, and check for contention at the end of a window.
+
+        None of the threads may be running during this call.
+        """
         self._stepped += seconds
         if self._stepped < WINDOW:
             return
@@ -83,9 +95,9 @@ class Crowding:
         if late - self._late <= LATE * self._stepped:
             self._sure, self._suspected, self._hold = True, False, HOLD[0]
         elif not self._suspected:
-            self._sure, self._suspected = False, True  # one late window may be chance
+            self._sure, self._suspected = False, True  # A single late window may be a coincidence.
         else:
             self.crowded, self._suspected = True, False
             self._until = time.monotonic() + self._hold
-            self._hold = min(2 * self._hold, HOLD[1])  # each time in vain the next try is later
+            self._hold = min(2 * self._hold, HOLD[1])  # Each failed attempt doubles the wait.
         self._stepped, self._late = 0.0, late

@@ -1,4 +1,4 @@
-"""Where a run computes: devices, their memory and cores, the two precisions, and the two ways of sharing out work."""
+"""Devices of a run: their memory and cores, the two floating-point precisions, and how work is divided on them."""
 
 from __future__ import annotations
 
@@ -17,23 +17,26 @@ from .errors import DeviceError, one_of, refuse
 PRECISIONS = ("float32", "float64")
 SCALARS = dict(zip(PRECISIONS, (wp.float32, wp.float64), strict=True))
 MEMORY_FRACTION = 0.9
-"""Of the memory that is free, what a run may take."""
+"""Fraction of the free memory that a run may use."""
 
 _every_device_parallel = False
 
 
 def parallel(device: Any) -> bool:
-    """Whether work on a device is shared out as on a GPU: a task for each body, which no other task may wait for.
+    """Return whether work on a device is divided as on a GPU: into one independent task per body.
 
-    Otherwise, on a CPU, a few tasks go through many bodies each. Full neighbour lists, launch sizes, graphs and the
-    parallel solver all follow from this.
+    Otherwise, on a CPU, a few tasks loop over many bodies each. Full neighbour lists, launch sizes, graphs and the
+    parallel solver depend on this choice.
     """
     return bool(device.is_cuda) or _every_device_parallel
 
 
 @contextmanager
 def share_out_like_a_gpu() -> Iterator[None]:
-    """Let a CPU take every way that a GPU takes, as far as it can: slow, for tests where there is no GPU."""
+    """Make the CPU divide work as a GPU does, as far as it can, while the block runs.
+
+    This is slow. It lets tests run the GPU's code paths on a machine without a GPU.
+    """
     global _every_device_parallel
     before, blocks = _every_device_parallel, wp.config.enable_cpu_blocks
     _every_device_parallel = wp.config.enable_cpu_blocks = True
@@ -44,7 +47,10 @@ def share_out_like_a_gpu() -> Iterator[None]:
 
 
 def find_device(name: str | None) -> Any:
-    """Warp device by name (`cpu`, `cuda`, `cuda:0`), or :class:`DeviceError`; None takes a GPU if there is one."""
+    """Return the Warp device with a name (`cpu`, `cuda`, `cuda:0`); None selects a GPU if there is one.
+
+    Raises :class:`DeviceError` if there is no such device.
+    """
     quiet_init()
     available = [str(device) for device in wp.get_devices()]
     if name is None:
@@ -58,7 +64,7 @@ def find_device(name: str | None) -> Any:
 
 
 def quiet_init() -> None:
-    """Start Warp without its banner, its compile notes and, where there is no NVIDIA driver, its warning of that."""
+    """Start Warp without its banner, its compile messages and its warning about a missing NVIDIA driver."""
     wp.config.log_level = wp.LOG_ERROR
     try:
         ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
@@ -66,7 +72,8 @@ def quiet_init() -> None:
         return
     except OSError:
         pass
-    # Warp's native code writes that warning to the process's standard error, whatever its settings.
+    # Warp's native code writes its driver warning directly to the process's standard error, regardless of settings, so
+    # redirect standard error for a moment.
     sys.stderr.flush()
     kept, sink = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
@@ -79,24 +86,27 @@ def quiet_init() -> None:
 
 
 def scalar_of(precision: str) -> Any:
-    """Warp's scalar type of a precision, or :class:`SceneError`."""
+    """Return Warp's scalar type for a precision; raises :class:`SceneError` for an unknown precision."""
     one_of("precision", precision, PRECISIONS)
     return SCALARS[precision]
 
 
 def default_threads() -> int:
-    """CPU cores that this process may use, by its affinity and its container's quota."""
+    """Return the number of CPU cores that this process may use, by its affinity and its container's quota."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     try:
         quota, period = Path("/sys/fs/cgroup/cpu.max").read_text(encoding="utf-8").split()
         cores = min(cores, max(1, int(quota) // int(period)))
-    except (OSError, ValueError):  # no such file, or no quota
+    except (OSError, ValueError):  # The file does not exist, or it states no quota.
         pass
     return cores
 
 
 def checked_threads(threads: int | None) -> int:
-    """A number of threads that this machine has cores for; None takes all of them."""
+    """Return `threads`, or the number of usable cores if `threads` is None.
+
+    Raises :class:`SceneError` unless `threads` is between 1 and the number of the machine's cores.
+    """
     if threads is None:
         return default_threads()
     cores = os.cpu_count() or 1
@@ -106,7 +116,7 @@ def checked_threads(threads: int | None) -> int:
 
 
 def memory_free(device: Any) -> float:
-    """Memory that is free on a device [B]."""
+    """Return the free memory of a device [B]; for a CPU, the available main memory, or infinity if unknown."""
     if device.is_cuda:
         return float(device.free_memory)
     try:

@@ -1,4 +1,4 @@
-"""What recorders draw of a run, whatever its method: bodies, walls, curves, a place for the eye."""
+"""Data that recorders draw of a run by any method: bodies, walls, plots over time and space, and a camera view."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .moments import Moment, moment_of, on_host
 from .paint import Paint, packed
 
 Colour = tuple[int, int, int, int]
-"""Red, green, blue and opacity, 0 to 255."""
+"""Colour as red, green, blue and opacity, each from 0 to 255."""
 GLASS: Colour = (150, 165, 180, 22)
 PISTON: Colour = (190, 110, 60, 255)
 OTHER: Colour = (150, 165, 180, 120)
@@ -24,69 +24,69 @@ OTHER: Colour = (150, 165, 180, 120)
 
 @dataclass(frozen=True)
 class DrawnWall:
-    """A wall as a triangle mesh in its own frame."""
+    """Wall as a triangle mesh in the wall's own frame."""
 
     name: str
     vertices: np.ndarray
-    """[m], shape (v, 3)."""
+    """Positions of the vertices [m], shape (v, 3)."""
     faces: np.ndarray
-    """Shape (f, 3)."""
+    """Vertex indices of the triangles, shape (f, 3)."""
     moves: bool
     colour: Colour
 
 
 @dataclass(frozen=True)
 class Prototype:
-    """Shape that several bodies have, at unit size."""
+    """Shape of rigid bodies at unit size, as a clump of spheres; several bodies share one shape."""
 
     name: str
     offsets: np.ndarray
-    """Of its spheres' centres, shape (k, 3)."""
+    """Centres of the clump's spheres at unit size, relative to the centroid, shape (k, 3)."""
     radii: np.ndarray
-    """Shape (k,)."""
+    """Radii of the clump's spheres at unit size, shape (k,)."""
     extent: float
-    """Largest distance of its surface from the centroid."""
+    """Largest distance of the clump's surface from its centroid, at unit size."""
 
 
 @dataclass(frozen=True)
 class RigidBodies:
-    """Bodies that share a few shapes, in order of their permanent numbers."""
+    """Shapes and sizes of rigid bodies, in the order of the bodies' permanent numbers."""
 
     prototypes: tuple[Prototype, ...]
     prototype: np.ndarray
-    """Of each body, shape (n,)."""
+    """Index of each body's shape in `prototypes`, shape (n,)."""
     sizes: np.ndarray
-    """[m], shape (n,)."""
+    """Size of each body [m], by which its unit-size shape is multiplied, shape (n,)."""
 
 
 @dataclass(frozen=True)
 class Pose:
-    """Where rigid bodies are, in order of their permanent numbers."""
+    """Positions, orientations and velocities of rigid bodies, in the order of the bodies' permanent numbers."""
 
     positions: np.ndarray
-    """[m], shape (n, 3)."""
+    """Positions of the bodies [m], shape (n, 3)."""
     orientations: np.ndarray
-    """Unit quaternions x, y, z, w, shape (n, 4)."""
+    """Orientations of the bodies as unit quaternions (x, y, z, w), shape (n, 4)."""
     velocities: np.ndarray
-    """[m/s], shape (n, 3)."""
+    """Velocities of the bodies [m/s], shape (n, 3)."""
 
 
 @dataclass(frozen=True)
 class Curve:
-    """A line over time."""
+    """Curve of a quantity over time, in a plot."""
 
     name: str
-    """Of its path below the plot's."""
+    """Last part of the curve's path in a recording, after the path of its plot."""
     label: str
-    """With the unit."""
+    """Text in the plot's legend, with the unit."""
     value: Callable[[dict[str, float]], float | None]
-    """Of a row of the series; None draws nothing."""
+    """Function that takes a row of the series and returns the value to draw, or None to draw nothing."""
     colour: tuple[int, int, int] | None = None
 
 
 @dataclass(frozen=True)
 class Plot:
-    """Curves over one another."""
+    """Plot of one or more quantities over time."""
 
     path: str
     title: str
@@ -95,47 +95,51 @@ class Plot:
 
 @dataclass(frozen=True)
 class Points:
-    """A curve over a place, at the moment that is drawn."""
+    """Curve of a quantity over a spatial coordinate, at the time that is drawn."""
 
     name: str
-    """Of its path below the profile's."""
+    """Last part of the curve's path in a recording, after the path of its profile."""
     read: Callable[[], tuple[np.ndarray, np.ndarray]]
-    """Places and values, both (n,), in the units of the profile's title."""
+    """Function that returns coordinates and values, each of shape (n,), in the units stated in the profile's title."""
     colour: tuple[int, int, int]
 
 
 @dataclass(frozen=True)
 class Profile:
-    """Curves over a place, one over another."""
+    """Plot of one or more quantities over a spatial coordinate."""
 
     path: str
     title: str
-    """With what is drawn over what, and the units."""
+    """Title that names the quantities on both axes and their units."""
     curves: tuple[Points, ...]
 
 
 @dataclass(frozen=True)
 class Lines:
-    """Lines between bodies."""
+    """Lines between bodies, such as force chains."""
 
     ends: np.ndarray
-    """[m], shape (n, 2, 3)."""
+    """End points of the lines [m], shape (n, 2, 3)."""
     forces: np.ndarray
-    """That they carry [N], shape (n,)."""
+    """Forces that the lines carry [N], shape (n,)."""
     radii: np.ndarray
-    """[m], shape (n,)."""
+    """Radii with which the lines are drawn [m], shape (n,)."""
     colours: np.ndarray
-    """RGB bytes, shape (n, 3)."""
+    """Colours of the lines as RGB bytes, shape (n, 3)."""
 
 
 class Display(ABC):
-    """A simulation as recorders draw it, bodies coloured by `colouring`, one of `colourings`; None: what shows most."""
+    """Simulation as recorders draw it, with bodies coloured by the quantity `colouring`.
+
+    `colouring` is one of `colourings`; None selects the attribute `preferred`. Raises :class:`SceneError` for another
+    value.
+    """
 
     colourings: ClassVar[tuple[str, ...]]
     noun: ClassVar[str]
-    """What the bodies are called; recordings have them under this word."""
+    """Word for the bodies, such as "particles", under which recordings store them."""
     has_network: ClassVar[bool] = False
-    """There are lines between bodies to be drawn."""
+    """Whether there are lines between bodies to draw."""
 
     def __init__(self, simulation: Any, colouring: str | None = None) -> None:
         self.simulation = simulation
@@ -147,14 +151,14 @@ class Display(ABC):
         self._complete = False
 
     def read(self, path: str) -> np.ndarray:
-        """An array of the state by its path, such as "bodies.velocity", at the moment that is drawn."""
+        """Return an array of the state by its path, such as "bodies.velocity", at the time that is drawn."""
         return self.once(path, lambda: attrgetter(path)(self.simulation.state))
 
     def once(self, name: str, source: Callable[[], Any]) -> Any:
-        """What hangs on the state at the moment that is drawn: from a moment that was taken, or from `source` now.
+        """Return the result of `source`, which depends on the state at the time that is drawn.
 
-        Displays of one simulation that read something by the same name get the same, not to be written to. An array of
-        a device comes as one of NumPy.
+        While a snapshot is drawn, the value stored under `name` in the snapshot is returned instead. All displays of a
+        simulation share the values of a snapshot, so do not write to them. A Warp array is returned as a NumPy array.
         """
         if self._taken is not None:
             self._give_way()
@@ -163,13 +167,15 @@ class Display(ABC):
         return on_host(source())
 
     def worked_out(self, name: Hashable, work: Callable[[], Any]) -> Any:
-        """What `work` makes of what was read of the moment that is drawn, not to be written to: once for all displays
-        of the simulation that have it by the same name.
+        """Return the result of `work`, which processes values of the snapshot that is drawn.
+
+        The result is stored under `name`, so that it is computed once for all displays of the simulation. Do not write
+        to the result.
         """
         if self._taken is None:
             return work()
         known = self._taken.worked_out
-        if name not in known:  # of two that find it missing the second replaces the first's, which is the same
+        if name not in known:  # Two threads may both compute the value; their results are equal.
             known[name] = work()
         return known[name]
 
@@ -179,9 +185,10 @@ class Display(ABC):
         return self.simulation.stepper.time if self._taken is None else self._taken.time
 
     def draw(self, later: Later, job: Callable[[float, int], None]) -> None:
-        """Have a job draw the state as it is now, of which it is given time [s] and steps.
+        """Let `job` draw the present state; its arguments are the simulated time [s] and the number of steps.
 
-        The first one is done at once, and shows what is to be read; of later ones that is read now.
+        The first job runs at once and shows which values it reads. For a later job, these values are read now into a
+        snapshot, and the recorder thread `later` runs the job.
         """
         time, steps = self.simulation.stepper.time, self.simulation.stepper.steps
         if not later.beside or not self._complete:
@@ -202,94 +209,110 @@ class Display(ABC):
 
     @property
     def preferred(self) -> str:
-        """What colours show unless they are told to."""
+        """Colouring that is used if the user chooses none."""
         return self.colourings[0]
 
     @abstractmethod
     def radii(self) -> np.ndarray:
-        """Of all spheres [m], shape (n,); they do not change."""
+        """Return the radii of all spheres [m], shape (n,); the radii never change."""
 
     @abstractmethod
     def centres(self) -> np.ndarray:
-        """Of all spheres [m], shape (n, 3)."""
+        """Return the centres of all spheres [m], shape (n, 3)."""
 
     @abstractmethod
     def colours(self) -> np.ndarray:
-        """RGB bytes of all spheres, shape (n, 3)."""
+        """Return the colours of all spheres as RGB bytes, shape (n, 3)."""
 
     def packed_colours(self) -> np.ndarray:
-        """The same as one number each, shape (n,): see :func:`.paint.packed`."""
+        """Return the colours of all spheres as one number each, shape (n,): see :func:`.paint.packed`."""
         return packed(self.colours())
 
     def fields(self) -> dict[str, np.ndarray]:
-        """Quantities of all spheres in SI units by name, shape (n,) or (n, 3)."""
+        """Return quantities of all spheres in SI units by name, each of shape (n,) or (n, 3)."""
         return {}
 
     @abstractmethod
     def plots(self) -> tuple[Plot, ...]:
-        """Curves beside the scene."""
+        """Return the plots over time that are shown next to the scene."""
 
     def profiles(self) -> tuple[Profile, ...]:
-        """Curves over the radius, or along the way, beside the scene."""
+        """Return the plots over the radius or along the pipe that are shown next to the scene."""
         return ()
 
     def scale(self) -> tuple[str, float, float] | None:
-        """What colours show, with its unit as read, and its values at both ends; None for colours of things."""
+        """Return the colour scale's title with its unit, and the values at both ends of the scale.
+
+        Return None if colours show categories instead of a quantity.
+        """
         return None
 
     def things(self) -> dict[str, np.ndarray]:
-        """RGB bytes (3,) of what colours tell apart, by name, where they show no quantity."""
+        """Return the colour of each category as RGB bytes (3,), by name; empty if colours show a quantity."""
         return {}
 
     @abstractmethod
     def walls(self) -> list[DrawnWall]:
-        """Walls that can be drawn."""
+        """Return the walls that can be drawn."""
 
     @abstractmethod
     def bounds(self) -> np.ndarray:
-        """Lowest and highest corner of what there is to see, shape (2, 3) [m]."""
+        """Return the lowest and highest corner of everything that is drawn [m], shape (2, 3)."""
 
     direction: ClassVar[tuple[float, float, float]] = (0.2, -0.95, 0.24)
-    """From what there is to see to the eye."""
+    """Direction from the scene to the camera."""
 
     def paint(self) -> Paint | None:
-        """Colours of painted walls, on a scale that only grows; None where no wall is painted."""
+        """Return the colours of painted walls, such as worn ones, on a scale that only grows.
+
+        Return None if no wall is painted.
+        """
         return None
 
     def wall_values(self, number: int) -> np.ndarray | None:
-        """Of the vertices of a drawn wall (v,) what :meth:`paint` shows, as read; None where it has one colour."""
+        """Return the painted quantity at the vertices of a drawn wall, shape (v,), in the displayed unit.
+
+        Return None for a wall of a single colour.
+        """
         return None
 
     def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Position [m] (3,) and orientation (x, y, z, w) of a drawn wall now."""
+        """Return the current position [m] (3,) and orientation (x, y, z, w) of a drawn wall."""
         return np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
 
     def rigid_bodies(self) -> RigidBodies | None:
-        """Shapes of the bodies; None where bodies are single particles."""
+        """Return the shapes of the bodies; return None if the bodies are single particles."""
         return None
 
     def pose(self) -> Pose:
-        """Where rigid bodies are."""
+        """Return the current positions, orientations and velocities of the rigid bodies.
+
+        Raises TypeError if there are no rigid bodies.
+        """
         raise TypeError(f"{type(self).__name__} draws no rigid bodies")
 
     def body_colours(self) -> np.ndarray:
-        """RGB bytes of all bodies, shape (n, 3)."""
+        """Return the colours of all bodies as RGB bytes, shape (n, 3)."""
         return self.colours()
 
     def network(self) -> dict[str, Lines]:
-        """Lines between bodies by name, wide and coloured by the force that they carry."""
+        """Return groups of lines between bodies by name; their width and colour show the force in each line."""
         return {}
 
     @property
     def cut(self) -> float | None:
-        """Coordinate y [m] of an upright plane through the middle, behind which one sees the inside; None: it is open
-        already.
+        """Coordinate y of an upright plane through the middle of the scene [m]; None if no cut is needed.
+
+        Only parts behind this plane are drawn, which shows the inside of a pipe or vessel.
         """
         lower, upper = self.bounds()
         return float(0.5 * (lower[1] + upper[1]))
 
     def view(self, distance: float) -> tuple[np.ndarray, np.ndarray]:
-        """A place for the eye and the point to look at, both (3,) [m]: from one side, `distance` sizes away."""
+        """Return a camera position and the point to look at, both of shape (3,) [m].
+
+        The camera looks from one side, from a distance of `distance` times the size of the scene.
+        """
         lower, upper = self.bounds()
         centre = 0.5 * (lower + upper)
         size = max(float(np.linalg.norm(upper - lower)), 0.1)

@@ -12,41 +12,41 @@ from typing import Any, NoReturn
 import numpy as np
 
 LONGEST_VALUE = 160
-"""Characters of a value, or of the name of a field, that a message quotes."""
+"""Maximum number of characters of a value or of a field's name that a message quotes."""
 LONGEST_MESSAGE = 2000
-"""Characters of any other part of a message."""
+"""Maximum number of characters of any part of a message that is not a quoted value or name."""
 LONGEST_NUMBER = 128
-"""Bits of an integer that a message writes out."""
+"""Maximum number of bits of an integer that a message writes out."""
 FEW = 12
-"""Number of names that a message lists in full although it suggests one of them."""
+"""Maximum number of names that a message lists in full in addition to the suggested name."""
 
 
 class WarpcreteError(Exception):
-    """Base of every error that warpcrete raises on purpose."""
+    """Base class of all errors that warpcrete raises on purpose."""
 
 
 class SceneError(WarpcreteError, ValueError):
-    """A scene, or a part of one, asks for something that cannot be simulated."""
+    """Invalid value in a scene, or a scene that cannot be simulated."""
 
 
 class DeviceError(WarpcreteError):
-    """The device asked for does not exist here."""
+    """Request for a device that does not exist on this machine."""
 
 
 class RunFolderError(WarpcreteError):
-    """A run folder, or a file of one, cannot be created, read or written."""
+    """Run folder, or file in a run folder, that cannot be created, read or written."""
 
 
 class DiskFullError(RunFolderError):
-    """A file could not be written because the disk, a quota or a limit of the process takes no more."""
+    """File that could not be written because the disk is full, or a quota or process limit is reached."""
 
 
 class InstabilityError(WarpcreteError):
-    """The simulated state left the range in which it means anything."""
+    """Simulated state that is no longer physically meaningful."""
 
 
 class ConvergenceError(InstabilityError):
-    """A solve did not converge; `history` holds the norms of its residual, from the start on."""
+    """Iterative solve that did not converge; `history` holds the norm of its residual at each iteration."""
 
     def __init__(
         self, time: float, what: str, iterations: int, history: list[float], residual: float, maximum: int
@@ -63,20 +63,24 @@ class ConvergenceError(InstabilityError):
         )
 
     def __reduce__(self):
-        # Processes of a study hand errors on as pickles, which would call with the message alone.
+        # Processes of a study exchange errors as pickles. By default, unpickling would pass the message alone to the
+        # constructor, which needs all arguments.
         return type(self), (self.time, self.what, self.iterations, self.history, self.residual, self.maximum)
 
 
 class CapacityError(WarpcreteError):
-    """A list of fixed size was too short and could not be grown."""
+    """List of fixed size that was too short and could not grow."""
 
 
 class PlausibilityWarning(UserWarning):
-    """A value is possible but unlikely, as a pipe of 3 m would be."""
+    """Warning about a value that is possible but unlikely, such as a pipe of 3 m in diameter."""
 
 
 def one_line(text: str, longest: int = LONGEST_MESSAGE) -> str:
-    """Return `text` without control characters and line breaks, and without its middle if it exceeds `longest`."""
+    """Return `text` without control characters and line breaks, shortened to `longest` characters.
+
+    A text that is too long loses its middle part.
+    """
     if len(text) > longest:
         half = longest // 2
         text = f"{text[:half]} ... ({len(text) - 2 * half} characters left out) ... {text[-half:]}"
@@ -84,18 +88,18 @@ def one_line(text: str, longest: int = LONGEST_MESSAGE) -> str:
 
 
 def quoted(value: Any) -> str:
-    """Return `value` as a message quotes it, shortened if it is long."""
+    """Return a value as quoted text for a message, shortened if it is long."""
     if isinstance(value, int) and value.bit_length() > LONGEST_NUMBER:
         return f"a number of {value.bit_length()} bits"
     try:
         text = repr(value)
-    except (RecursionError, ValueError):  # nested too deeply, or holding an integer of thousands of digits
+    except (RecursionError, ValueError):  # The value is nested too deeply, or has a huge integer.
         text = f"<{type(value).__name__}>"
     return one_line(text, LONGEST_VALUE)
 
 
 def warn_in_one_line() -> None:
-    """Show each different warning of this process once, as a line on stderr without its place in the code."""
+    """Print each different warning of this process once, as one line on stderr without its place in the code."""
     shown: set[str] = set()
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
@@ -108,13 +112,13 @@ def warn_in_one_line() -> None:
 
 
 def refuse(field: str, value: Any, allowed: str, hint: str = "") -> NoReturn:
-    """Raise :class:`SceneError` for `field`."""
+    """Raise :class:`SceneError` that names `field`, its value, what is allowed and an optional hint."""
     said = f"{one_line(field, LONGEST_VALUE)} = {quoted(value)}: {one_line(allowed)}"
     raise SceneError(said + (f"; {one_line(hint)}" if hint else ""))
 
 
 def suggested(word: Any, known: Iterable[Any]) -> str:
-    """Return "did you mean ...?" with the nearest of the `known` words, or nothing if none is near."""
+    """Return "did you mean ...?" with the closest of the `known` words; empty if no word is close."""
     if not isinstance(word, str):
         return ""
     folded = {str(each).casefold().replace("-", "_"): str(each) for each in known}
@@ -123,7 +127,10 @@ def suggested(word: Any, known: Iterable[Any]) -> str:
 
 
 def known_names(word: Any, known: Iterable[Any]) -> str:
-    """Return the `known` words to choose from; of many, only the one that was probably meant, if there is one."""
+    """Return a text that lists the `known` words and suggests the one closest to `word`.
+
+    If there are many words and one of them is close, the text only suggests that one.
+    """
     names = [str(each) for each in known]
     meant = suggested(word, names)
     if meant and len(names) > FEW:
@@ -132,13 +139,13 @@ def known_names(word: Any, known: Iterable[Any]) -> str:
 
 
 def positive(field: str, value: float, unit: str = "", hint: str = "") -> None:
-    """Refuse anything but a finite number above zero."""
+    """Raise :class:`SceneError` unless `value` is a finite number above zero."""
     if not _is_number(value) or not math.isfinite(value) or value <= 0:
         refuse(field, value, f"must be a finite number above 0{' ' + unit if unit else ''}", hint)
 
 
 def between(field: str, value: float, lower: float, upper: float, unit: str = "", hint: str = "") -> None:
-    """Refuse anything but a finite number in [lower, upper]."""
+    """Raise :class:`SceneError` unless `value` is a finite number in [lower, upper]."""
     if not _is_number(value) or not math.isfinite(value) or not lower <= value <= upper:
         span = f"in [{lower:g}, {upper:g}]" if math.isfinite(upper) else f"finite and at least {lower:g}"
         if not math.isfinite(lower):
@@ -147,14 +154,14 @@ def between(field: str, value: float, lower: float, upper: float, unit: str = ""
 
 
 def one_of(field: str, value: Any, choices: Any) -> None:
-    """Refuse anything but one of `choices`."""
-    choices = list(choices)  # a list, because the value may not be hashable
+    """Raise :class:`SceneError` unless `value` is one of `choices`."""
+    choices = list(choices)  # A list also accepts a `value` that is not hashable.
     if value not in choices:
         refuse(field, value, f"must be one of {', '.join(map(str, choices))}", suggested(value, choices))
 
 
 def vector(field: str, value: Any) -> tuple[float, float, float]:
-    """Three finite numbers as a tuple, or :class:`SceneError`."""
+    """Return three finite numbers as a tuple; raises :class:`SceneError` for any other value."""
     try:
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError):

@@ -1,4 +1,7 @@
-"""Small arrays to and from a GPU, by page-locked memory: flags and clocks together take less than one of them did."""
+"""Transfers of small arrays between host and GPU through page-locked memory.
+
+Several arrays, such as flags and clocks, are copied with one launch, which takes less time than a single ordinary copy.
+"""
 
 from __future__ import annotations
 
@@ -12,36 +15,42 @@ from .graphs import AtOnce, captured
 from .turns import waiting
 
 KEPT = 2048
-"""Sets of arrays for which there is memory, at most: a batch of 128 runs reads some 600."""
+"""Maximum number of array sets for which page-locked memory is kept; a batch of 128 runs reads about 600 sets."""
 
 
 class Beside:
-    """Page-locked memory for arrays of a GPU, and the copies of all of them there or back as one launch.
+    """Page-locked memory for a set of GPU arrays, and copies of the whole set in either direction as one launch.
 
-    From the second time on they are a graph, which the host launches in less time than a single copy. It is of arrays
-    by where they are, and keeps none of them.
+    From the second time on, the copies are a CUDA graph, which the host launches in less time than a single copy. The
+    graph refers to the arrays by address and does not keep them alive.
     """
 
     def __init__(self, arrays: Sequence[wp.array], device: Any) -> None:
         self._device = device
         self._memory = [wp.empty(a.shape, dtype=a.dtype, device="cpu", pinned=True) for a in arrays]
         self.views = [memory.numpy() for memory in self._memory]
-        """Of what was copied here, or is to be copied from here, as NumPy arrays."""
+        """Page-locked memory as NumPy arrays: the data copied from the device, or the data to copy to the device."""
         self.written = 0
-        """Number of the last write from here, of an :class:`Exchange`."""
+        """Serial number of the last write that used this page-locked memory; :class:`Exchange` counts the writes."""
         self._copied, self._graph = False, None
 
     def take(self, arrays: Sequence[wp.array]) -> None:
-        """Copy what the arrays hold, in the order of the device's work; always the same arrays."""
+        """Copy the arrays into this page-locked memory, in stream order.
+
+        Pass the same arrays each time, because a graph of the copies is reused.
+        """
         self._launch(lambda: self.copy(arrays))
 
     def copy(self, arrays: Sequence[wp.array]) -> None:
-        """The same one by one, which may be captured."""
+        """Copy the arrays into this page-locked memory one by one; a graph capture may record these copies."""
         for memory, array in zip(self._memory, arrays):
             wp.copy(memory, array)
 
     def give(self, arrays: Sequence[wp.array]) -> None:
-        """Copy to the arrays, likewise."""
+        """Copy this page-locked memory to the arrays, in stream order.
+
+        Pass the same arrays each time, because a graph of the copies is reused.
+        """
 
         def copy() -> None:
             for array, memory in zip(arrays, self._memory):
@@ -60,20 +69,20 @@ class Beside:
 
 
 class _Copying:
-    """Copies as a stage."""
+    """Stage that copies arrays into page-locked memory."""
 
     def __init__(self, beside: Beside, arrays: Sequence[wp.array]) -> None:
         self._beside, self._arrays = beside, arrays
 
     def record(self) -> None:
-        """There is nothing to make ready."""
+        """Do nothing, because copies need no preparation."""
 
     def __call__(self) -> None:
         self._beside.copy(self._arrays)
 
 
 class Reading:
-    """Stages, and copies of what they leave, as one launch."""
+    """Launch of several stages, followed by copies of the arrays that they write to the host."""
 
     def __init__(self, stages: Sequence[Any], arrays: Sequence[wp.array], device: Any) -> None:
         self._device, self._arrays = device, tuple(arrays)
@@ -83,7 +92,10 @@ class Reading:
         self._launch = AtOnce([*stages, *copies], device)
 
     def begin(self) -> Callable[[], list[np.ndarray]]:
-        """Launch; what is returned waits for the copies. Before the next time it must have been called."""
+        """Launch the stages and copies; return a function that waits for the copied arrays and returns them.
+
+        Call the returned function before `begin` is called again, because both use the same host memory.
+        """
         self._launch()
         if self._beside is None:
             copies = [array.numpy().copy() for array in self._arrays]
@@ -99,7 +111,7 @@ class Reading:
 
 
 class Exchange:
-    """Reads and writes arrays of one device from the host; of a CPU itself."""
+    """Access of the host to arrays of one device; on a GPU by asynchronous copies, on a CPU directly."""
 
     def __init__(self, device: Any) -> None:
         self.device = device
@@ -107,11 +119,12 @@ class Exchange:
         self._asked: tuple[wp.array, ...] = ()
         self._beside_asked: Beside | None = None
         self._answered: Any = wp.Event(device) if device.is_cuda else None
-        # Writes are numbered: the last of all, that before the last question, and that which is known to be done.
+        # Writes have serial numbers. `_written` is the number of the last write, `_before_asked` that of the last write
+        # before the pending read, and `_arrived` that of the last write that is known to be complete.
         self._written = self._before_asked = self._arrived = 0
 
     def read(self, *arrays: wp.array) -> list[np.ndarray]:
-        """Copies of arrays as they are after all that was launched so far; the host waits once for all of them."""
+        """Return copies of arrays after all work launched so far; the host waits once for all of them."""
         if not self.device.is_cuda:
             return [array.numpy().copy() for array in arrays]
         beside = self._beside("read", arrays)
@@ -120,8 +133,11 @@ class Exchange:
         return [view.copy() for view in beside.views]
 
     def begin(self, *arrays: wp.array) -> Callable[[], list[np.ndarray]]:
-        """Begin a read beside all others; what is returned waits for the copies, as the arrays are now. Before values
-        change, and are read again, it must have been called."""
+        """Start an asynchronous read; return a function that waits for the copied arrays and returns them.
+
+        The copies hold the values of now. Several reads may be in flight, but call the returned function before the
+        same arrays are read in this way again, because both reads use the same host memory.
+        """
         if not self.device.is_cuda:
             copies = [array.numpy().copy() for array in arrays]
             return lambda: copies
@@ -137,11 +153,11 @@ class Exchange:
         return wait
 
     def ask(self, *arrays: wp.array) -> None:
-        """Begin a read, with no other on the way: the host goes on until it wants the :meth:`answer`."""
+        """Start an asynchronous read, whose values :meth:`answer` returns; only one may be in flight."""
         self._asked = arrays
         if self.device.is_cuda:
             before = self._written
-            # Held here: where there are many arrays, memory for some may be given up for that of the next.
+            # Keep a reference to this memory: the cache may drop it when it needs room for another set of arrays.
             self._beside_asked = self._beside("asked", arrays)
             self._beside_asked.take(arrays)
             self._answered = self.device.stream.record_event(self._answered)
@@ -149,11 +165,14 @@ class Exchange:
 
     @property
     def answered(self) -> bool:
-        """Whether what was asked for is there."""
+        """Whether the values of the asynchronous read have arrived."""
         return not self.device.is_cuda or self._answered.is_complete
 
     def answer(self) -> list[np.ndarray]:
-        """Copies of the arrays that were asked for, as they were then."""
+        """Wait for the asynchronous read that :meth:`ask` started, and return copies of its arrays.
+
+        On a GPU, the copies hold the values at the time of `ask`.
+        """
         if not self.device.is_cuda:
             return [array.numpy().copy() for array in self._asked]
         assert self._beside_asked is not None
@@ -163,18 +182,18 @@ class Exchange:
         return [view.copy() for view in self._beside_asked.views]
 
     def write(self, *pairs: tuple[wp.array, np.ndarray]) -> None:
-        """Set arrays to values after all that was launched so far."""
+        """Set arrays to values, after all work launched so far."""
         if not self.device.is_cuda:
             for array, values in pairs:
                 array.assign(values)
             return
         arrays = [array for array, _ in pairs]
         beside = self._beside("written", arrays)
-        if beside.written > self._arrived:  # what was written may not have left its memory yet
+        if beside.written > self._arrived:  # A copy from this memory may still be in flight.
             self._wait()
         for view, (_, values) in zip(beside.views, pairs):
             view[...] = values
-        # First: a copy that is on its way when it is interrupted must have its number.
+        # Number the write before its launch, so that a copy in flight has a number even if the launch is interrupted.
         self._written += 1
         beside.written = self._written
         beside.give(arrays)

@@ -1,4 +1,4 @@
-"""Packages that only some of the work needs."""
+"""Check for optional packages that only some features need."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from .errors import WarpcreteError
 
 
 def needs_extra(extra: str, *packages: str) -> None:
-    """Raise :class:`WarpcreteError` where a package of an extra is not installed."""
+    """Raise :class:`WarpcreteError` if one of the packages of the pip extra `extra` is not installed."""
     for package in packages:
         if find_spec(package) is None:
             raise WarpcreteError(f"{extra}: needs the package {package}; pip install 'warpcrete[{extra}]'")

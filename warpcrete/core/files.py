@@ -1,4 +1,4 @@
-"""Files that are whole or not there, and folders that can be made."""
+"""Writing of files that are complete or absent, reading of JSON records, and checks of new folders."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ from .errors import DiskFullError, RunFolderError, quoted
 from .text_files import saved_json
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""Error numbers of a disk, a quota or a limit of the process that takes no more."""
+"""Error numbers of a disk, a quota or a process limit that leaves no space for a file."""
 PARTIAL = ".warpcrete-partial-"
-"""Begins the name of a file that is not whole yet; nobody else names files like this."""
+"""Prefix of the name of a file that is not complete yet; no other program uses this prefix."""
 PROBE = 1 << 16
-"""Bytes that must fit into a folder that has room."""
+"""Size of the test file that must fit into a folder with free space [B]."""
 MARGIN = 1 << 20
-"""Bytes that must be left beside a file that may be needed."""
+"""Free space that must remain in addition to the expected size of a file [B]."""
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """A path beside `path` to write to; it takes the place of `path` if all goes well and goes away if not.
+    """Yield a temporary path next to `path`, whose file replaces `path` at the end of the block.
 
-    What the system refuses becomes a :class:`RunFolderError` that names the file.
+    If the block fails, the temporary file is removed. An error of the operating system becomes a
+    :class:`RunFolderError` that names the file.
     """
     partial = partial_of(path)
     try:
@@ -44,14 +45,15 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def partial_of(path: Path) -> Path:
-    """Where a file is written to before it is whole."""
+    """Return the temporary path at which a file is written until it is complete."""
     return path.with_name(f"{PARTIAL}{path.name}")
 
 
 def cannot_write(path: Path, error: Exception) -> RunFolderError:
-    """Return the error of a file that cannot be written: a :class:`DiskFullError` where there is no room for it.
+    """Return the error for a file that cannot be written; a :class:`DiskFullError` if there is no space for it.
 
-    Libraries that write files themselves do not say why they failed; the folder then shows whether it has room.
+    Libraries that write files themselves may not report why they failed. A test file then shows whether the folder has
+    free space.
     """
     known = isinstance(error, OSError) and error.errno is not None
     needed = MARGIN + (2 * path.stat().st_size if path.exists() else 0)
@@ -62,12 +64,12 @@ def cannot_write(path: Path, error: Exception) -> RunFolderError:
 
 
 def is_full(error: BaseException) -> bool:
-    """Return whether a disk that takes no more caused an error."""
+    """Return whether a full disk, an exceeded quota or a process limit caused an error."""
     return isinstance(error, DiskFullError) or (isinstance(error, OSError) and error.errno in FULL)
 
 
 def room_in(folder: Path, needed: int = 0) -> OSError | None:
-    """Return what the system refuses a small file in a folder with, or one of `needed` bytes; None where it fits."""
+    """Return the system's error if a small file, or one of `needed` bytes, does not fit into a folder, else None."""
     probe = partial_of(folder / "probe")
     try:
         with probe.open("wb") as file:
@@ -83,13 +85,16 @@ def room_in(folder: Path, needed: int = 0) -> OSError | None:
 
 
 def write_json(path: Path, data: Any) -> None:
-    """Write JSON; a reader never sees half a file."""
+    """Write JSON to a file; a reader never sees half a file.
+
+    NaN and infinity become null.
+    """
     with whole_file(path) as partial:
         partial.write_text(json.dumps(_finite(data), indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def _finite(data: Any) -> Any:
-    # JSON has no word for NaN: what was not measured is null.
+    # JSON has no NaN and no infinity, so a value that was not measured becomes null.
     if isinstance(data, dict):
         return {key: _finite(value) for key, value in data.items()}
     if isinstance(data, list | tuple):
@@ -100,7 +105,7 @@ def _finite(data: Any) -> Any:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Contents of a JSON file that holds an object, or :class:`RunFolderError`."""
+    """Return the object in a JSON file; raises :class:`RunFolderError` if the file cannot be read."""
     return saved_json(path)
 
 
@@ -110,15 +115,19 @@ RECORD_KINDS: dict[str, type] = {
     "provenance": dict, "finest": dict, "points": list, "paper": str, "columns": list, "rows": list, "targets": dict,
     "settings": dict, "rounds": list,
 }  # fmt: skip
-"""Kinds of the entries of a record of what was asked for: a run, a study, a trade, a calibration or a reproduction."""
+"""Required types of the entries in a record, which is the JSON file that stores the request for a run, study,
+trade-off, calibration or reproduction."""
 
 
 LEFT_OUT = {"device", "precision", "threads", "columns", "rows"}
-"""Entries that are null where nobody asked for anything."""
+"""Entries of a record that may be null, because the user left them at their defaults."""
 
 
 def read_record(path: Path) -> dict[str, Any]:
-    """Return what :func:`read_json` does, or raise :class:`RunFolderError` for an entry of another kind."""
+    """Return the record in a JSON file.
+
+    Raises :class:`RunFolderError` if the file cannot be read or an entry has the wrong type.
+    """
     record = read_json(path)
     cases = record.get("cases")
     within = [record, record.get("command"), *(cases if isinstance(cases, list) else [])]
@@ -139,7 +148,10 @@ def _refuse_entry(path: Path, name: str, value: Any) -> NoReturn:
 
 
 def check_new(folder: Path) -> None:
-    """Refuse a folder that exists or cannot be made and written to; leaves nothing behind."""
+    """Refuse an output folder that is not empty, or that cannot be created and written to.
+
+    The check creates the folder for a moment and leaves nothing behind. Raises :class:`RunFolderError`.
+    """
     try:
         there = folder.exists() or folder.is_symlink()
     except OSError as error:
@@ -165,22 +177,22 @@ def check_new(folder: Path) -> None:
 
 
 LOCK = ".lock"
-"""File in a folder that its owner holds locked while it writes there."""
+"""Name of the lock file, which the process that writes into a folder keeps locked."""
 
 
 def is_empty(folder: Path) -> bool:
-    """Return whether a folder holds nothing but what a killed process may leave before its first file is whole."""
+    """Return whether a folder is empty, apart from a lock file or partial files of a killed process."""
     return folder.is_dir() and all(path.name == LOCK or path.name.startswith(PARTIAL) for path in folder.iterdir())
 
 
 def remove_partial(folder: Path) -> None:
-    """Remove files that a killed process did not write to their ends."""
+    """Remove the incomplete files that a killed process left in a folder."""
     for path in folder.glob(f"{PARTIAL}*"):
         path.unlink(missing_ok=True)
 
 
 def next_folder(name: str, root: Path = Path("runs")) -> Path:
-    """First free `runs/NAME-NNN`."""
+    """Return the first folder name `runs/NAME-NNN` that does not exist yet."""
     number = 1
     while (root / f"{name}-{number:03d}").exists():
         number += 1

@@ -1,4 +1,4 @@
-"""Fingerprints of scenes, and of any part of one: equal for equal contents, whatever the process."""
+"""Fingerprints of scenes and their parts: equal contents have equal fingerprints in every process."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ import numpy as np
 
 
 def fingerprint(value: Any) -> str:
-    """Return the SHA-256 of a scene or of any part of one.
+    """Return the SHA-256 of a scene or of any part of a scene.
 
-    The field `parameters` is left out: whatever the scene function made of its arguments is in the other fields.
+    The field `parameters` is left out, because the scene's other fields contain everything that the scene function made
+    of its arguments.
     """
     digest = hashlib.sha256()
     _feed(digest, value)
@@ -31,7 +32,7 @@ def _feed(digest: Any, value: Any) -> None:
     elif isinstance(value, np.ndarray):
         digest.update(f"{value.dtype}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
     elif isinstance(value, Mapping):
-        for key, item in value.items():  # in their order, which numbers the kinds of bonds
+        for key, item in value.items():  # Keep the order: it numbers the kinds of bonds.
             _feed(digest, key)
             _feed(digest, item)
     elif isinstance(value, list | tuple):
@@ -44,7 +45,8 @@ def _feed(digest: Any, value: Any) -> None:
         digest.update(_named(value))
     elif isinstance(value, str | None):
         digest.update(repr(value).encode())
-    elif hasattr(value, "vertices") and hasattr(value, "faces"):  # a mesh of trimesh, whose parts refer to each other
+    elif hasattr(value, "vertices") and hasattr(value, "faces"):
+        # The parts of a trimesh mesh refer to each other, so hash its vertices and faces only.
         _feed(digest, [np.asarray(getattr(value, name)) for name in ("vertices", "faces")])
     else:
         digest.update(_name(value))
@@ -52,7 +54,10 @@ def _feed(digest: Any, value: Any) -> None:
 
 
 def _number(value: Any) -> bytes:
-    """Return a number exactly; a whole one as a float where that holds it, as 1 and 1.0 are equal."""
+    """Return bytes that represent a number exactly.
+
+    A whole number is written as a float if that is exact, because 1 and 1.0 are equal and need the same fingerprint.
+    """
     if isinstance(value, int | np.integer):
         try:
             if int(float(value)) != int(value):
@@ -63,7 +68,7 @@ def _number(value: Any) -> bytes:
 
 
 def _name(value: Any) -> bytes:
-    """Return the full name of a value's type: laws of two modules may share a class name."""
+    """Return the full name of a value's type, because classes in different modules may share a class name."""
     return _named(type(value))
 
 

@@ -1,4 +1,4 @@
-"""One writer for each folder: a lock that the system releases when its process ends, whatever ends it."""
+"""Exclusive write access to folders, by a lock that the system releases whenever the owning process ends."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .files import LOCK, cannot_write, check_new, is_empty, remove_partial
 fcntl: Any
 try:
     import fcntl
-except ImportError:  # not a POSIX system: folders are not locked there
+except ImportError:  # Folders are not locked on systems other than POSIX.
     fcntl = None
 
 GRACE = 2.0
@@ -26,20 +26,20 @@ GRACE = 2.0
 class Hold:
     """Exclusive right to write into a folder, until it is released or the process ends.
 
-    Readers need none. The lock belongs to the open file, so a copy of the folder is free, and a process that was killed
-    leaves a file that holds nobody up.
+    Readers need no lock. The lock belongs to the open lock file: a copy of the folder is not locked, and the lock file
+    that a killed process leaves behind blocks nobody.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Take the right; raises :class:`RunFolderError` that names the owner if another run has it."""
+        """Lock the folder; raises :class:`RunFolderError` with the owner's name if another process holds the lock."""
         self.folder = folder
         self.made: list[Path] = []
-        """Folders that were made for it, the outermost first."""
+        """Folders that were created for this lock: new parents, the outermost first, and the locked folder itself."""
         self._path = folder / LOCK
         self._file = self._locked()
         os.ftruncate(self._file, 0)
         owner = f"process {os.getpid()} on {socket.gethostname()} since {time.strftime('%Y-%m-%d %H:%M:%S')}"
-        with suppress(OSError):  # without room for its name, an owner stays unnamed
+        with suppress(OSError):  # On a full disk, the lock file does not name its owner.
             os.write(self._file, owner.encode())
         remove_partial(folder)
 
@@ -62,7 +62,7 @@ class Hold:
             time.sleep(0.05)
 
     def release(self) -> None:
-        """Let others write; may be called again."""
+        """Release the lock, so that other processes can write; further calls do nothing."""
         if self._file >= 0:
             with suppress(OSError):
                 self._path.unlink(missing_ok=True)
@@ -70,7 +70,7 @@ class Hold:
             self._file = -1
 
     def remove(self) -> None:
-        """Release the folder and remove it, with the parents that were made for it, as far as they are empty."""
+        """Release the folder, then remove those folders that were created for it and are empty."""
         self.release()
         for path in reversed(self.made):
             with suppress(OSError):
@@ -88,13 +88,13 @@ def _lock(file: int) -> bool:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
-    except OSError:  # a file system without locks
+    except OSError:  # The file system has no locks, so the folder counts as locked.
         return True
     return True
 
 
 def _is_at(file: int, path: Path) -> bool:
-    """Return whether an open file is still the one at a path: its last owner may have removed it meanwhile."""
+    """Return whether an open lock file still exists at `path`; its last owner may have removed or replaced it."""
     try:
         there = path.stat()
     except OSError:
@@ -104,7 +104,11 @@ def _is_at(file: int, path: Path) -> bool:
 
 @contextmanager
 def held(folder: Path, record: str) -> Iterator[None]:
-    """Hold a folder that is there while the block runs; raises :class:`RunFolderError` for one without its record."""
+    """Lock an existing folder while the block runs.
+
+    Raises :class:`RunFolderError` if the folder does not contain the file `record`, or if another process holds the
+    lock.
+    """
     if not (folder / record).is_file():
         missing = f"holds no {record}" if folder.is_dir() else "is no folder"
         raise RunFolderError(f"'{folder}': {missing}; give the folder of the run that is to go on")
@@ -116,7 +120,10 @@ def held(folder: Path, record: str) -> Iterator[None]:
 
 
 def make_folder(folder: Path) -> Hold:
-    """Make a new folder, with its parents, and hold it; raises :class:`RunFolderError` for one that is not new."""
+    """Create a new folder with its parents, and return the lock on the folder.
+
+    Raises :class:`RunFolderError` if the folder contains files or cannot be created.
+    """
     check_new(folder)
     made = [path for path in (*reversed(folder.absolute().parents), folder) if not path.exists()]
     try:
@@ -124,7 +131,7 @@ def make_folder(folder: Path) -> Hold:
     except OSError as error:
         raise RunFolderError(f"out = '{folder}': cannot be made ({error.strerror})") from error
     hold = Hold(folder)
-    if not is_empty(folder):  # another run was faster
+    if not is_empty(folder):  # Another run has used the folder first.
         hold.release()
         check_new(folder)
     hold.made = made
@@ -133,7 +140,7 @@ def make_folder(folder: Path) -> Hold:
 
 @contextmanager
 def new_folder(folder: Path) -> Iterator[None]:
-    """Make a new folder and hold it while the block runs; one that it leaves empty is removed."""
+    """Create and lock a new folder while the block runs; remove the created folders that stay empty."""
     hold = make_folder(folder)
     try:
         yield

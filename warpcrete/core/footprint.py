@@ -1,4 +1,4 @@
-"""What objects hold of a device's memory."""
+"""Device memory that objects of this package hold."""
 
 from __future__ import annotations
 
@@ -9,7 +9,11 @@ import warp as wp
 
 
 def arrays_of(name: str, root: Any) -> Iterator[tuple[str, wp.array]]:
-    """Every array that an object of this package, or what it consists of, has the memory of: (path, array)."""
+    """Yield the path and the array of each Warp array whose memory an object of this package owns.
+
+    The search includes the object's attributes, lists, mappings, meshes and structs. `name` is the first part of each
+    path.
+    """
     seen: set[int] = set()
     waiting = [(name, root)]
     while waiting:
@@ -19,24 +23,25 @@ def arrays_of(name: str, root: Any) -> Iterator[tuple[str, wp.array]]:
         seen.add(id(value))
         if isinstance(value, wp.array):
             whole = getattr(value, "_ref", None)
-            if whole is not None:  # a view
+            if whole is not None:  # The array is a view: continue with the array that owns the memory.
                 waiting.append((path, whole))
             elif value.ptr and getattr(value, "deleter", None) is not None:
                 yield path, value
-        elif isinstance(value, wp.Mesh):  # its tree is Warp's own
+        elif isinstance(value, wp.Mesh):  # Warp hides the search tree of a mesh, so count its arrays only.
             waiting += [(path, value.points), (path, value.indices)]
         elif isinstance(value, Mapping):
             waiting += [(f"{path}.{key}", each) for key, each in value.items()]
         elif isinstance(value, list | tuple | set):
             waiting += [(path, each) for each in value]
-        elif hasattr(type(value), "numpy_dtype") and hasattr(value, "_cls"):  # Warp names no class of its structs
+        elif hasattr(type(value), "numpy_dtype") and hasattr(value, "_cls"):
+            # This is an instance of a Warp struct; Warp has no public base class of structs.
             waiting += [(f"{path}.{key}", getattr(value, key)) for key in value._cls.vars]
         elif type(value).__module__.partition(".")[0] == __name__.partition(".")[0]:
             waiting += [(f"{path}.{key}", each) for key, each in getattr(value, "__dict__", {}).items()]
 
 
 def footprint(**roots: Any) -> dict[str, int]:
-    """Bytes of device memory that each of some objects holds; what two hold counts for the first."""
+    """Return the device memory that each object holds [B]; shared memory counts for the first object."""
     sizes: dict[str, int] = dict.fromkeys(roots, 0)
     counted: set[int] = set()
     for name, root in roots.items():

@@ -1,4 +1,4 @@
-"""What a run will take before it runs: features, time step and what governs it, memory, steps, wall time."""
+"""Forecast of a run before it starts: features, time step and its limits, memory, number of steps, wall time."""
 
 from __future__ import annotations
 
@@ -11,49 +11,50 @@ import warp as wp
 
 Found = TypeVar("Found")
 Probe = Callable[[Any], Mapping[str, float]]
-"""Times something with a simulation that stands at t = 0; times in seconds by what they are of."""
+"""Function that times operations of a prepared simulation at t = 0. It returns wall times [s] by the name of the
+operation."""
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """Of one scene on one device; times in seconds, memory in bytes."""
+    """Expected cost of simulating one scene on one device; times in seconds, memory in bytes."""
 
     method: str
     device: str
-    """In words."""
+    """Description of the device in words."""
     counts: Mapping[str, int]
-    """Of bodies, spheres, particles, contacts."""
+    """Numbers of bodies, spheres, particles and contacts, by name."""
     features: Mapping[str, str]
-    """What is compiled in, and why; of what is left out, that it is."""
+    """Optional features of the kernels by name: whether each one is compiled in, and why."""
     memory: Mapping[str, float]
-    """By part."""
+    """Device memory of each part of the simulation [B], by the name of the part."""
     time_step: float
     limits: Mapping[str, float]
-    """What bounds the time step, each with the largest step that it alone would leave."""
+    """Largest time step that each limiting effect alone would allow [s], by the name of the effect."""
     governing: str
-    """What the smallest of these steps comes from, in words."""
+    """Description of the effect that determines the time step."""
     steps: float
     parts: Mapping[str, float]
-    """Wall time by part, recordings not among them."""
+    """Wall time of each part of the run [s], without recordings."""
     frame: Mapping[str, float] = field(default_factory=dict)
-    """Wall time of a frame of each recording, as far as that was probed."""
+    """Wall time of one frame of each recording [s], if it was measured."""
     duration: float = 0.0
     """Simulated time of the run [s]."""
     remarks: tuple[str, ...] = ()
 
     @property
     def wall_time(self) -> float:
-        """Of a run without recordings."""
+        """Wall time of the run without recordings [s]."""
         return sum(self.parts.values())
 
     @property
     def total_memory(self) -> float:
-        """Of all parts."""
+        """Device memory of all parts together [B]."""
         return sum(self.memory.values())
 
 
 def timed(call: Callable[[], Found], device: Any) -> tuple[Found, float]:
-    """What a call returns, and its wall time, device finished [s]."""
+    """Return the result of a call and its wall time [s], including the device work that it launched."""
     wp.synchronize_device(device)
     begun = time.perf_counter()
     found = call()
@@ -62,6 +63,6 @@ def timed(call: Callable[[], Found], device: Any) -> tuple[Found, float]:
 
 
 def median_time(call: Callable[[], Any], device: Any, repeats: int = 3) -> float:
-    """Median wall time of a call [s]; a first one, which may load kernels, is not counted."""
+    """Return the median wall time of a call [s]; a first call, which may load kernels, is not counted."""
     call()
     return sorted(timed(call, device)[1] for _ in range(repeats))[(repeats - 1) // 2]

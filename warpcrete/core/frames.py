@@ -1,4 +1,4 @@
-"""When recorders get frames."""
+"""Times at which recorders take frames."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ import numpy as np
 from .errors import positive
 
 LEAST, SLOWEST = 30, 0.04
-"""Frames of a run, at least, and the longest time between two [s], unless told otherwise."""
+"""Minimum number of frames of a run, and longest simulated time between two frames [s]; both are defaults."""
 
 
 class Frames:
-    """Times of frames: every `interval` seconds of simulated time; with None 25 a second, and 30 at least of a run that
-    takes the `expected` time [s], of one that goes on longer ever fewer.
+    """Schedule of frames: every `interval` seconds of simulated time, or by default about 25 frames per second.
 
-    Frames lie at samples of the run, but for runs that may stop between them, every `step` [s] at most.
+    With the default, a run of the `expected` duration [s] has at least 30 frames; in a run that lasts longer than
+    expected, the time between frames grows. Frames coincide with samples of the run, unless the run can stop between
+    samples; then two frames are at least `step` seconds apart.
     """
 
     def __init__(self, interval: float | None, expected: float, step: float = np.inf) -> None:
@@ -23,21 +24,21 @@ class Frames:
         self._given, self._expected, self._step = interval, expected, step
         own = min(SLOWEST, expected / LEAST) if expected > 0 else SLOWEST
         self.interval = own if interval is None else interval
-        """Between two frames at the start [s]."""
+        """Simulated time between two frames at the start of the run [s]."""
         self.next = 0.0
-        """When the next frame is due [s]."""
+        """Simulated time at which the next frame is due [s]."""
         self.taken(0.0)
 
     def due(self, time: float) -> bool:
-        """A frame is due at a sample."""
+        """Return whether a frame is due at the sample at `time` [s]."""
         return time >= self.next - 1e-9
 
     def before(self, sample: float) -> bool:
-        """One is due before the next sample, and the run may stop for it."""
+        """Return whether a frame is due before the sample at time `sample` [s], and the run can stop for it."""
         return self.next < sample - self._step
 
     def taken(self, time: float) -> None:
-        """A frame was taken."""
+        """Set the time of the next frame, after a frame was taken at `time` [s]."""
         if self._given is None and time > self._expected:
             self.next = time + min(SLOWEST, time / LEAST)
         else:

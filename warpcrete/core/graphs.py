@@ -1,4 +1,4 @@
-"""Launches recorded as a graph, which a device takes at one go."""
+"""Sequences of kernel launches recorded as graphs, each of which the host starts with a single launch."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ from .interrupts import put_off
 
 _counting = threading.Lock()
 _capturing, _collected = 0, False
-"""Captures of this process that are under way, and whether Python collected cycles before the first."""
+"""Number of graph captures in progress, and whether Python's garbage collector was enabled before the first one."""
 
 
 @contextmanager
 def _uncollected() -> Iterator[None]:
-    """Python collects no cycles: in a recorder's thread it might come upon arrays of a run that has ended, and free
-    them while this thread captures. Warp puts off what it is to free then, but looks without a lock whether it must:
-    of forty runs with recorders, one after the other, two were told of CUDA's error 906 (legacy stream, capturing).
+    """Disable Python's cyclic garbage collector while a graph is captured.
+
+    In a recorder thread, the collector might free arrays of a run that has ended while another thread captures a graph.
+    Warp defers such frees during a capture, but checks without a lock whether it must. Of forty runs with recorders,
+    one after the other, two failed with CUDA error 906 (legacy stream operation during a capture).
     """
     global _capturing, _collected
     with _counting:
@@ -39,32 +41,38 @@ def _uncollected() -> Iterator[None]:
 
 
 def captured(device: Any, launch: Callable[[], None]) -> Any:
-    """The graph of what `launch` launches, which does not run. An interruption waits: captures within captures of
-    Warp's would not end well."""
+    """Return the graph of everything that `launch` launches, without running it.
+
+    Ctrl-C is deferred until the capture has ended, because an exception inside nested captures would leave Warp in an
+    inconsistent state.
+    """
     with put_off(), _uncollected(), wp.ScopedCapture(device=device) as capture:
         launch()
     return capture.graph
 
 
 class Zero:
-    """Setting an array to zero, as a stage."""
+    """Stage that sets an array to zero."""
 
     def __init__(self, array: wp.array) -> None:
         self.array = array
 
     def record(self) -> None:
-        """There is nothing to make ready."""
+        """Do nothing, because this stage needs no preparation."""
 
     def __call__(self) -> None:
         self.array.zero_()
 
 
 class AtOnce:
-    """Stages, or what can be recorded and called like some, as one launch: on a GPU a graph, since launching a short
-    kernel takes longer than the kernel."""
+    """Several stages that run with a single launch.
+
+    On a GPU they are captured as a graph, because the launch of a short kernel takes longer than the kernel itself. Any
+    object that can be recorded and called like a stage may be among them.
+    """
 
     def __init__(self, stages: Sequence[Any], device: Any) -> None:
-        self.stages = tuple(stages)  # their arrays are the graph's, which does not hold them
+        self.stages = tuple(stages)  # The stages keep the arrays alive that the graph uses.
         self._graph = None
         if device.is_cuda:
             for stage in self.stages:

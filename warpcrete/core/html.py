@@ -1,4 +1,4 @@
-"""Tables that notebooks show."""
+"""HTML tables for notebooks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .origin import changed_fields
 
 
 def html_table(rows: Iterable[Sequence[Any]], head: Sequence[Any] = (), caption: str = "") -> str:
-    """Cells as a table of HTML."""
+    """Return rows of cells as an HTML table, with an optional header row and caption."""
     found = [f'<caption style="text-align: left">{escape(caption)}</caption>'] if caption else []
     if head:
         found.append("<tr>" + "".join(f"<th>{escape(str(cell))}</th>" for cell in head) + "</tr>")
@@ -20,12 +20,12 @@ def html_table(rows: Iterable[Sequence[Any]], head: Sequence[Any] = (), caption:
 
 
 class Parametrised:
-    """What notebooks show by its parameters."""
+    """Base class of objects that a notebook shows as a table of their parameters."""
 
     parameters: Mapping[str, Any]
 
     def _repr_html_(self) -> str:
-        """Parameters that have a value, as a table."""
+        """Return the parameters that have a value as an HTML table."""
         rows = [(name, value) for name, value in self.parameters.items() if value is not None and value != ""]
         if rows and (changed := changed_fields(self)):
             rows.append(("changed since", ", ".join(changed)))

@@ -1,5 +1,4 @@
-"""Ctrl-C, and SIGTERM where the program takes it as such: put off until a piece of work is whole, or taken as the wish
-that runs end at their next sample."""
+"""Handling of Ctrl-C and SIGTERM: deferred until a piece of work is complete, or used to end runs at a sample."""
 
 from __future__ import annotations
 
@@ -13,18 +12,18 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def _handled() -> list[tuple[int, Any]]:
-    """Return the signals that a Python function handles, and that function."""
+    """Return the interrupt signals that have a handler in Python, each with its handler."""
     return [(number, found) for number in SIGNALS if callable(found := signal.getsignal(number))]
 
 
 def _in_main_thread() -> bool:
-    """Only the main thread gets signals, and only it may say what they do."""
+    """Return whether this is the main thread, the only one that gets signals and may set their handlers."""
     return threading.current_thread() is threading.main_thread()
 
 
 @contextmanager
 def put_off() -> Iterator[None]:
-    """Let a Ctrl-C wait until the block is left. Outside the main thread it does nothing."""
+    """Defer Ctrl-C and SIGTERM until the block has ended; outside the main thread, do nothing."""
     if not _in_main_thread():
         yield
         return
@@ -43,9 +42,10 @@ def put_off() -> Iterator[None]:
 
 
 class StopAtSample:
-    """While it is entered, a first Ctrl-C ends every one of `simulations` at its next sample, a second one at once.
+    """Context in which a first Ctrl-C ends all `simulations` at their next sample, and a second one at once.
 
-    One that is writing its results is not disturbed. Outside the main thread it does nothing.
+    Ctrl-C has no effect while all simulations are writing their results. Outside the main thread, this context does
+    nothing.
     """
 
     def __init__(self, simulations: Sequence[Any]) -> None:
@@ -76,5 +76,5 @@ class StopAtSample:
 
 
 def leave_to_parent() -> None:
-    """Ignore Ctrl-C in a worker process: its parent hears it, too, and says what is to be done."""
+    """Ignore Ctrl-C in a worker process, because its parent process also gets the signal and handles it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

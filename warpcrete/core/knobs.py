@@ -1,4 +1,4 @@
-"""Knobs of a scene: parameters that trade accuracy for time, each with levels from the coarsest to the finest."""
+"""Knobs of a scene: parameters that trade accuracy for computing time, each with levels from coarse to fine."""
 
 from __future__ import annotations
 
@@ -12,32 +12,36 @@ class Level:
     """One setting of a knob."""
 
     label: str
-    """As tables have it."""
+    """Name of the level in tables, such as "10 mm"."""
     changes: Mapping[str, Any] = field(default_factory=dict)
-    """Parameters that differ from the scene's."""
+    """Parameters in which this level differs from the scene as given, with their values."""
     cost: float = 1.0
-    """Time that is expected over that of the other levels of the knob; only plans go by it, before it is measured."""
+    """Expected wall time, relative to the other levels of the knob. It is used only for planning, before times are
+    measured."""
     key: str = ""
-    """What it is called in a scene of other numbers: a factor, where `label` is a number. Default: the label."""
+    """Name of this level that is the same in scenes with other numbers, such as "x 0.5" where `label` is a length; by
+    default, it is the label."""
     converted: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Of quantities that have another meaning here: (offset, factor), to be taken as offset + factor (value - offset).
-    """
+    """Quantities that have another meaning at this level, by name: with (offset, factor), a value becomes offset +
+    factor * (value - offset)."""
 
 
 @dataclass(frozen=True)
 class Knob:
-    """What can be set coarser or finer in a scene."""
+    """Property of a scene that can be set coarser or finer."""
 
     name: str
     levels: tuple[Level, ...]
-    """From the coarsest to the finest; one of them is the scene as it is given."""
+    """Levels from the coarsest to the finest; one of them is the scene as given."""
     physical: bool = False
-    """Its parameters are properties of the concrete, of which a coarser level makes others."""
+    """Whether the knob changes physical properties of the concrete, so that a coarser level simulates a different
+    concrete."""
     chosen: bool = True
-    """Settings for a wanted accuracy may have it; if not, it is measured alone and that is all."""
+    """Whether the program may use this knob in the settings that it recommends. Otherwise the knob's effect is only
+    measured."""
 
     def level_of(self, key: str) -> Level | None:
-        """The level that goes by a key in scenes of any numbers; None where this scene has it not."""
+        """Return the level with a given key, or None if this scene has no such level."""
         return next((level for level in self.levels if (level.key or level.label) == key), None)
 
 
@@ -45,13 +49,16 @@ def scaled(
     name: str, parameter: str, value: float, factors: Iterable[float], power: float, unit: str = "",
     physical: bool = False,
 ) -> Knob:  # fmt: skip
-    """Knob of one number: its `value` times `factors`, from the coarsest on; time goes with the factor's `power`."""
+    """Return a knob for one number: its `value` times each of `factors`, from the coarsest to the finest.
+
+    The expected wall time is proportional to factor ** `power`.
+    """
     levels = [Level(f"{value * f:.4g} {unit}".strip(), {parameter: value * f}, f**power, f"x {f:g}") for f in factors]
     return Knob(name, tuple(levels), physical)
 
 
 def precisions() -> Knob:
-    """Knob of single and double precision."""
+    """Return the knob for single or double precision."""
     return Knob(
         "precision", (Level("float32", {"precision": "float32"}), Level("float64", {"precision": "float64"}, 1.3))
     )
@@ -59,15 +66,17 @@ def precisions() -> Knob:
 
 @dataclass(frozen=True)
 class Trading:
-    """What a scene lets be traded: a scene's file has one under the name `trading`."""
+    """Trade-off between accuracy and time in a scene; the scene's module provides it under the name `trading`."""
 
     knobs: Callable[[Any], Iterator[Knob]]
-    """Of the scene's parameters."""
+    """Function that takes the scene's parameters and yields the knobs."""
     quantities: tuple[str, ...]
-    """That errors are of, unless others are named."""
+    """Quantities whose errors are computed, unless the user names others."""
     closed_form: Callable[[Any], bool] = lambda given: False
-    """Whether theory is exact for a scene of these parameters; results then have an entry `NAME_error` beside each."""
+    """Function that takes the scene's parameters and returns whether theory is exact for them. If so, results have an
+    entry `NAME_error` for each quantity NAME."""
     variants: Callable[[Any], Mapping[str, Mapping[str, Any]]] = lambda given: {}
-    """Parameters of other scenes, by what sets them apart, on which settings for a wanted accuracy are tried, too."""
+    """Function that takes the scene's parameters and returns parameters of similar scenes, by a description of the
+    difference. Recommended settings are also tested on these scenes."""
     tolerance: str = ""
-    """Parameter of the scene that says how much error its checks accept; empty if they ask for none."""
+    """Name of the scene's parameter that sets the error which its checks accept; empty if there is none."""

@@ -1,4 +1,4 @@
-"""What recorders do beside the run: jobs, in their order, in a thread of their own."""
+"""Recorder thread: it runs the jobs of recorders in order, in parallel with the simulation."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from .device import default_threads, parallel
 from .turns import give_way, waiting
 
 MOST = 8
-"""Jobs that may wait; the run waits when there are more, so that none is lost and memory stays bounded."""
+"""Maximum number of waiting jobs. If more are added, the run waits, so that no job is lost and memory stays bounded."""
 
 
 class Later:
-    """Does jobs one after the other. What one fails with is raised by every call from then on, and no other is done.
+    """Queue that runs jobs of recorders one after the other, in a thread of its own if `beside` is set.
 
-    Without `beside` each is done at once, by who asks. A thread that `gives_way` lets the run go first:
-    see :mod:`.turns`.
+    Without `beside`, the caller runs each job at once. After a job fails, every call raises its error, and no other job
+    runs. With `gives_way`, the thread lets the run use Python's interpreter first: see :mod:`.turns`.
     """
 
     def __init__(self, beside: bool, gives_way: bool = False) -> None:
@@ -30,12 +30,16 @@ class Later:
 
     @classmethod
     def of(cls, simulation: Any) -> Later:
-        """Beside the run where there is a core for it: threads of a run that wait for one another need theirs."""
+        """Return the queue for a simulation, with a thread of its own on a GPU or if a CPU core is free.
+
+        Threads of a run that wait for one another at barriers need a core each, so the recorder thread must not share
+        these.
+        """
         spare = not simulation.shares_cores and simulation.threads < default_threads()
         return cls(parallel(simulation.device) or spare, simulation.device.is_cuda)
 
     def do(self, job: Callable[[], None]) -> None:
-        """Do a job, or put it in the queue."""
+        """Run a job, or append it to the queue."""
         self._look()
         if not self.beside:
             job()
@@ -47,18 +51,18 @@ class Later:
             self._jobs.put(job)
 
     def wait(self) -> None:
-        """Until all is done."""
+        """Wait until all jobs in the queue are done."""
         with waiting():
             self._jobs.join()
         self._look()
 
     def give_way(self) -> None:
-        """Between two parts of a job: let the run go on first."""
+        """Let the run use Python's interpreter first, between two parts of a recorder's job."""
         if self._gives_way and threading.current_thread() is self._thread:
             give_way()
 
     def close(self) -> None:
-        """Wait, and end the thread."""
+        """Wait until all jobs are done, and end the thread."""
         if self._thread is not None:
             with waiting():
                 self._jobs.put(None)

@@ -1,6 +1,6 @@
-"""How kernels are launched: recorded once, replayed by graphs of several steps, on a CPU by a thread for each chunk.
+"""Kernel launches: recorded once, then replayed in graphs of several steps; on a CPU, one thread replays each chunk.
 
-Arguments are bound to a kernel's parameters by name, never by place.
+Arguments are bound to a kernel's parameters by name, never by position.
 """
 
 from __future__ import annotations
@@ -25,30 +25,33 @@ from .graphs import AtOnce, captured
 from .interrupts import put_off
 
 COMPILING = 16
-"""Kernels that are compiled at once, at most."""
+"""Maximum number of kernels compiled in parallel."""
 PATIENCE = 0.5
-"""Time of compiling that nobody is told of [s]."""
+"""Compile time below which no progress is shown [s]."""
 DEFAULT_BLOCK = 256
-"""Threads of a CUDA block where a launch of Warp's does not say."""
+"""Threads per CUDA block in a Warp launch that does not specify a number."""
 BLOCK = 64
-"""Threads of a CUDA block of a stage: so few that all multiprocessors have some of a small scene. A step of a million
-spheres takes 0.95 of what it takes with blocks of 256."""
+"""Threads per CUDA block of a stage. Such small blocks keep all multiprocessors busy in a small scene. A step of a
+million spheres takes 95 % of the time that it takes with blocks of 256 threads."""
 Size = int | tuple[int, ...]
-"""Tasks of a launch, in one dimension or several."""
+"""Number of tasks of a launch, as one integer or as a tuple of several dimensions."""
 
 
 def tasks_of(dim: Size) -> int:
-    """Tasks of a launch in all."""
+    """Return the total number of tasks of a launch."""
     return dim if isinstance(dim, int) else math.prod(dim)
 
 
 def parameter_names(kernel: Any) -> list[str]:
-    """Names of a kernel's parameters, in their order."""
+    """Return the names of a kernel's parameters, in order."""
     return [argument.label for argument in kernel.adj.args]
 
 
 def bound(kernel: Any, named: Mapping[str, Any]) -> list[Any]:
-    """Arguments in the order of the kernel's parameters; raises TypeError unless there is just one for each."""
+    """Return named arguments in the order of a kernel's parameters.
+
+    Raises TypeError if an argument is missing or matches no parameter.
+    """
     names = parameter_names(kernel)
     missing, strange = [n for n in names if n not in named], sorted(set(named) - set(names))
     if missing or strange:
@@ -57,7 +60,7 @@ def bound(kernel: Any, named: Mapping[str, Any]) -> list[Any]:
 
 
 def members(kernel: Any, **structs: Any) -> dict[str, Any]:
-    """Members of structs for those parameters of a kernel that are called ``STRUCT_member``, by parameter name."""
+    """Return struct members for a kernel's parameters that are named ``STRUCT_member``, by parameter name."""
     found = {}
     for name in parameter_names(kernel):
         for prefix, struct in structs.items():
@@ -68,17 +71,18 @@ def members(kernel: Any, **structs: Any) -> dict[str, Any]:
 
 
 def launch(kernel: Any, dim: Size, device: Any, **named: Any) -> None:
-    """Launch once, arguments by name."""
+    """Launch a kernel once, with its arguments by name."""
     if tasks_of(dim):
         wp.launch(kernel, dim=dim, inputs=bound(kernel, named), device=device)
 
 
 class Stage:
-    """One kernel launch, recorded once and replayed until an array of its changes.
+    """One kernel launch, which is recorded once and replayed until one of its arrays changes.
 
-    On a GPU stages that are `beside` run at the same time as those that follow, up to one that `meets` them; all that
-    are beside a step's others run one after the other. One that is taken `every` so many steps goes before the first
-    of as many in a graph; where graphs hold less than half of that, behind some of them: see :class:`Launcher`.
+    On a GPU, stages with `beside` run on a side stream, at the same time as the stages that follow, until a stage with
+    `meets` waits for them. All `beside` stages of a step run one after the other. A stage with `every` = n runs once in
+    n steps: before the first of every n steps of a graph, or after some of the graphs if a graph has fewer than n / 2
+    steps (see :class:`Launcher`).
     """
 
     def __init__(
@@ -101,15 +105,15 @@ class Stage:
 
     @property
     def name(self) -> str:
-        """The kernel function's."""
+        """Name of the kernel function."""
         return self.kernel.func.__name__
 
     def is_due(self, turn: int, size: int) -> bool:
-        """Whether it is taken in a step of a graph of so many."""
+        """Return whether this stage runs at step `turn` of a graph of `size` steps."""
         return turn % self.every == 0 and 2 * size >= self.every
 
     def record(self) -> None:
-        """Make ready, kernel loaded; nothing runs."""
+        """Load the kernel and record its launch, without running it."""
         if self._command is None and tasks_of(self.dim):
             self._command = wp.launch(
                 self.kernel, dim=self.dim, inputs=self.arguments, device=self.device, record_cmd=True,
@@ -127,7 +131,10 @@ _told: ContextVar[Callable[[str, float], None] | None] = ContextVar("told", defa
 
 @contextmanager
 def telling(tell: Callable[[str, float], None]) -> Iterator[None]:
-    """Have `tell` called with "compiling" and the fraction done where that takes a while."""
+    """Report the progress of compiling while the block runs.
+
+    The function `tell` is called with "compiling" and the fraction done, if compiling takes a while.
+    """
     token = _told.set(tell)
     try:
         yield
@@ -136,12 +143,13 @@ def telling(tell: Callable[[str, float], None]) -> Iterator[None]:
 
 
 def load(stages: Iterable[Any], device: Any) -> None:
-    """Compile kernels, several at once, or read them from the cache: those of stages, and kernels that are launched
-    without one.
+    """Compile kernels in parallel, or load them from the cache.
+
+    `stages` holds stages, and also kernels that are launched without a stage.
     """
     wanted: dict[tuple[int, int], tuple[Any, int]] = {}
     for stage in stages:
-        # A kernel alone is launched in blocks of Warp's own size.
+        # A kernel without a stage is launched with Warp's default block size.
         kernel, block = (stage.kernel, stage.block) if isinstance(stage, Stage) else (stage, DEFAULT_BLOCK)
         block = block if parallel(device) else 1
         wanted[id(kernel.module), block] = kernel.module, block
@@ -174,27 +182,30 @@ def load(stages: Iterable[Any], device: Any) -> None:
 
 @functools.cache
 def _compilers() -> ThreadPoolExecutor:
-    """Threads that stay."""
+    """Return the thread pool that compiles kernels; its threads stay alive between calls."""
     return ThreadPoolExecutor(COMPILING)
 
 
 def _in_order(wanted: Iterable[tuple[Any, int]]) -> list[tuple[Any, int]]:
-    """Return modules and their blocks, those with most parameters first: they take longest to compile."""
+    """Return modules with their block sizes, most kernel parameters first, because these compile longest."""
     return sorted(wanted, key=lambda each: -sum(len(kernel.adj.args) for kernel in each[0].kernels.values()))
 
 
 Step = list[list[Any]]
-"""Stages of one step, a list for each thread."""
+"""Stages of one time step, as one list per thread."""
 
 
 def graph_sizes(count: int, largest: int) -> list[int]:
-    """Graphs, each of a power of two steps up to `largest`, that make `count` steps together."""
+    """Split `count` steps into graphs whose sizes are powers of two, at most `largest` steps."""
     rest = [1 << bit for bit in reversed(range(largest.bit_length())) if count % largest >> bit & 1]
     return [largest] * (count // largest) + rest
 
 
 def by_one_thread(step: Step) -> Step:
-    """A step of several threads as one thread takes it: what all do up to a barrier, then up to the next."""
+    """Merge the threads' stage lists into a list for one thread, barrier by barrier.
+
+    The single thread runs the stages of all threads up to a barrier, then those up to the next barrier.
+    """
     parts: list[list[list[Any]]] = []
     for stages in step:
         between: list[list[Any]] = [[]]
@@ -208,31 +219,31 @@ def by_one_thread(step: Step) -> Step:
 
 
 class Launcher:
-    """Replays graphs of so many steps each, with as many threads as a step has lists of stages.
+    """Runs time steps by replaying graphs of several steps, with one thread per list of stages in a step.
 
-    While other processes want the cores, one thread does the work of all; see :mod:`.cores`.
+    During core contention, one thread does the work of all threads; see :mod:`.cores`.
     """
 
     def __init__(self, threads: int, device: Any) -> None:
         self.threads, self.device = threads, device
         self._graphs: dict[tuple[int, bool, AtOnce | None], list[Any]] = {}
         self._now_and_then: Callable[[], None] | None = None
-        self._without = 0  # steps since what is taken now and then was
+        self._without = 0  # number of steps since the stages last ran that are not part of every step
         self.gate = wp.zeros(GATE, dtype=wp.int32, device=device)
-        """Where threads wait for one another, shape (GATE,)."""
+        """Counters of the barrier at which the threads wait for one another, shape (GATE,)."""
         self.crowding = Crowding()
         self._pool = ThreadPoolExecutor(threads, initializer=own_cores(threads)) if threads > 1 else None
         if self._pool is not None:
             weakref.finalize(self, self._pool.shutdown, wait=False)
 
     def barrier(self) -> list[Stage]:
-        """What a thread does to wait for the others; nothing if it is alone."""
+        """Return the stage with which a thread waits for the other threads, or no stage if there is one thread."""
         if self.threads == 1:
             return []
         return [Stage(barrier, 1, {"gate": self.gate, "parties": self.threads}, self.device)]
 
     def invalidate_graphs(self) -> None:
-        """Forget the graphs: they hold arrays or chunks that are no more."""
+        """Discard all graphs, because arrays or chunks that they contain have changed."""
         self._graphs.clear()
         self._now_and_then = None
 
@@ -244,12 +255,15 @@ class Launcher:
         ended: Callable[[], bool],
         behind: AtOnce | None = None,
     ) -> None:
-        """Take as many steps as `sizes` add up to. On a CPU, `ended` says after each graph whether the rest is idle.
+        """Replay one graph for each entry of `sizes`, which is the number of steps in the graph.
 
-        `alone` gives the step as one thread takes it for all; what is `behind` each graph of a GPU becomes part of it.
+        `step` has the stages of each thread. `alone` returns the same step for one thread that does all the work, and
+        the stages of `behind` become the end of each graph on a GPU. On a CPU, `ended` is called after each graph; if
+        it returns True, the remaining steps would do nothing and are left out.
         """
         left = list(sizes)
         while left:
+            # During core contention, or while contention is still unknown, check again after each graph.
             crowded = self._pool is not None and self.crowding.look()
             count = 1 if self._pool is not None and (crowded or self.crowding.on_trial) else len(left)
             now, left = left[:count], left[count:]
@@ -266,7 +280,7 @@ class Launcher:
                 return
 
     def _catch_up(self, stages: list[Any], sizes: list[int]) -> None:
-        """Launch what is taken every so many steps, where graphs of these sizes are too short to hold it."""
+        """Launch stages that run once in several steps, if graphs of these sizes are too short to contain them."""
         seldom = [stage for stage in stages if stage.every > 1]
         if not seldom:
             return
@@ -284,15 +298,19 @@ class Launcher:
             self.crowding.enter()
         for size in sizes:
             wp.capture_launch(self._graphs[size, crowded, behind][part])
-            # Threads see the same: who goes on waits for the others at the next barrier, before flags change.
+            # `ended` gives all threads the same answer: a thread that goes on waits for the others at the next barrier,
+            # and the flags that `ended` reads change only after that barrier.
             if not parallel(self.device) and ended():
                 return
 
     def apart(self, stages: list[Stage]) -> None:
-        """Launch stages that chunks have apart, each on a thread of its own while that is so of steps."""
+        """Launch independent stages of several chunks, each on a thread of its own.
+
+        During core contention, one thread launches all of them.
+        """
         for stage in stages:
             stage.record()
-        if self.crowding.crowded:  # as steps are
+        if self.crowding.crowded:  # During core contention, one thread does all work.
             self._together([lambda: [stage() for stage in stages]])
         else:
             self._together(stages)
@@ -302,12 +320,12 @@ class Launcher:
             for call in calls:
                 call()
             return
-        if len(calls) == 1:  # by this thread, which the system may move to any core
+        if len(calls) == 1:  # Use the calling thread, because it is not pinned to a core.
             with put_off():
                 calls[0]()
             return
-        # Every thread must set out, or those that did wait for it at the barrier; none may still write when Python
-        # reads again.
+        # Defer interruptions. If only some threads started, they would wait for the others at the barrier forever, and
+        # all threads must have finished before Python reads their arrays.
         with put_off():
             running = [self._pool.submit(call) for call in calls]
             wait(running)
@@ -332,7 +350,10 @@ class Launcher:
 
 
 def _launch_beside(stages: list[Any], device: Any) -> None:
-    """Launch a GPU's stages into the graph that is captured, those that are `beside` on a stream of their own."""
+    """Launch a GPU's stages during a graph capture, those with `beside` on a side stream.
+
+    The main stream waits for the side stream before a stage with `meets`, and at the end.
+    """
     main, side, apart = device.stream, None, False
     for stage in stages:
         if stage.beside:

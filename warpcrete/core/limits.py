@@ -1,9 +1,9 @@
-"""What is possible and what is usual: the limits of every parameter and of every amount in a file, each with a reason.
+"""Limits of parameters and of amounts in files: what is possible and what is usual, each with a reason.
 
-A value outside what is possible is refused, one outside what is usual is warned of, and either message names the unit
-that was probably meant. The limits hold for scene functions, files and the command. Objects below them, such as
-:class:`warpcrete.theory.pipe.Concrete`, take any number that their own rules allow, so that physics can be tested at
-its extremes.
+A value outside the possible range is refused, and a value outside the usual range causes a warning. Both messages
+suggest the unit that was probably meant. The limits hold for scene functions, files and the command. Objects at a lower
+level, such as :class:`warpcrete.theory.pipe.Concrete`, take any number that their own rules allow, so that the physics
+can be tested at its extremes.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from .errors import PlausibilityWarning, refuse
 
 @dataclass(frozen=True)
 class Limit:
-    """Limits of the magnitude of a quantity besides 0, in the program's unit."""
+    """Limits of a quantity's magnitude in the internal unit; zero is always allowed."""
 
     low: float
     high: float
     why: str
-    """Reason of the limits."""
+    """Reason for the limits."""
     usual: tuple[float, float] | None = None
     """Range outside which a warning is given."""
     unit: str = ""
-    """Unit, where the help text of the parameter states none."""
+    """Unit of the limits. Limits that belong to a name apply only to quantities with this unit."""
 
 
 LIMITS = {
-    # By unit: no pump, pipe, mix or test of concrete comes near these numbers, and beyond them sums overflow.
+    # Limits by unit. No pump, pipe, mix or concrete test comes near these numbers; beyond them, sums may overflow.
     "m": Limit(1e-7, 1e4, "a cement grain is 1e-5 m, the longest pumping lines are 2000 m"),
     "m2": Limit(1e-12, 1e6, "the cross-section of a pipe is 0.01 m2"),
     "m/s": Limit(1e-9, 1e3, "concrete is pumped at 0.1 to 3 m/s"),
@@ -47,7 +47,7 @@ LIMITS = {
     "m2/N": Limit(1e-30, 1.0, "steel worn by stones has 1e-13 to 1e-12 m2/N"),
     "degrees": Limit(1e-6, 360.0, "a turn has 360 degrees"),
     "": Limit(1e-12, 1e9, "ratios are near 1"),
-    # By name: quantities whose size is known better.
+    # Limits by name, for quantities whose usual magnitude is known more precisely.
     "diameter": Limit(1e-3, 10.0, "concrete is pumped through 50 to 200 mm", (0.01, 1.0), "m"),
     "flow": Limit(1e-12, 1.0, "the largest concrete pumps give 0.06 m3/s, 200 m3/h", (1e-7, 0.12), "m3/s"),
     "velocity": Limit(1e-6, 100.0, "concrete is pumped at 0.1 to 3 m/s", (1e-4, 10.0), "m/s"),
@@ -77,16 +77,16 @@ LIMITS = {
     "spread": Limit(1e-2, 10.0, "the cone spreads to 0.2 to 0.9 m", (0.1, 2.0), "m"),
     "rest": Limit(1e-6, 1e6, "concrete sets within a day, 1e5 s", (1e-3, 4e4), "s"),
 }  # fmt: skip
-"""Limits by the name of a quantity, and by its unit for all others."""
+"""Limits by the name of a quantity, or by its unit for all other quantities."""
 LARGEST_INTEGER = 2**31 - 1
-"""Largest whole number of a parameter, which kernels and arrays can count to."""
+"""Largest integer that a parameter may have, because kernels and arrays count with 32 bits."""
 LARGEST_SEED = 2**63 - 1
 FASTEST = 10.0
-"""Mean velocity above which a flow is warned of [m/s]: concrete is pumped at 0.1 to 3 m/s."""
+"""Mean flow velocity above which a warning is given [m/s]; concrete is pumped at 0.1 to 3 m/s."""
 
 
 def limit_of(name: str, unit: str) -> Limit | None:
-    """Return the limit of a quantity by its name, if its unit is the one meant there, else by its unit."""
+    """Return the limits that belong to a quantity's name, if its unit matches, else those of the unit, or None."""
     unit = "" if unit in ("1", "m3/m3") else unit
     named = LIMITS.get(name)
     if named is not None and named.unit and named.unit == unit:
@@ -95,7 +95,10 @@ def limit_of(name: str, unit: str) -> Limit | None:
 
 
 def check_limit(field: str, value: float, unit: str, name: str = "") -> None:
-    """Refuse an impossible value of `field` and warn of an unlikely one; `name` finds its limits [default: `field`]."""
+    """Refuse an impossible value of `field`, and warn about an unlikely one.
+
+    The limits are those of the quantity `name` [default: `field`].
+    """
     limit = limit_of(name or field, unit)
     if limit is None:
         return
@@ -112,15 +115,16 @@ def check_limit(field: str, value: float, unit: str, name: str = "") -> None:
 
 
 def check_whole(field: str, value: int) -> None:
-    """Refuse a whole number that is larger than any count can be."""
+    """Refuse an integer that is too large for a counter or a seed."""
     most = LARGEST_SEED if field == "seed" else LARGEST_INTEGER
     if abs(value) > most:
         refuse(field, value, f"must be at most {most}")
 
 
 def check_velocity(field: str, value: float, velocity: float) -> None:
-    """Refuse or warn of a `value` of `field` that makes concrete flow with an impossible or unlikely mean `velocity`
-    [m/s].
+    """Refuse or warn about a value of `field` that leads to an impossible or unlikely mean velocity.
+
+    `value` is the value in the message, and `velocity` is the mean velocity of the concrete [m/s].
     """
     limit = LIMITS["velocity"]
     if not velocity <= limit.high:
@@ -131,17 +135,17 @@ def check_velocity(field: str, value: float, velocity: float) -> None:
 
 
 def warn(text: str) -> None:
-    """Give a :class:`PlausibilityWarning` of one line."""
+    """Give a :class:`PlausibilityWarning` with one line of text."""
     warnings.warn(text, PlausibilityWarning, stacklevel=3)
 
 
 def _meant(value: float, unit: str, limit: Limit) -> str:
-    """Return the unit in which a number would be usual, as a question."""
+    """Return another unit in which a number would be usual, as a question; empty if there is none."""
     low, high = limit.usual or (limit.low, limit.high)
     if limit.usual is None and limit_of("", unit) is limit:
-        return ""  # these limits are too wide to tell
+        return ""  # Limits by unit are too wide to suggest another unit.
     if not 1e-2 <= abs(value) <= 1e6:
-        return ""  # nobody writes such a number with any unit
+        return ""  # A number of this size is unusual in any unit.
     for other, factor in UNITS.get(unit, {}).items():
         if factor != 1.0 and low <= abs(value) * factor <= high:
             return f"{value:g} {other}?"

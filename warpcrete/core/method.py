@@ -1,4 +1,4 @@
-"""What a method of simulation is to the rest of the program, and what a run of it comes to in numbers."""
+"""Interface between a simulation method and the rest of the program, and the quantities that result from a run."""
 
 from __future__ import annotations
 
@@ -13,34 +13,38 @@ from .run_loop import Run, Simulation
 from .units import number, quantity, shown
 
 Progress = Callable[[str, float], None]
-"""Called with a phase and the fraction done."""
+"""Callback for progress, which is called with the name of a phase and the fraction done."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number that a run comes to: it stands in result.json and, by `label`, in the report of the command."""
+    """Number that results from a run: an entry of result.json and, with a `label`, a line in the command's report."""
 
     name: str
     unit: str
     of: Callable[[Any], float | None]
-    """Of what the method knows of a run; None where it means nothing."""
+    """Function that computes the value from the method's data about a run; it returns None if the quantity is
+    undefined."""
     label: str = ""
-    """What the report calls it; without one it is not reported."""
+    """Name of the quantity in the report; without a label, the quantity is not reported."""
     words: Callable[[Run], str] | None = None
-    """How the report gives it, instead of value and unit."""
+    """Function that takes a run and returns the text in the report, in place of value and unit."""
     compared: bool = False
-    """Studies put it into their table and figure."""
+    """Whether studies show the quantity in their table and figure."""
     rare: bool = False
-    """Only if some case has more than 0 of it."""
+    """Whether studies show the quantity only if its value is above 0 in some case."""
 
     @property
     def title(self) -> str:
-        """Heading of a table."""
+        """Column heading of the quantity in tables."""
         return self.name.removesuffix("_pressure").replace("_", " ")
 
 
 def results_of(quantities: Sequence[Quantity], known: Any) -> dict[str, Any]:
-    """Entries of result.json: quantities with a unit as `{"value", "unit"}`, pure numbers plain."""
+    """Return entries of result.json: quantities with a unit as `{"value", "unit"}`, pure numbers as such.
+
+    `known` is the method's data about a run, which is passed to the function `of` of each quantity.
+    """
     found: dict[str, Any] = {}
     for each in quantities:
         value = each.of(known)
@@ -50,7 +54,7 @@ def results_of(quantities: Sequence[Quantity], known: Any) -> dict[str, Any]:
 
 
 def report_of(quantities: Sequence[Quantity], run: Run) -> Iterator[tuple[str, str]]:
-    """Label and text of every quantity of a run that is reported."""
+    """Yield label and text of every quantity of a run that has a label."""
     for each in quantities:
         if each.label and each.name in run.result:
             factor, unit = shown(each.unit)
@@ -60,44 +64,54 @@ def report_of(quantities: Sequence[Quantity], run: Run) -> Iterator[tuple[str, s
 
 @dataclass(frozen=True)
 class Method:
-    """A method, found by the type of a scene; see `warpcrete/methods.py`."""
+    """Simulation method, with its functions for results, pictures and forecasts; a scene's type selects the method.
+
+    The module `warpcrete/methods.py` lists all methods.
+    """
 
     name: str
     simulation: type[Simulation]
     quantities: tuple[Quantity, ...]
     display: type[Display]
     picture: str
-    """Name of the picture in a run folder."""
+    """File name of the picture in a run folder."""
     draw: Callable[[Any, Run, str], Any]
-    """Matplotlib figure of (simulation, run, colouring), or None where there is nothing to draw."""
+    """Function that takes (simulation, run, colouring) and returns a Matplotlib figure, or None if there is nothing to
+    draw."""
     show: Callable[[Run], Any]
-    """Matplotlib figure of a run alone, for notebooks."""
+    """Function that takes a run and returns a Matplotlib figure for notebooks."""
     report: Callable[[Run], Iterator[tuple[str, str]]]
-    """Label and text of each line that the command prints about a run, after its quantities."""
+    """Function that takes a run and yields label and text of each line that the command prints after the quantities."""
     forecast: Callable[[Any, Any, str, int | None, Probe], Forecast]
-    """What a run of a scene will take, of (scene, device, precision, threads, probe of a prepared simulation)."""
+    """Function that takes (scene, device, precision, threads, probe) and returns the expected cost of a run. The probe
+    measures times of a prepared simulation."""
     run_many: Callable[[Sequence[Any], Sequence[Path | None], Progress], list[Run | BaseException]]
-    """Runs simulations of one device, each from its checkpoint if it has one; what each came to, or its error."""
+    """Function that runs several simulations on one device, each from its checkpoint if it has one. It returns a run or
+    an error for each simulation."""
     more_pictures: Callable[[Run], Mapping[str, Any]] = lambda run: {}
-    """Other Matplotlib figures of a run's folder by their files' names; None where there is nothing to draw."""
+    """Function that takes a run and returns further Matplotlib figures for its folder, by file name; a figure is None
+    if there is nothing to draw."""
     expected: Callable[[Any], Mapping[str, float]] = lambda scene: {}
-    """Quantities of a scene by closed forms, before it runs; those that have none are left out."""
+    """Function that takes a scene and returns the quantities that closed-form solutions predict, by name."""
 
     @property
     def scene_type(self) -> type:
-        """Of the scenes that it simulates."""
+        """Type of the scenes that this method simulates."""
         return self.simulation.scene_type
 
     @property
     def compared(self) -> tuple[Quantity, ...]:
-        """Quantities that studies compare."""
+        """Quantities that studies show in their table and figure."""
         return tuple(each for each in self.quantities if each.compared)
 
 
 def run_in_turn(
     simulations: Sequence[Any], checkpoints: Sequence[Path | None], progress: Progress
 ) -> list[Run | BaseException]:
-    """Run simulations one after the other."""
+    """Run simulations one after the other, each from its checkpoint if it has one.
+
+    Return a run or an error for each simulation.
+    """
     outcomes: list[Run | BaseException] = []
     for done, (simulation, checkpoint) in enumerate(zip(simulations, checkpoints)):
         try:

@@ -1,4 +1,4 @@
-"""What recorders draw, taken from a run that goes on: read once for all of them, and from a GPU while it works on."""
+"""Snapshots of a run for drawing: all recorders share one read of each value, and a GPU keeps stepping meanwhile."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ import warp as wp
 from .exchange import Beside
 
 LONGEST = 60.0
-"""That copies from a device may take to arrive [s]."""
+"""Maximum time that copies from a device may take to arrive before an error is raised [s]."""
 GLANCE = 1e-3
-"""Between looks whether they have [s]: each takes the interpreter from the run."""
+"""Time between two checks whether copies have arrived [s]; each check takes Python's interpreter lock from the run."""
 
 
 def on_host(found: Any) -> Any:
-    """An array of a device as a NumPy array of its own; anything else as it is."""
+    """Return a Warp array as a NumPy array of its own; return anything else unchanged."""
     if not isinstance(found, wp.array):
         return found
-    # On a CPU `numpy` gives the array itself, which the run goes on with.
+    # On a CPU, `numpy()` returns a view of the array, which the run continues to change.
     return found.numpy() if _is_on_gpu(found) else found.numpy().copy()
 
 
@@ -33,7 +33,7 @@ def _is_on_gpu(array: wp.array) -> bool:
 
 
 class Pool:
-    """Page-locked memory, which a GPU writes to while the host goes on, kept for the next time: it is slow to get."""
+    """Pool of page-locked memory for asynchronous copies from a GPU; it is reused because its allocation is slow."""
 
     def __init__(self) -> None:
         self._free: dict[tuple[str, ...], tuple[Any, deque[Beside]]] = {}
@@ -41,31 +41,34 @@ class Pool:
         self._one: wp.array | None = None
 
     def one(self, device: Any) -> wp.array:
-        """A 1 on a device, shape (1,)."""
+        """Return an array on a device, shape (1,), that holds 1; a copy of it is a flag of arrival."""
         if self._one is None:
             self._one = wp.ones(1, dtype=wp.int32, device=device)
         return self._one
 
     def take(self, arrays: Mapping[str, wp.array], device: Any) -> tuple[Beside, deque[Beside]]:
-        """Memory for copies of arrays, and where it is to be put back. What they had when they were of other sizes, or
-        at other places, is given up.
+        """Return page-locked memory for copies of arrays, and the queue to which this memory returns later.
+
+        Memory for arrays with the same names but other sizes or addresses is discarded.
         """
         names, where = tuple(arrays), [(array.ptr, array.shape, array.dtype) for array in arrays.values()]
         if names not in self._free or self._free[names][0] != where:
             if names in self._free:
                 self._outdated.append(self._free[names][1])
             self._free[names] = where, deque()
-        for outdated in self._outdated:  # here, since no recorder's thread is to give memory back to the driver
+        for outdated in self._outdated:  # Free memory here: a recorder's thread must not call the driver.
             outdated.clear()
         free = self._free[names][1]
-        # Other threads put back; one alone takes.
+        # No lock is needed: several threads return memory to this queue, but only one thread takes memory from it.
         return free.pop() if free else Beside([*arrays.values()], device), free
 
 
 class Arriving:
-    """Copies of arrays that a GPU makes in the order of its work, after what it was told before and before what it is
-    told next. The last of them is a flag, so that who waits asks nothing of the driver, which refuses while the run
-    captures a graph. Their memory goes back to the pool when nobody has this any more.
+    """Copies of GPU arrays, made in stream order: after the work launched before, and before the work launched later.
+
+    The last copy is a flag, and a reader polls this flag in page-locked memory. The reader therefore makes no call to
+    the driver, which refuses calls while the run captures a graph. The memory returns to the pool when this object is
+    deleted.
     """
 
     def __init__(self, arrays: Mapping[str, wp.array], pool: Pool) -> None:
@@ -77,12 +80,15 @@ class Arriving:
         self._beside.take([*wanted.values()])
 
     def __del__(self) -> None:
-        # Memory that the device may still write to is nobody else's.
+        # The memory must not be reused while the device may still write to it.
         if hasattr(self, "_views") and self._views[""][0] == 1:
             self._back.append(self._beside)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """A copy once it is there, to be read as long as this is held."""
+        """Return a copy by name after it has arrived; the copy is valid while this object exists.
+
+        Raises RuntimeError if the copies do not arrive within the time `LONGEST`.
+        """
         flag, begun = self._views[""], time.monotonic()
         while flag[0] == 0:
             if time.monotonic() - begun > LONGEST:
@@ -93,24 +99,24 @@ class Arriving:
 
 @dataclass(frozen=True)
 class Moment:
-    """What was taken of a run."""
+    """Snapshot of a run for drawing."""
 
     time: float
-    """Simulated [s]."""
+    """Simulated time of the snapshot [s]."""
     steps: int
     found: dict[str, Any]
-    """By the name that it is read by; of what is on its way the copies that have it."""
+    """Values by name; for a copy that is still in flight, the :class:`Arriving` object that contains it."""
     worked_out: dict[Hashable, Any] = field(default_factory=dict)
-    """From that, by names, for all who draw this moment."""
+    """Results computed from the values, by name, shared by all displays of this snapshot."""
 
     def read(self, name: str) -> Any:
-        """What was found under a name, once it is there."""
+        """Return the value with a name, after its copy has arrived."""
         found = self.found[name]
         return found[name] if isinstance(found, Arriving) else found
 
 
 class _Latest:
-    """The last moment of a simulation that was taken, and memory for the next."""
+    """Latest snapshot of a simulation, and the memory pool for its next snapshots."""
 
     def __init__(self) -> None:
         self.moment = Moment(float("nan"), -1, {})
@@ -121,7 +127,10 @@ _latest: WeakKeyDictionary[Any, _Latest] = WeakKeyDictionary()
 
 
 def moment_of(simulation: Any, sources: Mapping[str, Callable[[], Any]]) -> Moment:
-    """What `sources` give now, by their names, each read once for all who ask for it at this moment."""
+    """Return a snapshot of the present values of `sources`, by name.
+
+    Several displays that request a name at the same step share one read.
+    """
     latest = _latest.setdefault(simulation, _Latest())
     time, steps = simulation.stepper.time, simulation.stepper.steps
     if (latest.moment.time, latest.moment.steps) != (time, steps):
@@ -133,5 +142,5 @@ def moment_of(simulation: Any, sources: Mapping[str, Callable[[], Any]]) -> Mome
     found |= {name: on_host(value) for name, value in new.items() if name not in arrays}
     if arrays:
         found |= dict.fromkeys(arrays, Arriving(arrays, latest.pool))
-    # Others may add to it while this one is drawn.
+    # Copy the dictionary, because other displays may add values to it while this snapshot is drawn.
     return Moment(time, steps, {name: found[name] for name in sources}, latest.moment.worked_out)

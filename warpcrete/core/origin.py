@@ -1,7 +1,7 @@
-"""What a scene was made from: the arguments of its scene function, the files it read, and whether it was changed since.
+"""Origin of a scene: arguments of its scene function, files that were read, and whether the scene was changed since.
 
-A frozen scene can still be changed: `dataclasses.replace` copies it with other fields, and arrays are mutable. Its
-record must not claim then that the arguments describe it.
+A frozen scene can still be changed, because `dataclasses.replace` copies it with other fields and arrays are mutable.
+The record of a changed scene must not claim that the arguments describe the scene.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .errors import RunFolderError, refuse
 from .fingerprints import fingerprint
 
 LONGEST_LIST = 20
-"""Numbers of an array, or entries of a list, that a record still shows."""
+"""Maximum number of elements of an array or list that a record writes out."""
 
 PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -29,7 +29,7 @@ _files: ContextVar[dict[str, str] | None] = ContextVar("files", default=None)
 
 @contextmanager
 def files_read() -> Iterator[dict[str, str]]:
-    """Collect the SHA-256 of every input file that is read inside the block, by its absolute path."""
+    """Collect the SHA-256 of every input file that is read inside the block, by absolute path."""
     found: dict[str, str] = {}
     token = _files.set(found)
     try:
@@ -41,14 +41,14 @@ def files_read() -> Iterator[dict[str, str]]:
 
 
 def note_file(path: Path) -> None:
-    """Tell :func:`files_read` that an input file is read; those of this package belong to its version."""
+    """Register an input file with :func:`files_read`; skip files of this package, which its version identifies."""
     found, whole = _files.get(), path.resolve()
     if found is not None and PACKAGE not in whole.parents:
         found[str(whole)] = digest_of(whole)
 
 
 def digest_of(path: Path) -> str:
-    """Return the SHA-256 of a file; empty if the file cannot be read."""
+    """Return the SHA-256 of a file, or an empty text if the file cannot be read."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError:
@@ -56,12 +56,12 @@ def digest_of(path: Path) -> str:
 
 
 def changed_files(files: Mapping[str, str]) -> list[str]:
-    """Return the paths whose files are gone or hold something else than their digests say."""
+    """Return the paths of files that are missing or do not match their SHA-256."""
     return [path for path, digest in files.items() if digest_of(Path(path)) != digest]
 
 
 def check_files(where: Path, files: Mapping[str, str]) -> None:
-    """Refuse to go on with the record `where` if an input file of its scene has changed since."""
+    """Raise :class:`RunFolderError` if an input file of a scene has changed since the record `where` was written."""
     if changed := changed_files(files):
         gone = not Path(changed[0]).is_file()
         raise RunFolderError(
@@ -71,10 +71,11 @@ def check_files(where: Path, files: Mapping[str, str]) -> None:
 
 
 class Arguments(dict[str, Any]):
-    """Arguments of a scene function by name, with fingerprints of what the function made of them.
+    """Arguments of a scene function by name, with fingerprints of the scene that the function made.
 
-    `function` names the scene function, `fields` has the fingerprint of each field of the scene, `files` the SHA-256 of
-    each file that the function read, and `lost` names arguments whose values cannot be written as text.
+    `function` is the name of the scene function, and `fields` has the fingerprint of each field of the scene. `files`
+    has the SHA-256 of each file that the function read. `lost` has the names of arguments whose values cannot be
+    written as text.
     """
 
     function: str = ""
@@ -86,7 +87,7 @@ class Arguments(dict[str, Any]):
     def of(
         cls, scene: Any, function: str, values: Mapping[str, Any], files: Mapping[str, str], lost: tuple[str, ...]
     ) -> Arguments:
-        """Return the arguments `values` of a scene that was just made of them."""
+        """Return the arguments `values` with fingerprints of `scene`, which was just made from them."""
         made = cls(values)
         made.function, made.files, made.lost = function, dict(files), lost
         made.fields = {"parameters": fingerprint(values), **_fingerprints(scene)}
@@ -98,9 +99,9 @@ def _fingerprints(scene: Any) -> dict[str, str]:
 
 
 def changed_fields(scene: Any) -> list[str]:
-    """Return the names of the fields that differ from what the scene function made.
+    """Return the names of fields in which a scene differs from what its scene function made.
 
-    A scene that was built by hand has no function: all its fields are returned.
+    For a scene that was built by hand, without a scene function, return the names of all fields.
     """
     made = scene.parameters
     now = _fingerprints(scene)
@@ -111,12 +112,12 @@ def changed_fields(scene: Any) -> list[str]:
 
 
 def arguments_of(scene: Any) -> Mapping[str, Any]:
-    """Return the arguments that make this very scene again; empty if it was changed or built by hand."""
+    """Return the arguments from which a scene can be made again; empty if it was changed or built by hand."""
     return {} if changed_fields(scene) else scene.parameters
 
 
 def check_named(scene: Any) -> None:
-    """Refuse a scene with an object, such as a contact law, that its name does not lead other processes to."""
+    """Refuse a scene with an object, such as a contact law, that other processes cannot make from its class name."""
     made = scene.parameters
     hidden = [name for name, value in made.items() if isinstance(value, str) and value.startswith("__main__:")]
     for name in (*made.lost, *hidden):
@@ -125,7 +126,7 @@ def check_named(scene: Any) -> None:
 
 
 def readable(value: Any) -> Any:
-    """Return a value as JSON that people can read: dataclasses by their fields, large arrays by shape and digest."""
+    """Return a value as readable JSON: dataclasses as their fields, large arrays as shape and digest."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {f.name: readable(getattr(value, f.name)) for f in dataclasses.fields(value)}
         return {"type": f"{type(value).__module__}:{type(value).__qualname__}", **fields}

@@ -1,4 +1,4 @@
-"""Colours of quantities, by maps of matplotlib's."""
+"""Colours that represent quantities, from Matplotlib's colour maps."""
 
 from __future__ import annotations
 
@@ -9,21 +9,27 @@ from dataclasses import dataclass
 import numpy as np
 
 STEPS, A_DECADE = 2048, 128
-"""Of the values that paint tells apart, in all and from one to ten times it."""
+"""Number of steps into which painted values are rounded: in total, and from a value to ten times that value."""
 LEAST = 1e-6
-"""The smallest of them, as read; what is less is shown as nothing."""
+"""Smallest painted value, in the displayed unit; smaller values are shown as zero."""
 COLOURS = 256
-"""Of a palette."""
+"""Number of colours in a palette."""
 
 
 def on_palette(values: np.ndarray, upper: float, lower: float = 0.0, name: str = "viridis") -> np.ndarray:
-    """RGB bytes (n, 3) of values from `lower` to `upper`, on a map of matplotlib's, the perceptually even viridis."""
+    """Return RGB bytes (n, 3) of values from `lower` to `upper` on a Matplotlib colour map.
+
+    The default colour map, viridis, is perceptually uniform.
+    """
     scaled = np.clip((values - lower) / max(upper - lower, 1e-300), 0, 1)
     return _palette(name)[((COLOURS - 1) * scaled).astype(int)]
 
 
 def packed(colours: np.ndarray) -> np.ndarray:
-    """RGB bytes (n, 3) as one number each, (n,): red highest, then green, blue, and full opacity."""
+    """Return RGB bytes (n, 3) as one number each, shape (n,).
+
+    The highest byte is red, followed by green, blue and the opacity, which is 255.
+    """
     red, green, blue = colours.astype(np.uint32).T
     return red << 24 | green << 16 | blue << 8 | np.uint32(255)
 
@@ -37,32 +43,36 @@ def _palette(name: str) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Paint:
-    """Colours of a quantity on walls, of which nobody knows beforehand how far it will grow.
+    """Colour scale of a quantity on walls, such as worn depth, whose maximum is unknown until the run ends.
 
-    Recordings hold steps of the values, whatever the scale, and the colours of all steps once: when the scale grows
-    these alone are written anew, and earlier frames show the scale of later ones.
+    A recording stores each value rounded to one of a fixed set of steps, independent of the scale. It stores the
+    colours of all steps once. When the scale grows, only these colours are written again, so earlier frames are shown
+    with the later scale.
     """
 
     label: str
-    """With the unit in which values are read."""
+    """Title of the scale, with the unit of the displayed values."""
     palette: str
     upper: float
-    """End of the scale, which begins at 0, as read; 0: there is nothing to show yet."""
+    """Upper end of the scale, in the displayed unit; the lower end is 0. If `upper` is 0, there is nothing to show yet.
+    """
 
     @property
     def unit(self) -> str:
-        """Of the label."""
+        """Unit of the displayed values, taken from the brackets in the label."""
         return self.label.rpartition("[")[2].rstrip("]")
 
     def colours(self) -> np.ndarray:
-        """RGB bytes of all steps, shape (STEPS, 3)."""
+        """Return the RGB bytes of all steps, shape (STEPS, 3)."""
         values = LEAST * 10 ** (np.arange(STEPS) / A_DECADE)
         values[0] = 0.0
         return on_palette(values, self.upper if self.upper > 0 else np.inf, name=self.palette)
 
     def steps(self, values: np.ndarray) -> np.ndarray:
-        """The nearest step of each value as read, shape as `values`; of all that have the first colour, on this scale
-        and on every larger one, the same: between corners whose steps lie far apart pictures show what neither has.
+        """Return the nearest step of each value in the displayed unit, with the shape of `values`.
+
+        All values that have the scale's first colour get the same step. The viewer interpolates steps between vertices,
+        and distant steps would give colours between the vertices that neither vertex has.
         """
         least = max(LEAST, self.upper / COLOURS)
         place = A_DECADE * np.log10(np.maximum(values, least) / LEAST)
@@ -70,6 +80,6 @@ class Paint:
 
 
 def rounded_up(value: float) -> float:
-    """The least of 1, 2 and 5 times powers of ten that is not below a value above 0."""
+    """Return the smallest 1, 2 or 5 times a power of ten that is not below the positive number `value`."""
     decade = 10.0 ** math.floor(math.log10(value))
     return next(decade * each for each in (1, 2, 5, 10) if decade * each >= value * (1 - 1e-12))

@@ -1,7 +1,7 @@
-"""Declared parameters: fields of dataclasses that say what they are, and are checked by what they say.
+"""Declared parameters: dataclass fields whose annotations give type, help text, unit and rules.
 
-A field is annotated as `Annotated[type, help, rule, ...]` or `Annotated[type | None, help, rule, ...]`; its unit stands
-in brackets in the help text. From such fields come the checks of a dataclass (:class:`Declared`), the keywords of a
+A field is annotated as `Annotated[type, help, rule, ...]` or `Annotated[type | None, help, rule, ...]`. The help text
+contains the unit in brackets. These fields define the checks of a dataclass (:class:`Declared`), the keywords of a
 scene function (:func:`scene_function`) and the options of the command.
 """
 
@@ -30,7 +30,7 @@ from .origin import Arguments, files_read
 WORDS = {float: "a number", int: "a whole number", str: "text", bool: "True or False"}
 
 NUMERIC = re.compile(r"\s*[-+]?\.?\d")
-"""Beginning of a text that is meant as a number."""
+"""Pattern of the beginning of a text that is meant as a number."""
 
 P = ParamSpec("P")
 S = TypeVar("S")
@@ -39,7 +39,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Above:
-    """A finite number above `lower`."""
+    """Rule that a value must be a finite number above `lower`."""
 
     lower: float = 0.0
     hint: str = ""
@@ -51,7 +51,7 @@ class Above:
 
 @dataclass(frozen=True)
 class Within:
-    """A finite number in [lower, upper]."""
+    """Rule that a value must be a finite number in [lower, upper]."""
 
     lower: float = -math.inf
     upper: float = math.inf
@@ -68,7 +68,7 @@ class Within:
 
 @dataclass(frozen=True)
 class OneOf:
-    """One of some words or numbers."""
+    """Rule that a value must be one of `choices`, which are words or numbers."""
 
     choices: tuple[Any, ...]
 
@@ -78,79 +78,86 @@ class OneOf:
 
 @dataclass(frozen=True)
 class Needs:
-    """A parameter that means nothing unless `test` holds for the value of another one, `field`."""
+    """Rule that a parameter has a meaning only if `test` holds for the value of another parameter, `field`."""
 
     field: str
     test: Callable[[Any], bool]
     words: str
-    """What the other one must be, to follow its name."""
+    """Condition for the other parameter, in words that follow its name in a message."""
 
 
 @dataclass(frozen=True)
 class FileIf:
-    """Text that names a file where `test` says so: it is kept as an absolute path, which holds in any folder."""
+    """Rule that a text for which `test` holds names a file.
+
+    The text is stored as an absolute path, which is valid in any working folder.
+    """
 
     test: Callable[[str], bool]
 
 
 @dataclass(frozen=True)
 class Alias:
-    """Another name by which a parameter is known; `convert` makes its value of the other's."""
+    """Another name of a parameter; `convert` turns a value given under this name into the parameter's value."""
 
     name: str
     convert: Callable[[Any], Any] | None = None
 
 
 class Spread:
-    """Rule of a parameter whose value has parameters of its own, named after it; see :mod:`warpcrete.core.by_name`."""
+    """Rule of a parameter, such as `contact`, whose value has parameters of its own, such as `contact_FIELD`.
+
+    See :mod:`warpcrete.core.by_name`.
+    """
 
     def fields(self, field: Field, value: Any) -> dict[str, Field]:
-        """Return the parameters that belong to a value of `field`."""
+        """Return the parameters that belong to a value of `field`, by name."""
         raise NotImplementedError
 
     def assembled(self, field: Field, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return parameters with the value of `field` made of all that belong to it."""
+        """Return parameters in which the value of `field` is built from all parameters that belong to it."""
         raise NotImplementedError
 
     def written(self, field: Field, value: Any) -> tuple[dict[str, Any], bool]:
-        """Return plain values from which `assembled` makes a value of `field`, and whether it makes the same."""
+        """Return plain values for a value of `field`, and whether `assembled` makes an equal value from them."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class Field:
-    """What the annotation of a field says."""
+    """Declared parameter, as parsed from the annotation of a dataclass field."""
 
     name: str
     kind: Any
     optional: bool
-    """None is allowed."""
+    """Whether None is an allowed value."""
     help: str
     rules: tuple[Any, ...]
     default: Any
-    """`dataclasses.MISSING` where there is none."""
+    """Default value; `dataclasses.MISSING` if there is none."""
     group: str
-    """First line of the docstring of the class that declares the field."""
+    """First line of the docstring of the class that declares the field; it is the heading of a group in help texts."""
 
     @property
     def unit(self) -> str:
-        """Unit in brackets in the help text, after a space; nothing if there is none."""
+        """Unit from the brackets in the help text, with a leading space; empty if there is none."""
         found = re.search(r"\[([^\]]+)\]", self.help)
         return f" {found.group(1)}" if found else ""
 
     @property
     def units(self) -> str:
-        """Unit by which :data:`UNITS` knows those that may be written instead."""
+        """Unit of the field as a key of :data:`UNITS`, which lists the units that a user may write."""
         return self.unit.strip() if self.unit.strip() in UNITS else "1"
 
     def of_kind(self, kind: type[T]) -> Iterator[T]:
-        """Rules of one kind."""
+        """Return those rules of the field that are instances of `kind`."""
         return (rule for rule in self.rules if isinstance(rule, kind))
 
     def converted(self, value: Any, name: str) -> Any:
-        """Return `value` as the field's type, or raise :class:`SceneError`.
+        """Return `value` converted to the field's type; raises :class:`SceneError` if that is impossible.
 
-        NumPy numbers become Python's, ints floats, and texts such as "125 mm" numbers in the field's unit.
+        NumPy numbers become Python numbers, integers become floats if the field is a float, and texts such as "125 mm"
+        become numbers in the field's unit.
         """
         if isinstance(value, np.generic):
             value = value.item()
@@ -165,7 +172,7 @@ class Field:
         if self.kind is int and isinstance(value, int) and not isinstance(value, bool):
             check_whole(name, value)
         if self.kind is float and isinstance(value, float):
-            return value + 0.0  # without the sign of a zero
+            return value + 0.0  # The sum turns -0.0 into 0.0.
         if self.kind is str and hasattr(value, "__fspath__"):
             return str(value)
         if not isinstance(value, self.kind) or (isinstance(value, bool) and self.kind is not bool):
@@ -178,18 +185,18 @@ class Field:
         return value
 
     def number(self, value: Any, name: str) -> Any:
-        """Return a text such as "125 mm" as a number in the field's unit, and anything else as it is."""
+        """Return a text such as "125 mm" as a number in the field's unit; return anything else unchanged."""
         if self.kind is float and isinstance(value, str) and NUMERIC.match(value):
             return amount(name, value, self.units)
         return value
 
     def check_limits(self, value: Any, name: str) -> None:
-        """Refuse a number that is impossible for any scene, and warn of an unlikely one."""
+        """Refuse a number that is impossible in any scene, and warn about an unlikely number."""
         if isinstance(value, float):
             check_limit(name, value, self.unit.strip(), self.name)
 
     def check(self, value: Any, name: str) -> None:
-        """Raise :class:`SceneError` where a rule is broken."""
+        """Raise :class:`SceneError` if `value` breaks a rule of the field."""
         if value is not None:
             for rule in self.rules:
                 if isinstance(rule, Above | Within | OneOf):
@@ -198,7 +205,7 @@ class Field:
 
 @functools.cache
 def declared_fields(owner: type) -> dict[str, Field]:
-    """Annotated fields of a dataclass, in the order of its groups (the bases as they are listed) and their lines."""
+    """Return the annotated fields of a dataclass by name, first those of its bases, each in order of definition."""
     hints = get_type_hints(owner, include_extras=True)
     own = [base for base in owner.__mro__ if dataclasses.is_dataclass(base)]
     found: dict[str, Field] = {}
@@ -216,10 +223,10 @@ def declared_fields(owner: type) -> dict[str, Field]:
 
 
 class Declared:
-    """Base of frozen dataclasses whose annotated fields are converted and checked when one is made."""
+    """Base class of frozen dataclasses that convert and check their annotated fields when an object is made."""
 
     called: ClassVar[str] = ""
-    """What errors put before a field's name."""
+    """Word that error messages put before the name of a field."""
 
     def __post_init__(self) -> None:
         for name, field in declared_fields(type(self)).items():
@@ -230,16 +237,16 @@ class Declared:
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        """Section of a concrete's file that holds parameters of this kind, and which of them it may hold."""
+        """Return the section of a concrete's file that has parameters of this class, and the names allowed there."""
         return "", ()
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Parameters that those given imply, where they are not given themselves."""
+        """Return parameters that follow from the given ones, such as those of a concrete that is given by name."""
         return {}
 
     def check_needed(self) -> None:
-        """Refuse parameters that differ from their defaults where they mean nothing."""
+        """Refuse parameters that differ from their defaults although they have no effect."""
         for name, field in declared_fields(type(self)).items():
             for rule in field.of_kind(Needs):
                 if getattr(self, name) != field.default and not rule.test(getattr(self, rule.field)):
@@ -248,7 +255,7 @@ class Declared:
 
 
 def _listed(fields: Iterable[Field]) -> str:
-    """Return parameters as help() shows them: by group, each with its type, default, help text and unit."""
+    """Return the text about parameters for `help()`, by group, with type, default, help text and unit of each."""
     lines: list[str] = []
     group = ""
     for field in fields:
@@ -263,7 +270,10 @@ def _listed(fields: Iterable[Field]) -> str:
 
 
 class SceneFunction(Generic[P, S]):
-    """A function of keywords, which are the fields of `parameters`; see :func:`scene_function`."""
+    """Function that makes a scene from keywords, which are the fields of the dataclass `parameters`.
+
+    The decorator :func:`scene_function` creates such functions.
+    """
 
     def __init__(self, parameters: type, build: Callable[[Any], S]) -> None:
         self.parameters, self._build = parameters, build
@@ -283,7 +293,7 @@ class SceneFunction(Generic[P, S]):
 
     @property
     def module(self) -> types.ModuleType:
-        """Where the function was written: a scene's check and knobs stand beside it."""
+        """Module in which the function is defined, together with the scene's checks and knobs."""
         return sys.modules[self._build.__module__]
 
     def __call__(self, *args: P.args, **given: P.kwargs) -> S:
@@ -296,7 +306,7 @@ class SceneFunction(Generic[P, S]):
                 refuse("parameter", name, f"is none of scene {self.name}",
                        known_names(name, known))  # fmt: skip
         try:
-            for name, value in values.items():  # each by itself, before any of them is computed with
+            for name, value in values.items():  # Check each value by itself before values are combined.
                 made = known[name].converted(value, name)
                 known[name].check(made, name)
                 known[name].check_limits(made, name)
@@ -324,11 +334,11 @@ class SceneFunction(Generic[P, S]):
 
     @property
     def name(self) -> str:
-        """Name of the scene, as the command has it."""
+        """Name of the scene in the command."""
         return self._build.__module__.rpartition(".")[2].replace("_", "-")
 
     def _written(self, parameters: Any) -> tuple[dict[str, Any], tuple[str, ...]]:
-        """Return parameters as plain values, and the names of those whose values these do not make again."""
+        """Return parameters as plain values, and the names of parameters that these values cannot reproduce."""
         values: dict[str, Any] = {}
         lost = []
         for name, field in declared_fields(self.parameters).items():
@@ -340,7 +350,7 @@ class SceneFunction(Generic[P, S]):
         return values, tuple(lost)
 
     def fields(self, given: Mapping[str, Any]) -> dict[str, Field]:
-        """Return the declared fields, and those that belong to the values given for some of them."""
+        """Return the declared fields, and the fields that belong to given values, such as those of a contact law."""
         known = dict(declared_fields(self.parameters))
         for name, field in list(known.items()):
             for rule in field.of_kind(Spread):
@@ -348,7 +358,10 @@ class SceneFunction(Generic[P, S]):
         return known
 
     def assembled(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return parameters with those that belong to the value of another one inside that value."""
+        """Return parameters in which each object is built from the parameters that belong to it.
+
+        Raises :class:`SceneError` for a parameter that belongs to no object.
+        """
         found = dict(values)
         for field in declared_fields(self.parameters).values():
             for rule in field.of_kind(Spread):
@@ -362,18 +375,19 @@ class SceneFunction(Generic[P, S]):
         return found
 
     def plain(self, scene: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the arguments of a scene that was made of those `given`, without all that are left to defaults."""
+        """Return the arguments that a scene was made of, without parameters that were left at their defaults."""
         names = self.completed(given)
         declared = declared_fields(self.parameters)
         return {name: value for name, value in scene.parameters.items() if name in names or name not in declared}
 
     def declared(self, given: Mapping[str, Any]) -> Any:
-        """The dataclass of the parameters: those that are given, what they imply, defaults."""
+        """Return the dataclass of parameters: the given values, values that follow from these, and defaults."""
         return self.parameters(**self.assembled(self.completed(given)))
 
     def completed(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Parameters by their own names, with those that they imply (as a concrete by its name does), as far as these
-        mean something.
+        """Return parameters by their own names, together with parameters that follow from the given ones.
+
+        For example, the name of a concrete implies its parameters. Implied parameters that have no effect are left out.
         """
         values = self.resolved(given)
         implied = {name: value for name, value in self.parameters.implied(values).items() if name not in values}
@@ -383,13 +397,13 @@ class SceneFunction(Generic[P, S]):
         return values | {name: value for name, value in implied.items() if name in meant}
 
     def meaningful(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Parameters by their own names, without those that mean nothing beside the others."""
+        """Return the given parameters by their own names, without those that have no effect."""
         values = self.resolved(given)
         meant = self._meant({**self.parameters.implied(values), **values})
         return {name: value for name, value in values.items() if name in meant}
 
     def _meant(self, values: dict[str, Any]) -> dict[str, Any]:
-        """Of values by their own names those that mean something beside each other."""
+        """Return those of `values` that have an effect in combination with each other."""
         known = declared_fields(self.parameters)
         spread = {name: field for name, field in known.items() if any(field.of_kind(Spread))}
 
@@ -405,17 +419,17 @@ class SceneFunction(Generic[P, S]):
         def held(name: str) -> Any:
             return values.get(name, known[name].default)
 
-        while any(not meant(name) for name in values):  # what one of them needs may itself mean nothing
+        while any(not meant(name) for name in values):  # A removed parameter may be a condition for others.
             values = {name: value for name, value in values.items() if meant(name)}
         return values
 
     def resolved(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return parameters by their own names, and texts such as "125 mm" as numbers."""
+        """Return parameters by their own names instead of aliases, and texts such as "125 mm" as numbers."""
         return resolved(declared_fields(self.parameters), given)
 
 
 def resolved(known: Mapping[str, Field], given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return values of fields by the fields' own names, and texts such as "125 mm" as numbers."""
+    """Return values of fields by the fields' own names instead of aliases, and texts such as "125 mm" as numbers."""
     values: dict[str, Any] = dict(given)
     for name, field in known.items():
         if name in values:
@@ -433,10 +447,10 @@ def resolved(known: Mapping[str, Field], given: Mapping[str, Any]) -> dict[str, 
 
 
 def scene_function(parameters: Callable[P, T]) -> Callable[[Callable[[T], S]], SceneFunction[P, S]]:
-    """Decorator: a function of one argument, a :class:`Declared` dataclass, becomes one of that dataclass' fields.
+    """Return a decorator that turns a function of one :class:`Declared` dataclass into a function of its fields.
 
-    The result takes them as keywords, knows their aliases, refuses what is of another type than declared, out of its
-    range or without meaning beside the others, and keeps the dataclass as `.parameters`.
+    The resulting :class:`SceneFunction` takes the fields as keywords, accepts their aliases and has the dataclass as
+    attribute `parameters`. It refuses values that have the wrong type, are out of range or have no effect.
     """
 
     def decorate(build: Callable[[T], S]) -> SceneFunction[P, S]:

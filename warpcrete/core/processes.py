@@ -1,4 +1,4 @@
-"""Processes that end with this one."""
+"""Child processes that the system kills when this process ends."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG, which stays with
 if os.getppid() == int(sys.argv[1]):
     os.execv(sys.argv[2], sys.argv[2:])
 """
-"""Becomes another program, which the system kills when the process that started it ends."""
+"""Python program that turns itself into another program, which Linux kills when the parent process ends."""
 
 
 def tied(command: list[str]) -> list[str]:
-    """Return a command that runs another and is killed with this process, whatever ends it (on Linux)."""
+    """Return a command that runs `command` and is killed when this process ends for any reason.
+
+    This works on Linux; on other systems, return `command` unchanged.
+    """
     if sys.platform != "linux":
         return command
     return [sys.executable, "-IS", "-c", TIED, str(os.getpid()), *command]

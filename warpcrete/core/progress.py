@@ -7,14 +7,14 @@ from typing import Any
 
 
 class ProgressBar:
-    """Callable for `Simulation(progress=...)`: one tqdm bar, with time left, pressure and speed."""
+    """Callback for `Simulation(progress=...)` that shows a tqdm bar with remaining time, pressure and speed."""
 
     def __init__(self) -> None:
         self._bar: Any = None
         self._phase = ""
 
     def __call__(self, phase: str, fraction: float, figures: dict[str, Any]) -> None:
-        """Show the fraction done of a phase."""
+        """Show the fraction of a phase that is done, and current figures such as the pressure."""
         from tqdm.auto import tqdm
 
         if phase != self._phase:
@@ -36,7 +36,7 @@ class ProgressBar:
         self._bar.refresh()
 
     def close(self) -> None:
-        """Finish the line."""
+        """Draw the progress bar for the last time and end its line."""
         if self._bar is not None:
             self._bar.refresh()
             self._bar.close()

@@ -1,4 +1,4 @@
-"""Where a run comes from, and whether two are the same: versions, processor, hashes."""
+"""Provenance of a run, such as versions and processor, and hashes that show whether two results are identical."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .version import version_of
 
 
 def provenance(device: Any, precision: str, seed: int) -> dict[str, Any]:
-    """Versions, device and settings that a run depends on."""
+    """Return the versions, the device and the settings on which the results of a run depend."""
     return {
         **versions(),
         "numpy": np.__version__,
@@ -32,13 +32,16 @@ def provenance(device: Any, precision: str, seed: int) -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Of the packages that compute."""
+    """Return the versions of the packages that compute the results, warpcrete and Warp."""
     return {"warpcrete": version_of("warpcrete"), "warp": version_of("warp-lang")}
 
 
 @functools.cache
 def processor() -> str:
-    """Model of the CPU. Kernels of the CPU are compiled for it (Warp's `-march=native`), so their bits belong to it."""
+    """Return the model name of the CPU.
+
+    Warp compiles CPU kernels for this model (`-march=native`), so the last bits of results depend on it.
+    """
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -48,7 +51,7 @@ def processor() -> str:
 
 
 def arrays_hash(arrays: Mapping[str, np.ndarray]) -> str:
-    """SHA-256 of named arrays, in the order of their names."""
+    """Return the SHA-256 of named arrays, in the order of their names."""
     digest = hashlib.sha256()
     for name in sorted(arrays):
         digest.update(name.encode() + np.ascontiguousarray(arrays[name]).tobytes())

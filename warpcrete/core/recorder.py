@@ -1,4 +1,4 @@
-"""Recorders: where a run goes."""
+"""Base class of recorders, which write the output of a run to files or to a viewer."""
 
 from __future__ import annotations
 
@@ -9,67 +9,73 @@ if TYPE_CHECKING:
 
 
 class Recorder:
-    """Where a run goes; subclasses override what they need.
+    """Base class of objects that record a run; subclasses override the methods that they need.
 
-    Methods are called in this order; `finish` and `close` also after an interruption or an error. What `start`,
-    `sample` or any other method raises ends the run, unless the recorder is `expendable`.
+    The methods are called in the order in which they are listed here. `finish` and `close` are also called after an
+    interruption or an error. An exception in any method ends the run, unless the recorder is `expendable`.
     """
 
     expendable: ClassVar[bool] = False
-    """The run goes on without this recorder when it fails, with a warning. A full disk ends the run all the same: it
-    can be resumed when there is room, and then nothing is missing."""
+    """Whether the run goes on without this recorder if it fails, with a warning. A full disk ends the run in any case:
+    the run can be resumed when there is space, and then no data is missing."""
 
     rows_alone: ClassVar[bool] = False
-    """Its `sample` reads the row and `simulation.sampled`, and nothing of the state, which may have gone on since. The
-    class that defines `sample` says so."""
+    """Whether `sample` reads only the row and `simulation.sampled`, and not the state, which may be some steps further
+    by then. The class that defines `sample` sets this flag."""
     draws_alone: ClassVar[bool] = False
-    """Its `frame` draws by the display, and reads no row: that of this moment may come later. The class that defines
-    `frame` says so."""
+    """Whether `frame` reads only the display and no row of the series, because the row of the same time may be complete
+    only later. The class that defines `frame` sets this flag."""
 
     def claim(self, simulation: Any) -> None:
-        """Take what only one run may have, before any work is done."""
+        """Take exclusive resources, such as the run folder, before any work is done."""
 
     def abandon(self, simulation: Any) -> None:
-        """Give back what `claim` took: the run never began."""
+        """Release the exclusive resources that `claim` took, because the run never began."""
 
     def start(self, simulation: Any) -> None:
-        """The run is about to begin."""
+        """Prepare to record a run that is about to begin."""
 
     def resume(self, simulation: Any, state: dict[str, Any]) -> None:
-        """Instead of `start`, when a run goes on from the checkpoint at which `checkpoint` returned `state`.
+        """Prepare to record a run that goes on from a checkpoint; called instead of `start`.
 
-        Whatever was recorded after it must go.
+        `state` is what the method `checkpoint` returned for this checkpoint. Everything that was recorded after the
+        checkpoint must be removed.
         """
         self.start(simulation)
 
     def sample(self, simulation: Any, row: dict[str, float]) -> None:
-        """A row of the series."""
+        """Record a row of the series, which has a value for each column."""
 
     def frame(self, simulation: Any) -> None:
-        """A picture is due."""
+        """Record a frame, which is a picture of the state at this time."""
 
     def checkpoint(self, simulation: Any) -> dict[str, Any]:
-        """Return what `resume` will need to go on from this moment.
+        """Return the data that `resume` needs to go on recording from this time.
 
-        `write` follows; the checkpoint with this state takes effect when every recorder has written.
+        The method `write` is called next. The checkpoint takes effect when all recorders have written their data.
         """
         return {}
 
     def write(self, simulation: Any) -> None:
-        """Put on disk what there is so far, at a checkpoint."""
+        """Write to disk everything that is recorded so far, at a checkpoint."""
 
     def finish(self, simulation: Any, run: Run) -> None:
-        """Put everything on disk: the run has ended. The last recorder finishes first, expendable ones after all
-        others."""
+        """Write everything to disk, because the run has ended.
+
+        The last recorder finishes first; expendable recorders finish after all others.
+        """
 
     def tidy(self, simulation: Any, run: Run) -> None:
-        """Remove or join what only a resumed run needs: the run is complete."""
+        """Remove or join the files that only a resumed run needs, because the run is complete."""
 
     def close(self, simulation: Any) -> None:
-        """Let go of everything, whatever came of the run."""
+        """Release all resources, however the run ended."""
 
 
 def says(kind: type[Recorder], method: str, name: str) -> bool:
-    """Whether the class that has a method of recorders of this kind says something of it; what does nothing does."""
+    """Return whether a recorder class sets the flag `name` in the class that defines `method`.
+
+    Return True if no subclass overrides the method, because the base class's empty method reads nothing.
+    """
     owner = next(each for each in kind.__mro__ if method in vars(each))
     return owner is Recorder or bool(vars(owner).get(name, False))

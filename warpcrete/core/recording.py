@@ -1,4 +1,4 @@
-"""The recorders of one run: each fails alone, and the run is told what is on disk."""
+"""Management of a run's recorders: calls to them, failures of single recorders, and errors of writing to disk."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from .run import Run
 
 
 class Recording:
-    """Calls the recorders of a run, those that are not expendable first."""
+    """Group of a run's recorders, which are called one after the other, expendable recorders last."""
 
     def __init__(self, simulation: Any, recorders: Sequence[Recorder]) -> None:
         self.simulation = simulation
         self.recorders = sorted(recorders, key=lambda recorder: recorder.expendable)
         self.active: list[Recorder] = []
-        """Recorders that have begun and have not failed, in the same order."""
+        """Recorders that have started and have not failed, in the order in which they are called."""
         self.failures: list[Exception] = []
-        """What the run could not put on disk, or could not end with."""
-        self._states: dict[str, Any] = {}  # of recorders at the last checkpoint, by their kind
+        """Errors of recorders that kept the run from writing its data to disk or from ending properly."""
+        self._states: dict[str, Any] = {}  # recorders' states at the last checkpoint, by class name
 
     def begin(self, states: dict[str, Any]) -> None:
-        """Start every recorder, or resume it from its state in a checkpoint."""
+        """Start every recorder, or resume it if `states` has its state from a checkpoint."""
         self._states = dict(states)
         for recorder in self.recorders:
             self.active.append(recorder)
@@ -37,14 +37,14 @@ class Recording:
                 self._call(recorder, "resume", state)
 
     def call(self, method: str, *arguments: Any) -> None:
-        """Call a method of every recorder; an expendable one that fails is left out from then on, with a warning."""
+        """Call a method of every recorder; drop an expendable recorder that fails, with a warning."""
         for recorder in list(self.active):
             self._call(recorder, method, *arguments)
 
     def states(self) -> dict[str, Any]:
-        """Return what each recorder needs to go on from this moment, by the kind of recorder.
+        """Return the data that each recorder needs to go on from this time, by the recorder's class name.
 
-        A recorder that was left out goes on from its state at an earlier checkpoint.
+        A recorder that was dropped keeps its data from an earlier checkpoint.
         """
         for recorder in list(self.active):
             self._states[kind_of(recorder)] = self._call(recorder, "checkpoint")
@@ -58,18 +58,18 @@ class Recording:
                 raise
             self.active.remove(recorder)
             self._warn(recorder, error)
-            with suppress(Exception):  # what there is of it
+            with suppress(Exception):  # Keep what the failed recorder has recorded so far.
                 recorder.finish(self.simulation, None)  # type: ignore[arg-type]
             return self._states.get(kind_of(recorder))
 
     def finish(self, run: Run) -> None:
-        """Put everything on disk, each recorder for itself; `failures` then has what a run cannot do without."""
+        """Let every recorder write its data to disk, and add errors that matter for the run to `failures`."""
         essential = [recorder for recorder in self.active if not recorder.expendable]
         for recorder in [*reversed(essential), *reversed(self.active[len(essential) :])]:
             self._end(recorder, "finish", run)
 
     def tidy(self, run: Run) -> None:
-        """Bring a complete run into its final form."""
+        """Let every recorder remove or join files that a complete run does not need."""
         for recorder in self.active:
             self._end(recorder, "tidy", run)
 
@@ -84,14 +84,14 @@ class Recording:
             run.finished = run.result["finished"] = False
 
     def call_off(self) -> None:
-        """Have essential recorders note that the run is not complete, where nothing else says so."""
+        """Let essential recorders note on disk that the run is not complete, if no checkpoint shows this."""
         for recorder in self.active:
             if not recorder.expendable:
                 with suppress(Exception):
                     recorder.write(self.simulation)
 
     def close(self) -> None:
-        """Let go of everything."""
+        """Let every recorder release its resources."""
         for recorder in self.recorders:
             recorder.close(self.simulation)
 
@@ -102,14 +102,14 @@ class Recording:
 
 
 def kind_of(recorder: Recorder) -> str:
-    """Return the name by which a checkpoint knows a recorder."""
+    """Return the class name of a recorder, by which a checkpoint identifies it."""
     return type(recorder).__name__
 
 
 def full_disk(errors: Sequence[Exception], kept: float | None) -> DiskFullError:
-    """Return the error of a run that a full disk ended: the first of `errors`, and what was not written.
+    """Return the error for a run that a full disk ended, from the recorders' `errors`.
 
-    `kept` is the simulated time of the state on disk [s], None if there is none.
+    `kept` is the simulated time of the state on disk [s], or None if there is no state on disk.
     """
     first = " ".join(str(errors[0]).split()).partition("; what is on disk")[0]
     more = [text.partition(": ")[0] for text in dict.fromkeys(map(str, errors[1:])) if not text.startswith(first)]

@@ -1,4 +1,4 @@
-"""A run that has ended, or was cut: its series and quantities, for people and programs."""
+"""Results of a run that has ended or was interrupted: its series, quantities, plots and recording."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from .units import number, shown
 from .viewer import LOOPBACK, Viewer, has_screen, screen_viewer, web_viewer
 
 COURSES = ("pressure", "spread", "front", "inside")
-"""Columns of which the first that a series has is what its plot shows."""
+"""Columns that a plot shows by default: the first of these names that the series contains."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of equal length by name, and the unit of each."""
+    """Columns of equal length by name, with the unit of each column."""
 
     columns: dict[str, np.ndarray]
     units: dict[str, str]
@@ -30,21 +30,21 @@ class Table:
 
 @dataclass(repr=False)
 class Run:
-    """A finished (or interrupted) run."""
+    """Results of a finished or interrupted run."""
 
     scene: Any
     series: dict[str, np.ndarray]
-    """One array a column, one entry a sample."""
+    """Columns of the series by name, as arrays with one entry per sample."""
     units: dict[str, str]
-    """Unit of each column."""
+    """Unit of each column of the series."""
     result: dict[str, Any]
-    """Quantities of the whole run: those with a unit are `{"value", "unit"}`, pure numbers stand plain."""
+    """Quantities of the whole run: `{"value", "unit"}` if a quantity has a unit, otherwise a plain number."""
     finished: bool
     interrupted: bool = False
-    """Cut at once by an interruption (Ctrl-C), not at a sample."""
+    """Whether an interruption (Ctrl-C) ended the run at once instead of at a sample."""
     folder: Path | None = None
     tables: dict[str, Table] = field(default_factory=dict)
-    """By the names of their files: what stands along something else than time."""
+    """Tables of quantities over another coordinate than time, by file name."""
 
     def __repr__(self) -> str:
         ended = "finished" if self.finished else "not finished"
@@ -57,9 +57,9 @@ class Run:
         )
 
     def __getitem__(self, name: str) -> float:
-        """A quantity of the whole run, in SI units; `run.result` has its unit.
+        """Return a quantity of the whole run in SI units; `run.result` has its unit.
 
-        Raises :class:`KeyError`, with names that are alike, for one that the run does not have.
+        Raises :class:`KeyError`, with similar names, if the run does not have the quantity.
         """
         if name not in self._numbers():
             alike = difflib.get_close_matches(name, self._numbers(), 3)
@@ -80,18 +80,18 @@ class Run:
         return found
 
     def table(self) -> Any:
-        """The series as a pandas DataFrame in SI units, one row a sample, with `time` [s] as index; `attrs["units"]`
-        has the units of its columns.
+        """Return the series as a pandas DataFrame in SI units, with one row per sample and `time` [s] as index.
 
-        Raises :class:`WarpcreteError` where pandas is not installed.
+        The units of the columns are in `attrs["units"]` of the DataFrame. Raises :class:`WarpcreteError` if pandas is
+        not installed.
         """
         return dataframe(self.series, self.units, "time")
 
     def plot(self, *columns: str, against: str = "time") -> Any:
-        """Matplotlib figure of columns of the series over another one; those of one unit share an axis.
+        """Return a Matplotlib figure of columns of the series over another column; columns of one unit share an axis.
 
-        Without columns: pressure, spread, way of the front or what remains, whichever the run has. Raises
-        :class:`SceneError` for a column that it does not have.
+        By default, the figure shows the pressure, the spread, the position of the front or the remaining concrete,
+        whichever the run has first. Raises :class:`SceneError` for a column that the run does not have.
         """
         from matplotlib.figure import Figure
 
@@ -118,11 +118,11 @@ class Run:
         return figure
 
     def view(self, web: bool = False, bind: str = LOOPBACK) -> subprocess.Popen[bytes]:
-        """Open the recording of the run's folder in Rerun's viewer and go on.
+        """Open the recording in the run's folder in Rerun's viewer, without waiting for the viewer to close.
 
-        With `web` a server shows it in a browser, at the address that is printed, as long as this program runs; `bind`
-        is the IP address that it listens on, by default that of this machine alone. Raises :class:`RunFolderError` if
-        there is no recording, or no screen.
+        With `web`, a server shows the recording in a browser while this program runs, and its address is printed. The
+        server listens on the IP address `bind`, which by default only this machine can reach. Raises
+        :class:`RunFolderError` if there is no recording or no screen.
         """
         if self.folder is None:
             raise RunFolderError("the run has no folder: 'warpcrete run SCENE --out FOLDER' makes one with a recording")
@@ -133,7 +133,7 @@ class Run:
         return process
 
     def _repr_html_(self) -> str:
-        """Its quantities as a table, for notebooks."""
+        """Return the quantities as an HTML table for notebooks."""
         rows = []
         for name, entry in self.result.items():
             if isinstance(entry, dict) and set(entry) == {"value", "unit"} and isinstance(entry["value"], float):
@@ -144,9 +144,9 @@ class Run:
 
 
 def dataframe(columns: Mapping[str, Any], units: Mapping[str, str], index: str) -> Any:
-    """A pandas DataFrame with a column as index, if it is there, and the units of the columns in `attrs["units"]`.
+    """Return columns as a pandas DataFrame, with the column `index` as its index if there is such a column.
 
-    Raises :class:`WarpcreteError` where pandas is not installed.
+    The units of the columns are in `attrs["units"]`. Raises :class:`WarpcreteError` if pandas is not installed.
     """
     try:
         import pandas
@@ -162,9 +162,10 @@ def dataframe(columns: Mapping[str, Any], units: Mapping[str, str], index: str) 
 
 
 def viewer(run: Path, web: bool = False, bind: str = LOOPBACK) -> Viewer:
-    """Return Rerun's viewer of a run folder's recording, or of the recording `run`, on the screen or in a browser.
+    """Return Rerun's viewer for the recording in the folder `run`, or for the recording file `run`.
 
-    Raises :class:`RunFolderError` if there is none, or no screen.
+    With `web`, the viewer is a server for browsers, which listens on the IP address `bind`; otherwise it is a window.
+    Raises :class:`RunFolderError` if there is no recording or no screen.
     """
     recording = run / "run.rrd" if run.is_dir() else run
     if not recording.is_file():
@@ -172,7 +173,7 @@ def viewer(run: Path, web: bool = False, bind: str = LOOPBACK) -> Viewer:
     if not web and not has_screen():
         raise RunFolderError(f"'{run}': there is no screen here (DISPLAY is not set); --web serves it to a browser, "
                              f"and {recording} opens on any machine with 'rerun {recording.name}'")  # fmt: skip
-    # An unfinished run lies in parts; they are one recording to the viewer.
+    # The recording of an unfinished run has several files, which the viewer shows as one recording.
     parts = sorted(run.glob("run-[0-9]*.rrd")) if run.is_dir() else []
     return (web_viewer if web else screen_viewer)([recording, *parts], bind)
 

@@ -1,6 +1,6 @@
-"""What every run goes through, whatever its method: samples, frames, checkpoints, interruptions, recorders.
+"""Run loop that all simulation methods share: samples, frames, checkpoints, interruptions and recorders.
 
-A method brings a subclass of :class:`Simulation`; :mod:`warpcrete.methods` lists them.
+Each method provides a subclass of :class:`Simulation`; :mod:`warpcrete.methods` lists them.
 """
 
 from __future__ import annotations
@@ -29,48 +29,51 @@ from .recording import Recording, full_disk
 from .run import Run
 
 Progress = Callable[[str, float, dict[str, Any]], None]
-"""Called with the phase (`packing`, `settling`, `running`; `compiling` between them, where that takes a while), the
-fraction done and a few current figures."""
+"""Callback for progress. Its arguments are the phase (`packing`, `settling` or `running`, and `compiling` between these
+if it takes a while), the fraction done and a few current figures."""
 
 
 @dataclass(frozen=True)
 class Until:
-    """Where a run wants to be before it goes on: at the end of the step that reaches `time` [s]."""
+    """Request to step a run until the end of the step that reaches `time` [s]."""
 
     time: float
 
 
 Coroutine = Generator[Any, None, Any]
-"""A run, or a part of one, that says at each `yield` where it wants to be and goes on when it is there.
-
-So whoever drives it may take the steps of many runs together."""
+"""Generator for a run, or for a part of it. Each `yield` requests the time up to which the run must be stepped, and the
+generator goes on when the state has reached this time. The caller can therefore take the steps of many runs together.
+"""
 
 
 S = TypeVar("S", bound="Simulation")
 
 
 class Simulation:
-    """A scene on a device, with recorders, from t = 0 to its end. The scene's type says by which method.
+    """Simulation of a scene on a device, with recorders, from t = 0 to its end; the scene's type selects the method.
 
-    Parameters: `scene`; `device` as Warp names it, None for a GPU if there is one, else the CPU; `precision`
-    `float32` or `float64`, None for the scene's own; `threads` on a CPU, None for all its cores (a run is the same to
-    the bit for a given number of them); `recorders`; `frame_interval` simulated seconds between two recorded frames,
-    None for as many as :class:`warpcrete.core.frames.Frames` says; `progress` True for a bar, or a callback;
-    `checkpoint_path` of a file that is written at the start, then every `checkpoint_every` seconds of wall time (0: at
-    every sample), at an interruption and at the end, and removed when everything else is on disk.
-    Recorders of a run with checkpoints are of different classes, by which a resumed run knows them. Raises
-    :class:`SceneError`, :class:`DeviceError`; a run may raise :class:`InstabilityError`, and :class:`DiskFullError`
-    when the disk takes no more.
+    `device` is Warp's name of a device; None selects a GPU if there is one, else the CPU. `precision` is `float32` or
+    `float64`; None takes the scene's own. `threads` is the number of threads on a CPU; None takes one for each core,
+    and equal numbers give results that are equal to the bit. `frame_interval` is the simulated time between two
+    recorded frames [s]; None takes the default of :class:`warpcrete.core.frames.Frames`. `progress` is True for a
+    progress bar, or a callback.
+
+    The file `checkpoint_path` is written at the start, then every `checkpoint_every` seconds of wall time (0: at every
+    sample), at an interruption and at the end. It is removed when everything else is on disk. The `recorders` of a run
+    with checkpoints must be of different classes, because a resumed run identifies them by class.
+
+    Raises :class:`SceneError` and :class:`DeviceError`. A run may raise :class:`InstabilityError`, and
+    :class:`DiskFullError` if the disk is full.
     """
 
     scene_type: ClassVar[type]
-    """Of the scenes that a subclass takes."""
+    """Type of the scenes that a subclass simulates."""
     kinds: ClassVar[list[type[Simulation]]] = []
-    """Subclasses, one for each method."""
+    """Subclasses, one for each simulation method."""
     stepper: Any
-    """Has `time` [s], `steps`, and `advance(until)`, which steps to a time [s]."""
+    """Object with `time` [s], `steps`, and a method `advance(until)` that steps the state to a time [s]."""
     shares_cores = False
-    """Other runs beside this one have the cores that its threads leave."""
+    """Whether other runs use the cores that the threads of this run leave free."""
 
     def __init_subclass__(cls, **settings: Any) -> None:
         super().__init_subclass__(**settings)
@@ -123,16 +126,16 @@ class Simulation:
         self._spent: dict[str, float] = {}
         self._ran = False
         self.over = False
-        """True when the last step has been taken: only recordings may still have to be completed."""
-        self._saved = wall_clock.perf_counter()  # when the last checkpoint was written or read
+        """Whether the last step has been taken, so that only recordings may still be incomplete."""
+        self._saved = wall_clock.perf_counter()  # wall-clock time at which the last checkpoint was written or read [s]
         self.goes_on = False
-        """The run goes on from a checkpoint, in the folder that is there."""
+        """Whether the run goes on from a checkpoint, in an existing folder."""
         self._kept: float | None = None  # simulated time of the state in the checkpoint [s]
-        self._ran_before = 0.0  # wall time before the checkpoint that this run goes on from [s]
-        self._samples = 0  # rows after the one at t = 0
+        self._ran_before = 0.0  # wall time until the checkpoint from which this run goes on [s]
+        self._samples = 0  # number of rows after the row at t = 0
         self.sampled = 0.0, 0
-        """Time [s] and steps of the last row, since this object began."""
-        self._left: float | None = None  # fraction done at a row that is completed when further steps are under way
+        """Simulated time [s] of the last row, and number of steps that this object had taken by then."""
+        self._left: float | None = None  # fraction of the run done at a sample that is incomplete
         self._resumed: dict[str, Any] | None = None
         self.frames = Frames(frame_interval, self.expected_duration, self.frame_step)
         self.set_up()
@@ -140,91 +143,98 @@ class Simulation:
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of scene {self.scene.name!r} on {self.device}, {self.precision}>"
 
-    # What a method brings.
+    # Members that each simulation method defines.
 
     @abstractmethod
     def set_up(self) -> None:
-        """What the method makes of the scene at once; refuses what cannot be simulated."""
+        """Create the method's data from the scene; refuse a scene that cannot be simulated."""
 
     @property
     @abstractmethod
     def prepared(self) -> bool:
-        """The state at t = 0, or that of a checkpoint, is there."""
+        """Whether the state at t = 0, or that of a checkpoint, is complete."""
 
     @abstractmethod
     def prepare(self) -> None:
-        """Everything up to t = 0."""
+        """Compute everything up to the state at t = 0, such as packing and settling."""
 
     @property
     @abstractmethod
     def rows(self) -> list[dict[str, float]]:
-        """Rows of the series so far."""
+        """Rows of the series so far, each with a value by column name."""
 
     @abstractmethod
     def unit(self, column: str) -> str:
-        """Unit of a column of the series."""
+        """Return the unit of a column of the series."""
 
     @abstractmethod
     def measure(self) -> dict[str, float]:
-        """Measure, and append the row to `rows`; the row that was begun, if one was."""
+        """Measure the state and append a row to `rows`; if a row was begun before, complete that row."""
 
     def begin_measure(self) -> bool:
-        """Begin a row of the state as it is now, if the run may go on before it is complete."""
+        """Begin a row of the present state, if the run may take further steps before the row is complete.
+
+        Return whether a row was begun.
+        """
         return False
 
     @abstractmethod
     def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if the row shows that the state means nothing any more."""
+        """Raise :class:`InstabilityError` if a row shows that the state is no longer physically meaningful."""
 
     @abstractmethod
     def display(self, colouring: str | None = None) -> Display:
-        """What recorders draw."""
+        """Return the display from which recorders draw the simulation, coloured by the quantity `colouring`."""
 
     @abstractmethod
     def result(self, finished: bool) -> Run:
-        """The run as it is now, with its quantities."""
+        """Return the results of the run so far, with its quantities."""
 
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:
-        """What a checkpoint keeps besides what this class keeps."""
+        """Return the method's part of a checkpoint, which this base class completes."""
 
     @abstractmethod
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from a `state_dict`, in place of `prepare`."""
+        """Restore the state from a `state_dict`; called instead of `prepare`."""
 
     @abstractmethod
     def release(self) -> None:
-        """Let go of the device's memory; the run's results stay."""
+        """Free the memory on the device; the results of the run remain available."""
 
     @property
     def duration(self) -> float:
-        """Simulated time of the whole run, at most [s]."""
+        """Maximum simulated time of the whole run [s]."""
         return self.scene.duration
 
     @property
     def expected_duration(self) -> float:
-        """Simulated time that the run will take, about [s]."""
+        """Simulated time that the run will probably take [s]."""
         return self.duration
 
     @property
     def frame_step(self) -> float:
-        """Size of the steps [s], if they are the same wherever the run stops: frames may lie between samples then."""
+        """Size of the time steps [s], if it does not depend on where the run stops; otherwise infinity.
+
+        With constant steps, the run can stop for a frame between two samples.
+        """
         return np.inf
 
     def ended_early(self) -> bool:
-        """The run may end before its duration."""
+        """Return whether the run has reached its end before its maximum duration."""
         return False
 
     def reaching(self, time: float) -> Coroutine:
-        """Go on to a time [s]; methods do here what must be done on the way."""
+        """Yield requests that step the run to a time [s]; a subclass adds the actions that are due on the way."""
         yield Until(time)
 
-    # Checkpoints.
+    # Writing and reading of checkpoints.
 
     def save(self, path: Path) -> None:
-        """Write a checkpoint of the state as it is now; it takes effect once recorders have written their part.
+        """Write a checkpoint of the present state, which takes effect once all recorders have written their data.
 
-        A failure leaves the previous checkpoint, from which every recorder can go on. Raises :class:`RunFolderError`.
+        If this fails, the previous checkpoint remains, from which every recorder can go on. Raises
+        :class:`RunFolderError`.
         """
         try:
             self._write_state(path)
@@ -236,7 +246,7 @@ class Simulation:
             raise
 
     def _write_state(self, path: Path) -> None:
-        """Write the state beside the checkpoint at `path`."""
+        """Write the state to a partial file next to the checkpoint at `path`."""
         contents = self.state_dict()
         contents["run"] = {
             "recorders": self._recording.states() if self._ran else {},
@@ -253,15 +263,15 @@ class Simulation:
         self._saved = wall_clock.perf_counter()
 
     def resume(self, path: Path) -> None:
-        """Go on from a checkpoint of the same scene, device and precision, in place of `prepare`.
+        """Restore the state from a checkpoint of the same scene, device and precision, instead of calling `prepare`.
 
-        The run then holds the same bits as one that was never cut. Raises :class:`RunFolderError` for a file that
-        is no whole checkpoint of this simulation.
+        The resumed run gives the same bits as a run without interruption. Raises :class:`RunFolderError` for a file
+        that is no complete checkpoint of this simulation.
         """
         self.load_state_dict(self.read_checkpoint(path))
 
     def read_checkpoint(self, path: Path) -> dict[str, Any]:
-        """The `state_dict` of a checkpoint; clocks go on from there."""
+        """Return the `state_dict` in a checkpoint; restore the clocks and the counters of samples and frames."""
         contents = checkpoint.read(path, self.scene, self.device, self.precision)
         self._resumed = run = contents["run"]
         self._samples, self.frames.next = run["samples"], run["next_frame"]
@@ -271,12 +281,12 @@ class Simulation:
         self.goes_on, self._saved = True, wall_clock.perf_counter()
         return contents
 
-    # The run.
+    # Course of a run, from its preparation to its end.
 
     def begin(self, path: Path | None = None) -> None:
-        """Do everything up to t = 0, or up to the checkpoint at `path` if it is there, once recorders have folders.
+        """Prepare the state at t = 0, or restore it from the checkpoint at `path` if this file exists.
 
-        Only then no other run can add the checkpoint, or remove it.
+        Recorders claim their folders first, so that no other run can write or remove the checkpoint at the same time.
         """
         self.goes_on = path is not None and path.is_file()
         try:
@@ -291,12 +301,15 @@ class Simulation:
             raise
 
     def claim(self) -> None:
-        """Have recorders take what only one run may have, such as its folder."""
+        """Let recorders take exclusive resources, such as the run folder."""
         for recorder in self.recorders:
             recorder.claim(self)
 
     def abandon(self, refused: bool = False) -> None:
-        """Give back what `claim` took, unless the run has begun; a scene that is `refused` leaves no state either."""
+        """Release the resources that `claim` took, unless the run has begun.
+
+        For a scene that is `refused`, remove the checkpoint too.
+        """
         if not self._ran:
             if refused and not self.goes_on and self.checkpoint_path is not None:
                 with suppress(OSError):
@@ -305,7 +318,10 @@ class Simulation:
                 recorder.abandon(self)
 
     def run(self) -> Run:
-        """Prepare and run: to the end of the duration, or until `stop_requested` or Ctrl-C."""
+        """Prepare and run the simulation, until its end, `stop_requested` or Ctrl-C; return the results.
+
+        Raises :class:`WarpcreteError` if this simulation has run before.
+        """
         if self._ran:
             raise WarpcreteError("this simulation has run; make a new Simulation for another run")
         with telling(self.tell):
@@ -314,17 +330,17 @@ class Simulation:
             return drive_alone(self.running(), self.stepper.advance)
 
     def running(self) -> Coroutine:
-        """From t = 0, or a checkpoint, to the end; returns the :class:`Run`."""
+        """Run from t = 0 or from a checkpoint to the end, as a generator that returns the :class:`Run`."""
         self._ran = True
         self._recording = Recording(self, self.recorders)
         self._started = wall_clock.perf_counter()
         if self._resumed is not None:
             self._kept = self.stepper.time
         finished = interrupted = False
-        full: list[Exception] = []  # disk
+        full: list[Exception] = []  # errors that a full disk caused
         try:
             try:
-                if not self.rows:  # nothing may cost the state at t = 0, which took packing and settling
+                if not self.rows:  # Save the state at t = 0 first: packing and settling took long.
                     self._checkpoint()
                 self._recording.begin((self._resumed or {}).get("recorders", {}))
                 finished = yield from self._loop()
@@ -335,12 +351,13 @@ class Simulation:
                     raise
                 full.append(error)
         finally:
+            # Whatever ended the run, complete the sample that was begun and write all results.
             failures = self._recording.failures
             try:
                 self._complete()
             except KeyboardInterrupt:
                 interrupted = True
-            except InstabilityError:  # the run has ended already, for another reason
+            except InstabilityError:  # The run has already ended for another reason.
                 pass
             except Exception as error:
                 failures.append(error)
@@ -354,10 +371,11 @@ class Simulation:
         return run
 
     def _end(self, finished: bool, interrupted: bool) -> Run:
-        """Put everything on disk, what matters most first; the checkpoint goes when nothing else is missing.
+        """Write everything to disk, the most important data first; remove the checkpoint if nothing is missing.
 
-        The last state takes effect only when all recorders have finished, and then spares a run that is killed while
-        recordings are joined its last steps. Otherwise the run goes on from the checkpoint before, and loses nothing.
+        The last state takes effect as a checkpoint when all recorders have finished. A run that is then killed while
+        its recordings are joined need not repeat the last steps. If a recorder fails, the run can go on from the
+        previous checkpoint without loss of data.
         """
         recording, path = self._recording, self.checkpoint_path
         written = False
@@ -389,7 +407,7 @@ class Simulation:
     def _loop(self) -> Coroutine:
         interval, duration, stepper = self.scene.sample_interval, self.duration, self.stepper
         if self.over:
-            self.ended_early()  # which says how it ended
+            self.ended_early()  # This call sets the reason for the end of the run.
             return True
         if not self.rows:
             self.sampled = stepper.time, stepper.steps
@@ -406,8 +424,9 @@ class Simulation:
                 yield from self.reaching(self.frames.next)
                 self._frame()
             yield from self.reaching(goal)
-            self._complete()  # where no step had to be taken
+            self._complete()  # If no step was taken, the previous sample is still incomplete.
             self._samples, self.sampled = number, (stepper.time, stepper.steps)
+            # If possible, launch the next steps before this sample is complete; the stepper then calls `_complete`.
             if number < samples and self._goes_on():
                 self._left = number / samples
                 if self._frame_is_due():
@@ -426,8 +445,11 @@ class Simulation:
         return True
 
     def _goes_on(self) -> bool:
-        """Whether the next steps may be launched before this sample is complete: nobody but it wants the state as it is
-        now, or takes at once what is drawn of it. Begins the sample then."""
+        """Return whether the next steps may be launched before the current sample is complete; if so, begin the sample.
+
+        This is the case if nothing else needs the present state: recorders read rows only, a frame that is due is drawn
+        from a snapshot, no checkpoint is due and no stop is requested.
+        """
         kinds = [type(recorder) for recorder in self.recorders]
         return (
             not self.stop_requested
@@ -441,7 +463,7 @@ class Simulation:
         return bool(self.recorders) and self.frames.due(self.sampled[0])
 
     def _complete(self) -> None:
-        """Do what was left of a sample, if anything was."""
+        """Complete a sample that was begun before the last steps, if there is one."""
         fraction, self._left = self._left, None
         if fraction is not None:
             self._tell_of(self._sample(), fraction)
@@ -464,7 +486,7 @@ class Simulation:
         if self.checkpoint_path is not None:
             try:
                 self.save(self.checkpoint_path)
-            except RunFolderError as error:  # the one before is still there
+            except RunFolderError as error:  # The previous checkpoint is still there.
                 if is_full(error):
                     raise
                 warnings.warn(f"no checkpoint was written: {error}", stacklevel=2)
@@ -478,12 +500,15 @@ class Simulation:
         return self._ran_before + (wall_clock.perf_counter() - self._started if self._ran else 0.0)
 
     def tell(self, phase: str, fraction: float, **figures: Any) -> None:
-        """Report progress."""
+        """Report progress to the callback."""
         self._progress(phase, fraction, figures)
 
 
 def drive_alone(coroutine: Coroutine, advance: Callable[[float], None]) -> Any:
-    """Drive a coroutine that wants to be at times only; what it returns. Errors on the way are raised inside it."""
+    """Run a generator that yields :class:`Until` requests, and return its result.
+
+    The function `advance` steps the state to a time [s]. Its errors are raised inside the generator.
+    """
     try:
         goal = next(coroutine)
         while True:

@@ -1,4 +1,7 @@
-"""Where each of many rows begins, from their lengths: by kernels of its own, so that any graph may hold it."""
+"""Exclusive prefix sums on a device, which give the start of each row from the lengths of all rows.
+
+The sums use kernels of this package, so that any graph can contain them.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +16,18 @@ from .launching import Stage
 
 
 def scan_stages(values: wp.array, before: wp.array) -> list[Stage]:
-    """Stages that put into `before` the sum of all `values` before each; both of shape (n,), on one device."""
+    """Return stages that write to `before[i]` the sum of all values in front of `values[i]`.
+
+    Both arrays have shape (n,) and are on one device.
+    """
     device: Any = values.device
     count = len(values)
     kernels = scanning_kernels(not parallel(device))
     named = {"count": count, "values": values, "before": before}
     if not parallel(device):
         return [Stage(kernels.spread, 1, named, device)]
+    # The first stage stores the sum of each block of values. The second stage adds the sums of all previous blocks to
+    # the sum of the previous values in the same block.
     blocks = -(-count // (EACH * BLOCK))
     partial = wp.zeros(blocks, dtype=wp.float64, device=device)
     added = {"count": count, "values": values, "partial": partial}

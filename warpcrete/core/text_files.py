@@ -1,7 +1,7 @@
-"""The reader of every file that a user can name, and of the text files of run folders.
+"""Readers for every file that a user can name, and for the text files in run folders.
 
-Each function accepts regular files only, up to a size, and turns whatever can go wrong into one line that names the
-file and, where there is one, the line in it.
+Each function accepts only regular files up to a maximum size. It turns every error into one line that names the file
+and, if known, the line in the file.
 """
 
 from __future__ import annotations
@@ -22,18 +22,21 @@ from .origin import note_file
 from .yaml_files import LONGEST_NUMBER, FileList, Unreadable, parsed_yaml
 
 MOST_SETTINGS = 200_000
-"""Bytes of a YAML or JSON file that a user writes; its parser reads some 80 kB a second."""
+"""Maximum size of a YAML or JSON file that a user writes [B]; the YAML parser reads about 80 kB per second."""
 MOST_TEXT = 500_000_000
-"""Bytes of a table, or of a text file of a run folder."""
+"""Maximum size of a table, or of a text file in a run folder [B]."""
 MOST_MESH = 2_000_000_000
-"""Bytes of a mesh file; 40 million triangles of a binary STL file."""
+"""Maximum size of a mesh file [B]; a binary STL file of this size has 40 million triangles."""
 KINDS = ((stat.S_ISDIR, "a directory"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISCHR, "a device"),
          (stat.S_ISBLK, "a device"), (stat.S_ISSOCK, "a socket"))  # fmt: skip
 
 
 @contextmanager
 def within(container: Any, key: Any) -> Iterator[None]:
-    """Put file and line of an entry of a :class:`FileMapping` or :class:`FileList` before errors that come from it."""
+    """Add file name and line number of an entry to each :class:`SceneError` that is raised inside the block.
+
+    The entry is `container[key]`, and the container is a :class:`FileMapping` or a :class:`FileList`.
+    """
     try:
         yield
     except SceneError as error:
@@ -47,7 +50,10 @@ def within(container: Any, key: Any) -> Iterator[None]:
 
 
 def check_file(path: Path | str, field: str, most: int = MOST_MESH, hint: str = "") -> Path:
-    """Return `path` if it is a regular file of at most `most` bytes, or raise :class:`SceneError` for `field`."""
+    """Return `path` if it is a regular file of at most `most` bytes.
+
+    For any other path, raise :class:`SceneError` about the parameter `field`.
+    """
     try:
         _checked(Path(path), most)
     except Unreadable as error:
@@ -57,16 +63,19 @@ def check_file(path: Path | str, field: str, most: int = MOST_MESH, hint: str = 
 
 
 def name_of(path: Path | str) -> str:
-    """Return the name of a file without its ending, as text that UTF-8 can hold in any locale."""
+    """Return the name of a file without its extension, as text that can be encoded as UTF-8 in any locale."""
     name = Path(path).stem
     try:
-        return os.fsencode(name).decode("utf-8", "replace")  # the bytes of the name, where the locale is not UTF-8
+        return os.fsencode(name).decode("utf-8", "replace")  # The locale may not be UTF-8.
     except UnicodeEncodeError:
         return name
 
 
 def read_mapping(path: Path, field: str) -> dict[str, Any]:
-    """Return the mapping that a YAML or JSON file holds, or raise :class:`SceneError` for `field`, which named it."""
+    """Return the mapping in a YAML or JSON file.
+
+    If that is impossible, raise :class:`SceneError` about the parameter `field` that named the file.
+    """
     try:
         text = _text(path, MOST_SETTINGS)
         found = parsed_json(text) if path.suffix.lower() == ".json" else parsed_yaml(text, path)
@@ -79,9 +88,10 @@ def read_mapping(path: Path, field: str) -> dict[str, Any]:
 
 
 def read_rows(path: Path, field: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
-    """Return the header of a CSV file, and each other row that is not empty with the number of its line.
+    """Return the header of a CSV file, and each non-empty row with its line number.
 
-    Raises :class:`SceneError` for `field` if rows and header differ in length, or if a column appears twice.
+    Raises :class:`SceneError` about the parameter `field` if rows and header differ in length, or if a column appears
+    twice.
     """
     try:
         rows = _rows(_text(path, MOST_TEXT))
@@ -92,7 +102,7 @@ def read_rows(path: Path, field: str) -> tuple[list[str], list[tuple[int, list[s
 
 
 def saved_text(path: Path) -> str:
-    """Return the text of a file that the program wrote, or raise :class:`RunFolderError`."""
+    """Return the text of a file that the program wrote; raises :class:`RunFolderError` if that is impossible."""
     try:
         return _text(path, MOST_TEXT)
     except Unreadable as error:
@@ -100,7 +110,7 @@ def saved_text(path: Path) -> str:
 
 
 def saved_json(path: Path) -> dict[str, Any]:
-    """Return the object that a JSON file of the program holds, or raise :class:`RunFolderError`."""
+    """Return the object in a JSON file of the program; raises :class:`RunFolderError` if that is impossible."""
     try:
         found = parsed_json(_text(path, MOST_TEXT))
     except Unreadable as error:
@@ -111,7 +121,7 @@ def saved_json(path: Path) -> dict[str, Any]:
 
 
 def _checked(path: Path, most: int) -> int:
-    """Return the size of a regular file [B]."""
+    """Return the size of a regular file [B]; raises :class:`Unreadable` for other paths and for large files."""
     if "\0" in str(path):
         raise Unreadable("holds a NUL character", "give the path of a file")
     try:
@@ -151,7 +161,7 @@ def _kind_of(value: Any) -> str:
 
 
 def parsed_json(text: str) -> Any:
-    """Return the value of a JSON text without repeated keys; raises :class:`Unreadable`."""
+    """Return the value of a JSON text; raises :class:`Unreadable` for repeated keys, NaN and syntax errors."""
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         found = dict(pairs)

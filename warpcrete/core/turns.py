@@ -1,7 +1,8 @@
-"""Who has the interpreter first: a run that has work for its device, before recorders that go on beside it.
+"""Priority of a run over its recorders in the use of Python's interpreter lock.
 
-Each call of a run into the device's driver lets go of the interpreter, and a recorder's thread that takes it keeps it
-for milliseconds, in which the device has nothing to do. So recorders work while the run waits for the device.
+Each call of a run into the device's driver releases the interpreter lock. If a recorder's thread takes the lock then,
+it keeps the lock for milliseconds, in which the device has no work. Recorders therefore work only while the run waits
+for the device.
 """
 
 from __future__ import annotations
@@ -11,16 +12,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 PATIENCE = 5e-3
-"""For how long a recorder gives way at a time [s]: a run that never waits must not keep it from its work."""
+"""Longest time for which a recorder gives way at once [s]; a run that never waits must not block the recorder."""
 
 _waits = threading.Event()
 _counting, _waiting = threading.Lock(), 0
-"""Runs of this process that wait: one that goes on must not keep the recorders of another."""
+"""Lock, and number of runs of this process that are waiting. If one run waits, all recorders may work: a busy run must
+not block the recorders of another run."""
 
 
 @contextmanager
 def waiting() -> Iterator[None]:
-    """A run waits for its device, or for its recorders, until the end of the context."""
+    """Mark a run as waiting for its device or its recorders, while the block runs."""
     global _waiting
     with _counting:
         _waiting += 1
@@ -35,5 +37,5 @@ def waiting() -> Iterator[None]:
 
 
 def give_way() -> None:
-    """Until a run waits."""
+    """Wait until a run waits for its device, but not longer than the time `PATIENCE`."""
     _waits.wait(PATIENCE)

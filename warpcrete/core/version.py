@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 @functools.cache
 def version_of(package: str) -> str:
-    """As its metadata have it; words where there are none."""
+    """Return the version of an installed package; if it is not installed, return a text that says so."""
     try:
         return version(package)
     except PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""Rerun's viewer, on this screen or in a browser; nobody but this machine can reach it unless that is asked for."""
+"""Rerun's viewer, on this screen or in a browser; by default, only this machine can connect to it."""
 
 from __future__ import annotations
 
@@ -20,28 +20,31 @@ from .processes import tied
 
 LOOPBACK = "127.0.0.1"
 WEB, DATA = 9090, 9876
-"""Ports of the web page and of the data, where they are free."""
+"""Preferred ports of the web page and of the data; other ports are used if these are occupied."""
 READY = 20.0
-"""Time that a server gets to listen [s]."""
+"""Longest time to wait until a server accepts connections [s]."""
 
 
 def rerun_tool() -> str:
-    """Return the path of Rerun's own program."""
+    """Return the path of Rerun's executable."""
     return str(Path(rerun_cli.__file__).with_name("rerun.exe" if sys.platform == "win32" else "rerun"))
 
 
 @dataclass(frozen=True)
 class Viewer:
-    """A viewer that can be started: its command, and what it listens on."""
+    """Viewer that can be started, with its command and the sockets on which it listens."""
 
     command: list[str]
     address: str
     """URL that a browser opens, or that a run sends its recording to."""
     listens: tuple[tuple[str, int], ...] = field(default=())
-    """Host and port of each socket."""
+    """Host and port of each socket on which the viewer listens."""
 
     def start(self) -> subprocess.Popen[bytes]:
-        """Start it without its log, and wait until it listens; raises :class:`RunFolderError` if it does not."""
+        """Start the viewer without its log, and wait until it listens.
+
+        Raises :class:`RunFolderError` if the viewer does not start.
+        """
         process = subprocess.Popen(
             self.command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             env=os.environ | {"RUST_LOG": "off"},
@@ -56,7 +59,7 @@ class Viewer:
 
 
 def web_viewer(recordings: Sequence[Path], bind: str = LOOPBACK) -> Viewer:
-    """Return a server of recordings and of a page that shows them, which ends with this process."""
+    """Return a server for recordings and for the web page that shows them; the server ends with this process."""
     web, data = _free_port(bind, WEB), _free_port(bind, DATA)
     host = _host(bind)
     source = urllib.parse.quote(f"rerun+http://{host}:{data}/proxy", safe="")
@@ -65,14 +68,14 @@ def web_viewer(recordings: Sequence[Path], bind: str = LOOPBACK) -> Viewer:
 
 
 def screen_viewer(recordings: Sequence[Path] = (), bind: str = LOOPBACK) -> Viewer:
-    """Return a viewer on this screen, which stays when this process ends and takes what runs send it."""
+    """Return a viewer in a window, which also receives data from runs and stays open after this process ends."""
     data = _free_port(bind, DATA)
     command = [rerun_tool(), *map(str, recordings), *_ports(bind, data), "--expect-data-soon"]
     return Viewer(command, f"rerun+http://{_host(bind)}:{data}/proxy", ((bind, data),))
 
 
 def has_screen() -> bool:
-    """Return whether a window can open here."""
+    """Return whether this machine can open a window."""
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
@@ -81,7 +84,7 @@ def _ports(bind: str, data: int) -> list[str]:
 
 
 def _host(bind: str) -> str:
-    """Return the name by which others reach an address that a socket is bound to."""
+    """Return the host name by which others reach the address of a socket."""
     address = ipaddress.ip_address(bind)
     if address.is_unspecified:
         return socket.gethostname()
@@ -96,7 +99,7 @@ def _family(bind: str) -> socket.AddressFamily:
 
 
 def _free_port(bind: str, wanted: int) -> int:
-    """Return a port if nobody listens there, else another one."""
+    """Return the `wanted` port if it is free, else another free port."""
     family = _family(bind)
     for port in (wanted, 0):
         with socket.socket(family) as probe:

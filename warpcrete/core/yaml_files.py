@@ -1,4 +1,4 @@
-"""YAML 1.2 as the program reads and writes it: the core schema without tags, with the line of every entry."""
+"""Reader and writer of YAML 1.2 files: the core schema without tags, with the line number of every entry."""
 
 from __future__ import annotations
 
@@ -18,36 +18,36 @@ from ruamel.yaml.tag import Tag
 from .errors import one_line
 
 MOST_VALUES = 50_000
-"""Values of a YAML file, each counted as often as an alias repeats it."""
+"""Maximum number of values in a YAML file; a value counts once more for each alias that repeats it."""
 DEEPEST = 100
-"""Lists and mappings within each other."""
+"""Maximum nesting depth of lists and mappings."""
 LONGEST_NUMBER = 400
-"""Characters of a number."""
+"""Maximum number of characters of a number."""
 WHOLE = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 DECIMAL = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 NO_NUMBER = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 WORDS = dict.fromkeys(("", "~", "null", "Null", "NULL"), None) | dict.fromkeys(("true", "True", "TRUE"), True)
 WORDS |= dict.fromkeys(("false", "False", "FALSE"), False)
 PLAIN = "plain"
-"""Tag of scalars that are neither quoted nor tagged."""
+"""Tag for scalars that have no quotes and no tag."""
 
 
 class FileMapping(dict[str, Any]):
-    """Mapping of a YAML file that knows the `path` of the file and the line of each key, `lines`."""
+    """Mapping from a YAML file, with the `path` of the file and the line number of each key in `lines`."""
 
     path: Path
     lines: dict[str, int]
 
 
 class FileList(list[Any]):
-    """List of a YAML file that knows the `path` of the file and the line of each entry, `lines`."""
+    """List from a YAML file, with the `path` of the file and the line number of each entry in `lines`."""
 
     path: Path
     lines: list[int]
 
 
 class Unreadable(Exception):
-    """A file cannot be read: the reason, and what to try."""
+    """File that cannot be read, with the reason and a hint."""
 
     def __init__(self, reason: str, hint: str = "", line: int | None = None) -> None:
         super().__init__(reason)
@@ -56,35 +56,36 @@ class Unreadable(Exception):
 
 
 class Untagged(VersionedResolver):
-    """Resolver that leaves the meaning of plain scalars to this module, whatever version a file names."""
+    """YAML resolver that leaves the type of plain scalars to this module, whatever YAML version a file states."""
 
     def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
-        """Return the tag of a node that has none."""
+        """Return the tag of a node that has no tag in the file."""
         if kind is ScalarNode and implicit[0]:
             return Tag(suffix=PLAIN)
         return super().resolve(kind, value, implicit)
 
 
 class Shallow(Scanner):
-    """Scanner that gives up on deep nesting, for which it would need time that grows with the square of the depth."""
+    """YAML scanner that refuses deep nesting, because its time would grow with the square of the depth."""
 
     def fetch_flow_collection_start(self, *arguments: Any, **named: Any) -> None:
-        """Begin a list or mapping in brackets."""
+        """Begin a list or mapping in brackets; raises :class:`Unreadable` if it is nested too deeply."""
         if len(self.flow_context) >= DEEPEST:
             raise Unreadable("is nested too deeply", "write plain lists and mappings")
         super().fetch_flow_collection_start(*arguments, **named)
 
 
 def parsed_yaml(text: str, path: Path) -> Any:
-    """Return the value of a YAML text: mappings, lists, text, finite numbers, true, false or None.
+    """Return the value of a YAML text: mappings, lists, texts, finite numbers, true, false or None.
 
-    Keys are always text. Raises :class:`Unreadable` for anything else; `path` goes into the mappings and lists.
+    Keys are always texts. Mappings and lists store `path`, the path of the file. Raises :class:`Unreadable` for any
+    other content.
     """
     parser = YAML(typ="safe", pure=True)
     parser.Resolver, parser.Scanner = Untagged, Shallow
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of anchors that are defined twice
+            warnings.simplefilter("ignore")  # Ignore warnings about anchors that are defined twice.
             node = parser.compose(text)
         return None if node is None else _Values(path).value(node)
     except Unreadable:
@@ -96,19 +97,19 @@ def parsed_yaml(text: str, path: Path) -> Any:
         reason = " ".join(f"is no YAML: {error.problem or error.context or 'it cannot be read'}".split())
         line = None if mark is None else mark.line + 1
         raise Unreadable(reason, "write 'key: value' lines", line) from error
-    except Exception as error:  # the parser lets through whatever its parts raise
+    except Exception as error:  # Parts of the YAML parser may raise any exception.
         reason = " ".join(str(error).split()) or type(error).__name__
         raise Unreadable(f"is no YAML: {reason}", "write 'key: value' lines") from error
 
 
 class _Values:
-    """The values of the nodes of one file."""
+    """Converter of the nodes of one YAML file into Python values."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.values = 0
         self.open: set[int] = set()
-        """Collections that are being read, by which one that holds itself is found."""
+        """Identities of the collections that are being read, to find a collection that contains itself."""
 
     def value(self, node: Any) -> Any:
         line = node.start_mark.line + 1
@@ -178,7 +179,7 @@ class _Values:
 
 
 def yaml_text(data: dict[str, Any]) -> str:
-    """Return a mapping as YAML, its keys in their order."""
+    """Return a mapping as YAML text, with its keys in their order."""
     writer = YAML(typ="safe", pure=True)
     writer.default_flow_style = False
     writer.allow_unicode = True

@@ -1,4 +1,9 @@
-"""Verlet lists: built on a grid of cells, carried over exactly, of bodies that are re-sorted now and then."""
+"""Neighbour (Verlet) lists: search on a grid of cells, exact transfer of contact history, and re-sorting of bodies.
+
+A list holds all pairs whose gap is less than the skin, and serves for many steps, until some sphere may have moved too
+far (L. Verlet, Phys. Rev. 159 (1967) 98). A full list holds each pair in the rows of both spheres (GPU). A half list
+holds each pair once, in the row of one of its spheres (CPU); a CPU's threads each own one chunk of the spheres.
+"""
 
 from __future__ import annotations
 
@@ -29,57 +34,59 @@ from .stages import MANY, near_stages, tasks
 from .state import PAIR_ARRAYS, pair_bytes
 
 DRIFT_LANES = 64
+"""Threads per scene that sum the spheres' velocities to find the common drift."""
 OCTANTS = 8
-"""Threads of a GPU that search for the neighbours of a sphere, and fill its row, where there are few."""
+"""GPU threads that search and fill the row of one sphere if spheres are few: one thread per octant around it."""
 KEPT = 32
-"""Neighbours of a sphere that are kept from a search; one that has more is searched for twice."""
+"""Neighbours per sphere that the search stores for the fill kernel; a sphere with more is searched a second time."""
 MOST_KEPT = 64
-"""As many as that, once there were spheres that have more, but none more than these."""
+"""Larger number of stored neighbours, used once some sphere had more than `KEPT` but no more than this."""
 
 
 @dataclass
 class _Launches:
-    """Recorded launches of a rebuild, and graphs of them."""
+    """Recorded launches of one rebuild, and the CUDA graphs made of them."""
 
     centres: Stage
     stretch: Stage
     cells: list[Stage]
-    """Puts the spheres' centres into the grid."""
+    """Stages that sort the spheres' centres into the cells of the grid."""
     search: list[Stage]
     fill: list[Stage]
-    """Of a GPU: puts into rows what the search found."""
+    """Stage that writes the neighbours found by the search into the rows of the lists (GPU only)."""
     scan: list[Stage]
-    """Counts of rows into where they begin."""
+    """Stages that turn the lengths of the rows into their starts by a prefix sum."""
     starts: Stage
     transfer: list[Stage]
     drift: Stage
     clear_stale: Stage
     links: list[Stage] = field(default_factory=list)
-    """Clearing, count and fill of a GPU's links."""
+    """Stages that clear, count and fill the links, which are the pairs as a GPU evaluates them (GPU only)."""
     near: list[Stage] = field(default_factory=list)
-    """What chooses those of them that are near."""
+    """Stages that select the near links, whose spheres may touch within the next steps (GPU only)."""
     graphs: dict[str, Any] = field(default_factory=dict)
-    """Of parts of a rebuild, on a GPU."""
+    """CUDA graphs of parts of the rebuild, by the name of the method that launches the part."""
     ran: set[str] = field(default_factory=set)
-    """Parts that have been launched once."""
+    """Names of the parts that have been launched at least once, so that their kernels are loaded."""
     count_faces: list[Stage] = field(default_factory=list)
-    """Counts mesh candidates."""
+    """Stages that count the triangles within reach of each sphere."""
     fill_faces: list[Stage] = field(default_factory=list)
-    """Starts and fill of them."""
+    """Stages that compute where the rows of mesh candidates start, and fill the rows."""
 
 
 class NeighborLists:
-    """(Re)builds pair lists and mesh candidates of the scenes of a batch that are stale.
+    """Builder of the neighbour lists and mesh candidates of those scenes of a batch that are flagged as stale.
 
     A list holds the pairs within a skin [m] of each other. It stays complete until some sphere has moved by half
-    the skin against a common drift (its scene's mean velocity at the build), or by the mesh skin against a mesh.
+    the skin relative to a common drift (its scene's mean velocity at the build), or by the mesh skin relative to a
+    mesh.
     """
 
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
         self._builds = np.zeros(batch.count, dtype=int)
         self.by_device = wp.zeros(1, dtype=wp.int32, device=batch.device)
-        """Builds that the device decided on, of a scene alone."""
+        """Number of rebuilds that the device started by itself, shape (1,); stays 0 unless the batch has one scene."""
         f, t = batch.features, types(batch.scalar)
         n, scenes = batch.sphere_count, batch.count
         self._cells = Cells(batch)
@@ -91,7 +98,8 @@ class NeighborLists:
         self._count, self.scanned = zeros(n + scenes), zeros(n + scenes)
         slots = n + scenes if f.meshes else 0
         self._face_count, self.face_scanned = zeros(slots), zeros(slots)
-        # Half lists: what a search finds, in a room for each chunk, and where a sphere's part of that begins.
+        # Half lists: each chunk has its own section of `_found` for the neighbours that its search finds. `_place`
+        # holds the position in that section where a sphere's neighbours begin.
         self._room = np.full(batch.threads, 8 * n // batch.threads)
         self._found = zeros(int(self._room.sum()) if f.half_list else 0)
         self._place = zeros(n if f.half_list else 0)
@@ -99,13 +107,13 @@ class NeighborLists:
         self._searchers = self._searchers_for(n)
         self._finds = zeros((0, 0) if f.half_list else (KEPT, n))
         self._boxes = zeros((batch.threads, 2), t.vec3)
-        # The last is the longest row that could not be kept.
+        # The last element of `_total` receives the length of the longest row that did not fit into `_finds`.
         self._total, self._face_total = zeros(scenes + 1), zeros(scenes + 1)
         self._identity = wp.array(np.arange(n), dtype=wp.int32, device=batch.device)
         self._old_place, self._new_place = zeros(n), zeros(n)
         self._lanes = zeros((scenes, DRIFT_LANES), wp.vec3d)
         self._stretched = zeros(n if f.bonds and f.half_list else 0, batch.scalar)
-        # The list before, which the new one takes history from.
+        # The previous lists, from which the new lists take over contact history.
         self._old = batch.structs.Pairs()
         self._old.start = zeros(n + scenes)
         self._entries = np.array([state.pair_total for state in batch.states])
@@ -115,15 +123,15 @@ class NeighborLists:
 
     @property
     def builds(self) -> np.ndarray:
-        """Of each scene, since it came to this batch, shape (scenes,)."""
+        """Number of list builds of each scene since it joined this batch, shape (scenes,)."""
         return self._builds + int(self.by_device.numpy()[0])
 
     def _searchers_for(self, spheres: int) -> int:
-        """Threads for each of so many spheres that are searched for at a time."""
+        """Return how many threads search for one sphere's neighbours when this many spheres are searched."""
         return OCTANTS if self.batch.parallel and spheres < MANY else 1
 
     def __call__(self) -> None:
-        """Rebuild the lists of every scene that is marked stale."""
+        """Rebuild the lists of every scene that is flagged as stale."""
         b = self.batch
         b.device_changed()
         flags, sort_every = b.host_flags(), b.rows["sort_every"]
@@ -133,7 +141,7 @@ class NeighborLists:
             b.device_changed()
             return
         stale = flags[:, int(STALE)] != 0
-        # By steps: when lists are built besides is nobody's business, and changes no bits.
+        # Re-sort only at fixed step counts: rebuilds come at varying times, which must not change the results.
         b.ahead.built(flags)
         due = stale & (sort_every > 0) & (flags[:, int(STEPS)] % np.maximum(sort_every, 1) == 0)
         sort = bool(due.any()) and b.body_count > 1
@@ -159,7 +167,8 @@ class NeighborLists:
         wanted, longest = self._found_of(self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
             b.reserve_pairs(np.maximum(wanted, self._entries))
-            self._keep_old(np.flatnonzero(stale))  # the scenes' places in the pair arrays are others now
+            # The larger arrays hold the scenes' rows at other places, so copy the old lists again.
+            self._keep_old(np.flatnonzero(stale))
             launches = self._launches(sort)
         self._entries[stale] = wanted[stale]
         if b.features.half_list:
@@ -168,7 +177,7 @@ class NeighborLists:
             self._run(launches, self._fill)
         if len(self._finds) < longest <= MOST_KEPT:
             self._finds = wp.empty((MOST_KEPT, b.sphere_count), dtype=wp.int32, device=b.device)
-            self._version = ()  # from the next build on
+            self._version = ()  # record all launches anew at the next build, with the enlarged array
             if b.ahead.rebuilds_itself:
                 b.invalidate_graphs()
         if b.features.meshes:
@@ -186,7 +195,10 @@ class NeighborLists:
         b.device_changed()
 
     def _run(self, launches: _Launches, part: Callable[[_Launches], None]) -> None:
-        """A part of a rebuild; on a GPU a graph from the second time on: most of a rebuild is waiting for launches."""
+        """Run one part of a rebuild; on a GPU as a graph from the second time on.
+
+        Most of the time of a rebuild on a GPU is spent waiting for launches, which a graph avoids.
+        """
         name, device = part.__name__, self.batch.device
         if name not in launches.ran or not device.is_cuda:
             part(launches)
@@ -233,16 +245,16 @@ class NeighborLists:
             for stage in (clear, count, *launches.scan, fill):
                 stage()
 
-    # In a graph, of a scene alone: see `rebuilding`.
+    # The following methods serve rebuilds inside a CUDA graph, for a batch of one scene; see `rebuilding`.
 
     def lay_out_cells(self) -> None:
-        """Have cells for scenes that came with their lists, of which the host has built none."""
+        """Lay out grid cells for scenes whose lists were loaded, so that the host has built none for them."""
         width = self._cells.width()
         self._cells.fit(width, np.zeros(self.batch.count, dtype=bool))
         self._cells.use_width(width)
 
     def device_stages(self) -> list[Stage]:
-        """Stages that a rebuild in a graph launches, on arrays that are there from now on."""
+        """Return all stages that a rebuild inside a graph launches, bound to the arrays that exist now."""
         self._searchers = self._searchers_for(self.batch.sphere_count)
         self._keep_old(np.arange(self.batch.count))
         each = self._launches(False)
@@ -253,7 +265,7 @@ class NeighborLists:
         ]  # fmt: skip
 
     def search_on_device(self) -> None:
-        """Up to where it is known how many entries rows have."""
+        """Run the first half of a rebuild inside a graph: search, and count the entries of each row."""
         launches = self._launches(False)
         for stage in self.batch.sync_stages():
             stage()
@@ -265,7 +277,7 @@ class NeighborLists:
             stage()
 
     def complete_on_device(self) -> None:
-        """From there on."""
+        """Run the second half of a rebuild inside a graph: fill the rows, transfer history, choose near links."""
         launches = self._launches(False)
         launches.starts()
         self._fill(launches)
@@ -274,7 +286,7 @@ class NeighborLists:
         self._after(launches)
 
     def link(self, s: int) -> None:
-        """Find the links of a scene whose lists came from a checkpoint."""
+        """Build the links of scene `s`, whose lists came from a checkpoint; does nothing for half lists."""
         if self.batch.features.half_list:
             return
         before = self.batch.flags.numpy().copy()
@@ -288,12 +300,13 @@ class NeighborLists:
             stage()
 
     def kernels(self) -> list[Any]:
-        """Kernels and stages of all that it launches."""
+        """Return the kernels and stages of everything that a rebuild launches, so that they can be compiled."""
         b = self.batch
         self._keep_old(np.arange(b.count))
         each = self._launches(False)
         few = []
-        if b.parallel and self._searchers == 1 and b.count > 1:  # some of the scenes may have few spheres
+        # A rebuild of only some scenes of the batch may involve so few spheres that eight threads search for each.
+        if b.parallel and self._searchers == 1 and b.count > 1:
             other = self._launches(False, OCTANTS)
             few = [*other.search, *other.fill]
         stretch = [each.stretch] if b.features.bonds and b.features.half_list else []
@@ -304,7 +317,7 @@ class NeighborLists:
         ]  # fmt: skip
 
     def _search(self, sort: bool) -> _Launches:
-        """Half lists: search chunk by chunk into buffers, once more where one was too short."""
+        """Search half lists chunk by chunk into buffers, and repeat with larger buffers if one was too small."""
         b = self.batch
         if b.threads > 1:
             places = self._centre.numpy()
@@ -328,13 +341,13 @@ class NeighborLists:
             self._recorded.clear()
 
     def _keep_old(self, scenes: np.ndarray) -> None:
-        """Copy of the lists of some scenes, that their new ones take history from."""
+        """Copy the current lists of `scenes`, from which their new lists take over contact history."""
         b = self.batch
-        # How many entries a scene alone on a GPU has, its device may know only.
+        # Copy whole arrays for a single scene on a GPU, since only the device may know the number of its entries.
         whole = 4 * len(scenes) > b.count > 1 or (b.count == 1 and b.parallel)
         for name in PAIR_ARRAYS:
             array, kept = getattr(b.pairs, name), getattr(self._old, name)
-            if name not in self._kept:  # nobody reads it
+            if name not in self._kept:  # no kernel reads this array of the old lists, so a reference is enough
                 if kept is not array:
                     setattr(self._old, name, array)
                     self._recorded.clear()
@@ -348,12 +361,14 @@ class NeighborLists:
                 continue
             for s in scenes:
                 first, count = int(b.rows["pairs"][s]), int(self._entries[s])
-                if count:  # else `copy` takes all
+                if count:  # for a count of 0 `wp.copy` would copy the whole array
                     wp.copy(kept, array, first, first, count)
 
     def _launches(self, sorted_now: bool, searchers: int | None = None) -> _Launches:
-        """Recorded launches of a rebuild, after a re-sorting or without one, on the arrays that the batch has now; by
-        so many threads a sphere, or as many as search now."""
+        """Return the recorded launches of a rebuild on the batch's current arrays, with or without a re-sorting.
+
+        `searchers` is the number of threads that search for one sphere's neighbours; default: as many as now.
+        """
         version = self.batch.version, self._cells.made
         if self._version != version:
             self._recorded.clear()
@@ -437,7 +452,7 @@ class NeighborLists:
         return launches
 
     def _found_of(self, total: wp.array, what: str, entries: str) -> tuple[np.ndarray, int]:
-        """How many entries each scene now has, and the last of `total`."""
+        """Return the number of list entries of each scene, shape (scenes,), and the last element of `total`."""
         (found,) = self.batch.exchange.read(total)
         found = found.astype(np.int64)
         wanted, longest = found[:-1], int(found[-1])

@@ -1,4 +1,9 @@
-"""Packing: fill a pipe or any closed mesh with aggregates, by growing them in place."""
+"""Packing: fill a pipe or any closed mesh with aggregates by growing them in place.
+
+Aggregates are sown at a low solid fraction and grow at a constant rate, without friction and with damping, as in the
+method of Lubachevsky and Stillinger (J. Stat. Phys. 60 (1990) 561). They then come to rest at the wanted solid
+fraction, or with sizes adjusted until the wanted pressure is met.
+"""
 
 from __future__ import annotations
 
@@ -26,36 +31,36 @@ from .stepper import Stepper, steppers_of
 START_FRACTION = 0.10  # solid fraction at which aggregates are sown
 GROWTH_STEPS = 1500
 RELAX_STEPS = 3000
-CHUNK = 50  # steps from one look at the pressure to the next
-TRANSIENT = 0.005  # pressure over contact modulus that aggregates reach before they have parted
-CLOSE_FRACTION = 0.75  # more than any packing of these shapes takes under kilopascals
-PATIENCE = 45  # looks in a row at which a pressure may be off on one side before sizes are changed faster
-MOST_GAIN = 16.0
-NEAR = 0.15  # of a pressure, by which it may be off when the usual steps are done; else as many follow
-MOST_BODIES = 2**25  # whose arrays still fit the memory of today's largest GPU
+CHUNK = 50  # steps between two evaluations of the pressure
+TRANSIENT = 0.005  # pressure over contact modulus that sown aggregates may cause before they have moved apart
+CLOSE_FRACTION = 0.75  # a solid fraction that no packing of these shapes reaches under kilopascals
+PATIENCE = 45  # evaluations in a row with the pressure off on the same side before sizes change faster
+MOST_GAIN = 16.0  # largest factor by which size changes are sped up
+NEAR = 0.15  # relative error of the pressure that ends the relaxation after RELAX_STEPS; else it may take twice as many
+MOST_BODIES = 2**25  # limit at which the bodies' arrays still fit the memory of today's largest GPU
 
 
 @dataclass(frozen=True)
 class PackingReport:
-    """What a packing came to."""
+    """Properties of a finished packing."""
 
     bodies: int
     spheres: int
     solid_fraction: float
-    """Solid volume (overlaps inside a clump counted once) over container volume."""
+    """Solid volume over container volume; overlaps inside a clump count once."""
     coordination_number: float
-    """Mean number of touching neighbours of a body; walls do not count."""
+    """Mean number of touching neighbours per body; walls do not count."""
     mean_overlap: float
-    """Of touching spheres, over the smaller radius."""
+    """Mean overlap of touching spheres over the smaller radius."""
     largest_overlap: float
     pressure: float
-    """Mean pressure from contact forces, container walls not counted [Pa]."""
+    """Mean pressure from the contact forces between bodies [Pa]; contacts with the container's walls do not count."""
     size_factor: float
-    """All sizes were multiplied by this to meet a pressure; 1 for a solid fraction."""
+    """Factor by which all sizes were multiplied to meet a pressure; 1 if a solid fraction was given."""
 
 
 def random_orientations(count: int, random: np.random.Generator) -> np.ndarray:
-    """Uniformly distributed unit quaternions x, y, z, w, shape (count, 4)."""
+    """Return uniformly distributed random unit quaternions x, y, z, w, shape (count, 4)."""
     q = random.normal(size=(count, 4))
     return q / np.linalg.norm(q, axis=1, keepdims=True)
 
@@ -63,7 +68,10 @@ def random_orientations(count: int, random: np.random.Generator) -> np.ndarray:
 def draw(
     fill: Fill, container: PipeContainer | MeshContainer, fraction: float, random: np.random.Generator
 ) -> BodyTable:
-    """Aggregates with a total of `fraction` times the container's volume, sown at well spread points."""
+    """Return aggregates with a total volume of `fraction` times the container's, sown at well spread points.
+
+    Raises :class:`CapacityError` if the container would take too many aggregates.
+    """
     wanted = fraction * container.volume
     expected = wanted / (np.pi / 6 * float(np.mean(fill.sizes.sample(1000, np.random.default_rng(0)) ** 3)))
     if expected > MOST_BODIES:
@@ -77,7 +85,7 @@ def draw(
     total = np.cumsum(np.pi / 6 * sizes**3)
     count = int(np.searchsorted(total, wanted)) + 1
     if count > 1 and abs(total[count - 2] - wanted) < abs(total[count - 1] - wanted):
-        count -= 1  # whichever comes nearer
+        count -= 1  # leave out the last aggregate if that comes nearer to the wanted volume
     sizes = sizes[:count]
     # Sizes do not depend on the shape, so fractions by number are fractions by volume.
     template = random.choice(len(fill.templates), size=count, p=fill.fractions)
@@ -91,7 +99,7 @@ def draw(
 
 @dataclass(frozen=True)
 class Request:
-    """What :func:`pack_many` packs: a fill, the contact law whose stiffness it has, and a seed."""
+    """One packing for :func:`pack_many`: the fill, the contact law that gives the stiffness, and the seed."""
 
     fill: Fill
     contact: ContactLaw
@@ -108,11 +116,12 @@ def pack(
     progress: Callable[[float], None] | None = None,
     threads: int = 1,
 ) -> tuple[BodyTable, PackingReport]:
-    """Pack aggregates into their container: sow them small, let them grow, frictionless and damped, and settle.
+    """Pack aggregates into their container: sow them small, let them grow without friction, and let them settle.
 
-    Returns the bodies at rest and a report. `progress` is called with the fraction done. To meet a pressure, a
-    pilot packing finds the solid fraction that belongs to it; the packing itself then stops growing where the
-    pressure is met, which changes all sizes by a factor near 1 that the report names.
+    Returns the bodies at rest and a report. `progress` is called with the fraction done. If the fill gives a
+    pressure, a pilot packing in a smaller container finds the solid fraction that belongs to that pressure. The
+    packing itself then stops growing where the pressure is met, so all sizes change by a factor near 1, which is
+    the report's `size_factor`.
     """
     request = Request(fill, contact or Contact(), seed)
     (packed,) = pack_many([request], device=device, precision=precision, progress=progress, threads=threads)
@@ -129,7 +138,10 @@ def pack_many(
     progress: Callable[[float], None] | None = None,
     threads: int = 1,
 ) -> list[Any]:
-    """Pack many containers side by side; for each (bodies, report) as from :func:`pack`, or the error it raised."""
+    """Pack many containers side by side, on a GPU as one batch.
+
+    Returns for each request (bodies, report) as :func:`pack` does, or the error that its packing raised.
+    """
     device = find_device(device) if device is None or isinstance(device, str) else device
     tell = progress or (lambda done: None)
     randoms = [np.random.default_rng([request.seed, 1]) for request in requests]
@@ -142,7 +154,7 @@ def pack_many(
             pilot = replace(pilot) if pilot is fill.container else pilot
             parts.append(pilot.volume / (pilot.volume + fill.container.volume))
             pilots[number] = (pilot, CLOSE_FRACTION)
-    part = float(np.mean(parts)) if parts else 0.0  # of the work, that the pilots take
+    part = float(np.mean(parts)) if parts else 0.0  # share of the pilot packings in the total work
 
     def grow_all(containers: dict[int, Any], told: Callable[[float], None]) -> dict[int, Any]:
         found: dict[int, Any] = {}
@@ -171,7 +183,7 @@ def pack_many(
 
 
 def _grow_together(growths: dict[int, _Growth], threads: int, tell: Callable[[float], None]) -> dict[int, Any]:
-    """Drive growths of the same features as one batch each; what each returned or raised, by number."""
+    """Run growths with the same features as one batch; return the result or error of each growth by its number."""
     groups: dict[Any, list[int]] = {}
     for number, growth in growths.items():
         key = batch_key(growth.model) if parallel(growth.model.device) else number
@@ -199,7 +211,7 @@ def _grow_together(growths: dict[int, _Growth], threads: int, tell: Callable[[fl
 
 
 class _Growth:
-    """One packing under way."""
+    """One packing in progress."""
 
     def __init__(self, request: Request, container, fraction: float, random, device, precision: str) -> None:
         fill = request.fill
@@ -222,7 +234,7 @@ class _Growth:
         self.rate = (1.0 - start) / GROWTH_STEPS
 
     def growing(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:
-        """Grow and come to rest; returns bodies and report."""
+        """Grow the aggregates and let them come to rest; the coroutine returns bodies and report."""
         try:
             yield from self._grow(stepper, lambda done: tell(0.6 * done))
             yield from self._rest(stepper, lambda done: tell(0.6 + 0.4 * done))
@@ -232,7 +244,8 @@ class _Growth:
 
     def _grow(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:
         pressure = self.fill.pressure
-        # Sown aggregates that still overlap push for a while: only a pressure well above that counts.
+        # Sown aggregates that still overlap push each other apart for a while, so only a pressure well above that of
+        # these overlaps ends the growth.
         resting = max(pressure or 0.0, TRANSIENT * self.contact.stress_scale)
         for number in range(GROWTH_STEPS // CHUNK):
             stepper.choose_dt()
@@ -242,10 +255,10 @@ class _Growth:
                 break
 
     def _rest(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:
-        """Come to rest, and with a wanted pressure creep towards it from either side."""
+        """Let the aggregates come to rest; if a pressure is wanted, adjust sizes until it is met."""
         pressure = self.fill.pressure
         met, least, below = 0, 1e-3, None
-        gain, aside = 1.0, 0  # looks in a row at which the pressure was off on the same side
+        gain, aside = 1.0, 0  # `aside` counts evaluations in a row with the pressure off on the same side
         looks = RELAX_STEPS // CHUNK
         for number in range(looks if pressure is None else 2 * looks):
             if pressure is not None:
@@ -264,11 +277,11 @@ class _Growth:
                     if aside > PATIENCE and aside % 3 == 0:
                         gain = min(MOST_GAIN, 1.5 * gain)
                 below = bool(error > 0)
-                # dp/d(ln size) of a packing is about its contacts' modulus, but far less of one that hardly holds: what
-                # it is given goes into finding places.
+                # dp/d(ln size) of a packing is about the modulus of its contacts, but far less in a packing that is
+                # barely jammed, where growing aggregates mostly move into free space.
                 change = np.clip(gain * error / self.contact.stress_scale, -2e-3 * gain, 2e-3 * gain)
                 if error > 0.5 * pressure:
-                    change = max(change, least)  # not jammed: no pressure tells how far to go
+                    change = max(change, least)  # not jammed yet: the pressure does not tell how much growth is needed
                 stepper.change(growth_rate=float(change) / CHUNK, growth_end=2.0)
             stepper.choose_dt()
             yield Steps(CHUNK)
@@ -283,7 +296,7 @@ class _Growth:
         factor = float(state.scenes.scale.numpy()[0])
         sums = contact_sums(self.model, state, coordination=True)
         result = state.table()
-        # The grown sizes keep their density, not their mass.
+        # Bodies have grown at constant mass during the packing; restore their density instead.
         result.density = self.table.density.copy()
         if self.fill.bulk_density is not None:
             result.density[:] = self.fill.bulk_density * self.container.volume / result.volume.sum()
@@ -314,7 +327,7 @@ class _Growth:
 
 
 def _resize(state: State, table: BodyTable, factor: float) -> None:
-    """Shrink spheres about their bodies' centroids."""
+    """Scale the spheres of each body about the body's centroid by a factor."""
     spheres = state.spheres
     position = spheres.position.numpy().astype(float)
     centre = table.position[spheres.body.numpy()]

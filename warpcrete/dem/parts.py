@@ -1,4 +1,4 @@
-"""Parts of a line that aggregates are pushed through: what there is to choose, and where the pipe goes."""
+"""Parts of a pumping line through which aggregates are pushed: their parameters, and the course of the pipe."""
 
 from __future__ import annotations
 
@@ -48,7 +48,10 @@ OF_MESH = Needs("wall", _is_given, "is given")
 
 @dataclass(frozen=True, kw_only=True)
 class CourseParameters:
-    """Pipe."""
+    """Pipe.
+
+    Course and dimensions of the pipe: a single part, the bore of a mesh, or a line from a file.
+    """
 
     unit: Annotated[
         str,
@@ -94,7 +97,10 @@ class CourseParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class PushParameters:
-    """Piston."""
+    """Piston.
+
+    Motion of the piston that pushes the concrete.
+    """
 
     flow: Annotated[float, "Final volume flow that the piston displaces [m3/s]", Above()] = 1500e-6
     travel: Annotated[float | None, "Travel of the piston, through a pipe ahead of the part; default: two diameters "
@@ -110,54 +116,57 @@ class PartElements(
     OfConcrete, CourseParameters, PushParameters, ConcreteChoice, AggregateParameters, LawChoice, WallLawChoice,
     ContactParameters, BondParameters, PlugParameters, RunParameters,
 ):  # fmt: skip
-    """Concrete, a part of a line, and what pushes it."""
+    """All parameters of a part of a line: concrete, pipe, piston, contacts, plug and run."""
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return what the file of a line, a mesh or a concrete says of other parameters."""
+        """Return parameters that the file of a line, of a mesh or of a concrete implies, by name."""
         said = {**said_by_line(values), **said_by_mesh(values, WAYS[:1])}
         return {**said, **super().implied({**said, **values})}
 
 
 @dataclass(frozen=True)
 class Course:
-    """Where a pipe goes, from the piston at rest: its run-up first, then the part."""
+    """Course of a pipe from the piston's initial position: first the run-up for the piston's travel, then the part."""
 
     axis: Axis
     bores: Bores
     travel: float
-    """Of the piston [m]."""
+    """Travel of the piston [m]."""
     ramp: float
-    """[m]"""
+    """Travel over which the piston's speed rises linearly in time [m]."""
     velocity: float
-    """Of the piston in the end [m/s]."""
+    """Final speed of the piston [m/s]."""
     middle: tuple[float, float] | None
-    """Arc lengths between which the part is no straight pipe [m]."""
+    """Arc lengths between which the part is not a straight pipe [m]."""
     line: PipeLine | None = None
     inserts: tuple[Insert, ...] = ()
-    """Bores from meshes."""
+    """Stretches of the pipe whose bore is a mesh."""
     clear: Bores | None = None
-    """Circles about the axis that are free, where there are such bores."""
+    """Radii of circles about the axis that fit into the bore; None if no stretch has a mesh as its bore."""
 
     @property
     def narrowest(self) -> float:
-        """Least that is free across the axis [m]."""
+        """Smallest free width across the axis [m]."""
         return min([2 * self.bores.smallest, *(insert.mesh.narrowest for insert in self.inserts)])
 
     @property
     def duration(self) -> float:
-        """Simulated time of the travel [s]."""
-        # The speed rises linearly in time.
+        """Simulated time of the piston's travel [s]."""
+        # The speed rises linearly in time, so the ramp takes 2 ramp / velocity.
         return 2 * self.ramp / self.velocity + (self.travel - self.ramp) / self.velocity
 
     @property
     def advance(self) -> float:
-        """By how much the front moves on while the piston travels [m]."""
+        """Distance by which the front of the concrete moves while the piston travels, by volume conservation [m]."""
         return self.travel * float(self.bores.at(0.0) / self.bores.at(self.axis.length)) ** 2
 
 
 def course_of(given: PartElements) -> Course:
-    """Axis and bores of a part, or of a line, with the piston's run-up before them."""
+    """Return axis and bores of a part or of a line, with the piston's run-up in front.
+
+    Raises :class:`SceneError` if parameters contradict each other.
+    """
     line = None if given.line is None else read_line(given.line)
     if line is not None:
         check_straight_ends(line, given.line)
@@ -192,14 +201,14 @@ def _moved(bores: Bores, by: float) -> Bores:
 
 
 def _middle(line: PipeLine) -> tuple[float, float] | None:
-    """Arc lengths between which a line is no straight pipe [m]."""
+    """Return the arc lengths between which a line is not a straight pipe [m], or None for a straight line."""
     odd = [k for k, part in enumerate(line.parts) if part.kind != "straight"]
     places = ends(line)
     return (float(places[odd[0]]), float(places[odd[-1] + 1])) if odd else None
 
 
 def _inserts(line: PipeLine, travel: float) -> Iterator[Insert]:
-    """Bores from meshes in a line, behind a run-up [m]."""
+    """Yield the stretches of a line whose bore is a mesh; a run-up of `travel` [m] shifts their arc lengths."""
     for part, (begin, end) in zip(line.parts, pairwise(travel + ends(line)), strict=True):
         if part.mesh:
             yield Insert(part.mesh, float(begin), float(end))
@@ -236,14 +245,17 @@ def _meshed(given: PartElements) -> PipeLine:
 
 
 def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]:
-    """Of a single part: its axis from the origin, its bores, and where it is no straight pipe."""
+    """Return the axis of a single part, its bores, and the arc lengths between which it is not a straight pipe [m].
+
+    The axis begins at the origin. The arc lengths are None for a straight pipe of one diameter.
+    """
     origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
     radius, straight = given.diameter / 2, given.straight
     narrows = given.outlet_diameter is not None
     if narrows:
         between("outlet_diameter", given.outlet_diameter, given.diameter / 10, 10 * given.diameter, "m",
                 "change the diameter in several steps")  # fmt: skip
-    # The cone lies in the middle of a straight unit, and a stretch behind a bend.
+    # The cone lies in the middle of a straight unit. In a unit with a bend a straight stretch separates bend and cone.
     narrowing = straight + given.taper if narrows else 0.0
     if not given.unit.startswith("bend"):
         pieces: tuple[Line | Arc, ...] = (Line(straight + (narrowing or straight)),)
@@ -264,14 +276,17 @@ def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]
 
 
 def plug_layers(given: PartElements, diameter: float) -> int:
-    """Layers of the plug's balls: as many as stay upright, where the pipe is not upright itself."""
+    """Return the number of layers of balls in the plug.
+
+    By default the plug is so thick that it cannot tip over in a pipe that is not vertical.
+    """
     if given.plug_layers is not None:
         return given.plug_layers
     return max(2, math.ceil(UPRIGHT * diameter / given.plug_ball - 1e-9))
 
 
 def part_knobs(given: PartElements) -> Iterator[Knob]:
-    """What trades accuracy for time in a part."""
+    """Yield the settings of a part that trade accuracy for computing time."""
     if given.time_step is None:
         yield scaled("time step", "safety", given.safety, (2.0, 1.5, 1.0, 0.5, 0.25), -1.0)
     yield precisions()

@@ -1,4 +1,4 @@
-"""Pictures of runs of discrete elements, by Matplotlib."""
+"""Figures of discrete element runs, drawn with Matplotlib."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from .strokes import strokes_of
 
 
 def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:
-    """Figure of pumping pressure [kPa] against piston travel [m] of one run, or of several by name.
+    """Return a figure of pumping pressure [kPa] against piston travel [m], for one run or several runs by name.
 
-    Marks where the piston has its final speed and, of a single run, its plateau, and what is published for the scene
-    of the first run.
+    The figure marks where the piston reaches its final speed and the published values for the scene of the first run.
+    For a single run it also marks the plateau.
     """
     from matplotlib.figure import Figure
 
@@ -51,7 +51,7 @@ def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:
 
 
 def _mark_travel(axes: Any, run: ElementRun, longest: float) -> None:
-    """A line where the ramp of the piston's speed ends."""
+    """Draw a vertical line where the ramp of the piston's speed ends."""
     ramp = run.scene.pipe.ramp if run.scene.pipe is not None else 0.0
     if 0 < ramp < longest:
         axes.axvline(ramp, color="0.7", linewidth=0.8)
@@ -60,8 +60,10 @@ def _mark_travel(axes: Any, run: ElementRun, longest: float) -> None:
 
 
 def plot_stations(run: ElementRun) -> Any:
-    """Figure of what stations along a pipe measured: stresses, solid fraction, velocities over the radius; and the
-    pressure on the piston [kPa] against its travel [m].
+    """Return a figure of the quantities that stations along a pipe measured.
+
+    Four panels show stresses [kPa], solid fraction, velocity profiles over the radius [cm/s], and the pressure on the
+    piston [kPa] against its travel [m].
     """
     from matplotlib.figure import Figure
 
@@ -100,7 +102,7 @@ def plot_stations(run: ElementRun) -> Any:
 
 
 def draw(simulation: Any, run: ElementRun, colouring: str | None) -> Any:
-    """The picture of a run folder: the pressure, if the scene has one, with what stations along the pipe measured."""
+    """Return the figure for the run folder: stations along the pipe, strokes or pressure; else None."""
     if "stations" in run.tables:
         return plot_stations(run)
     if "pressure" not in run.series:
@@ -109,7 +111,7 @@ def draw(simulation: Any, run: ElementRun, colouring: str | None) -> Any:
 
 
 def plot_strokes(run: ElementRun) -> Any:
-    """Figure of pumping pressure [kPa] over time [s] through strokes, stops (shaded) and a rest (a line)."""
+    """Return a figure of pumping pressure [kPa] over time [s], with stops (shaded) and a rest (a vertical line)."""
     from matplotlib.figure import Figure
 
     stops = run.scene.pipe.stops if run.scene.pipe is not None else None
@@ -144,9 +146,10 @@ def plot_strokes(run: ElementRun) -> Any:
 
 
 def plot_aggregates(runs: Mapping[str, ElementRun] | ElementRun, vertical: int = 2, across: int = 0) -> Any:
-    """Figure of the aggregates at the end of one or several runs, seen from the side, coloured by speed.
+    """Return a figure of the aggregates at the end of one or several runs, seen from the side, coloured by speed.
 
-    Every sphere of every clump is drawn, the near ones last; `vertical` and `across` are the drawn axes.
+    Every sphere of every clump is drawn, the nearest last. `across` and `vertical` are the drawn axes (0, 1, 2 for
+    x, y, z).
     """
     from matplotlib.collections import EllipseCollection
     from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""What is measured: sums over bodies, contacts and walls, added in a fixed order in double precision."""
+"""Measurements on a state: sums over bodies, contacts and walls, added in a fixed order in double precision."""
 
 from __future__ import annotations
 
@@ -20,21 +20,24 @@ from .state import State
 
 @dataclass(frozen=True)
 class ContactSums:
-    """Sphere-sphere contacts of a state; the elastic energy includes walls."""
+    """Sums over the sphere-sphere contacts of a state; elastic energy and deepest overlap include wall contacts."""
 
     contacts: int
     coordination_number: float
-    """Mean number of touching neighbours of a body; NaN if not asked for."""
+    """Mean number of touching neighbours per body; NaN if it was not requested."""
     mean_overlap: float
-    """Over the smaller radius."""
+    """Mean overlap over the smaller radius of the pair."""
     largest_overlap: float
     deepest: float
-    """Largest overlap over the one that swallows the smaller sphere whole or halves the distance of the centres,
-    whichever comes first; on walls over the radius. Past 1 a contact no longer means anything."""
+    """Largest overlap, relative to the depth beyond which a contact law loses its meaning.
+
+    Between spheres this depth is reached where the larger sphere contains the smaller one, or where the centres are
+    only half as far apart as at first touch, whichever comes first. On walls this depth is the radius.
+    """
     elastic_energy: float
-    """[J]"""
+    """Energy stored in contact springs, walls included, at the middle of the last step [J]."""
     bond_energy: float
-    """[J]"""
+    """Energy stored in bonds [J]."""
     bonded: int
     hydrated: int
     virial: float
@@ -49,32 +52,32 @@ class BodySums:
     """Sums over the bodies of a state."""
 
     kinetic_energy: float
-    """[J], at the middle of the last step."""
+    """Kinetic energy at the middle of the last step [J]."""
     potential_energy: float
-    """[J], gravity, zero at the origin."""
+    """Potential energy in gravity, zero at the origin [J]."""
     momentum: np.ndarray
-    """[kg m/s], shape (3,), at the middle of the last step."""
+    """Total momentum at the middle of the last step [kg m/s], shape (3,)."""
     mass: float
-    """[kg]"""
+    """Total mass [kg]."""
     centroid: np.ndarray
-    """[m], shape (3,)."""
+    """Centroid of all bodies [m], shape (3,)."""
     drive_force: np.ndarray
-    """Sum of the axis drives [N], shape (3,)."""
+    """Sum of the forces of the axis drives [N], shape (3,)."""
     drive_power: float
-    """Of the axis drives [W]."""
+    """Power of the axis drives [W]."""
     reach: float
-    """Largest coordinate of a body [m]."""
+    """Largest absolute coordinate of a body [m]."""
 
 
 def body_sums(model: Model, state: State) -> BodySums:
-    """Energies, momentum and drive forces of all bodies."""
+    """Return energies, momentum and drive forces of all bodies."""
     if state.body_count:
         launched(state, "bodies", lambda: _body_stages(model, state))
     return _bodies_of(state, *_read(state, "bodies"))
 
 
 def contact_sums(model: Model, state: State, *, coordination: bool = False) -> ContactSums:
-    """Number, overlap, energies and bonds of all contacts; the coordination number only when asked for."""
+    """Return number, overlaps, energies and bonds of all contacts; the coordination number only on request."""
     if state.sphere_count:
         launched(state, "contacts", lambda: _contact_stages(model, state))
     return _contacts_of(state, *_read(state, "contacts"), coordination)
@@ -84,8 +87,11 @@ Sums = tuple[BodySums, ContactSums, np.ndarray]
 
 
 def begin_sums(model: Model, state: State) -> Callable[[], Sums]:
-    """Sums over bodies and over contacts as they are now, and what is read of each wall, shape (walls, WALL_COLUMNS): a
-    GPU makes them with one launch, and the host waits for them when it calls what is returned, once."""
+    """Start measuring bodies, contacts and walls as they are now; return a function that waits for the sums.
+
+    A GPU measures everything with one launch. The returned function must be called once; it returns the sums over
+    bodies, the sums over contacts, and the values of each wall, shape (walls, WALL_COLUMNS).
+    """
     batch, index = state.batch, state.index
     recorded = state.launches(batch.version)
     if "row" not in recorded:
@@ -108,7 +114,7 @@ COLUMNS = {"bodies": int(column.BODY_COLUMNS), "contacts": int(column.CONTACT_CO
 
 
 def _read(state: State, *what: str) -> list[np.ndarray]:
-    """Sums of bodies or contacts."""
+    """Read the sums of "bodies" or "contacts" from the device, one array for each name in `what`."""
     if state.body_count == 0:
         return [np.zeros(COLUMNS[each]) for each in what]
     return state.batch.exchange.read(*(_sums(state, each, COLUMNS[each]) for each in what))
@@ -167,7 +173,10 @@ def _sums(state: State, what: str, columns: int) -> wp.array:
 
 
 def _adding(state: State, what: str, values: wp.array, rows: int, maxima: tuple[int, ...]) -> list[Stage]:
-    """Stages for the sum (or maximum) of every column, added in an order that depends on the number of rows only."""
+    """Return stages that sum every column, or take the maximum of the columns `maxima`.
+
+    The order of the additions depends only on the number of rows, so that the sums are reproducible to the bit.
+    """
     columns = values.shape[1]
     lanes = state.scratch(f"{what}, lanes", (column.LANES, columns), wp.float64)
     partial, whole = column.column_kernels()
@@ -179,7 +188,7 @@ def _adding(state: State, what: str, values: wp.array, rows: int, maxima: tuple[
 
 
 def scene_stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
-    """A launch over one scene of a batch; parameters that are not named are the batch's attributes of their names."""
+    """Return a launch over one scene of a batch; unnamed kernel parameters are the batch's attributes of that name."""
     batch = state.batch
     given = {"s": state.index, **named}
     bound = {name: given[name] if name in given else getattr(batch, name) for name in parameter_names(kernel)}
@@ -187,7 +196,7 @@ def scene_stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
 
 
 def launched(state: State, what: str, make: Callable[[], list[Any]]) -> None:
-    """Launch the stages that `make` gives; recorded once, until an array of the batch's is another."""
+    """Launch the stages that `make` returns, recorded at the first call and again when the batch's arrays change."""
     recorded = state.launches(state.batch.version)
     if what not in recorded:
         recorded[what] = AtOnce(make(), state.batch.device)
@@ -195,7 +204,7 @@ def launched(state: State, what: str, make: Callable[[], list[Any]]) -> None:
 
 
 def _contact_rows(state: State) -> tuple[wp.array, wp.array]:
-    """Rows of the contact probe in the order of the spheres' permanent numbers, and each listed pair's normal force."""
+    """Return the arrays of the contact probe: a row per sphere by permanent number, and a force per list entry."""
     values = state.scratch("contact rows", (state.sphere_count, int(column.CONTACT_COLUMNS)), wp.float64)
     return values, state.scratch("pair forces", (len(state.pairs.other),), state.model.scalar)
 
@@ -219,20 +228,25 @@ def _measure_contacts(state: State) -> tuple[wp.array, wp.array]:
 
 
 def deepest_sphere(model: Model, state: State) -> int:
-    """Permanent number of a body whose overlap is the deepest."""
+    """Return the permanent number of the body that has the deepest overlap."""
     rows = _measure_contacts(state)[0].numpy()
     sphere = int(np.flatnonzero(state.spheres.id.numpy() == int(rows[:, column.DEPTH_MAX].argmax()))[0])
     return int(state.bodies.id.numpy()[state.spheres.body.numpy()[sphere]])
 
 
 def listed_forces(model: Model, state: State) -> np.ndarray:
-    """Normal force of each place of the pair arrays [N]; of a pair that stands twice, at one of both."""
+    """Return the normal force of each entry of the neighbour list [N], shape (pairs,).
+
+    A pair that is listed in the rows of both spheres has its force at one of the two entries, and zero at the other.
+    """
     return _measure_contacts(state)[1].numpy().copy() if state.sphere_count else np.zeros(0)
 
 
 def largest_forces(model: Model, state: State) -> wp.array:
-    """Largest normal contact force on each body [N], in the order of the state's arrays, shape (n,): good until the
-    next call."""
+    """Return the largest normal contact force on each body [N], shape (n,), in the order of the state's arrays.
+
+    The next call overwrites the returned array.
+    """
     loads = state.scratch("loads", (state.body_count,), model.scalar)
     if state.sphere_count:
         launched(state, "loads", lambda: [Zero(loads), *_probing(model, state), _load_stage(model, state, loads)])
@@ -247,7 +261,7 @@ def _load_stage(model: Model, state: State, loads: wp.array) -> Stage:
 
 
 def pair_forces(model: Model, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places of both spheres of every touching pair, each once, and the normal force of their springs [N]."""
+    """Return both sphere indices of every touching pair, each pair once, and the normal force of its spring [N]."""
     if not state.sphere_count:
         return np.zeros(0, int), np.zeros(0, int), np.zeros(0)
     force = _measure_contacts(state)[1].numpy()
@@ -257,43 +271,43 @@ def pair_forces(model: Model, state: State) -> tuple[np.ndarray, np.ndarray, np.
 
 
 def listed_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places of both spheres of every listed pair, each pair once, and its place in the pair arrays."""
+    """Return both sphere indices of every listed pair, each pair once, and the index of the pair's list entry."""
     return pairs_of(state.pairs.start.numpy(), state.pairs.other.numpy(), chunks_of(state))
 
 
 def chunks_of(state: State) -> list[int] | None:
-    """First spheres of the chunks of half lists, and the end; None of full ones."""
+    """Return the first sphere of each chunk of half lists and the end of the last; None for full lists."""
     return list(state.chunks) if state.model.features.half_list else None
 
 
 def pairs_of(
     start: np.ndarray, other: np.ndarray, chunks: list[int] | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What :func:`listed_pairs` returns, from copies of lists."""
+    """Return the result of :func:`listed_pairs` for host copies of a neighbour list's arrays."""
     other = other[: start[-1]]
     i = np.repeat(np.arange(len(start) - 1), np.diff(start))
     j = np.where(other >= 0, other, -1 - other)
     once = other >= 0
     if chunks is not None:
-        # Pairs inside a chunk stand once, at either sphere.
+        # A half list holds a pair inside a chunk once, in the row of either sphere.
         once |= np.searchsorted(chunks, i, "right") == np.searchsorted(chunks, j, "right")
     return i[once], j[once], np.flatnonzero(once)
 
 
 def touching_bodies(state: State) -> np.ndarray:
-    """Pairs of touching bodies, shape (m, 2), each once, as places in the body arrays."""
+    """Return each pair of touching bodies once, as indices into the body arrays, shape (m, 2)."""
     i, j, _ = listed_pairs(state)
     position = state.spheres.position.numpy()
     touching = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < position[i, 3] + position[j, 3]
     body = state.spheres.body.numpy()
     a, b = body[i[touching]].astype(np.int64), body[j[touching]].astype(np.int64)
-    # As one number a pair: rows take seven times as long to sort.
+    # Encode each pair as one number, because sorting rows of two takes seven times as long.
     number = np.unique(np.minimum(a, b) * state.body_count + np.maximum(a, b))
     return np.stack(np.divmod(number, max(state.body_count, 1)), axis=1)
 
 
 def fastest_body(model: Model, state: State) -> int:
-    """Permanent number of the body with the largest speed, or of one whose motion is not a number."""
+    """Return the permanent number of the body with the largest speed, or of one whose motion is not finite."""
     speed = np.linalg.norm(state.bodies.velocity.numpy(), axis=1)
     if not len(speed):
         return -1
@@ -303,5 +317,5 @@ def fastest_body(model: Model, state: State) -> int:
 
 
 def farthest_body(state: State) -> int:
-    """Permanent number of the body farthest from the origin."""
+    """Return the permanent number of the body with the largest absolute coordinate."""
     return int(state.bodies.id.numpy()[np.abs(state.bodies.position.numpy()).max(1).argmax()])

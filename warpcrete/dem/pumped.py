@@ -1,4 +1,4 @@
-"""What pumped concrete is made of, from declared parameters: sizes, contacts, bonds, its plug; how it is computed."""
+"""Conversion of declared parameters into the components of a pumping scene: sizes, contacts, bonds, plug, settings."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from .sizes import Gaussian, SieveCurve, Sizes, Uniform
 
 
 def contact_of(given: Any) -> ContactLaw:
-    """Law of the contacts."""
+    """Return the contact law between aggregates."""
     return given.contact if given.contact is not None else linear_of(given)
 
 
 def linear_of(given: Any) -> Contact:
-    """Return the scene's own law."""
+    """Return the linear contact law that the scene's own contact parameters describe."""
     return Contact(
         effective_modulus=given.modulus,
         stiffness_ratio=given.stiffness_ratio,
@@ -39,7 +39,7 @@ def linear_of(given: Any) -> Contact:
 
 
 def wall_contact_of(given: Any) -> dict[tuple[str, str], ContactLaw]:
-    """Contact with pipe and piston, where it differs."""
+    """Return the contact law on pipe and piston by pair of materials; empty if it is the same as between aggregates."""
     if given.wall_contact is not None:
         return {("aggregate", "wall"): given.wall_contact}
     if given.contact is not None:
@@ -54,7 +54,7 @@ def wall_contact_of(given: Any) -> dict[tuple[str, str], ContactLaw]:
 
 
 def law_remarks(given: Any) -> Iterator[str]:
-    """Say what another contact law leaves out."""
+    """Yield remarks on parameters of the concrete that have no effect because another contact law was chosen."""
     law, wall = given.contact, given.wall_contact
     if law is not None:
         where = (
@@ -71,7 +71,7 @@ def law_remarks(given: Any) -> Iterator[str]:
 
 
 def bonds_of(given: BondParameters) -> Bonds | None:
-    """Bonds of the aggregates, if they have any."""
+    """Return the bonds between aggregates, or None if bonds are off."""
     if not given.bonds:
         return None
     return Bonds(
@@ -86,7 +86,7 @@ def bonds_of(given: BondParameters) -> Bonds | None:
 
 
 def hydration_of(given: BondParameters) -> Hydration | None:
-    """Hydrated bonds, if there are any."""
+    """Return the hydrated bonds, or None if there are none."""
     if not (given.bonds and given.hydration):
         return None
     return Hydration(
@@ -102,7 +102,7 @@ def hydration_of(given: BondParameters) -> Hydration | None:
 
 
 def sizes_of(given: AggregateParameters, diameter: float) -> Sizes:
-    """Sizes of the aggregates, all of which pass a pipe of this diameter [m]."""
+    """Return the size distribution of the aggregates; raise SceneError if the largest exceeds the pipe diameter [m]."""
     found = _distribution(given)
     if found.largest >= diameter:
         refuse("size_max", found.largest, f"must be below the pipe's diameter, {diameter:g} m")
@@ -130,7 +130,7 @@ def _distribution(given: AggregateParameters) -> Sizes:
 
 
 def fractions_of(text: str | None) -> tuple[float, ...] | None:
-    """Volume fractions of shapes, from numbers joined by commas."""
+    """Return volume fractions of the shapes from numbers joined by commas, or None without a text."""
     if text is None:
         return None
     try:
@@ -140,12 +140,12 @@ def fractions_of(text: str | None) -> tuple[float, ...] | None:
 
 
 MOST_BALLS = 600_000
-"""Of a plug."""
+"""Maximum number of balls in a plug."""
 
 
 @dataclass(frozen=True)
 class Plug:
-    """What closes the front of the concrete: bonded balls, a plate, or nothing."""
+    """Closure of the concrete's front: bonded balls with a drive, a plate, or nothing."""
 
     bodies: tuple[Bodies, ...] = ()
     drives: tuple[AxisDrive, ...] = ()
@@ -154,14 +154,17 @@ class Plug:
 
 
 def plug_of(given: Any, axis: Axis, at: float, radius: float, layers: int, inner: float) -> Plug:
-    """The plug at an arc length `at` of a pipe's axis [m]: `layers` of balls in a bore of the radius `inner` [m], or a
-    plate, pushed back over the section of a `radius` [m]. `given` are parameters of plug and aggregate."""
+    """Return the plug at an arc length `at` of a pipe's axis [m]; `given` holds parameters of plug and aggregate.
+
+    A plug of balls has `layers` layers in a bore of radius `inner` [m]. The plug pressure acts against the flow on the
+    cross-section of radius `radius` [m].
+    """
     area, density = math.pi * radius**2, given.bulk_density or given.density
     if given.plug == "balls":
         points = plug_points(axis, inner, at, given.plug_ball, layers)
         bodies = Bodies(positions=points, sizes=given.plug_ball, density=density, group="plug")
         drive = AxisDrive(group="plug", axis=axis, force=-given.plug_pressure * area)
-        # Stiff enough to keep its shape under its small pressure, soft enough not to govern the time step.
+        # These bonds are stiff enough for the plug to keep its shape, and too soft to limit the time step.
         bonds = Bonds(
             effective_modulus=2 * stiffness_of(given), tensile_strength=1e12, cohesion=1e12, gap=0.35 * given.plug_ball
         )
@@ -176,11 +179,14 @@ def plug_of(given: Any, axis: Axis, at: float, radius: float, layers: int, inner
 
 
 def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) -> np.ndarray:
-    """Centres of layers of balls in rings that fill the pipe's section from the wall inwards, shape (n, 3)."""
+    """Return the centres of layers of balls in concentric rings that fill the pipe's cross-section, shape (n, 3) [m].
+
+    Raises :class:`SceneError` if `ball` [m] does not fit the pipe or is so small that the plug has too many balls.
+    """
     Within(0, radius).check("plug_ball", ball, f" m, the pipe's radius being {radius:g} m")
     Above().check("plug_ball", ball, " m")
     across = radius / ball
-    count = layers * math.pi * across * across  # a power would not be infinite, but an error
+    count = layers * math.pi * across * across  # `across**2` would raise OverflowError where a product gives infinity
     if count > MOST_BALLS:
         refuse("plug_ball", ball, f"would need {count:.2g} balls to plug the pipe",
                "use larger balls, a plate or no plug")  # fmt: skip
@@ -201,7 +207,7 @@ def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) 
 
 
 def fill_of(given: Any, container: PipeContainer, sizes: Sizes) -> Fill:
-    """The aggregates in a container; `given` are parameters of aggregate, contacts and plug."""
+    """Return the aggregates for a container; `given` holds parameters of aggregate, contacts and plug."""
     return Fill(
         container=container,
         sizes=sizes,
@@ -210,13 +216,13 @@ def fill_of(given: Any, container: PipeContainer, sizes: Sizes) -> Fill:
         density=given.density,
         bulk_density=given.bulk_density,
         solid_fraction=given.solid_fraction,
-        # Below that a packing has no pressure to speak of.
+        # A packing at less than 2e-3 of the contact stiffness has no well-defined pressure.
         pressure=max(given.plug_pressure, 2e-3 * stiffness_of(given)) if given.solid_fraction is None else None,
     )
 
 
 def settings_of(given: Any) -> dict[str, Any]:
-    """Arguments of a scene that say what carries the concrete, and how it is computed."""
+    """Return the arguments of a scene for contacts, bonds, gravity, settling, time step and output."""
     return {
         "contact": contact_of(given),
         "contacts": wall_contact_of(given),

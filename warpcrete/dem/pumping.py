@@ -1,4 +1,7 @@
-"""What there is to choose in pumping aggregates through one pipe unit, in groups (Zhan et al. 2019)."""
+"""Parameters of pumping aggregates through one pipe unit, in groups (Zhan et al. 2019).
+
+The first line of each parameter class is the heading of its group in the command's help.
+"""
 
 from __future__ import annotations
 
@@ -22,15 +25,15 @@ from .scene import MUCH_STIFFER, Blockage, Wear
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 OTHER_NAMES = dict(zip("ABCD", UNITS, strict=True)) | {"elbow-up": UNITS[2], "elbow-down": UNITS[3]}
-"""Letters of the paper, and words of earlier versions."""
+"""Other accepted names of pipe units: the paper's letters, and words of earlier versions."""
 UPRIGHT = 0.4
-"""Thickness over diameter of a plug that stays upright at the end of a bend; 0.13 tips over (measured)."""
+"""Thickness over diameter at which a plug stays upright at the end of a bend; a plug of 0.13 tips over (measured)."""
 WIDEST_STONE = 0.4
-"""Of the pipe's diameter, the largest rounded aggregate that is pumped (ACI 304.2R; a third if it is crushed)."""
+"""Largest rounded aggregate that can be pumped, over the pipe's diameter (ACI 304.2R; a third if crushed)."""
 
 
 def of_meshes(shapes: str) -> bool:
-    """Shapes are paths of meshes, not words."""
+    """Return whether `shapes` contains paths of mesh files instead of names of shapes."""
     return any(Path(one).suffix and not one.strip().startswith("shape-") for one in shapes.split(","))
 
 
@@ -52,7 +55,10 @@ WORN = Needs("wear", bool, "is on")
 
 @dataclass(frozen=True, kw_only=True)
 class UnitParameters:
-    """Pipe unit."""
+    """Pipe unit.
+
+    Shape and dimensions of the pipe, and the length of concrete in it.
+    """
 
     unit: Annotated[
         str,
@@ -71,7 +77,10 @@ class UnitParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class PistonParameters:
-    """Piston."""
+    """Piston.
+
+    Motion of the piston that pushes the concrete.
+    """
 
     velocity: Annotated[float, "Final velocity of the piston [m/s]", Above(), Within(0, 1e3)] = 0.3
     ramp: Annotated[float, "Travel over which the velocity rises linearly from rest [m]", Within(0)] = 0.3
@@ -85,7 +94,10 @@ class PistonParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class StrokeParameters:
-    """Strokes and stops."""
+    """Strokes and stops.
+
+    Division of the piston's travel into strokes, with pauses or a rest of the concrete between them.
+    """
 
     strokes: Annotated[
         int, "Number of strokes of the piston; it stops between them and starts again over the ramp", Within(1, 1000)
@@ -120,7 +132,10 @@ class StrokeParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class ConcreteChoice:
-    """Concrete."""
+    """Concrete.
+
+    Choice of a named concrete, which supplies defaults of aggregate, contacts and bonds.
+    """
 
     concrete: Annotated[
         str,
@@ -132,7 +147,10 @@ class ConcreteChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class AggregateParameters:
-    """Aggregate."""
+    """Aggregate.
+
+    Shapes, sizes and density of the aggregates, and how densely they are packed.
+    """
 
     shapes: Annotated[
         str,
@@ -172,7 +190,10 @@ class AggregateParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class ContactParameters:
-    """Contacts."""
+    """Contacts.
+
+    Linear contact law between aggregates, and friction and lubrication layer on the walls.
+    """
 
     modulus: Annotated[float, "Effective modulus of contacts [Pa]", Above(), OWN_LAW] = 1e5
     stiffness_ratio: Annotated[float, "Ratio of normal to shear contact stiffness", Above(), OWN_LAW] = 2.0
@@ -196,7 +217,10 @@ class ContactParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class BondParameters:
-    """Bonds (mortar)."""
+    """Bonds (mortar).
+
+    Strength and stiffness of the bonds between aggregates, and the share of hydrated bonds.
+    """
 
     bonds: Annotated[bool, "Bond the aggregates in contact before pumping starts"] = True
     bond_modulus: Annotated[float, "Effective modulus of bonds [Pa]", Above(), BONDED] = 2e4
@@ -215,7 +239,10 @@ class BondParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class PlugParameters:
-    """Plug, the front of the concrete."""
+    """Plug, the front of the concrete.
+
+    Balls or a plate that close the front and carry a pressure against the flow.
+    """
 
     plug: Annotated[
         str,
@@ -236,7 +263,10 @@ class PlugParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class IndexParameters:
-    """Wear, segregation and blockage."""
+    """Wear, segregation and blockage.
+
+    Additional measurements of a run.
+    """
 
     wear: Annotated[bool, "Sum up sliding and impacts on the walls, patch by patch"] = False
     wear_coefficient: Annotated[
@@ -262,7 +292,10 @@ class IndexParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class RunParameters(Declared):
-    """Run."""
+    """Run.
+
+    Settings of the computation: time step, limits, precision and output.
+    """
 
     gravity: Annotated[float, "Gravitational acceleration [m/s2]", Within(-1e4, 1e4)] = 9.81
     settle: Annotated[float, "Longest time to settle under gravity and plug pressure before the start [s]",
@@ -289,7 +322,10 @@ class RunParameters(Declared):
 
 
 class OfConcrete:
-    """What scenes with the parameters of a concrete of elements make of its name, and of the paths of its shapes."""
+    """Mixin for scene parameters that contain a named concrete: its name supplies defaults for other parameters.
+
+    It also turns paths of mesh files in `shapes` into absolute paths.
+    """
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
@@ -313,7 +349,7 @@ class PipeParameters(
     OfConcrete, UnitParameters, PistonParameters, StrokeParameters, ConcreteChoice, AggregateParameters,
     LawChoice, WallLawChoice, ContactParameters, BondParameters, PlugParameters, IndexParameters, RunParameters,
 ):  # fmt: skip
-    """Concrete, one pipe unit, and what pumps it."""
+    """All parameters of pumping concrete through one pipe unit."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -362,12 +398,12 @@ class PipeParameters(
 
     @property
     def radius(self) -> float:
-        """Of the pipe [m]."""
+        """Radius of the pipe [m]."""
         return self.diameter / 2
 
     @property
     def area(self) -> float:
-        """Of the pipe's cross-section [m2]."""
+        """Area of the pipe's cross-section [m2]."""
         return math.pi * self.radius**2
 
     @property
@@ -388,7 +424,7 @@ class PipeParameters(
 
     @property
     def ramp_time(self) -> float:
-        """[s]"""
+        """Time in which the piston reaches its final speed [s]."""
         return 2 * self.ramp / self.velocity
 
     @property
@@ -398,14 +434,14 @@ class PipeParameters(
 
     @property
     def stops(self) -> Stops | None:
-        """Of the piston; None if it never stops. The last stroke ends at full speed, with the run."""
+        """Stops of the piston, or None if it never stops; the last stroke ends with the run, at full speed."""
         if self.strokes == 1 or self.pause == 0:
             return None
         return Stops(count=self.strokes - 1, stroke_time=self.each / self.velocity + self.ramp_time, pause=self.pause)
 
     @property
     def duration(self) -> float:
-        """Of the piston's travel, stops included [s]."""
+        """Duration of the piston's travel, stops included [s]."""
         if self.stops is not None:
             return self.stops.count * self.stops.period + self.ramp_time + (self.each - self.ramp) / self.velocity
         if self.distance <= self.ramp:
@@ -414,15 +450,15 @@ class PipeParameters(
 
     @property
     def front(self) -> float:
-        """Where the concrete and its plug end at the start [m]."""
+        """Initial arc length of the front [m]: the end of the plug of balls, or of the concrete without such a plug."""
         return self.length + (self.layers * self.plug_ball if self.plug == "balls" else 0.0)
 
     @property
     def layers(self) -> int:
-        """Of the plug's balls.
+        """Number of layers of balls in the plug.
 
-        Level concrete weighs more on the lower edge of a plug than the pressure on it holds back: a thin one tips over,
-        and the concrete runs out past it.
+        In a level pipe the weight of the concrete pushes hardest on the lower edge of the plug, harder than the plug's
+        pressure can balance. A thin plug would tip over, and the concrete would flow out past it.
         """
         if self.plug_layers is not None:
             return self.plug_layers
@@ -430,12 +466,12 @@ class PipeParameters(
 
 
 def stiffness_of(given: Any) -> float:
-    """Return the stress that a deep contact carries [Pa]: the modulus, or what another law says."""
+    """Return the stress that a deep contact carries [Pa]: the modulus, or the value of another contact law."""
     return given.modulus if given.contact is None else given.contact.stress_scale
 
 
 def asked_of(given: IndexParameters) -> dict[str, Any]:
-    """Fields of a :class:`Scene` for the indices that are asked for."""
+    """Return the fields of a :class:`Scene` that configure wear, blockage and segregation measurements."""
     wear = Wear(coefficient=given.wear_coefficient, patch=given.wear_patch) if given.wear else None
     return {
         "wear": wear,
@@ -451,12 +487,12 @@ LENGTHS = (0.25, 0.5, 1.0)
 
 
 def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
-    """What trades accuracy for time here, as far as the scene has it.
+    """Yield the settings of a pumping scene that trade accuracy for computing time.
 
-    Coarse-graining multiplies all sizes of the aggregate. The laws need no scaling with it: a contact's stiffness is
-    modulus times area over length, so stress follows from relative overlap whatever the size; bonds' strengths and the
-    lubrication layer's are stresses; dashpots are given by their critical ratio. What does change is the number of
-    aggregates across the pipe, and impacts, which carry more at once.
+    Coarse-graining multiplies all sizes of the aggregate. The laws need no rescaling: a contact's stiffness is
+    modulus times area over length, so the stress depends only on the overlap relative to the size. The strengths of
+    bonds and lubrication layer are stresses, and dashpots are given by their critical ratio. Only the number of
+    aggregates across the pipe changes, and each impact carries more momentum.
     """
     if given.time_step is None:
         yield scaled("time step", "safety", given.safety, (2.0, 1.5, 1.0, 0.5, 0.25), -1.0)
@@ -486,7 +522,7 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
             single = Level("single steps", {"hydration_rounds": 1}, 3.0)
             yield Knob("hydrated bonds", (Level("rounds", {"hydration_rounds": None}), single))
     if not given.is_bend:
-        # What the wall carries goes with the length, if the stress there does not change along it.
+        # The wall's share of the pressure is proportional to the length if the wall stress is uniform along the pipe.
         pushed = given.plug_pressure if given.plug != "none" else 0.0
         yield Knob("length", tuple(
             Level(f"{f * given.length:.4g} m", {"length": f * given.length}, f, f"x {f:g}",
@@ -498,8 +534,8 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
 
 
 def coarser(given: AggregateParameters, factor: float) -> Level:
-    """Level of aggregates that are so many times as large."""
+    """Return the level of a coarse-graining setting at which aggregates are `factor` times as large."""
     names = ("size_min", "size_max", "size_mean", "size_deviation")
     sizes = {name: factor * getattr(given, name) for name in names if getattr(given, name) is not None}
-    # As the number of aggregates, and as the steps that larger ones need.
+    # Computing time: the number of aggregates scales as factor^-3, the number of steps as factor^-1.
     return Level(f"x {factor:g}", sizes, factor**-4)

@@ -1,4 +1,4 @@
-"""The numbers that a run of discrete elements comes to, each with its unit."""
+"""Results of a discrete element run: named numbers, each with its unit."""
 
 from __future__ import annotations
 
@@ -26,66 +26,68 @@ from .worn import QUANTITIES as OF_WEAR
 from .worn import report as report_wear
 
 WINDOW = 0.2
-"""Part of the travel, at its end, over which the pressure at the end is averaged."""
+"""Final fraction of the travel over which the pressure at the end is averaged."""
 LEVEL = 0.1
-"""Part by which the mean over that window may differ from that over an equal one before it, on a plateau, and by which
-a straight line through the window may rise or fall over it."""
+"""Largest relative change of the pressure on a plateau. It applies to the difference between the means over the final
+window and over an equal window before it, and to the rise of a straight line through the final window."""
 NOISE = 2.0
-"""Standard deviations of the noise that this rise may amount to: a short window of a noisy pressure rises or falls by
-chance."""
+"""Allowed rise of the pressure in the final window, in standard deviations of its noise: a noisy pressure may rise or
+fall by chance in a short window."""
 MEDIAN = 1.4826
-"""Standard deviation of a normal distribution over the median of its absolute values."""
+"""Ratio of standard deviation to median absolute value for a normal distribution with mean 0."""
 
 
 @dataclass(frozen=True)
 class Known:
-    """What there is to know of a run when its quantities are worked out."""
+    """Data of a run from which its results are computed."""
 
     scene: Scene
     walls: Sequence[Wall]
     series: dict[str, np.ndarray]
     mass: float
-    """Of all bodies [kg]."""
+    """Total mass of all bodies [kg]."""
     contacts: ContactSums
-    """At the end, coordination number included."""
+    """Contacts at the end of the run, coordination number included."""
     wear: WearMap | None = None
     blocked: dict[str, float] | None = None
-    """What a :class:`BlockageWatch` found, empty if nothing; None where nobody looked."""
+    """Findings of a :class:`BlockageWatch`; empty if the pipe was not blocked, None if nobody watched."""
     log: StationLog | None = None
-    """What was measured along the pipe."""
+    """Measurements at stations along the pipe."""
 
     def along(self, name: str) -> float | None:
-        """What stations along the pipe came to, by a name of :func:`warpcrete.dem.stations.losses`."""
+        """Return a quantity measured along the pipe, by a name of :func:`warpcrete.dem.stations.losses`."""
         if self.log is None or not self.pumped:
             return None
         return losses(self.log.stations, self.log.table(self.window), self.scene.gravity).get(name)
 
     @property
     def pumped(self) -> bool:
-        """There is a pressure, of two samples or more, and the piston has moved."""
+        """True if the run has a pressure, with two samples or more, and the piston has moved."""
         return "pressure" in self.series and len(self.series["pressure"]) > 1 and self.series["travel"][-1] > 0
 
     @property
     def peak(self) -> int:
-        """Sample at which the pressure is largest."""
+        """Index of the sample with the largest pressure."""
         return int(np.argmax(self.series["pressure"]))
 
     @property
     def window(self) -> np.ndarray:
-        """Samples of the last part of the travel, or of that of the last stroke."""
+        """Mask of the samples in the final part WINDOW of the travel, or of the last stroke, shape (samples,)."""
         return self.series["travel"] >= self.window_begin
 
     @property
     def window_begin(self) -> float:
-        """Travel at which that part begins [m]."""
+        """Travel at which the final window begins [m]."""
         travel = self.series["travel"][-1]
         begun = stroke_begun(self.scene, travel)
         return begun + (1 - WINDOW) * (travel - begun)
 
     @property
     def on_plateau(self) -> bool:
-        """The piston moved at its final speed all through the window, and the pressure neither changes in it nor was
-        another just before it."""
+        """True if the pressure is on a plateau in the final window.
+
+        The piston must have moved at its final speed throughout that window, see also :func:`is_level`.
+        """
         if not self.pumped:
             return False
         travel, pressure = self.series["travel"], self.series["pressure"]
@@ -96,7 +98,7 @@ class Known:
 
     @property
     def restarted(self) -> bool:
-        """The last stroke has begun, after a stop."""
+        """True if the last stroke has begun, after a stop."""
         pipe = self.scene.pipe
         return self.pumped and pipe is not None and pipe.stops is not None and len(self.peaks) > pipe.stops.count
 
@@ -107,17 +109,18 @@ class Known:
 
     @property
     def held(self) -> float | None:
-        """Pressure in the last pause before the last stroke [Pa]; None where no sample fell into it."""
+        """Pressure held at the end of the pause before the last stroke [Pa]; None if no sample falls into it."""
         found = held(self.scene.pipe, self.series)[-1]
         return found if np.isfinite(found) else None
 
 
 def is_level(travel: np.ndarray, pressure: np.ndarray, begin: float, width: float) -> bool:
-    """Return whether a pressure is on a plateau from a travel of `begin` [m] on, seen beside the `width` [m] before.
+    """Return whether a pressure is on a plateau from a travel of `begin` [m] on, compared with the `width` [m] before.
 
-    Both means agree to LEVEL of the later one. The line of least squares through the later part rises or falls by no
-    more than that, or than NOISE times the noise, and the last quarter's mean does not differ by more either. The noise
-    is the median distance from that line, so that a pressure that jumps at its end is not taken for a noisy one.
+    The mean after `begin` and the mean before it must agree to LEVEL times the former. The least-squares line through
+    the part after `begin` may rise or fall by that much, or by NOISE times the noise. The mean of the last quarter may
+    differ from that of the whole part by the same amount. The noise is the median distance from the line, so that a
+    pressure that jumps at its end does not count as noisy.
     """
     late, ahead = travel >= begin, (travel >= begin - width) & (travel < begin)
     if not ahead.any() or np.count_nonzero(late) < 2:
@@ -134,19 +137,20 @@ def is_level(travel: np.ndarray, pressure: np.ndarray, begin: float, width: floa
 
 
 def stroke_begun(scene: Scene, travel: float) -> float:
-    """Travel at which the stroke began that the piston is in after so much travel [m]."""
+    """Return the travel at which the current stroke began when the piston has travelled `travel` [m]."""
     return scene.pipe.begun(travel) if scene.pipe is not None else 0.0
 
 
 def past_ramp(scene: Scene, travel: float) -> bool:
-    """After so much travel [m] the piston has moved at its final speed all through the window."""
+    """Return whether, at this travel [m], the piston has had its final speed throughout the final window."""
     return scene.pipe is None or (1 - WINDOW) * (travel - scene.pipe.begun(travel)) >= scene.pipe.ramp
 
 
 def momentum_balance(known: Known) -> float:
-    """Impulse of all walls, drives and gravity less the change of momentum, over the impulse of gravity or walls.
+    """Return the relative error of the momentum balance of a run.
 
-    Taken over the second half of the run, over all of it where there are fewer than four samples; NaN for one.
+    This is the impulse of walls, drives and gravity minus the change of momentum, divided by the largest of these.
+    It covers the second half of the run, or all of it for fewer than four samples; NaN for a single sample.
     """
     series = known.series
     last = len(series["time"]) - 1
@@ -166,15 +170,18 @@ def momentum_balance(known: Known) -> float:
 
 
 def free_energy(series: dict[str, np.ndarray]) -> np.ndarray:
-    """Energy stored in bodies, contacts and bonds less the work of walls and drives [J]; only losses change it."""
+    """Return the energy stored in bodies, contacts and bonds minus the work of walls and drives [J].
+
+    Only dissipation changes this energy.
+    """
     return sum(series[name] for name in STORED) - series["wall_work"] - series["drive_work"]
 
 
 def energy_balance(known: Known) -> float | None:
-    """Stored and dissipated energy less work, at the end against the start.
+    """Return the relative error of the energy balance: stored and dissipated energy minus work, end against start.
 
-    Over the work, the dissipation or the largest energy of motion and springs, whichever is most. None where losses
-    were not added up (`Scene.energy_balance`), NaN where nothing ever moved.
+    The error is relative to the work, the dissipation or the largest energy of motion and springs, whichever is
+    largest. The result is None if dissipation was not summed (`Scene.energy_balance`), and NaN if nothing ever moved.
     """
     series = known.series
     if "dissipated_energy" not in series:
@@ -190,7 +197,7 @@ def energy_balance(known: Known) -> float | None:
 
 
 def _beside(run: Run, name: str) -> str:
-    """What a publication has for a pressure."""
+    """Return the published value of a pressure as a remark, or an empty text if there is none."""
     published = run.scene.published
     value = getattr(published, name) if published else None
     return "" if value is None else f"   ({published.source}: {value / 1e3:.2f} kPa)"
@@ -218,7 +225,7 @@ def _middle_words(run: Run) -> str:
 
 
 def no_plateau(run: Run) -> str:
-    """Why a run with a pressure has no plateau; empty if it has one."""
+    """Return the reason why a run with a pressure has no plateau; empty if it has one."""
     if "end_pressure" not in run.result or "plateau_pressure" in run.result:
         return ""
     travel, pipe = float(run.series["travel"][-1]), run.scene.pipe
@@ -300,7 +307,7 @@ QUANTITIES = (
 
 
 def report(run: Run) -> Iterator[tuple[str, str]]:
-    """Lines about a run besides its quantities."""
+    """Yield titles and texts of the summary that are not quantities: missing plateau, blockage, wear and packing."""
     if words := no_plateau(run):
         end = number(run.result["end_pressure"])
         yield "plateau pressure", words

@@ -1,4 +1,4 @@
-"""Rebuilds of the lists of a scene alone that a GPU decides on and does by itself, within a graph."""
+"""Neighbour list rebuilds that a GPU decides on and performs by itself, inside a CUDA graph, for a single scene."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ if TYPE_CHECKING:
 
 
 class DeviceRebuild:
-    """One more thing to launch: it does nothing where lists are fresh.
+    """A rebuild as a part of a CUDA graph; it does nothing while the lists are fresh.
 
-    Where bodies are to be sorted, or lists have no room for what was found, they stay stale, and the host builds them.
+    If bodies are due for re-sorting, or the new lists do not fit the arrays, the lists stay stale and the host builds
+    them.
     """
 
     def __init__(self, lists: NeighborLists) -> None:
@@ -33,20 +34,20 @@ class DeviceRebuild:
 
     @staticmethod
     def possible(batch: Any) -> bool:
-        """Of a scene alone, whose cells keep their width."""
+        """Return whether a batch can rebuild on the device: a GPU, a single scene, and grid cells of constant width."""
         able = not batch.device.is_cuda or wp.is_conditional_graph_supported()
         return batch.parallel and batch.count == 1 and batch.sphere_count > 0 and not batch.features.growth and able
 
     def room(self) -> int:
-        """Entries that lists have room for."""
+        """Return the number of list entries that fit the pair arrays."""
         return int(self.lists.batch.capacity[0])
 
     def stages(self) -> list[Stage]:
-        """Stages of its own."""
+        """Return the two stages that make the decisions of a rebuild."""
         return [self.ask, self.fit]
 
     def record(self) -> None:
-        """Make ready, kernels loaded; nothing runs."""
+        """Record all launches, which loads their kernels; nothing runs yet."""
         for stage in (*self._stages, *self.stages()):
             stage.record()
 

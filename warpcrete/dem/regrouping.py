@@ -1,4 +1,7 @@
-"""A batch made anew of the scenes that run on, when most have ended: kernels go over all that a batch holds."""
+"""Regrouping: move the scenes of a batch that still run to a smaller batch once most of the scenes have ended.
+
+Every kernel visits all scenes of a batch, so ended scenes still cost time.
+"""
 
 from __future__ import annotations
 
@@ -13,26 +16,26 @@ from .stable_step import StableStep
 from .state import State
 
 PART = 0.5
-"""Of a batch's spheres, that scenes which run on have at most when it is made anew."""
+"""Largest share of a batch's spheres that running scenes may hold for the batch to be regrouped."""
 PATIENCE = 20
-"""Launches in which so few are left before that: what ends soon after is not worth it."""
+"""Number of launches with few running spheres before a batch is regrouped; scenes that end soon do not repay it."""
 ROOM = 0.5
-"""Of the memory that is free, that the new batch may take: the old one stays until all is done, and others grow."""
+"""Share of the free memory that the new batch may take, since the old batch stays in memory and other batches grow."""
 SETTINGS = (
     "local_damping", "skin", "mesh_skin", "sphere_allowance", "growth_rate", "growth_end", "safety", "largest_step",
     "fixed_step", "until", "interval", "foreseen_speed", "held",
 )  # fmt: skip
-"""What is set of a scene's row while it runs."""
+"""Settings of a scene's row that may change during a run and must be carried over."""
 
 
 class Regrouping:
-    """Looks after a batch of a GPU, launch by launch, while scenes of it end."""
+    """Decision after each launch of a GPU's batch whether its running scenes move to a smaller batch."""
 
     def __init__(self) -> None:
         self._few = 0
 
     def __call__(self, steppers: Sequence[Any]) -> None:
-        """Move scenes that run on, by their steppers, to a batch of their own, if that is due."""
+        """Move the running scenes, given by their steppers, to a batch of their own if that is due."""
         batch = steppers[0].batch
         spheres = sum(stepper.state.sphere_count for stepper in steppers)
         if not batch.parallel or len(steppers) == batch.count or spheres > PART * batch.sphere_count:
@@ -42,14 +45,14 @@ class Regrouping:
         if self._few <= PATIENCE:
             return
         self._few = 0
-        # Scenes that have ended hold on to the batch that they were in.
+        # Scenes that have ended keep a reference to their old batch, so its memory is not freed.
         needed = footprint(stepper=steppers[0])["stepper"] * spheres / max(batch.sphere_count, 1)
         if needed < ROOM * memory_free(batch.device):
             regroup(steppers)
 
 
 def regroup(steppers: Sequence[Any]) -> None:
-    """Move steppers of one batch to another that holds them alone; to the bit they go on as they would have."""
+    """Move steppers of one batch to a new batch that holds only them; their results stay the same to the bit."""
     old = steppers[0].batch
     old.device_changed()
     before = [(stepper.index, stepper.state_dict()) for stepper in steppers]

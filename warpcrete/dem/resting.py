@@ -1,4 +1,4 @@
-"""Concrete that has stood: bonds and the layer on the walls, grown by a law instead of by steps (Roussel 2006)."""
+"""Growth of bonds and of the wall layer while concrete rests, by a law instead of time steps (Roussel 2006)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .scene import Bonds, Scene
 
 
 def grown_bonds(scene: Scene) -> Bonds | None:
-    """The scene's bonds after its rest; None if it has no bonds, or never rests."""
+    """Return the scene's bonds after its rest; None if it has no bonds, or never rests."""
     if scene.rest is None or scene.bonds is None:
         return None
     gained = scene.rest.gained
@@ -25,17 +25,20 @@ def grown_bonds(scene: Scene) -> Bonds | None:
 
 
 def has_layer(scene: Scene, law: type) -> bool:
-    """Whether a layer on the walls, their contact `law`, grows."""
+    """Return whether the scene rests and the walls' contact `law` has a layer, whose yield stress then grows."""
     return scene.rest is not None and issubclass(law, LubricationLayer)
 
 
 class Structure:
-    """What the layers of a batch's scenes have gained, and the stage that wears it off."""
+    """Yield stress that the wall layers of a batch's scenes gained at rest, and the stage in which slip wears it off.
+
+    The gain decays as gained * exp(-slip / breakdown), where slip is the travel of one wall since the restart.
+    """
 
     def __init__(self, batch: Any) -> None:
-        """`batch` is a :class:`Batch` of scenes that all have a layer that grows."""
+        """Set up the layers of a :class:`Batch` of scenes that all have a growing layer."""
         self.batch = batch
-        batch.wall_parameters = wp.clone(batch.wall_parameters)  # those of a model never change
+        batch.wall_parameters = wp.clone(batch.wall_parameters)  # a model's own parameters must never change
         own = [law["yield_stress"] for law in batch.wall_parameters.numpy()]
         self._own_yield = wp.array(np.array(own, dtype=float), dtype=batch.scalar, device=batch.device)
         walls = [
@@ -51,7 +54,7 @@ class Structure:
         return wp.array(np.asarray(values, dtype=float), dtype=wp.float64, device=self.batch.device)
 
     def stage(self) -> Stage:
-        """Yield stresses for the next step; one thread a scene."""
+        """Return the stage that computes the layers' yield stresses for the next step, one thread per scene."""
         b = self.batch
         return b.stage(
             wear_kernel(b.scalar, b.features.wall_law), b.count, own_yield=self._own_yield,
@@ -59,11 +62,11 @@ class Structure:
         )  # fmt: skip
 
     def grow(self, s: int, begun: float) -> None:
-        """Let the layer of a scene have what it gained at rest, less what slip since a travel of `begun` [m] took."""
+        """Add the gain at rest to the layer of scene `s`, minus the wear by slip since a travel of `begun` [m]."""
         self._set(s, self.batch.models[s].scene.rest.layer_gained, begun)
 
     def take(self, s: int, other: Structure, index: int) -> None:
-        """Go on with the layer that scene `index` of another batch has."""
+        """Continue with the layer of scene `index` of another batch."""
         self._set(s, other._gained[index], other._begun[index])
 
     def _set(self, s: int, gained: float, begun: float) -> None:

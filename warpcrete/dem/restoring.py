@@ -1,4 +1,4 @@
-"""States as what a checkpoint keeps, and their hash."""
+"""Conversion of a state to and from checkpoint data, and the hash of a state."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from .probes import listed_pairs
 from .state import NUMBERS, State, pair_bytes
 
 EMPTY = {("spheres", "force"), ("spheres", "moment")}
-"""Arrays that are zero between two steps."""
+"""Arrays that are zero between two steps, and so are not stored."""
 
 
 def state_dict(state: State) -> dict[str, Any]:
-    """Everything that the next step depends on: arrays by struct and name, and numbers."""
+    """Return everything that the next step depends on: arrays by struct and name, and numbers."""
     found: dict[str, Any] = {"numbers": {name: getattr(state, name) for name in NUMBERS}, "flags": state.flags.numpy()}
     for struct, name, array in state.arrays():
         if (struct, name) not in EMPTY:
@@ -30,7 +30,7 @@ def state_dict(state: State) -> dict[str, Any]:
 
 
 def restored(model: Model, found: dict[str, Any]) -> State:
-    """State of a `state_dict`."""
+    """Return the state that a `state_dict` describes."""
     scene = model.scene
     table = BodyTable.empty()
     if scene.fill is not None:
@@ -54,10 +54,10 @@ def restored(model: Model, found: dict[str, Any]) -> State:
 
 
 def state_hash(state: State) -> str:
-    """SHA-256 of bodies, contacts, bonds, walls and clock, in the order of permanent numbers.
+    """Return the SHA-256 hash of bodies, contacts, bonds, walls and clock, in the order of permanent numbers.
 
-    Two states with the same hash hold the same bits in all that moves them, however their bodies lie in memory, and
-    whatever their lists hold of pairs that are apart, or of bonds that are broken for good.
+    Two states with the same hash will move alike to the bit. The hash does not depend on the order of bodies in memory,
+    on listed pairs that do not touch, or on bonds that are permanently broken.
     """
     digest = hashlib.sha256()
     features = state.model.features
@@ -70,7 +70,8 @@ def state_hash(state: State) -> str:
     reach = position[i, 3] + position[j, 3]
     kept = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
     bond = state.pairs.bond.numpy()[place] if features.bonds else np.zeros(len(place), np.int32)
-    if not features.healing:  # that it is broken a pair tells only as long as it is listed, and nothing hangs on it
+    # Only listed pairs remember that their bond is broken. Without healing this has no effect on the motion.
+    if not features.healing:
         bond = np.maximum(bond, 0)
     kept |= bond > 0
     low, high = np.minimum(ids[i], ids[j])[kept], np.maximum(ids[i], ids[j])[kept]
@@ -84,7 +85,7 @@ def state_hash(state: State) -> str:
     if features.bonds:
         bond = bond[kept][ranks]
         digest.update(np.ascontiguousarray(bond_kinds(bond)).tobytes())
-        # What broke has none, and leaves zeros of either sign where contacts heal.
+        # Broken bonds carry no load. With healing their rows may hold zeros of either sign, so clear the signs.
         loads = state.pairs.load.numpy()[bond_rows(np.maximum(bond, 0))]
         loads[bond <= 0] = 0.0
         digest.update(loads.tobytes())
@@ -96,5 +97,5 @@ def state_hash(state: State) -> str:
         digest.update(np.ascontiguousarray(array.numpy()[by_sphere]).tobytes())
     for name in ("position_exact", "velocity_exact", "orientation", "spin", "impulse", "travel", "work"):
         digest.update(getattr(state.walls, name).numpy().tobytes())
-    digest.update(state.scenes.clock.numpy()[0, :3].tobytes())  # time and step sizes
+    digest.update(state.scenes.clock.numpy()[0, :3].tobytes())  # simulated time, next and last step size
     return digest.hexdigest()

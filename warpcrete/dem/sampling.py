@@ -1,4 +1,4 @@
-"""The rows of the series: what a run of discrete elements writes down at every sample."""
+"""Time series of a discrete element run: the columns, their units, and the measurement of each row."""
 
 from __future__ import annotations
 
@@ -47,16 +47,16 @@ UNITS = {
     **SEGREGATION,
 }
 VECTOR_UNITS = {"momentum": "kg m/s", "drive": "N"}
-"""Of columns that end in an axis."""
+"""Units of vector columns, whose names end in an axis."""
 WALL_UNITS = {"force": "N", "moment": "N m", "impulse": "N s"}
-"""Of columns that begin with a wall's name and end in an axis."""
+"""Units of wall columns, whose names begin with a wall's name and end in an axis."""
 AXES = "xyz"
 STORED = ("kinetic_energy", "potential_energy", "elastic_energy", "bond_energy")
-"""Energies that come back."""
+"""Columns of energies that are stored and can be recovered, unlike dissipated energy."""
 
 
 def unit_of(column: str, walls: Sequence[Wall]) -> str:
-    """Unit of a column of the series of a scene with these walls; KeyError for one that has none."""
+    """Return the unit of a column in the series of a scene with these walls; raise KeyError for an unknown column."""
     if column in UNITS:
         return UNITS[column]
     name, _, axis = column.rpartition("_")
@@ -72,14 +72,14 @@ def unit_of(column: str, walls: Sequence[Wall]) -> str:
 
 
 class Sampler:
-    """Makes the rows of the series. Forces on walls are means since the row before."""
+    """Measurement of the rows of the series; forces on walls are means since the previous row."""
 
     def __init__(self, model: Model, state: State) -> None:
         self.model, self.state = model, state
         self.rows: list[dict[str, float]] = []
         stations = model.scene.stations
         self.log = StationLog(stations) if stations is not None and stations.each_row else None
-        """What is measured along the pipe, where the scene asks for it in every row."""
+        """Measurements at stations along the pipe, if the scene requests them in every row."""
         self._begun: tuple[np.ndarray, Callable[[], Sums]] | None = None
         self._impulse: np.ndarray | None = None
         self._mean = np.zeros((len(model.walls), 6))
@@ -88,10 +88,10 @@ class Sampler:
         self._drive_work = 0.0
         wear = model.scene.wear
         self.wear = WearMap(model.walls, wear) if model.features.wear and wear is not None else None
-        """What contacts did to walls, up to the last row; None where nobody asked."""
+        """Wear of the walls up to the last row; None if the scene does not request it."""
 
     def state_dict(self) -> dict[str, Any]:
-        """All that the next row depends on, and the rows so far, as arrays and numbers."""
+        """Return everything that the next row depends on, and all rows so far, as arrays and numbers."""
         return {
             "columns": list(self.rows[0]) if self.rows else [],
             "rows": np.array([list(row.values()) for row in self.rows]),
@@ -105,7 +105,7 @@ class Sampler:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from a `state_dict`."""
+        """Continue from a `state_dict`."""
         self.rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
         self._impulse, self._mean = state["impulse"], state["mean"]
         self._half_time, self._power = float(state["half_time"]), float(state["power"])
@@ -116,12 +116,12 @@ class Sampler:
             self.log.samples = list(np.asarray(state["stations"], dtype=float))
 
     def series(self) -> dict[str, np.ndarray]:
-        """Columns by name."""
+        """Return the columns of the series by name, each of shape (rows,)."""
         return {name: np.array([row[name] for row in self.rows]) for name in (self.rows[0] if self.rows else ())}
 
     @property
     def may_wait(self) -> bool:
-        """Whether a row that is begun may be completed when further steps are under way: one of sums alone."""
+        """True if a row may be completed after further steps were launched, because it consists of sums only."""
         scene, features = self.model.scene, self.model.features
         return (
             self.log is None and self.wear is None and scene.vessel is None and not scene.segregation
@@ -129,12 +129,12 @@ class Sampler:
         )  # fmt: skip
 
     def begin(self) -> None:
-        """Begin a row of the state as it is now, which `sample` completes."""
+        """Start measuring a row of the state as it is now; :meth:`sample` completes the row."""
         batch, index = self.state.batch, self.state.index
         self._begun = batch.host_clock()[index].copy(), begin_sums(self.model, self.state)
 
     def sample(self) -> dict[str, float]:
-        """Measure, and append a row: the one that was begun, if any."""
+        """Measure and append a row, or complete the row that :meth:`begin` started; return the row."""
         if self._begun is None:
             self.begin()
         assert self._begun is not None
@@ -186,9 +186,9 @@ class Sampler:
         return row
 
     def _forces(self, clock: np.ndarray, walls: np.ndarray, drive_power: float) -> np.ndarray:
-        """Impulses on all walls so far, shape (walls, 6); brings their mean forces and the drives' work up to date."""
+        """Return the impulses on all walls, shape (walls, 6); update the mean wall forces and the drives' work."""
         impulse = walls[:, int(IMPULSE) : int(IMPULSE) + 6].copy()
-        # Forces have acted up to the middle of the last step.
+        # Leapfrog: impulses contain the forces up to the middle of the last step.
         half_time = float(clock[int(TIME)]) - 0.5 * float(clock[int(DT_PREVIOUS)])
         if self._impulse is None:
             self._mean = walls[:, int(FORCE) : int(FORCE) + 6].copy()
@@ -200,7 +200,7 @@ class Sampler:
         return impulse
 
     def _pressure(self, walls: np.ndarray) -> dict[str, float]:
-        """Travel and pressure of the wall that the scene's probe names."""
+        """Return travel [m] and pressure [Pa] of the wall that the scene's pressure probe names."""
         probe = self.model.scene.pressure
         if probe is None:
             return {}

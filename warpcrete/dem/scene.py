@@ -1,4 +1,4 @@
-"""What a simulation of discrete elements is asked to be: frozen, validated dataclasses in SI units.
+"""The scene of a discrete element simulation: frozen, validated dataclasses in SI units.
 
 Defaults are the reference concrete of Zhan et al. 2019, Table 1.
 """
@@ -31,20 +31,20 @@ __all__ = [
 
 
 MUCH_STIFFER = 200.0
-"""Modulus of hydrated bonds over all others from which on rounds within a step pay: at 100 they take as long as single
-steps."""
+"""Smallest ratio of the hydrated bonds' modulus to the largest other modulus at which sub-cycling pays off; at a ratio
+of 100 it takes as long as single steps."""
 VESSELS = {
     "slump": ("top_diameter", "mould_height"),
     "jring": ("top_diameter", "mould_height", "ring_diameter", "bar_diameter"),
     "funnel": ("outlet_width", "breadth", "whole_height"),
     "lbox": ("column_width", "length", "width"),
 }
-"""Tests, and the dimensions that the measurements of each go by."""
+"""Tests of fresh concrete by name, each with the dimensions that its measurements require."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bonds(Declared):
-    """Parallel bonds (Zhan et al. 2019, Eqs. 9-12)."""
+    """Parallel bonds between spheres: elastic cylinders with limited strength (Zhan et al. 2019, Eqs. 9-12)."""
 
     called = "bond"
 
@@ -73,7 +73,7 @@ class Bonds(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class Hydration(Declared):
-    """A random part of the bonded contacts gets other bonds (Zhan et al. 2019, section 5.3.2)."""
+    """Replacement of a random fraction of all bonds by hydrated, stiffer ones (Zhan et al. 2019, section 5.3.2)."""
 
     called = "hydration"
 
@@ -88,7 +88,7 @@ class AxisDrive:
     group: str
     axis: Axis
     force: float
-    """Sum over the group [N]; negative pushes against the axis' direction."""
+    """Sum of the force over the group [N]; negative values push against the axis' direction."""
 
     def __post_init__(self) -> None:
         between("drive force", self.force, -np.inf, np.inf, "N")
@@ -96,24 +96,24 @@ class AxisDrive:
 
 @dataclass(frozen=True, kw_only=True)
 class Bodies:
-    """Bodies placed one by one."""
+    """Bodies placed at given positions."""
 
     positions: np.ndarray
     """Centroids [m], shape (n, 3)."""
     sizes: np.ndarray
     """Diameters of the spheres of equal volume [m], shape (n,) or one number."""
     template: ClumpTemplate | None = None
-    """None: single spheres."""
+    """Shape of the bodies; None for single spheres."""
     density: float = 2500.0
-    """[kg/m3]"""
+    """Density [kg/m3]."""
     material: str = "aggregate"
     group: str = ""
     orientations: np.ndarray | None = None
-    """Unit quaternions x, y, z, w, shape (n, 4)."""
+    """Orientations as unit quaternions x, y, z, w, shape (n, 4)."""
     velocities: np.ndarray | None = None
-    """[m/s], shape (n, 3)."""
+    """Velocities [m/s], shape (n, 3)."""
     spins: np.ndarray | None = None
-    """[rad/s], shape (n, 3), in space."""
+    """Angular velocities in the global frame [rad/s], shape (n, 3)."""
 
     def __post_init__(self) -> None:
         try:
@@ -150,7 +150,7 @@ class Bodies:
 
 @dataclass(frozen=True, kw_only=True)
 class TimeStep(Declared):
-    """How the step size is chosen."""
+    """Choice of the time step: a fixed size, or an automatic one from masses and current stiffness."""
 
     called = "time_step"
 
@@ -186,7 +186,7 @@ class TimeStep(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class Settle(Declared):
-    """Quiet time before t = 0: prescribed walls stand still, gravity and drives act, motion is damped."""
+    """Settling before t = 0: prescribed walls stand still, gravity and drives act, and motion is damped."""
 
     called = "settle"
 
@@ -202,7 +202,7 @@ class Settle(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class Watch(Declared):
-    """Limits past which a run stops with an InstabilityError. NaN is always one."""
+    """Limits beyond which a run stops with an InstabilityError; values that are not finite always stop it."""
 
     called = "watch"
 
@@ -223,9 +223,10 @@ class Watch(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class Wear(Declared):
-    """What contacts do to walls is added up, patch by patch: a pipe's along and around it, a mesh's by triangles.
+    """Wear of the walls, summed per patch: along and around a pipe, and per triangle of a mesh.
 
-    Depth follows Archard (1953, J. Appl. Phys. 24, 981): k times load times way slid, over the area, k = K/H.
+    The worn depth follows Archard (1953, J. Appl. Phys. 24, 981): k times load times sliding distance, divided by the
+    patch's area. Here k = K/H, the dimensionless wear coefficient K divided by the hardness H.
     """
 
     called = "wear"
@@ -241,7 +242,7 @@ class Wear(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class Blockage(Declared):
-    """The run says when its pipe is blocked: part of the concrete stands while the piston goes on."""
+    """Detection of blockage: part of the concrete in a pipe stands still while the piston goes on."""
 
     called = "blockage"
 
@@ -256,12 +257,12 @@ class Blockage(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class PressureProbe:
-    """Where a pressure is measured: the force on a plane wall, along its normal, over an area."""
+    """Measurement of a pressure: the force on a plane wall along its normal, divided by an area."""
 
     wall: str
     """Name of a :class:`PlaneWall` of the scene."""
     area: float
-    """[m2]"""
+    """Area by which the force is divided [m2]."""
 
     def __post_init__(self) -> None:
         positive("pressure area", self.area, "m2")
@@ -269,22 +270,22 @@ class PressureProbe:
 
 @dataclass(frozen=True, kw_only=True)
 class PipeUnit:
-    """A pipe through which a piston pushes concrete: what measurements, checks and pictures of it need."""
+    """Description of a pipe, through which a piston pushes concrete, for measurements, checks and figures."""
 
     name: str
     axis: Axis
     radius: float
-    """Inner, of the pipe [m]; of one that is not round, the wanted one."""
+    """Inner radius of the pipe [m]; for a pipe that is not round, the nominal radius."""
     concrete_length: float
-    """At the start [m]."""
+    """Length of the concrete in the pipe at the start [m]."""
     velocity: float
-    """Of the piston in the end [m/s]."""
+    """Final speed of the piston [m/s]."""
     ramp: float
-    """Travel of the piston over which its velocity rises from rest [m]."""
+    """Travel of the piston over which its speed rises from zero [m]."""
     travel: float
-    """Of the piston at the end [m]."""
+    """Travel of the piston at the end of the run [m]."""
     stops: Stops | None = None
-    """Of the piston on its way."""
+    """Stops of the piston between strokes; None if it never stops."""
 
     @property
     def stroke(self) -> float:
@@ -292,7 +293,7 @@ class PipeUnit:
         return self.travel / (1 + self.stops.count if self.stops is not None else 1)
 
     def begun(self, travel: float) -> float:
-        """Travel at which the stroke began that the piston is in, or comes to next, after so much travel [m]."""
+        """Return the travel at which the stroke begins that the piston is in, or enters next, at this travel [m]."""
         if self.stops is None:
             return 0.0
         return min(math.floor(travel / self.stroke + 1e-6), self.stops.count) * self.stroke
@@ -300,16 +301,16 @@ class PipeUnit:
 
 @dataclass(frozen=True, kw_only=True)
 class Vessel:
-    """A vessel that fresh concrete is tested with: what measurements and checks of it need."""
+    """Description of a vessel, in which fresh concrete is tested, for measurements and checks."""
 
     test: str
-    """Whose outcome is measured, of VESSELS."""
+    """Name of the test, a key of VESSELS."""
     opened: float
-    """When nothing holds the concrete back any more [s]."""
+    """Time from which nothing holds the concrete back any more [s]."""
     rest_speed: float
-    """At rest: the fastest of the main body goes slower than this, and did for a second [m/s]."""
+    """Speed limit for rest [m/s]: all bodies of the main heap must stay below it for a second."""
     dimensions: Mapping[str, float]
-    """Of the vessel, that measurements go by [m]."""
+    """Dimensions of the vessel by name [m], as VESSELS lists them."""
 
     def __post_init__(self) -> None:
         one_of("test", self.test, VESSELS)
@@ -322,14 +323,14 @@ class Vessel:
 
 @dataclass(frozen=True, kw_only=True)
 class Rest(Declared):
-    """Minutes that concrete stands at one moment of a run, not stepped through: its structure grows by a law.
+    """Rest of the concrete for minutes at one moment of a run: its structure grows by a law, without time steps.
 
-    Static yield stress grows linearly, tau_0(t) = tau_0 + A_thix t (Roussel 2006): so much is added to tensile strength
-    and cohesion of the scene's bonds, and to the yield stress of a lubrication layer on the walls. Bonds that held keep
-    their loads; contacts without one are bonded without load; hydrated ones and those of groups stay as they were. A
-    bond that breaks then is broken for good, or, of bonds that heal, as strong as before the rest. What the layer
-    gained is worn off by slip, as exp(-slip / breakdown), the travel of `wall` since then being the slip everywhere, as
-    for a plug. Nothing moves meanwhile.
+    The static yield stress grows linearly, tau_0(t) = tau_0 + A_thix t (Roussel 2006). The same stress is added to the
+    tensile strength and cohesion of the scene's bonds, and to the yield stress of a lubrication layer on the walls.
+    Bonds that exist keep their loads. Contacts without a bond are bonded without load. Hydrated bonds and bonds of
+    groups do not change. A bond that breaks later stays broken, or, if bonds heal, comes back as strong as before the
+    rest. Slip wears off the layer's gain as exp(-slip / breakdown). The travel of `wall` since the rest serves as the
+    slip everywhere, as in plug flow. Nothing moves during the rest.
     """
 
     called = "rest"
@@ -348,51 +349,51 @@ class Rest(Declared):
 
     @property
     def gained(self) -> float:
-        """Stress by which strengths and yield stress have grown [Pa]."""
+        """Stress by which strengths and yield stress grow during the rest [Pa]."""
         return self.growth * self.duration
 
     @property
     def layer_gained(self) -> float:
-        """The same of a layer, on the area that it acts on [Pa]."""
+        """Stress by which the yield stress of the wall layer grows, on the area on which the layer acts [Pa]."""
         return self.gained / self.coverage
 
 
 @dataclass(frozen=True, kw_only=True)
 class Published:
-    """What a publication reports for a scene, to be shown beside ours."""
+    """Published values for a scene, shown next to the results of a run."""
 
     source: str
     peak: float | None = None
-    """Of the pressure [Pa]."""
+    """Peak pressure [Pa]."""
     plateau: float | None = None
-    """Of the pressure [Pa]."""
+    """Pressure on the plateau [Pa]."""
     peak_travel: float | None = None
-    """Of the piston, where the peak stands [m]."""
+    """Travel of the piston at the peak pressure [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Scene(Parametrised):
-    """Everything that a simulation of discrete elements needs to know, in SI units."""
+    """Complete definition of a discrete element simulation, in SI units."""
 
     name: str
     duration: float
     """Simulated time [s]."""
     bodies: tuple[Bodies, ...] = ()
     fill: Fill | None = None
-    """Aggregates to be packed into a container before the start."""
+    """Aggregates that are packed into a container before the start."""
     walls: tuple[Wall, ...] = ()
     drives: tuple[AxisDrive, ...] = ()
     contacts: Mapping[tuple[str, str], ContactLaw] = field(default_factory=dict)
     """Overrides of `contact` for pairs of materials, in either order."""
     contact: ContactLaw = field(default_factory=Contact)
-    """Law between bodies, and against walls. Each of the two must be one law throughout a scene, with parameters
-    that may differ from one pair of materials to the next."""
+    """Contact law between bodies, and against walls unless `contacts` overrides it. A scene has one law between bodies
+    and one against walls; the parameters of each may differ between pairs of materials."""
     bonds: Bonds | None = None
     hydration: Hydration | None = None
     group_bonds: Mapping[str, Bonds] = field(default_factory=dict)
-    """Bonds inside a group of bodies, made before settling (the plug)."""
+    """Bonds inside a named group of bodies, made before settling; used for the plug."""
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
-    """[m/s2]"""
+    """Gravitational acceleration [m/s2]."""
     local_damping: float = 0.0
     settle: Settle | None = None
     rest: Rest | None = None
@@ -402,25 +403,25 @@ class Scene(Parametrised):
     """Simulated time between two rows of the series [s]."""
     seed: int = 0
     precision: str = "float32"
-    """`float32` or `float64`, of positions, velocities and forces."""
+    """Precision of positions, velocities and forces: `float32` or `float64`."""
     energy_balance: bool = False
-    """Add up all dissipated energy, so that the books of energy can be closed; costs a few per cent."""
+    """True to sum all dissipated energy, so that the energy balance can be checked; costs a few per cent of speed."""
     wear: Wear | None = None
-    """Add up what contacts do to walls; None does not."""
+    """Settings for summing the wear of walls; None to leave it out."""
     blockage: Blockage | None = None
-    """Look for it, where there are `pipe` and `pressure`; None does not."""
+    """Settings for detecting blockage, which also requires `pipe` and `pressure`; None to leave it out."""
     segregation: bool = False
-    """Measure where in the pipe the aggregate is; needs `pipe`."""
+    """True to measure where in the pipe the aggregate is, which requires `pipe`."""
     pressure: PressureProbe | None = None
     pipe: PipeUnit | None = None
     vessel: Vessel | None = None
     stations: Stations | None = None
-    """Where stresses, solid fraction and velocities along a pipe are measured."""
+    """Slices of a pipe in which stresses, solid fraction and velocities are measured."""
     published: Published | None = None
     remarks: tuple[str, ...] = ()
-    """What the scene simplifies, to be told before a run."""
+    """Simplifications of the scene, shown to the user before a run."""
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments that make this scene again through its scene function; empty if it has none."""
+    """Arguments with which the scene's function creates this scene again; empty if there is no such function."""
 
     def __post_init__(self) -> None:
         between("duration", self.duration, 0, np.inf, "s")
@@ -455,7 +456,7 @@ class Scene(Parametrised):
 
     @property
     def looks_for_blockage(self) -> bool:
-        """There is a pipe, and a piston's pressure, to look at."""
+        """True if the scene detects blockage and has the pipe and the piston pressure that this requires."""
         return self.blockage is not None and self.pipe is not None and self.pressure is not None
 
     def __repr__(self) -> str:

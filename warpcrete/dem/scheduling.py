@@ -1,6 +1,6 @@
-"""Many scenes, each a coroutine that says where it wants to be; those of a batch are carried forward together.
+"""Scheduling of many scenes: each is a coroutine that yields its next goal, and a batch steps towards all goals.
 
-This is the only place that knows how coroutines of runs, packings and single steppers become launches of a batch.
+Only this module knows how the coroutines of runs, packings and single steppers become launches of a batch.
 """
 
 from __future__ import annotations
@@ -23,37 +23,37 @@ from .regrouping import Regrouping
 from .stages import step_stages
 
 BETWEEN_LOOKS = 50e-6
-"""Of the host at batches of which none has done its steps [s]."""
+"""Time between two polls of the host while no batch has completed its steps [s]."""
 
 
 @dataclass(frozen=True)
 class Steps:
-    """Where a coroutine may want to be instead of at a time: so many steps of the present size further."""
+    """Goal that a coroutine may yield instead of a time: a number of further steps of the current size."""
 
     count: int
 
 
 class _Scene:
-    """One scene's coroutine, and the way to the goal that it set last."""
+    """Coroutine of one scene, together with its progress towards the goal that it yielded last."""
 
     def __init__(self, stepper: Any, coroutine: Coroutine) -> None:
         self.stepper, self.coroutine = stepper, coroutine
         self._under_way: Coroutine | None = None
         self.waiting = False
-        self.error: Exception | None = None  # of what was done meanwhile
+        self.error: Exception | None = None  # raised by deferred work while steps were running
         self.result: Any = None
 
     def meanwhile(self) -> None:
-        """Do what the coroutine left to be done when its steps are under way."""
+        """Do the work that the coroutine deferred until its next steps run on the device."""
         left, self.stepper.meanwhile = self.stepper.meanwhile, None
         if left is not None:
             try:
                 left()
-            except Exception as error:  # raised inside it when they are done
+            except Exception as error:  # raised inside the coroutine once its steps are done
                 self.error = error
 
     def go_on(self, error: BaseException | None = None) -> None:
-        """Run until the batch must take steps, or to the end; an `error` is raised inside the coroutine."""
+        """Run the coroutine until it needs steps, or to its end; raise `error` inside it if one is given."""
         self.waiting = False
         try:
             while True:
@@ -77,37 +77,37 @@ class _Scene:
 
 
 class _Drive:
-    """Scenes of one batch on their way, launch by launch."""
+    """Scenes of one batch in progress, launch by launch."""
 
     def __init__(self, scenes: dict[int, tuple[Any, Coroutine]], stream: Any, *, regroups: bool) -> None:
         self._members = {number: _Scene(*pair) for number, pair in scenes.items()}
         self._stream = stream
         self._regroup = Regrouping() if regroups else None
-        self._launched: Any = None  # the batch of what was launched last
+        self._launched: Any = None  # the batch of the latest launch
         self.stop: KeyboardInterrupt | None = None
 
     @property
     def waiting(self) -> list[_Scene]:
-        """Scenes that want to be somewhere, in the order of their places in the batch."""
+        """Scenes that have a goal ahead, in the order of their places in the batch."""
         return sorted((m for m in self._members.values() if m.waiting), key=lambda member: member.stepper.index)
 
     @property
     def under_way(self) -> bool:
-        """Whether any scene wants to be somewhere."""
+        """True if any scene has a goal ahead."""
         return any(member.waiting for member in self._members.values())
 
     @property
     def results(self) -> dict[int, Any]:
-        """What each coroutine returned or raised, by the number that it came with."""
+        """Return values or exceptions of the coroutines, by the scenes' numbers."""
         return {number: member.result for number, member in self._members.items()}
 
     @property
     def settled(self) -> bool:
-        """Whether the device has done what was launched."""
+        """True if the device has completed the latest launch."""
         return self._launched.settled
 
     def begin(self, stop: KeyboardInterrupt | None) -> None:
-        """All coroutines up to where they want to go first, or, after an interruption, to their ends."""
+        """Run all coroutines to their first goals, or, after an interruption, to their ends."""
         self.stop = stop
         with self._on_stream():
             for member in self._members.values():
@@ -118,11 +118,11 @@ class _Drive:
         self._do(self._launch)
 
     def look(self) -> None:
-        """See what came of them, as soon as they are done, and let scenes go on that are where they wanted to be."""
+        """Wait for the launched steps, then continue the coroutines whose scenes have reached their goals."""
         self._do(self._look)
 
     def interrupt(self, stop: KeyboardInterrupt) -> None:
-        """Raise an interruption inside every coroutine that waits."""
+        """Raise an interruption inside every coroutine that is waiting."""
         self.stop = stop
         self._do(lambda: None)
 
@@ -144,7 +144,7 @@ class _Drive:
                     what()
             except KeyboardInterrupt as interruption:
                 self.stop = interruption
-            except CapacityError as full:  # of the lists, which all scenes share
+            except CapacityError as full:  # the neighbour lists are full, which affects all scenes of the batch
                 for member in self.waiting:
                     self._go_on(member, full)
             if self.stop is not None:
@@ -168,7 +168,10 @@ class _Drive:
 
     @staticmethod
     def _by_device(stepper: Any) -> tuple[AtOnce | None, AtOnce | None]:
-        """What a GPU does by itself between two pieces of steps: lists of a scene alone, and then estimates, too."""
+        """Return two launches that a GPU inserts between steps: list rebuilds alone, and with step size estimates.
+
+        Only a batch of one scene can rebuild its lists on the device.
+        """
         batch = stepper.batch
         batch.ahead.rebuilds_itself = DeviceRebuild.possible(batch)
         if not batch.parallel:
@@ -202,10 +205,10 @@ class _Drive:
 
 
 def drive(scenes: dict[int, tuple[Any, Coroutine]]) -> dict[int, Any]:
-    """Drive the coroutines of all scenes of one batch, each with its stepper, to their ends, by any numbers.
+    """Run the coroutines of all scenes of one batch to their ends; `scenes` maps numbers to steppers and coroutines.
 
-    Returns what each returned or raised. Steppers may have come to other batches, so they are not to be driven together
-    again. An interruption (Ctrl-C), wherever it falls, is raised inside every coroutine that waits.
+    Returns by number what each coroutine returned or raised. Steppers may have moved to other batches afterwards, so
+    they must not be driven together again. An interruption (Ctrl-C) is raised inside every coroutine that is waiting.
     """
     (results,) = drive_abreast([(scenes, None)])
     return results
@@ -214,9 +217,12 @@ def drive(scenes: dict[int, tuple[Any, Coroutine]]) -> dict[int, Any]:
 def drive_abreast(
     groups: Sequence[tuple[dict[int, tuple[Any, Coroutine]], Any]], *, regroups: bool = True
 ) -> list[dict[int, Any]]:
-    """:func:`drive` for several batches, each with the stream that a GPU has for it (None: its own): while some take
-    their steps, Python looks after others, as far as it reads by an `Exchange`: ``numpy()`` waits for all streams. A
-    batch of which most scenes have ended `regroups`."""
+    """Run :func:`drive` for several batches at the same time, each on its own GPU stream (None: the default stream).
+
+    While some batches step, the host serves others. This requires that the host reads arrays only through an
+    `Exchange`, because ``numpy()`` waits for all streams. With `regroups`, a batch is made smaller once most of its
+    scenes have ended.
+    """
     drives = [_Drive(*group, regroups=regroups) for group in groups]
     stop: KeyboardInterrupt | None = None
     launched: list[_Drive] = []
@@ -248,7 +254,7 @@ def drive_abreast(
 
 
 def drive_one(stepper: Any, coroutine: Coroutine) -> Any:
-    """Drive one scene's coroutine; returns what it returns, raises what it raises."""
+    """Run one scene's coroutine; return what it returns, raise what it raises."""
     result = drive_abreast([({0: (stepper, coroutine)}, None)], regroups=False)[0][0]
     if isinstance(result, BaseException):
         raise result

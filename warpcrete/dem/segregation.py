@@ -1,5 +1,4 @@
-"""Segregation of the aggregate in a pipe: how much of it there is near the axis and near the wall, in front and in the
-rear, and where its large stones are."""
+"""Segregation of aggregate in a pipe: volume fractions near axis and wall, in front and rear; place of large stones."""
 
 from __future__ import annotations
 
@@ -16,34 +15,34 @@ UNITS = dict.fromkeys(
     ("aggregate_inner", "aggregate_outer", "aggregate_front", "aggregate_rear", "large_inner", "large_outer", "mixing"),
     "1",
 )
-"""Columns of a row. The first four as of a flow of two phases: volume fractions in inner and outer half of the radius,
-front and rear half of the concrete; shares of stones larger than the mean in the aggregate of both halves of the
-radius; Lacey's mixing index of large and small stones."""
+"""Columns of the series with their unit: volume fractions of aggregate in the inner and outer half of the radius, and
+in the front and rear half of the concrete; share of stones above the mean size in the aggregate of the inner and outer
+half of the radius; Lacey's mixing index of large and small stones."""
 POINTS = 64
-"""In each sphere, that stand for its volume."""
+"""Number of points in each sphere among which its volume is distributed."""
 ENDS = 0.05
-"""Part of the aggregate at either end of the concrete that is left out: there it is not packed against more."""
+"""Fraction of the aggregate left out at either end of the concrete, where it is packed less densely."""
 RINGS, STATIONS = 3, 5
-"""Cells of the mixing index: of equal area across, of equal volume of stones along the pipe."""
+"""Cells of the mixing index: rings of equal area across, and stretches with equal numbers of stones along the pipe."""
 
 
 Stones = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""Centres (n, 3) and radii (n,) of spheres [m], the volume that each stands for [m3], the size of its body [m]."""
+"""Centres (n, 3) and radii (n,) of spheres [m], volume that each represents (n,) [m3], size of its body (n,) [m]."""
 
 
 def ball_points(count: int = POINTS) -> np.ndarray:
-    """Points spread evenly through a unit ball, shape (count, 3): shells of equal volume on Fibonacci's spiral."""
+    """Return points spread evenly through a unit ball, shape (count, 3): a Fibonacci spiral in equal-volume shells."""
     k = np.arange(count) + 0.5
     z = 1 - 2 * k / count
     turn = np.pi * (1 + np.sqrt(5)) * k
-    # An irrational stride keeps the radius from going with the latitude.
+    # The irrational stride avoids a correlation between radius and latitude.
     radius = np.cbrt((k * (np.sqrt(2) - 1)) % 1.0)
     flat = np.sqrt(1 - z**2)
     return radius[:, None] * np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
 
 
 def stones_of(state: State) -> Stones:
-    """Spheres of the aggregate in the order of permanent numbers; those of a clump share its volume by their own."""
+    """Return the spheres of the aggregate by permanent number, and divide each clump's volume among its spheres."""
     order = np.argsort(state.spheres.id.numpy())
     body = state.spheres.body.numpy()[order]
     order, body = (array[state.bodies.group.numpy()[body] == 0] for array in (order, body))
@@ -57,9 +56,9 @@ def stones_of(state: State) -> Stones:
 def measured(
     axis: Any, radius: float, stones: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 ) -> dict[str, float]:
-    """Columns of a row, of stones as from :func:`stones_of` in a pipe of this axis and radius [m]."""
+    """Return the segregation columns of one row for stones from :func:`stones_of` in a pipe of given radius [m]."""
     centre, reach, volume, size = stones
-    # A row holds numbers only: without stones there is no aggregate anywhere.
+    # The series must hold finite numbers, so an empty pipe gives zeros.
     if len(volume) == 0:
         return dict.fromkeys(UNITS, 0.0)
     s = axis.along(centre)
@@ -101,20 +100,21 @@ def _quantiles(values: np.ndarray, weights: np.ndarray, parts: tuple[float, ...]
 
 
 def are_large(size: np.ndarray, volume: np.ndarray) -> np.ndarray:
-    """Which stones are larger than the mean by volume."""
+    """Return a mask of the stones that are larger than the volume-weighted mean size."""
     return size > (1 + 1e-6) * np.average(size, weights=volume)
 
 
 def mixing(s: np.ndarray, apart: np.ndarray, large: np.ndarray) -> float:
-    """Lacey's index of large and small stones: 0 of apart ones, 1 of as even a mix as chance makes (Lacey 1954).
+    """Return Lacey's mixing index of large and small stones: 0 if separate, 1 if mixed at random (Lacey 1954).
 
-    (s0^2 - s^2) / (s0^2 - sr^2) with the variance s^2 of the share of `large` stones, by number, over cells of rings
-    and stations, s0^2 = p (1 - p) and sr^2 = s0^2 / n of n stones in a cell. `apart` is the distance of the axis over
-    the pipe's radius.
+    The index is (s0^2 - s^2) / (s0^2 - sr^2). Here s^2 is the variance of the share of `large` stones, by number, over
+    cells of rings and stretches. With the overall share p, s0^2 = p (1 - p) is the variance of separate stones, and
+    sr^2 = s0^2 / n that of a random mix with n stones per cell. `s` is the arc length [m], and `apart` the distance
+    from the axis divided by the pipe's radius.
     """
     p = float(large.mean())
     if not 0 < p < 1:
-        return 1.0  # stones alike are nothing that could come apart
+        return 1.0  # stones of one size cannot segregate
     ring = np.minimum((RINGS * apart**2).astype(int), RINGS - 1)
     rank = np.argsort(np.argsort(s, kind="stable"), kind="stable")
     cell = ring * STATIONS + rank * STATIONS // len(s)
@@ -123,12 +123,12 @@ def mixing(s: np.ndarray, apart: np.ndarray, large: np.ndarray) -> float:
     count = count[count > 0]
     variance = float(np.sum(count * (share - p) ** 2) / count.sum())
     apart_wholly = p * (1 - p)
-    by_chance = apart_wholly * len(count) / count.sum()  # of cells weighed by their stones
+    by_chance = apart_wholly * len(count) / count.sum()  # mean of s0^2 / n, weighted with the stones of each cell
     return (apart_wholly - variance) / (apart_wholly - by_chance) if apart_wholly > by_chance else 1.0
 
 
 def row_of(model: Model, state: State) -> dict[str, float]:
-    """Columns of a row of a scene that has a pipe."""
+    """Return the segregation columns of one row, for a scene that has a pipe."""
     pipe = model.scene.pipe
     assert pipe is not None
     return measured(pipe.axis, pipe.radius, stones_of(state))
@@ -139,7 +139,7 @@ def _at(name: str, place: int) -> Callable[[Any], float | None]:
 
 
 def _outward(place: int) -> Callable[[Any], float | None]:
-    """Outer less inner volume fraction, over their mean."""
+    """Return a function for the outer minus the inner volume fraction, divided by their mean, in row `place`."""
 
     def found(known: Any) -> float | None:
         if "aggregate_inner" not in known.series:
@@ -166,12 +166,13 @@ QUANTITIES = (
     Quantity("size_segregation", "1", _large_outward),
     Quantity("mixing", "1", _at("mixing", -1)),
 )
-"""At the end: volume fractions; outer less inner over the mean, also at the start, since stones keep a distance from
-the wall; share of large stones in the outer less that in the inner half of the radius; Lacey's index."""
+"""Results at the end of a run: volume fractions; outer minus inner fraction divided by the mean, also at the start,
+since stones keep a distance from the wall; share of large stones in the outer minus that in the inner half of the
+radius; Lacey's index."""
 
 
 def words(run: Any) -> str:
-    """What the report says of it."""
+    """Return the summary of segregation for the report of a run."""
     start, end, sizes = (100 * run.result[name] for name in ("segregation_at_start", "segregation", "size_segregation"))
     return (
         f"aggregate in the outer minus the inner half of the radius: {end:+.3g} % ({start:+.3g} % at the start); "

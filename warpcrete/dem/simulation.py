@@ -1,4 +1,4 @@
-"""Discrete elements from a scene to a finished run; `core/run_loop.py` has what every run goes through."""
+"""Discrete element simulation from scene to finished run, on top of the run loop in :mod:`warpcrete.core.run_loop`."""
 
 from __future__ import annotations
 
@@ -37,23 +37,23 @@ from .strokes import stroke_table
 from .watch import Watch
 from .wear import WearMap
 
-QUIET = 1e-5  # kinetic over elastic energy at which a state counts as settled
-SETTLING_PARTS = 50  # looks at that on the way
+QUIET = 1e-5  # kinetic energy divided by elastic energy below which a state counts as settled
+SETTLING_PARTS = 50  # number of intervals of the settling, after each of which the energies are checked
 
 
 @dataclass(repr=False)
 class ElementRun(Run):
-    """A run of discrete elements."""
+    """Results of a discrete element run."""
 
     packing: PackingReport | None = None
     bodies: BodyTable = field(default_factory=BodyTable.empty)
-    """Bodies at the end."""
+    """Bodies at the end of the run."""
     wear: WearMap | None = None
-    """What contacts did to the walls; None where the scene did not ask for it."""
+    """Wear of the walls; None if the scene does not request it."""
 
 
 class ElementSimulation(Simulation):
-    """Discrete elements; parameters and errors are those of :class:`warpcrete.Simulation`."""
+    """Discrete element simulation; parameters and errors are those of :class:`warpcrete.Simulation`."""
 
     scene_type = Scene
     scene: Scene
@@ -63,16 +63,16 @@ class ElementSimulation(Simulation):
         def run(self) -> ElementRun: ...
 
     def set_up(self) -> None:
-        """The model."""
+        """Build the model, and initialise the attributes of the preparation."""
         self.model = build_model(self.scene, self.device, self.precision)
         self.packing: PackingReport | None = None
-        self._settled: int | None = None  # parts of the settling that are done; None at and after t = 0
+        self._settled: int | None = None  # completed intervals of the settling; None before it, and from t = 0 on
         self.rested: float | None = None
-        """Travel of the piston at which the concrete stood [m]; None before."""
+        """Travel of the piston at which the concrete rested [m]; None before the rest."""
 
     @property
     def prepared(self) -> bool:
-        """The state is there."""
+        """True if the simulation has a state."""
         return hasattr(self, "state")
 
     @property
@@ -81,17 +81,17 @@ class ElementSimulation(Simulation):
         return self.sampler.rows
 
     def unit(self, column: str) -> str:
-        """Unit of a column of the series."""
+        """Return the unit of a column of the series."""
         return unit_of(column, self.model.walls)
 
     def display(self, colouring: str | None = None) -> ElementDisplay:
-        """What recorders draw."""
+        """Return the object from which recorders take what they draw."""
         return ElementDisplay(self, colouring)
 
-    # Up to t = 0.
+    # Preparation up to t = 0.
 
     def prepare(self) -> None:
-        """Pack, place, bond groups, settle, bond: everything up to t = 0."""
+        """Prepare the state at t = 0: pack, place bodies, bond groups, settle, and bond contacts."""
         scene = self.scene
         started = wall_clock.perf_counter()
         self.tell("packing", 0.0)
@@ -111,7 +111,7 @@ class ElementSimulation(Simulation):
         drive_alone(self.preparing(), self.stepper.advance)
 
     def place(self, packed: tuple[BodyTable, PackingReport] | None, took: float) -> None:
-        """Make the state from what packing returned, which `took` so long [s], and the bodies that the scene places."""
+        """Create the state from the result of packing, which took `took` [s], and the scene's placed bodies."""
         table = BodyTable.empty()
         if packed is not None:
             table, self.packing = packed
@@ -122,20 +122,20 @@ class ElementSimulation(Simulation):
         self.state = State(self.model, table)
 
     def join(self, stepper: Stepper) -> None:
-        """Take the stepper that will carry the state, alone or in a batch."""
+        """Use a stepper, alone or in a batch, for the state from now on."""
         self.stepper = stepper
         settling = self.scene.settle is not None and (self._resumed is None or self._settled is not None)
         damping = self.scene.settle.local_damping if settling else self.scene.local_damping  # type: ignore[union-attr]
         stepper.change(local_damping=damping)
 
     def preparing(self) -> Coroutine:
-        """Go from placed bodies, or from a checkpoint of their settling, to t = 0."""
+        """Bring the state from placed bodies, or from a checkpoint of the settling, to t = 0."""
         scene, model = self.scene, self.model
         if self._settled is None:
             first_group_kind = 1 + (scene.bonds is not None) + (scene.hydration is not None)
             for number, (group, bonds) in enumerate(scene.group_bonds.items()):
                 self.stepper.bond(bonds, first_group_kind + number, model.groups.index(group))
-            self.stepper.choose_dt()  # refuses an unstable fixed step before anything is written
+            self.stepper.choose_dt()  # refuses an unstable fixed step before any file is written
 
         started = wall_clock.perf_counter() - self._spent.get("settling", 0.0)
         if scene.settle and scene.settle.duration > 0:
@@ -146,7 +146,7 @@ class ElementSimulation(Simulation):
         self._settled = None
         self.stepper.restart_clock()
         if scene.bonds is not None and scene.bonds.healing:
-            # Contacts that healed while settling carry its loads: all of the scene's bonds start anew at t = 0.
+            # Bonds that formed during settling carry loads from it, so remove all of them and bond anew at t = 0.
             bonds = self.state.pairs.bond.numpy()
             bonds[bond_kinds(bonds) <= 1] = 0
             self.state.pairs.bond.assign(bonds)
@@ -156,7 +156,7 @@ class ElementSimulation(Simulation):
 
     @contextmanager
     def _walls_held(self) -> Iterator[None]:
-        """Walls that move by prescription stand still: their motion starts with the clock of the run proper."""
+        """Hold prescribed walls still within this context manager, because their motion starts at t = 0."""
         self.stepper.change(held=1)
         try:
             yield
@@ -183,7 +183,7 @@ class ElementSimulation(Simulation):
         self.tell("settling", 1.0)
 
     def bond(self) -> None:
-        """Bond the scene's contacts as they are now, and hydrate some of them."""
+        """Bond the scene's contacts as they are now, and hydrate some of the bonds."""
         scene = self.scene
         if scene.bonds is None:
             return
@@ -192,7 +192,7 @@ class ElementSimulation(Simulation):
             self.stepper.hydrate(1, 2, scene.hydration.fraction, scene.seed)
 
     def reaching(self, time: float) -> Coroutine:
-        """Go on to a time [s], through the rest if it is on the way."""
+        """Step to a time [s], and insert the scene's rest if it lies on the way."""
         rest = self.scene.rest
         if rest is not None and self.rested is None and rest.at <= time:
             yield Until(rest.at)
@@ -208,7 +208,7 @@ class ElementSimulation(Simulation):
     # Checkpoints.
 
     def state_dict(self) -> dict[str, Any]:
-        """State, stepper and packing; and the parts of the settling that are done, or sampler and watch."""
+        """Return the checkpoint: state, stepper and packing; also progress of settling, or measurements after t = 0."""
         self.stepper.batch.device_changed()
         found = {
             "state": state_dict(self.state),
@@ -225,24 +225,24 @@ class ElementSimulation(Simulation):
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from a `state_dict`, alone."""
+        """Continue from a `state_dict`, as the only scene of a batch."""
         self.restore(state)
         stepper = Stepper(self.model, self.state, self.scene.time_step, threads=self.threads, resumed=state["stepper"])
         self.join(stepper)
         drive_alone(self.going_on(state), stepper.advance)
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Make the arrays of a `state_dict`; `join` and `going_on` complete a resumption."""
+        """Create the arrays of a `state_dict`; `join` and then `going_on` complete a resumption."""
         self.state = restored(self.model, state["state"])
         self._settled = state.get("settled")
 
     def _memory(self) -> float:
-        """What the run holds on the device [B]; of a batch, what falls to its spheres."""
+        """Return the device memory of the run [B]; in a batch, its share by number of spheres."""
         batch = self.stepper.batch
         return footprint(stepper=self.stepper)["stepper"] * self.state.sphere_count / max(batch.sphere_count, 1)
 
     def going_on(self, state: dict[str, Any]) -> Coroutine:
-        """Take packing, sampler and watch of a `state_dict`; or settle further, and begin those at t = 0."""
+        """Restore the packing and measurements of a `state_dict`; continue its settling if that was not complete."""
         if state["packing"] is not None:
             self.packing = PackingReport(**state["packing"])
         if self._settled is not None:
@@ -258,24 +258,27 @@ class ElementSimulation(Simulation):
             self.blockage.load_state_dict(state["blockage"])
 
     def release(self) -> None:
-        """Let go of the device's memory; the run's results stay."""
+        """Free the device memory of the simulation; the results of the run stay."""
         if "stepper" in self.__dict__:
             self.stepper.batch.states.clear()
-        # A run may have failed before it had them all.
+        # A run that failed early does not have all of these attributes.
         for name in ("state", "stepper", "sampler", "watch", "blockage"):
             self.__dict__.pop(name, None)
 
     # Samples and results.
 
     def measure(self) -> dict[str, float]:
-        """Measure, and append the row to `rows`."""
+        """Measure and append a row of the series; return the row."""
         row = self.sampler.sample()
         if self.blockage is not None:
             self.blockage(row)
         return row
 
     def begin_measure(self) -> bool:
-        """Begin a row where a GPU may go on meanwhile: nothing but sums is wanted, and no end is near."""
+        """Start a row that can be completed while a GPU goes on; return False if that is not possible.
+
+        It is possible if the row consists of sums only, and if the run cannot end at this row.
+        """
         row, blockage = self.rows[-1], self.blockage
         if not (self.watch.is_calm(row) and self.stepper.batch.parallel and self.sampler.may_wait):
             return False
@@ -287,31 +290,31 @@ class ElementSimulation(Simulation):
         return True
 
     def _farthest(self, row: dict[str, float]) -> float:
-        """Travel of the wall that pushes, at most, in the row that follows one [m]."""
+        """Return an upper bound of the pushing wall's travel in the row after `row` [m]."""
         if self._top_speed == math.inf:
             return math.inf
         return row["travel"] + self._top_speed * (self.sampled[0] - row["time"]) * (1 + 1e-9)
 
     @cached_property
     def _top_speed(self) -> float:
-        """Of that wall [m/s]; infinite where it is driven, or there is none."""
+        """Largest speed of the pushing wall [m/s]; infinite if a force drives it, or if there is no such wall."""
         probe = self.scene.pressure
         pushing = next((wall for wall in self.model.walls if probe is not None and wall.name == probe.wall), None)
         return math.inf if pushing is None or isinstance(pushing.motion, Driven) else pushing.top_speed()
 
     def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if the row shows that the state means nothing any more."""
+        """Raise :class:`InstabilityError` if the row shows that the state has become meaningless."""
         self.watch(row)
 
     def ended_early(self) -> bool:
-        """Concrete in a vessel has come to rest, or flowed out; a pipe is blocked, where that ends the run."""
+        """Return whether the run is over: concrete at rest or flowed out in a vessel, or a blocked pipe."""
         vessel, blockage = self.scene.vessel, self.scene.blockage
         if self.blockage is not None and self.blockage.found and blockage is not None and blockage.stop:
             return True
         return vessel is not None and self.state.sphere_count > 0 and is_over(vessel, self.rows)
 
     def result(self, finished: bool) -> ElementRun:
-        """The run as it is now, with its quantities."""
+        """Return the run up to now, with its results."""
         series = self.sampler.series()
         steps, state = self.stepper.steps, self.state
         running = self._spent.get("running", 0.0)

@@ -1,4 +1,4 @@
-"""Size distributions of aggregates. A size is the diameter of the sphere of equal volume."""
+"""Size distributions of aggregates; a size is the diameter of the sphere of equal volume."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..core.errors import positive, refuse
 
 @dataclass(frozen=True)
 class Gaussian:
-    """Normal distribution by number, cut to a range (Zhan et al. 2019, section 3.3)."""
+    """Normal distribution by number, truncated to a range; all sizes in m (Zhan et al. 2019, section 3.3)."""
 
     mean: float = 12.5e-3
     deviation: float = 7.5e-3
@@ -26,7 +26,7 @@ class Gaussian:
             refuse("mean size", self.mean, f"lies far outside the range [{self.smallest:g}, {self.largest:g}] m")
 
     def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
-        """`count` sizes [m]."""
+        """Return `count` random sizes [m]."""
         if self.smallest == self.largest:
             return np.full(count, self.smallest)
         sizes = np.empty(0)
@@ -38,7 +38,7 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class Uniform:
-    """Equal numbers at every size of a range."""
+    """Uniform distribution by number over a range of sizes [m]."""
 
     smallest: float
     largest: float
@@ -47,21 +47,21 @@ class Uniform:
         _check_range(self.smallest, self.largest)
 
     def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
-        """`count` sizes [m]."""
+        """Return `count` random sizes [m]."""
         return random.uniform(self.smallest, self.largest, count)
 
 
 @dataclass(frozen=True)
 class SieveCurve:
-    """Grading curve of a mix design: the fraction of the *mass* that passes each opening.
+    """Grading curve of a mix design: the fraction of the mass that passes each sieve opening.
 
-    Between two openings mass is spread evenly over the logarithm of the size.
+    Between two openings the mass is distributed evenly over the logarithm of the size.
     """
 
     openings: tuple[float, ...]
-    """Rising [m]."""
+    """Sieve openings, rising [m]."""
     passing: tuple[float, ...]
-    """Rising fractions of the mass, from 0 at the first opening to 1 at the last."""
+    """Mass fractions that pass the openings, rising from 0 at the first opening to 1 at the last."""
 
     def __post_init__(self) -> None:
         try:
@@ -81,19 +81,23 @@ class SieveCurve:
 
     @property
     def smallest(self) -> float:
-        """[m]"""
+        """Smallest size [m]."""
         return self.openings[0]
 
     @property
     def largest(self) -> float:
-        """[m]"""
+        """Largest size [m]."""
         return self.openings[-1]
 
     def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
-        """`count` sizes [m]: within a fraction, number density falls as size^-4 for even mass per logarithm."""
+        """Return `count` random sizes [m].
+
+        A mass that is even over the logarithm of the size means a number density that falls as size^-4. The inverse of
+        its cumulative distribution turns uniform random numbers into sizes.
+        """
         openings, part = np.array(self.openings), np.diff(self.passing)
         inverse_cubes = openings**-3
-        # Number of particles per unit of mass in each fraction.
+        # Number of particles in each size class, per unit of mass.
         number = part * (inverse_cubes[:-1] - inverse_cubes[1:]) / np.log(openings[1:] / openings[:-1])
         fraction = random.choice(len(part), size=count, p=number / number.sum())
         u = random.uniform(size=count)

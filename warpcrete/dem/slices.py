@@ -1,4 +1,4 @@
-"""Slices of a pipe in which a run measures."""
+"""Slices of a pipe in which a run measures stresses, solid fraction and velocities."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from ..geometry.axis import Axis
 from ..geometry.bores import Bores
 
 CLEAR, FEWEST = 1.0, 2
-"""Length beside an end or the middle that fitted lines leave out, over the radius there; slices that they need."""
+"""Distance from a stretch's ends, in pipe radii, within which line fits ignore slices; fewest slices for a line fit."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stations:
-    """Slices of a pipe between arc lengths, in which a run measures; a slice counts while concrete fills it."""
+    """Slices of a pipe between given arc lengths, in which a run measures while concrete fills them."""
 
     axis: Axis
     bores: Bores
     edges: tuple[float, ...]
-    """Arc lengths of the slices' ends, rising [m]."""
+    """Arc lengths of the slices' ends, rising [m], shape (slices + 1,)."""
     wall: str = "pipe"
-    """Name of the wall whose shear is measured."""
+    """Name of the wall whose shear stress is measured."""
     origin: float = 0.0
-    """Arc length from which places are told [m]."""
+    """Arc length that counts as zero in the results [m]."""
     middle: tuple[float, float] | None = None
-    """Arc lengths between which the pipe is no straight one; None: it is, all along [m]."""
+    """Arc lengths between which the pipe is not straight (bend or taper) [m]; None if it is straight everywhere."""
     each_row: bool = True
-    """Measured with every row of the series; else only where a recording draws it."""
+    """True to measure in every row of the series, False to measure only when a recording draws the slices."""
 
     def __post_init__(self) -> None:
         if len(self.edges) < 2 or np.any(np.diff(self.edges) <= 0):
@@ -40,32 +40,32 @@ class Stations:
 
     @property
     def places(self) -> np.ndarray:
-        """Middles of the slices [m]."""
+        """Arc lengths of the slices' middles [m], shape (slices,)."""
         edges = np.array(self.edges)
         return 0.5 * (edges[1:] + edges[:-1])
 
     @cached_property
     def volumes(self) -> np.ndarray:
-        """Not to be written to [m3]."""
+        """Volumes of the slices [m3], shape (slices,); a cached array that must not be changed."""
         return np.array([self.bores.volume(a, b) for a, b in pairwise(self.edges)])
 
     def surfaces(self) -> np.ndarray:
-        """Of the wall [m2]."""
+        """Return the wall area of each slice [m2], shape (slices,)."""
         return np.array([self.bores.surface(a, b) for a, b in pairwise(self.edges)])
 
     def clear(self, low: float, high: float) -> np.ndarray:
-        """Which slices lie between two arc lengths [m], and a radius off both, shape (slices,)."""
+        """Return a mask of the slices between two arc lengths [m] and at least one radius off both, shape (slices,)."""
         off = CLEAR * self.bores.at([low, high])
         return (self.places > low + off[0]) & (self.places < high - off[1])
 
     @property
     def straights(self) -> tuple[tuple[float, float], ...]:
-        """Arc lengths of straight stretches: before and behind the middle, or all of it [m]."""
+        """Ends of the straight stretches [m]: before and behind the middle, or the whole pipe."""
         if self.middle is None:
             return ((self.edges[0], self.edges[-1]),)
         return (self.edges[0], self.middle[0]), (self.middle[1], self.edges[-1])
 
     @property
     def tells_losses(self) -> bool:
-        """Are there slices enough in all of them for lines through what they measure?"""
+        """True if every straight stretch has enough slices to fit a line through its measurements."""
         return all(np.count_nonzero(self.clear(*ends)) >= FEWEST for ends in self.straights)

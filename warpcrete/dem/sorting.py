@@ -1,4 +1,4 @@
-"""Bodies in memory along a space-filling curve, so that neighbours in space are neighbours there, too."""
+"""Sorting of bodies in memory along a space-filling curve, so that spatial neighbours are neighbours in memory."""
 
 from __future__ import annotations
 
@@ -17,12 +17,15 @@ SORTED = {
     "spheres": ("scene", "body", "force", "moment"),
     "slots": (),
 }
-"""Structs whose rows a re-sorting moves, and those of their arrays that stay: they are made anew, or zero."""
+"""Structs whose rows a re-sorting moves, with the arrays that it leaves out: recomputed, unaffected or zero ones."""
 
 
 def sort_bodies(batch: Batch, due: np.ndarray, old_place: wp.array, new_place: wp.array) -> None:
-    """Re-order the bodies of scenes that are `due`, (scenes,); notes the old place of each sphere in the new order, and
-    the reverse, both of shape (spheres,)."""
+    """Re-sort the bodies of all scenes that `due` marks, shape (scenes,), along a Morton curve.
+
+    Writes to `old_place` the former index of each sphere in the new order, and to `new_place` the inverse permutation,
+    both of shape (spheres,).
+    """
     b, device, kernels, permute = batch, batch.device, order_kernels(batch.scalar), permute_kernels(batch.scalar)
     bodies = b.body_count
     key = wp.zeros(2 * bodies, dtype=wp.int64, device=device)
@@ -52,14 +55,14 @@ def sort_bodies(batch: Batch, due: np.ndarray, old_place: wp.array, new_place: w
 
 
 def sorting_kernels(batch: Batch) -> list[Any]:
-    """Kernels of all that it launches."""
+    """Return all kernels that a re-sorting launches, so that they can be compiled."""
     order = vars(order_kernels(batch.scalar)).values() if batch.body_count > 1 else ()
     moved = {(a.dtype, a.ndim == 2) for struct in SORTED for a in _moved(batch, struct)}
     return [*order, *(permute_kernels(batch.scalar)[kind] for kind in moved)]
 
 
 def _moved(batch: Batch, struct: str) -> list[wp.array]:
-    """Arrays of a struct whose rows a re-sorting moves."""
+    """Return the arrays of a struct whose rows a re-sorting moves."""
     names = getattr(batch.structs, struct.capitalize()).vars
     arrays = [getattr(getattr(batch, struct), name) for name in names if name not in SORTED[struct]]
     return [array for array in arrays if array.size]

@@ -1,4 +1,4 @@
-"""The estimate of the largest stable step of a scene."""
+"""Estimate of the largest stable time step of a scene."""
 
 from __future__ import annotations
 
@@ -25,10 +25,11 @@ from .scene import Scene
 
 
 class StableStep:
-    """Estimate of the largest stable step of a scene from masses and live stiffness, bonds included.
+    """Estimate of a scene's largest stable step from its masses and current stiffness, bonds included.
 
     It sets the scene's `clock[STABLE]` and, from that and the settings in the scene's row, `clock[DT]`. An automatic
-    step is also fine enough for impacts that lose little, and for fast bodies.
+    step is also short enough that impacts with little dissipation keep their energy to about 1 %, and that fast bodies
+    move by no more than a fraction of their radius per step.
     """
 
     def __init__(self, batch: Batch) -> None:
@@ -52,20 +53,20 @@ class StableStep:
         self._known: set[int] = set()
 
     def __call__(self, s: int) -> None:
-        """Estimate for scene number `s`, unless that is done already."""
+        """Estimate the stable step of scene `s`, unless :meth:`foresee` has just done so."""
         if s in self._known:
             self._known.discard(s)
             return
         self._estimate_for([s])
 
     def foresee(self, scenes: list[int]) -> None:
-        """Estimate for scenes that will want it before the next step; a GPU does all in the time of one."""
+        """Estimate several scenes that need it before their next step; a GPU does all in the time of one."""
         if len(scenes) > 1 and self.batch.parallel:
             self._estimate_for(scenes)
             self._known = set(scenes)
 
     def forget(self) -> None:
-        """What was foreseen, and nobody asked for, holds no more."""
+        """Discard precomputed estimates that were not used."""
         self._known.clear()
 
     def _estimate_for(self, scenes: list[int]) -> None:
@@ -79,19 +80,21 @@ class StableStep:
         self.batch.device_changed()
 
     def by_device(self, first: Sequence[Any] = ()) -> AtOnce:
-        """What estimates, for all scenes that have come to where they must be, and lets them go on: for a GPU, which
-        has the host wait for none of it. What is to be launched `first` goes with it."""
+        """Return a launch that estimates all scenes in need of it and lets them continue, without the host.
+
+        Only a GPU uses this launch. The stages `first` are launched before the estimate.
+        """
         return AtOnce([*first, *(stage for phase in self._phases(-1, True) for stage in phase)], self.batch.device)
 
     def kernels(self) -> list[Stage]:
-        """Stages with all that it launches."""
+        """Return all stages of an estimate, so that their kernels can be compiled."""
         return [stage for phase in self._phases(-1 if self.batch.parallel else 0, False) for stage in phase]
 
     def _launch(self, s: int) -> Callable[[], None]:
-        if self._version != self.batch.version:  # old launches would hold arrays that nothing else needs
+        if self._version != self.batch.version:  # old launches would keep outdated arrays in memory
             self._recorded.clear()
             self._version = self.batch.version
-        # A CPU goes through the spheres of one scene, chunk by chunk.
+        # A CPU estimates one scene at a time, chunk by chunk; a GPU estimates all scenes with the same launch.
         key = -1 if self.batch.parallel else s
         if key not in self._recorded:
             self._recorded[key] = self._made(self._phases(key, False))
@@ -112,7 +115,7 @@ class StableStep:
         return phase_by_phase
 
     def _phases(self, which: int, by_device: bool) -> list[list[Stage]]:
-        """Stages for one scene, or (-1) for all that are due; what stands together may run at the same time."""
+        """Return the stages for one scene, or for all due scenes (-1), in phases whose stages may run in parallel."""
         b, f = self.batch, self.batch.features
         own = {"due": self._due, "estimate": self._estimate}
         begin = {"asked": self._asked, "by_device": by_device, **own}
@@ -133,7 +136,7 @@ class StableStep:
                             last=sphere + last, part=k, stiff=stiff, **own)
                     for k, (first, last) in enumerate(chunks)
                 ],
-                # Without bodies nothing bounds the step but its largest allowed size.
+                # Without bodies only the largest allowed size limits the step.
                 [b.stage(reduce, last - first, begin=body + first, part=k, stiff=stiff, **own)
                  for k, (first, last) in enumerate(own_bodies)],
             ]  # fmt: skip
@@ -147,7 +150,7 @@ class StableStep:
 
 
 def foreseen_speed(scene: Scene, horizon: float) -> float:
-    """Speed that a wall will have, or that forces can give within `horizon` [m/s]."""
+    """Return the speed that walls may reach, plus the speed that forces can give within `horizon` [s]; in m/s."""
     gained = [float(np.linalg.norm(scene.gravity))]
     gained += [abs(w.motion.force) / w.motion.mass for w in scene.walls if isinstance(w.motion, Driven)]
     return max((wall.top_speed() for wall in scene.walls), default=0.0) + max(gained) * horizon

@@ -1,4 +1,4 @@
-"""One step of the discrete element method: contacts, walls, meshes, the walls' motion, the bodies', the clock."""
+"""Stages of one step of the discrete element method: contacts, walls, meshes, motion of walls and bodies, and clock."""
 
 from __future__ import annotations
 
@@ -23,31 +23,32 @@ from .batch import Batch
 from .links import rows_of
 
 MANY = 200_000
-"""Spheres from which on a thread each keeps a GPU busy while lists are built."""
+"""Number of spheres above which one thread per sphere keeps a GPU busy while lists are built."""
 CHOSEN = 20
-"""Steps after which near links are chosen anew: those from one estimate of the stable step to the next."""
+"""Steps between two selections of the near links, equal to the steps between two estimates of the stable step."""
 CLOSE_LINKS = 0.5
-"""Near links, of all that there is room for, from which on a thread takes more than one."""
+"""Ratio of the link kernel's threads to all links of the lists; if more links are near, a thread takes several."""
 WALL_LANE_BITS = 3
-"""Of the number of a GPU's threads that share a sphere among planes and pipes, at most."""
+"""Base-2 logarithm of the largest number of GPU threads that share the planes and pipes of one sphere."""
 WALL_THREADS = 100_000
-"""As many as wait for memory at a time: a hundred thousand spheres, with eight threads each, took a tenth longer."""
+"""Largest number of GPU threads for walls when threads share a sphere. More threads would not hide more memory latency:
+a hundred thousand spheres with eight threads each took a tenth longer."""
 LANE_BITS = 2
-"""Of the number of a GPU's threads that share a clump, where there are few, or each link gives much to read."""
+"""Base-2 logarithm of the number of GPU threads per clump if clumps are few, or if a link has many values to read."""
 
 
 def tasks(batch: Batch, bodies: int) -> int:
-    """Tasks of a kernel over so many bodies."""
+    """Return the number of kernel tasks for this many bodies; a CPU task takes SPAN bodies as vector lanes."""
     return -(-bodies // SPAN) if batch.features.half_list else bodies
 
 
 def warp_width(device: Any) -> int:
-    """Threads that go through the same instructions together."""
+    """Return the number of threads that execute the same instructions together (a CUDA warp, or 1)."""
     return WARP if device.is_cuda else 1
 
 
 def step_stages(batch: Batch) -> list[list[Stage]]:
-    """Stages of one step on the arrays that the batch holds now, a list for each thread."""
+    """Return the stages of one step on the batch's current arrays, as one list per thread."""
     if not batch.features.half_list:
         return [_full_step(batch)]
     b, f = batch, batch.features
@@ -73,7 +74,7 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
 
 
 def near_stages(batch: Batch) -> list[Stage]:
-    """What chooses a GPU's near links anew; nothing where lists are half ones."""
+    """Return the stages that select a GPU's near links; empty for half lists."""
     b = batch
     if b.features.half_list:
         return []
@@ -86,7 +87,7 @@ def near_stages(batch: Batch) -> list[Stage]:
 
 
 def _full_step(batch: Batch) -> list[Stage]:
-    """Stages of a GPU: walls' contacts beside those of spheres, and walls' own motion beside that of bodies."""
+    """Return the stages of one GPU step; wall contacts and wall motion run at the same time as spheres and bodies."""
     b, f, n = batch, batch.features, batch.sphere_count
     width = warp_width(b.device)
     stages = near_stages(b)
@@ -98,7 +99,7 @@ def _full_step(batch: Batch) -> list[Stage]:
     if f.meshes:
         stages.append(_meshes(b, 0, 0, n, beside=True))
     kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
-    threads = -(-math.ceil(CLOSE_LINKS * len(b.links.link)) // width) * width  # one at least where there is a pair
+    threads = -(-math.ceil(CLOSE_LINKS * len(b.links.link)) // width) * width  # rounded up to whole warps
     stages += [
         b.stage(kernel, threads, threads=threads),
         _motion(b, 0, b.body_count),
@@ -114,16 +115,16 @@ def _full_step(batch: Batch) -> list[Stage]:
 
 
 def wall_lane_bits(batch: Batch) -> int:
-    """Of the number of a GPU's threads that have the planes and pipes of a sphere in turn."""
+    """Return the base-2 logarithm of the number of GPU threads that share the planes and pipes of one sphere."""
     most = int(batch.rows["analytic"].max())
-    if warp_width(batch.device) == 1 or most <= 2:  # what two walls cost is that they are there
+    if warp_width(batch.device) == 1 or most <= 2:  # a single thread evaluates two walls as fast
         return 0
     bits = min((most - 1).bit_length(), WALL_LANE_BITS)
     return min(bits, max((WALL_THREADS // max(batch.sphere_count, 1)).bit_length() - 1, 0))
 
 
 def _half_contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage]:
-    """Forces on a chunk of spheres of a CPU: by each other, by planes and pipes, by meshes."""
+    """Return the CPU stages for the forces on a chunk of spheres: from each other, planes and pipes, and meshes."""
     b, f = batch, batch.features
     contacts = contact_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
     stages = [b.stage(contacts, tasks(b, last - first), first=first, last=last)]
@@ -143,7 +144,7 @@ def _meshes(batch: Batch, part: int, first: int, last: int, *, beside: bool = Fa
 
 
 def _motion(batch: Batch, first: int, last: int) -> Stage:
-    """Motion of a chunk of bodies, when all forces are there."""
+    """Return the stage that moves a chunk of bodies once all forces are known."""
     b, f = batch, batch.features
     named: dict[str, Any] = {"first": first, "last": last}
     rows = 0 if f.half_list else rows_of(f)

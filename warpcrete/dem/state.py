@@ -18,22 +18,22 @@ from .bodies import BodyTable
 from .model import Model
 
 STRUCTS = ("scenes", "bodies", "spheres", "slots", "pairs", "candidates", "walls")
-"""Structs of arrays that a state has, as attributes of these names."""
+"""Structs of arrays that a state has, by the names of its attributes."""
 OF_BATCH = {
     "scenes": ("row",),
     "bodies": ("scene",),
     "spheres": ("scene", "clear"),
     "walls": ("scene", "table", "rest_position", "step_force"),
 }
-"""Arrays of those structs that only a batch has: they follow from the models, or are empty between two steps."""
+"""Arrays of those structs that only a batch has, because they follow from the models or are unused between steps."""
 NUMBERS = (
     "body_count", "sphere_count", "largest_radius", "smallest_radius", "mean_radius", "total_mass", "chunks",
 )  # fmt: skip
-"""What a state keeps besides its arrays."""
+"""Attributes of a state, other than arrays, that a checkpoint keeps."""
 
 
 def state_fields(structs: Any) -> dict[str, tuple[str, ...]]:
-    """Names of the arrays of each struct that belong to a state; `structs` as from `array_structs`."""
+    """Return the names of each struct's arrays that belong to a state; `structs` comes from `array_structs`."""
     found = {}
     for name in STRUCTS:
         fields = getattr(structs, name.capitalize()).vars
@@ -42,30 +42,30 @@ def state_fields(structs: Any) -> dict[str, tuple[str, ...]]:
 
 
 class State:
-    """Everything that changes in one scene, on the model's device.
+    """All data of one scene that change during a run, on the model's device.
 
-    Its arrays, with meaning, unit and shape, are those of the structs in `kernels/dem/structs.py`: `scenes` (one row),
-    `bodies`, `spheres`, `slots`, `pairs`, `candidates`, `walls`. Bodies and spheres may be re-sorted in memory;
-    `bodies.id` and `spheres.id` are their permanent numbers. The spheres of a body stand in a row. In a batch the
-    arrays are slices of those of all scenes. What the scene's features do not need has no rows.
+    The arrays are members of the structs `scenes` (one row), `bodies`, `spheres`, `slots`, `pairs`, `candidates` and
+    `walls`; `kernels/dem/structs.py` gives their meanings, units and shapes. Bodies and spheres may be re-sorted in
+    memory; `bodies.id` and `spheres.id` are their permanent numbers. The spheres of a body are contiguous. In a batch
+    the arrays are slices of the batch's arrays. Arrays that the scene's features do not need are empty.
     """
 
     flags: wp.array
-    """Slots of `kernels/common/control.py`, shape (1, FLAGS)."""
+    """Control flags with the slots of `kernels/common/control.py`, shape (1, FLAGS)."""
     scenes: Any
-    """Clock, and what else there is one of, a struct `Scenes`."""
+    """Clock and other values that exist once per scene, a struct `Scenes`."""
     bodies: Any
-    """A struct `Bodies`."""
+    """Arrays of bodies, a struct `Bodies`."""
     spheres: Any
-    """A struct `Spheres`."""
+    """Arrays of spheres, a struct `Spheres`."""
     slots: Any
     """Contacts of spheres with walls, a struct `Slots`."""
     pairs: Any
-    """Neighbour list, history and bonds, a struct `Pairs`."""
+    """Neighbour list with contact history and bonds, a struct `Pairs`."""
     candidates: Any
-    """Triangles near each sphere, a struct `Candidates`."""
+    """Mesh candidates, which are the triangles near each sphere, a struct `Candidates`."""
     walls: Any
-    """A struct `Walls`."""
+    """Arrays of walls, a struct `Walls`."""
 
     def __init__(self, model: Model, table: BodyTable) -> None:
         self.model = model
@@ -83,11 +83,11 @@ class State:
         self.smallest_radius = float(offsets[:, 3].min(initial=np.inf)) if self.sphere_count else 0.0
         self.total_mass = float(np.sum(table.mass))
         self.chunks = [0, self.sphere_count]
-        """First sphere of every chunk of a half list, and the end of the last."""
+        """First sphere of every chunk of a half list, and the end of the last chunk."""
         self.batch: Any = None
-        """The batch that holds the arrays."""
+        """Batch that holds the arrays; None if the state is in no batch."""
         self.index = 0
-        """The scene's number in it."""
+        """Number of the scene in its batch."""
         self._scratch: dict[str, wp.array] = {}
         self._launches: tuple[int, dict[str, Any]] = -1, {}
         self._make_bodies(table, first, inertia)
@@ -97,7 +97,7 @@ class State:
         self._make_scene()
 
     def _fill(self, struct: str, **arrays: Any) -> None:
-        """Set arrays of a struct: host data, or a shape for zeros."""
+        """Set arrays of a struct from host data, or to zeros where a shape is given."""
         target = getattr(self, struct)
         variables = getattr(self.structs, struct.capitalize()).vars
         for name, value in arrays.items():
@@ -195,44 +195,44 @@ class State:
     def _make_scene(self) -> None:
         clock = np.zeros((1, CLOCK))
         typical_force = self.model.stress_scale * (2 * max(self.largest_radius, 1e-12)) ** 2
-        # 2^62 units hold a hundred thousand such forces; one unit is 5e-14 of one.
+        # Forces are summed as integers: 2^62 units hold 2e5 typical forces, and one unit is 5e-14 of a typical force.
         clock[0, int(FORCE_SCALE)] = 2.0 ** np.floor(np.log2(2.0**44 / typical_force))
         self._fill("scenes", clock=clock, scale=[1.0], reference_velocity=1)
         self.flags = wp.zeros((1, FLAGS), dtype=wp.int32, device=self.model.device)
 
     def arrays(self) -> Iterator[tuple[str, str, wp.array]]:
-        """Struct, name and array of everything that the state holds, without what only a batch has."""
+        """Yield struct name, array name and array of everything that the state holds."""
         for struct, names in state_fields(self.structs).items():
             for name in names:
                 yield struct, name, getattr(getattr(self, struct), name)
 
     def scratch(self, name: str, shape: tuple[int, ...], dtype: Any) -> wp.array:
-        """Memory that a probe may write to, the same at every call."""
+        """Return uninitialised memory for a probe, the same array at every call with this name and shape."""
         if name not in self._scratch or self._scratch[name].shape != shape:
             self._scratch[name] = wp.empty(shape, dtype=dtype, device=self.model.device)
         return self._scratch[name]
 
     def taken_into(self, batch: Any, index: int) -> None:
-        """Be number `index` of a batch."""
+        """Record that this state is scene `index` of `batch`."""
         self.batch, self.index = batch, index
         self._launches = -1, {}
 
     def leave(self) -> None:
-        """Hold copies of the arrays that a batch has, to be taken into another."""
+        """Replace the slices of the batch's arrays by copies, so that the state can move to another batch."""
         for struct, name, array in list(self.arrays()):
             setattr(getattr(self, struct), name, wp.clone(array))
         self.flags = wp.clone(self.flags)
         self.batch = None
 
     def launches(self, version: int) -> dict[str, Any]:
-        """Recorded launches of probes by name, for arrays of this version of the batch's."""
+        """Return the recorded launches of probes by name, valid for this version of the batch's arrays."""
         if self._launches[0] != version:
             self._launches = version, {}
         return self._launches[1]
 
     @property
     def pair_total(self) -> int:
-        """Entries of its neighbour list."""
+        """Number of entries of the neighbour list."""
         return int(self.pairs.start[-1:].numpy()[0])
 
     @property
@@ -242,7 +242,7 @@ class State:
 
     @property
     def steps(self) -> int:
-        """Completed steps."""
+        """Number of completed steps."""
         if self.batch is None:
             return int(self.flags.numpy()[0, int(STEPS)])
         return int(self.batch.host_flags()[self.index, int(STEPS)])
@@ -254,7 +254,7 @@ class State:
 
     @property
     def stable_step(self) -> float:
-        """As last estimated [s]."""
+        """Stable step by the latest estimate [s]."""
         return self._clock()[int(STABLE)]
 
     def _clock(self) -> list[float]:
@@ -268,7 +268,7 @@ class State:
         return sum(a.size * wp.types.type_size_in_bytes(a.dtype) for _, _, a in self.arrays())
 
     def table(self) -> BodyTable:
-        """Bodies as they are now, in order of their permanent numbers."""
+        """Return the bodies as they are now, in the order of their permanent numbers."""
         b = self.bodies
         order = np.argsort(b.id.numpy())
         group = b.group.numpy()[order]
@@ -294,16 +294,17 @@ PAIR_ARRAYS = ("other", "history", "rolling", "bond", "load")
 
 
 def pair_bytes(model: Model) -> dict[str, int]:
-    """Size of an entry of every array that the scene needs for its listed pairs [B]."""
+    """Return the size of one entry of every array that the scene needs for its listed pairs [B]."""
     f = model.features
     used = {"other": True, "history": f.history, "rolling": f.pair_law.rolls}
-    used |= {"bond": f.bonds, "load": f.healing}  # elsewhere bonds alone have loads: see `bonding`
+    # Every list entry has a load row only if bonds heal; otherwise only bonds have one, see `bonding`.
+    used |= {"bond": f.bonds, "load": f.healing}
     variables = array_structs(model.scalar).Pairs.vars
     return {name: wp.types.type_size_in_bytes(variables[name].type.dtype) for name in PAIR_ARRAYS if used[name]}
 
 
 def _shapes(table: BodyTable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """First sphere of each body, offsets and radii of all spheres [m], principal moments of all bodies [kg m2]."""
+    """Return each body's first sphere, the spheres' offsets and radii [m], the bodies' principal moments [kg m2]."""
     first = np.concatenate([[0], np.cumsum(table.sphere_counts)]).astype(np.int32)
     offsets = np.zeros((int(first[-1]), 4))
     inertia = np.zeros((len(table), 3))

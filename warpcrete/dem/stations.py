@@ -1,8 +1,9 @@
-"""Stations along a pipe: stress, wall stress, solid fraction and velocity in slices of it, at every sample.
+"""Stations along a pipe: mean stress, wall stress, solid fraction and velocity in slices of the pipe, at every sample.
 
-The mean stress in a slice is that of Love and Weber, the sum over contacts of force times branch over the volume, where
-of a contact that reaches from one slice into the next each gets its part of the branch (Goldhirsch, Granular Matter 12
-(2010) 239, with a box for the averaging function). Walls count as contacts, so that the slice reaches to the wall.
+The mean stress in a slice follows Love and Weber: the sum over contacts of force times branch vector, divided by the
+volume. If a contact reaches from one slice into the next, each slice gets its part of the branch (Goldhirsch, Granular
+Matter 12 (2010) 239, with a box as the averaging function). Wall contacts count too, so that a slice reaches to the
+wall.
 """
 
 from __future__ import annotations
@@ -27,39 +28,40 @@ from .slices import FEWEST, Stations
 from .state import State
 
 RINGS = 5
-"""Of equal width, in which a velocity profile is a mean."""
+"""Number of rings of equal width over which a velocity profile is averaged."""
 FRONT = 0.98
-"""Part of the solid volume behind the front: what is beyond it no longer fills the pipe."""
+"""Fraction of the solid volume that lies behind the front; beyond the front the concrete does not fill the pipe."""
 FARTHEST = 8
-"""One in so many bodies, the farthest, among which the front is looked for."""
+"""Ratio of all bodies to the farthest bodies, among which the front is searched."""
 PLACES = ("place", "radius")
 MEASURED = ("pressure", "axial_stress", "wall_stress", "solid_fraction", "bulk_density", "velocity")
 PROFILE = tuple(f"velocity_{(2 * ring + 1) / (2 * RINGS):.1f}R" for ring in range(RINGS))
 COLUMNS = (*MEASURED, *PROFILE)
 SEEN = ("spheres.id", "spheres.position", "spheres.velocity", "spheres.body", "bodies.group", "bodies.size",
         "bodies.mass", "bodies.position", "pairs.start", "pairs.other", "slots.wall")  # fmt: skip
-"""Arrays of a state that it takes to measure, besides forces."""
+"""Arrays of a state that a measurement reads, apart from the forces."""
 UNITS = {"place": "m", "radius": "m", "pressure": "Pa", "axial_stress": "Pa", "wall_stress": "Pa",
          "solid_fraction": "1", "bulk_density": "kg/m3", "velocity": "m/s"} | dict.fromkeys(PROFILE, "m/s")  # fmt: skip
-"""Of the columns of a table of stations. `pressure` is the mean normal stress, `axial_stress` the one along the pipe,
-which carries the piston's push, both positive in compression; `wall_stress` acts along the wall against the flow;
-`velocity` is the mean of the solids along the pipe, and in rings about so many radii from the axis."""
+"""Units of the columns of a table of stations. `pressure` is the mean normal stress, `axial_stress` the normal stress
+along the pipe, which carries the piston's push. Both are positive in compression. `wall_stress` acts along the wall
+against the flow. `velocity` is the mean velocity of the solids along the pipe; the names of its ring columns end with
+the ring's mean radius in pipe radii."""
 
 
 @dataclass
 class StationLog:
-    """What was measured at the stations, sample by sample."""
+    """Measurements at the stations, sample by sample."""
 
     stations: Stations
     samples: list[np.ndarray] = field(default_factory=list)
-    """Each of shape (slices, COLUMNS); NaN in slices that were not full."""
+    """Measurements of each sample, shape (slices, COLUMNS); NaN in slices that concrete did not fill."""
 
     def add(self, model: Model, state: State, travel: float) -> None:
-        """Measure now, after the piston has gone so far [m]."""
+        """Measure all slices now, with the piston at a travel of `travel` [m], and append the sample."""
         self.samples.append(measured(self.stations, model, state, travel))
 
     def table(self, chosen: np.ndarray) -> dict[str, np.ndarray]:
-        """Means over the chosen samples, a column each; NaN in slices that were not full in all of them."""
+        """Return the means over the chosen samples by column; NaN in slices that were not full in all of them."""
         found = np.mean(np.array(self.samples)[chosen], axis=0)
         stations = self.stations
         table = {"place": stations.places - stations.origin, "radius": stations.bores.at(stations.places)}
@@ -67,7 +69,7 @@ class StationLog:
 
 
 def measured(stations: Stations, model: Model, state: State, travel: float) -> np.ndarray:
-    """Columns of all slices now, shape (slices, COLUMNS); NaN in those that concrete does not fill."""
+    """Return the columns of all slices now, shape (slices, COLUMNS); NaN in slices that concrete does not fill."""
     axis, edges = stations.axis, np.array(stations.edges)
     found = np.full((len(edges) - 1, len(COLUMNS)), np.nan)
     seen = seen_of(model, state)
@@ -92,13 +94,15 @@ def measured(stations: Stations, model: Model, state: State, travel: float) -> n
 
 
 FINEST = 2.0**-40
-"""Part of the unit of :func:`body_stresses`, in which they are counted: a sum of thousands of contacts keeps nine
-digits, and a million units have room."""
+"""Resolution of :func:`body_stresses` as a fraction of its unit: sums of thousands of contacts keep nine digits, and
+64-bit integers hold up to a million units."""
 
 
 def body_stresses(model: Model, state: State, unit: float) -> wp.array:
-    """Force times branch of every body's contacts, half of each pair's: xx, yy, zz, xy, yz, zx in `FINEST` of `unit`
-    [J], shape (bodies, 6), in the order of the state's arrays; on the device, and good until the next call.
+    """Return force times branch vector of every body's contacts, half of each pair's, as integers, shape (bodies, 6).
+
+    The columns are xx, yy, zz, xy, yz and zx in multiples of `FINEST` times `unit` [J], in the order of the state's
+    arrays. The array is on the device, and the next call overwrites it.
     """
     stress = state.scratch("body stresses", (state.body_count, int(STRESSES)), wp.int64)
     if state.sphere_count:
@@ -126,11 +130,13 @@ def stresses_along(
     fills: np.ndarray,
     travel: float,
 ) -> np.ndarray:
-    """Mean normal stress, and that along the pipe, in all slices [Pa], shape (slices, 2): the first two columns of
-    :func:`measured`, each body's stress spread evenly over its width, NaN where concrete does not fill a slice.
+    """Return the mean normal stress and the stress along the pipe in all slices [Pa], shape (slices, 2).
 
-    Of bodies: `stress` [J] (n, 6) as of :func:`body_stresses`, arc lengths `s` [m] (n,) and the axis' `tangent` there
-    (n, 3), `size` [m] (n,), and whether it `fills` the pipe (n,), which a plug does not.
+    These are the first two columns of :func:`measured`, except that each body's stress is spread evenly over its size.
+    Slices that concrete does not fill are NaN.
+
+    The arguments describe bodies: `stress` (n, 6) [J] as from :func:`body_stresses`, arc lengths `s` (n,) [m], the
+    `tangent` of the axis there (n, 3), `size` (n,) [m], and `fills` (n,), which is False for bodies of a plug.
     """
     edges, t = np.array(stations.edges), tangent
     along = np.einsum("ij,ij,ij->i", stress[:, :3], t, t)
@@ -142,7 +148,7 @@ def stresses_along(
 
 
 def _between(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.ndarray) -> np.ndarray:
-    """Which slices lie between a piston that has gone so far and the front of some volumes at arc lengths [m]."""
+    """Return a mask of the slices between a piston at `travel` [m] and the front of bodies at arc lengths `s` [m]."""
     whole = float(volume.sum())
     if whole == 0:
         return np.zeros(len(edges) - 1, bool)
@@ -150,8 +156,8 @@ def _between(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.ndarray
 
 
 def _front(s: np.ndarray, volume: np.ndarray, behind: float) -> float:
-    """The arc length up to which there is so much volume, and no more than the body there [m]."""
-    # Only those that lie farthest are sorted: to sort them all takes four times as long as all of this.
+    """Return the arc length [m] up to which the bodies have a total volume of `behind`."""
+    # Sort only the farthest bodies: sorting all of them takes four times as long as this whole function.
     far = len(s) // FARTHEST
     last = np.argpartition(s, len(s) - far)[len(s) - far :] if far else np.arange(len(s))
     before = float(volume.sum() - volume[last].sum()) if far else 0.0
@@ -162,13 +168,15 @@ def _front(s: np.ndarray, volume: np.ndarray, behind: float) -> float:
 
 
 def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[float, float, float]) -> dict[str, float]:
-    """What friction takes along a pipe, from a table of stations; weight is left out.
+    """Return the friction losses along a pipe from a table of stations, after subtraction of the weight.
 
-    Of a straight pipe the gradient [Pa/m] and wall stress [Pa]; else those of the straight stretches before and behind
-    the middle, by lines through what lies a radius off their ends; what the stress along the pipe loses between these
-    lines over the middle [Pa]; and that over what a straight pipe would take there. Friction rises with pressure, so
-    that of the straight pipe is the logarithmic mean of 4 tau / d at both ends of the middle, which is exact where it
-    rises linearly. `flux_ratio` is what leaves over what enters, by solid volume. Empty where too few slices are full.
+    For a straight pipe these are the gradient [Pa/m] and the wall stress [Pa]. Otherwise they are the same for the
+    straight stretches before and behind the middle, by line fits that leave out one radius at their ends. In addition,
+    `middle_loss` [Pa] is the axial stress lost over the middle between these lines, and `middle_ratio` is that loss
+    divided by the loss in a straight pipe of the same length. Friction rises with pressure, so the straight pipe's
+    gradient is the logarithmic mean of 4 tau / d at both ends of the middle, which is exact if friction rises linearly
+    with pressure. `flux_ratio` is the solid volume flux downstream divided by that upstream. Results for which too few
+    slices are full are left out.
     """
     s = stations.places
     slope = table["bulk_density"] * (stations.axis.at(s)[1] @ np.array(gravity))
@@ -206,12 +214,12 @@ def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[floa
 
 @dataclass
 class _Straight:
-    """Lines through what stations of a straight stretch have, over the arc length; means."""
+    """Line fits over arc length of the measurements in a straight stretch, and means."""
 
     stress: np.ndarray
     shear: np.ndarray
     mean: float
-    """Of the stress on the wall [Pa]."""
+    """Mean wall stress [Pa]."""
     flux: float
 
 
@@ -221,7 +229,7 @@ def _logarithmic_mean(a: float, b: float) -> float:
 
 @dataclass(frozen=True)
 class Seen:
-    """What is measured by: arrays on the host, which on a CPU are the run's own."""
+    """Host copies of the arrays that a measurement reads; on a CPU they are the run's own arrays."""
 
     model: Model
     chunks: list[int] | None
@@ -232,7 +240,7 @@ class Seen:
 
 
 def seen_of(model: Model, state: State) -> Seen:
-    """A state as it is now, with the forces of all contacts."""
+    """Return the arrays of a state as it is now, with the forces of all contacts."""
     _probe(model, state)
     arrays = {path: attrgetter(path)(state) for path in SEEN}
     arrays |= zip(("pair pushes", "wall pushes", "wall arms"), _arrays(state))
@@ -240,7 +248,7 @@ def seen_of(model: Model, state: State) -> Seen:
 
 
 class _Spheres:
-    """Spheres of a state, those of a plug left out of what fills the pipe, in the order of permanent numbers."""
+    """Spheres of a state in the order of permanent numbers; spheres of a plug do not count as filling the pipe."""
 
     def __init__(self, seen: Seen, axis: Axis) -> None:
         self.order = np.argsort(seen["spheres.id"])
@@ -251,7 +259,7 @@ class _Spheres:
         self.tangent = axis.at(self.s)[1]
         self.apart = np.linalg.norm(self.centre - self.nearest, axis=1)
         self.solid = seen["bodies.group"][body] == 0
-        # Overlaps inside a clump count once: its spheres share its volume by their own.
+        # Overlaps inside a clump count once, so its spheres share its volume in proportion to their own volumes.
         own = self.radius**3
         whole = np.bincount(body, own, len(seen["bodies.size"]))[body]
         size = seen["bodies.size"].astype(float)[body]
@@ -262,16 +270,17 @@ class _Spheres:
         self.middle = seen["bodies.position"].astype(float)
 
     def filled(self, edges: np.ndarray, travel: float) -> np.ndarray:
-        """Which slices lie between a piston that has gone so far [m] and the front, shape (slices,)."""
+        """Return a mask of the slices between a piston at `travel` [m] and the front, shape (slices,)."""
         return _between(edges, travel, self.s, self.share)
 
     def in_slices(self, edges: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Sums over slices of columns (n, k), each times the solid volume of a sphere in a slice [m3], which planes
-        across the axis cut; shape (slices, k).
+        """Return sums over slices of columns (n, k), shape (slices, k), weighted with solid volume [m3].
+
+        The weight is the part of a sphere's solid volume inside the slice, which planes across the axis cut out.
         """
         found = np.zeros((len(edges) - 1, columns.shape[1]))
         for here, slices in _reached(self.s - self.radius, self.s + self.radius, edges):
-            # Part of a sphere's volume below planes z radii above its centre.
+            # Fraction of a sphere's volume below a plane that is z radii above its centre.
             z = [np.clip((edges[slices + k] - self.s[here]) / self.radius[here], -1, 1) for k in (0, 1)]
             below, under = (0.25 * (2 + 3 * height - height**3) for height in z)
             volume = self.share[here] * (under - below)
@@ -280,7 +289,7 @@ class _Spheres:
         return found
 
     def wall_shear(self, stations: Stations, seen: Seen) -> np.ndarray:
-        """Force along the wall against the flow, in each slice [N]."""
+        """Return the force along the wall against the flow in each slice [N], shape (slices,)."""
         push, arm, wall = _wall_pushes(seen, self.order)
         total = np.zeros(len(stations.edges) - 1)
         number = [w.name for w in seen.model.walls].index(stations.wall)
@@ -288,7 +297,7 @@ class _Spheres:
             here = (wall[:, slot] == number) & self.solid & np.any(arm[:, slot] != 0, axis=1)
             n = arm[here, slot] / np.linalg.norm(arm[here, slot], axis=1, keepdims=True)
             along = push[here, slot] - np.einsum("ij,ij->i", push[here, slot], n)[:, None] * n
-            # Along the wall: of a cone's, that is not along the axis.
+            # Take the direction along the wall, which in a cone is not the direction along the axis.
             way = self.tangent[here] - np.einsum("ij,ij->i", self.tangent[here], n)[:, None] * n
             way /= np.linalg.norm(way, axis=1, keepdims=True)
             drag = -np.einsum("ij,ij->i", along, way)
@@ -297,9 +306,10 @@ class _Spheres:
 
 
 def _stresses(stations: Stations, seen: Seen, spheres: _Spheres) -> np.ndarray:
-    """Sums over contacts in each slice [J]: a third of force times branch, and that along the pipe, shape (slices, 2).
+    """Return contact sums of each slice [J], shape (slices, 2): isotropic part and axial component of the stress.
 
-    Both are positive where contacts push.
+    The columns are a third of the sum of force times branch vector, and its component along the pipe. Both are
+    positive where contacts push.
     """
     edges, axis = np.array(stations.edges), stations.axis
     body_s = axis.along(spheres.middle)
@@ -332,8 +342,8 @@ def _of_contacts(
 
 
 def _shared(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Sums of values (n, k) in slices (m,), where each is spread evenly from one arc length to another [m]."""
-    # A wall touches across the pipe, without any width: one that does not round away.
+    """Return sums of values (n, k) in slices (m,), each value spread evenly between two arc lengths [m]."""
+    # A wall contact across the pipe has no length along it. Give it a small one that does not vanish by rounding.
     width = np.maximum(np.abs(end - begin), 1e-6)
     low = 0.5 * (begin + end - width)
     found = np.zeros((len(edges) - 1, values.shape[1]))
@@ -346,7 +356,7 @@ def _shared(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges: np.nd
 
 
 def _reached(low: np.ndarray, high: np.ndarray, edges: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Which of some spans reach into a slice, and which slice that is: the first of each, then the second, and on."""
+    """Yield arrays of overlapping spans and slices: first each span with its first slice, then with its second, etc."""
     first, last = (np.searchsorted(edges, end, "right") - 1 for end in (low, high))
     for step in range(int(np.max(last - first, initial=-1)) + 1):
         slices = first + step
@@ -355,7 +365,7 @@ def _reached(low: np.ndarray, high: np.ndarray, edges: np.ndarray) -> Iterator[t
 
 
 def _wall_pushes(seen: Seen, order: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of spheres in an order, slot by slot: forces of walls [N], arms from their centres [m], numbers of the walls."""
+    """Return wall forces [N], arms from the sphere centres [m] and wall numbers, by sphere in `order` and by slot."""
     push, arm = (seen[name].astype(float)[order] for name in ("wall pushes", "wall arms"))
     wall = np.broadcast_to(np.arange(push.shape[1]), push.shape[:2]).copy()
     if seen.model.features.meshes:
@@ -375,7 +385,7 @@ def _arrays(state: State) -> tuple[wp.array, wp.array, wp.array]:
 
 
 def _probe(model: Model, state: State) -> None:
-    """Fill the arrays of forces."""
+    """Compute the contact forces into their arrays."""
     launched(state, "forces", lambda: _force_stages(model, state))
 
 

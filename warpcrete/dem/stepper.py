@@ -1,4 +1,4 @@
-"""Stepping: a scene's own way through a batch."""
+"""Stepper: step size, goals and bonds of one scene in a batch."""
 
 from __future__ import annotations
 
@@ -30,22 +30,23 @@ from .state import State
 from .subcycling import MARGIN, rounds_for
 from .watch import failed_body
 
-# Skin over the mean sphere radius. On a CPU the cost of a pumping step is flat from 0.3 to 0.75; a GPU steps so fast
-# that rebuilding less often pays where there are few spheres (28,000: 52, 48, 52 and 65 us a step at 0.7, 1.0, 1.4 and
-# 2.0; 100,000 and more were 2 or 3 % slower at 1.0).
+# Skin divided by the mean sphere radius. On a CPU the time of a pumping step is the same from 0.3 to 0.75. A GPU steps
+# so fast that fewer rebuilds pay off if spheres are few: 28,000 spheres take 52, 48, 52 and 65 us per step at skins of
+# 0.7, 1.0, 1.4 and 2.0. From 100,000 spheres on, 1.0 is 2 to 3 % slower than 0.7.
 SKIN = {"cpu": 0.5, "cuda": 0.7, "few": 1.0}
 FEW = 50_000
-MESH_SKIN = 4  # times the skin
+MESH_SKIN = 4  # skin of mesh candidates as a multiple of the skin of pairs
 SORT_EVERY = {"cpu": 1000, "cuda": 4000, "few": 16_000}
-"""Steps from one re-sorting of the bodies to the next, by the host: 13 to 55 builds of the lists. Few bodies are near
-to hand wherever they lie: of 28,000 spheres a step takes 1.3 us less than with 4000, and no less without any."""
+"""Steps between two re-sortings of the bodies by the host, which correspond to 13 to 55 builds of the lists. Few bodies
+fit the cache in any order: for 28,000 spheres a step takes 1.3 us less with 16,000 than with 4000, and as long as
+without sorting."""
 
 
 class Stepper:
-    """One scene of a batch: its step size, goals and bonds. Alone, it is a batch of one.
+    """One scene of a batch: its step size, goals and bonds. A single scene is a batch of one.
 
-    `reaching` is a coroutine, which `scheduling.drive` carries forward with those of other scenes; `advance` and
-    `take` drive it alone.
+    `reaching` is a coroutine, which `scheduling.drive` advances together with those of other scenes. `advance` and
+    `take` step this scene alone.
     """
 
     def __init__(
@@ -60,25 +61,26 @@ class Stepper:
         resumed: dict[str, Any] | None = None,
         among: tuple[NeighborLists, StableStep, int] | None = None,
     ) -> None:
-        """`among` are lists and estimate of a batch, and the scene's number in it; None makes a batch of one.
+        """Create a stepper in the batch of `among`, or in a batch of its own.
 
-        `resumed` is the `state_dict` of a stepper that this one goes on from; `skin` [m] and `sort_every`, steps from
-        one re-sorting to the next, are for tests.
+        `among` holds lists and estimate of a batch and the scene's number in it. `resumed` is the `state_dict` of a
+        stepper from which this one continues. `skin` [m] and `sort_every` (steps between two re-sortings) are for
+        tests.
         """
         self.model, self.state, self.time_step = model, state, time_step
         if among is None:
             batch = Batch([model], [state], threads=threads)
             among = NeighborLists(batch), StableStep(batch), 0
             load_kernels(*among[:2])
-        self.running = False  # until then an unstable fixed step is bad input, later an instability
+        self.running = False  # an unstable fixed step is a SceneError before the run and an InstabilityError in it
         self.meanwhile: Callable[[], None] | None = None
-        """To be called once, when further steps are under way."""
+        """Deferred work of the run, to be called once while further steps are in flight."""
         self._skin, self._sort_every = skin, sort_every
         self._estimated = self._counting = False
         self._foreseen = -1.0, 0.0
         fastest = self._fastest_wall(model)
         self._wall_step = LEAP * state.smallest_radius / fastest if fastest and state.sphere_count else math.inf
-        """Longest step in which a prescribed wall goes no further than the smallest sphere may [s]."""
+        """Longest step in which a prescribed wall moves no farther than the smallest sphere may [s]."""
         self.join(*among, resumed=resumed)
 
     def join(
@@ -89,7 +91,7 @@ class Stepper:
         *,
         resumed: dict[str, Any] | None = None,
     ) -> None:
-        """Be number `index` of the batch that has these; a `state_dict` says where it goes on from."""
+        """Become scene `index` of the batch of `lists`; continue from a `state_dict` if one is given."""
         self.lists, self.stable_step, self.index = lists, stable_step, index
         self.batch, state = lists.batch, self.state
         kind = "cpu" if not self.batch.parallel else "few" if state.sphere_count < FEW else "cuda"
@@ -103,7 +105,7 @@ class Stepper:
             skin=self.skin,
             sort_every=SORT_EVERY[kind] if self._sort_every is None else self._sort_every,
             mesh_skin=self.mesh_skin,
-            # What spheres and moving meshes may go between two builds adds up to the skin.
+            # The skin is shared between the motion of spheres and the motion of meshes between two builds.
             sphere_allowance=0.5 * self.mesh_skin if moving_mesh else self.mesh_skin,
         )
         if resumed is not None:
@@ -111,7 +113,8 @@ class Stepper:
                 self._estimated = True
                 self.batch.estimated(index, self.steps - int(resumed["since_estimate"]))
             self.batch.subcycles.load_state_dict(index, resumed["subcycles"])
-        stale = bool(self.batch.host_flags()[index, int(STALE)])  # estimates come after new lists, and after sorting
+        # A run that was not interrupted rebuilds stale lists, and sorts, before the next estimate; do the same here.
+        stale = bool(self.batch.host_flags()[index, int(STALE)])
         if resumed is None or stale or index in self.batch.rechunked:
             self.rebuild()
         else:
@@ -119,7 +122,7 @@ class Stepper:
             self.batch.ahead.joined(index, self.steps)
 
     def state_dict(self) -> dict[str, Any]:
-        """What a stepper needs, besides the state, to go on as this one would."""
+        """Return what a stepper needs, in addition to the state, to continue in the same way."""
         return {
             "skin": self.skin,
             "since_estimate": self._since_estimate(),
@@ -142,16 +145,16 @@ class Stepper:
         return self.state.dt
 
     def change(self, **settings: float) -> None:
-        """Change `local_damping`, `growth_rate`, `growth_end` or `held` (walls that stand still) from now on."""
+        """Change `local_damping`, `growth_rate`, `growth_end` or `held` (1: walls stand still) from now on."""
         self.batch.set(self.index, **settings)
 
     def rebuild(self) -> None:
-        """Build the lists anew."""
+        """Rebuild the neighbour lists of this scene."""
         self.batch.outdate([self.index])
         self.lists()
 
     def bond(self, bonds: Bonds, kind: int, group: int = -1) -> int:
-        """Bond pairs within `bonds.gap` (inside a `group` only, if given); returns how many of `kind` there are."""
+        """Bond pairs within `bonds.gap` (only inside `group`, if given); return the number of bonds of `kind`."""
         self.batch.set(self.index, skin=max(self.skin, 1.001 * bonds.gap))
         self.rebuild()
         made = make_bonds(self.model, self.state, bonds, kind, group)
@@ -161,7 +164,7 @@ class Stepper:
         return made
 
     def hydrate(self, old: int, new: int, fraction: float, seed: int) -> int:
-        """Give a random part of the bonds of kind `old` the properties of kind `new`; returns how many have them."""
+        """Change a random fraction of the bonds of kind `old` to kind `new`; return how many have kind `new`."""
         self._estimated = False
         made = reassign_bonds(self.model, self.state, old, new, fraction, seed)
         if self.batch.features.subcycling and made:
@@ -169,7 +172,7 @@ class Stepper:
         return made
 
     def stand(self) -> float:
-        """Put in the scene's rest, with bonds and layer as after it; returns the travel from which slip counts [m]."""
+        """Apply the scene's rest to bonds and wall layer; return the travel from which slip counts [m]."""
         scene, model, batch = self.model.scene, self.model, self.batch
         assert scene.rest is not None
         if scene.bonds is not None:
@@ -182,21 +185,21 @@ class Stepper:
         return begun
 
     def wear_from(self, begun: float) -> None:
-        """Let the layer have what it gained at rest, less what slip since a travel of `begun` [m] took."""
+        """Give the wall layer its gain from the rest, minus the wear by slip since a travel of `begun` [m]."""
         if self.batch.structure is not None:
             self.batch.structure.grow(self.index, begun)
 
     def _choose_rounds(self) -> None:
-        """Step hydrated bonds in as many rounds as they need within a step of all else."""
+        """Choose the number of rounds in which hydrated bonds are sub-cycled within a step."""
         subcycles, step = self.batch.subcycles, self.time_step
         subcycles.collect(self.index)
-        all_else = self.estimate()  # as long as there are no rounds
+        all_else = self.estimate()  # an estimate without hydrated bonds, as long as they have no rounds
         dt = step.fixed or min(step.safety * PART * all_else, step.largest)
         ratio = MARGIN * dt / (step.safety * subcycles.stable_step(self.index))
         subcycles.set_rounds(self.index, step.rounds or rounds_for(ratio))
 
     def restart_clock(self) -> None:
-        """Set time, step count and the walls' records to zero; the next kick is a half one."""
+        """Set time, step count and the walls' records to zero; the next step begins with half a kick (leapfrog)."""
         state = self.state
         self.batch.device_changed()
         clock = state.scenes.clock.numpy()
@@ -222,7 +225,7 @@ class Stepper:
         spheres.velocity.assign(velocity)
 
     def estimate(self) -> float:
-        """The stable step as things are now, without safety factor [s]; infinite for a state without bodies."""
+        """Return the current stable step without safety factor [s]; infinite for a state without bodies."""
         self._set_step()
         self.stable_step(self.index)
         return self.state.stable_step if self.state.body_count else math.inf
@@ -241,7 +244,10 @@ class Stepper:
         )
 
     def choose_dt(self) -> float:
-        """Estimate the stable step and set the size of the next steps [s]."""
+        """Estimate the stable step, set the size of the next steps and return that size [s].
+
+        Raises :class:`InstabilityError`, or before the run :class:`SceneError`, if a fixed step is not stable.
+        """
         fixed = self.time_step.fixed
         stable = self.estimate()
         dt = self.dt
@@ -277,17 +283,17 @@ class Stepper:
         return max(speeds.values(), default=0.0)
 
     def _since_estimate(self) -> float:
-        """Steps taken since the stable step was estimated; infinite where it must be anew."""
+        """Return the number of steps since the last estimate; infinite if a new estimate is required."""
         if not self._estimated:
             return math.inf
         flags = self.batch.host_flags()[self.index]
         return float(flags[int(STEPS)] - flags[int(ESTIMATED)])
 
     def reaching(self, goal: Until | Steps) -> Coroutine:
-        """Coroutine that gets to a goal: a time, to within one step, or a number of steps of the present size.
+        """Advance to a goal: a time, reached to within one step, or a number of steps of the current size.
 
-        It yields when the batch has something to work for, and goes on when the scene has halted because it is there,
-        or because its stable step must be estimated and no device has done that.
+        The coroutine yields while the batch must step. It continues once the scene has halted, because it has reached
+        the goal or because its stable step must be estimated and the device has not done that itself.
         """
         if isinstance(goal, Steps):
             yield from self._taking(goal.count)
@@ -311,7 +317,7 @@ class Stepper:
             yield
 
     def wants_estimate(self) -> bool:
-        """Whether, having taken so many steps, it will estimate the stable step before it takes others."""
+        """Return whether a scene that has taken a number of steps will estimate the stable step before more steps."""
         self._set_step()
         return self._counting and self._since_estimate() >= self.time_step.interval
 
@@ -320,7 +326,7 @@ class Stepper:
         drive_one(self, self._wanting(Until(until)))
 
     def take(self, count: int) -> None:
-        """Take `count` steps of the present size."""
+        """Take `count` steps of the current size."""
         drive_one(self, self._wanting(Steps(count)))
 
     @staticmethod
@@ -328,7 +334,7 @@ class Stepper:
         yield goal
 
     def trouble(self, flags: np.ndarray) -> Exception | None:
-        """What a scene's flags complain about."""
+        """Return the exception that a scene's flags call for, or None."""
         failed = int(flags[int(FAILED)])
         if failed < 0:
             wall = self.model.walls[-1 - failed].name
@@ -346,7 +352,7 @@ class Stepper:
         return None
 
     def reached(self, flags: np.ndarray) -> bool:
-        """Whether a scene with these flags is where it wanted to be, or must be looked after."""
+        """Return whether a scene with these flags has halted at its goal or for an estimate of the stable step."""
         return int(flags[int(HALTED)]) == int(ARRIVED)
 
 
@@ -358,7 +364,7 @@ def steppers_of(
     resumed: list[dict[str, Any] | None] | None = None,
     threads: int = 1,
 ) -> list[Stepper]:
-    """Steppers of scenes that share one batch; :func:`warpcrete.dem.batch.batch_key` tells which may."""
+    """Return steppers of scenes that share a batch; their :func:`warpcrete.dem.batch.batch_key` must be equal."""
     batch = Batch(models, states, threads=threads)
     among = NeighborLists(batch), StableStep(batch)
     load_kernels(*among)

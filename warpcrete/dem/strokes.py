@@ -1,4 +1,4 @@
-"""What pressure does from one stroke of a piston to the next: peaks, what is held at a stop, the restart."""
+"""Pressure over the strokes of a piston: peaks, the pressure held at a stop, and the restart."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from ..geometry.walls import Stops
 from .scene import PipeUnit
 
 HELD = 0.5
-"""Part of a pause, at its end, over which the pressure that stays is averaged."""
+"""Final fraction of a pause over which the held pressure is averaged."""
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """Samples of one stroke, and of the pause behind it, by a series' rows."""
+    """Samples of one stroke and of the pause after it."""
 
     moving: np.ndarray
-    """Shape (samples,), True where the piston has begun this stroke and not yet stopped."""
+    """Mask of the samples, shape (samples,): True from the start of the stroke to its stop."""
     held: np.ndarray
-    """True in the last part of the pause behind it; nowhere where there is none."""
+    """Mask of the samples in the final part of the pause after the stroke; all False without a pause."""
 
 
 def strokes_of(pipe: PipeUnit | None, time: np.ndarray) -> list[Stroke]:
-    """Strokes that have begun at the samples `time` [s], shape (samples,); none where the piston never stops."""
+    """Return the strokes that have begun at the samples `time` (samples,) [s]; none if the piston never stops."""
     if pipe is None or pipe.stops is None:
         return []
     stops, found = pipe.stops, []
     for number in range(stops.count + 1):
         begin = number * stops.period
         stop, end = _stop(stops, number)
-        # A row's pressure is the mean since the row before: that at the stop belongs to the stroke.
+        # A row's pressure is the mean since the previous row, so the row at the stop belongs to the stroke.
         moving = (time > begin + 1e-9) & (time <= stop + 1e-9)
         if number == 0:
             moving |= time == 0
@@ -44,7 +44,7 @@ def strokes_of(pipe: PipeUnit | None, time: np.ndarray) -> list[Stroke]:
 
 
 def _stop(stops: Stops, number: int) -> tuple[float, float]:
-    """When the piston stops after a stroke, and when it starts again [s]."""
+    """Return when the piston stops after a stroke and when it starts again [s]."""
     if number == stops.count:
         return np.inf, np.inf
     begin = number * stops.period
@@ -52,12 +52,12 @@ def _stop(stops: Stops, number: int) -> tuple[float, float]:
 
 
 def peaks(pipe: PipeUnit | None, series: Mapping[str, np.ndarray]) -> list[float]:
-    """Largest pressure of each stroke [Pa]."""
+    """Return the largest pressure of each stroke [Pa]."""
     return [float(series["pressure"][each.moving].max()) for each in strokes_of(pipe, series["time"])]
 
 
 def held(pipe: PipeUnit | None, series: Mapping[str, np.ndarray]) -> list[float]:
-    """Mean pressure over the last half of each pause [Pa]; NaN for one that has no sample there."""
+    """Return the mean pressure over the last half of each pause [Pa]; NaN for a pause without samples there."""
     pressure = series["pressure"]
     return [
         float(pressure[each.held].mean()) if each.held.any() else float("nan")
@@ -66,7 +66,7 @@ def held(pipe: PipeUnit | None, series: Mapping[str, np.ndarray]) -> list[float]
 
 
 def stroke_table(pipe: PipeUnit, series: Mapping[str, np.ndarray]) -> dict[str, dict[str, Any]]:
-    """Peak of each stroke that has begun, by its number, and the pressure held in the pause behind it."""
+    """Return the peak of each stroke that has begun and the pressure held in the pause after it, by stroke number."""
     table: dict[str, dict[str, Any]] = {}
     tops, holds = peaks(pipe, series), held(pipe, series)
     for number, top in enumerate(tops):

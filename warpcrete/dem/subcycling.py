@@ -1,4 +1,9 @@
-"""Stiff bonds in rounds of their own within a step: which pairs and bodies, how many rounds, and their stages."""
+"""Sub-cycling of stiff bonds: hydrated bonds and their bodies take several rounds within a step of all other contacts.
+
+This is a form of multiple time stepping. The forces of all other contacts stay constant during the rounds of a step;
+`kernels/dem/subcycling.py` explains the method. This module keeps the list of sub-cycled pairs and bodies, the number
+of rounds, and the stages.
+"""
 
 from __future__ import annotations
 
@@ -19,41 +24,48 @@ from .probes import listed_pairs
 from .state import pair_bytes
 
 MARGIN = 1.1
-"""Over the step at the start: so far it may grow before rounds bound it."""
+"""Allowed growth of the step, as a factor on its initial size, before sub-cycling rounds limit it."""
 ROUND_BLOCK = 128
-"""Threads of a GPU's block that takes all rounds of a step."""
+"""Threads per block of the GPU kernel that takes all rounds of a step."""
 RESIDENT = 2
-"""Such blocks that a multiprocessor has room for, whatever registers they take."""
+"""Number of blocks of that kernel that always fit on one multiprocessor, however many registers a block needs."""
 OF_BODIES = ("position", "orientation")
-"""Arrays of the bodies that the next step depends on, beside those of the state."""
+"""Arrays of the sub-cycled bodies on which the next step depends, in addition to the state."""
 OF_ENDS = ("force", "torque")
-"""Likewise of the ends of pairs."""
+"""Arrays with a row for each end of a sub-cycled pair, on which the next step depends."""
 BODY_ARRAYS = (
     "body_scene", "body_number", "place", "mass", "inertia", "rounding", "velocity", "spin", "angular_momentum",
     "other_force", "other_torque", *OF_BODIES,
 )  # fmt: skip
-"""Arrays with a row for each body that has such pairs; `OF_ENDS` have two for each pair, most others one."""
+"""Arrays with one row per sub-cycled body; the arrays in `OF_ENDS` have two rows per pair, most others one."""
 
 
 def rounds_for(ratio: float) -> int:
-    """Rounds of a step that is so many times what stiff bonds alone, without their dashpots, can stand."""
+    """Return the number of rounds for a step that is `ratio` times the stable step of undamped stiff bonds.
+
+    Stiff bonds have dashpots with a relaxation time of RELAXATION times the step. A round of 1/n of the step is then
+    stable if n^2 >= ratio^2 (1 + RELAXATION n); the result is the smallest such whole number.
+    """
     damped = 0.5 * RELAXATION * ratio * ratio
     return max(1, math.ceil(damped + math.hypot(damped, ratio)))
 
 
 def round_blocks(count: int, multiprocessors: int, abreast: int) -> int:
-    """Blocks that take the rounds of so many pairs or bodies: all of as many batches have room at once."""
+    """Return the number of GPU blocks for the rounds of `count` pairs or bodies, with `abreast` batches at a time.
+
+    The blocks wait for each other after every round, so the blocks of all these batches must be resident together.
+    """
     return max(1, min(-(-count // ROUND_BLOCK), RESIDENT * multiprocessors // abreast))
 
 
 class Subcycles:
-    """Pairs of a batch that are stepped in rounds, in the order of their spheres' permanent numbers."""
+    """Sub-cycled pairs of a batch, in the order of their spheres' permanent numbers."""
 
     arrays: Any
-    """A struct `Subcycled`."""
+    """Arrays of sub-cycled pairs and bodies, a struct `Subcycled`."""
 
     def __init__(self, batch: Any) -> None:
-        """`batch` is the :class:`Batch` that has this."""
+        """Create the sub-cycling of a :class:`Batch`, at first without pairs."""
         self.batch = batch
         self._of_scene: list[dict[str, np.ndarray]] = [{} for _ in range(batch.count)]
         self._rounds = np.zeros(batch.count, dtype=np.int32)
@@ -63,12 +75,12 @@ class Subcycles:
 
     @property
     def rounds(self) -> int:
-        """Rounds of the scene that has most."""
+        """Largest number of rounds of any scene."""
         return int(self._rounds.max(initial=0))
 
     @property
     def abreast(self) -> int:
-        """Batches whose rounds a GPU may have at the same time."""
+        """Number of batches that may run their rounds on the GPU at the same time."""
         return self._abreast
 
     @abreast.setter
@@ -78,7 +90,7 @@ class Subcycles:
             self.batch.invalidate_graphs()
 
     def collect(self, s: int) -> None:
-        """Take the hydrated bonds that scene `s` has now; no other scene changes."""
+        """Collect the current hydrated bonds of scene `s`; other scenes do not change."""
         state = self.batch.states[s]
         i, j, place = listed_pairs(state)
         held = bond_kinds(state.pairs.bond.numpy()[place]) == int(HYDRATED)
@@ -89,30 +101,30 @@ class Subcycles:
         self._take(s, {"lower": pairs[0], "higher": pairs[1]})
 
     def set_rounds(self, s: int, rounds: int) -> None:
-        """Step the pairs of scene `s` in so many rounds."""
+        """Set the number of rounds in which the pairs of scene `s` are stepped."""
         self._rounds[s] = rounds
         self.arrays.rounds.assign(self._rounds)
         self.batch.invalidate_graphs()
 
     def stable_step(self, s: int) -> float:
-        """Of these pairs alone, as last estimated, without safety factor [s]."""
+        """Return the latest estimate of the stable step of these pairs alone, without safety factor [s]."""
         return float(self.arrays.stable.numpy()[s])
 
     # Checkpoints.
 
     def state_dict(self, s: int) -> dict[str, Any]:
-        """What the next step of scene `s` depends on; empty without such pairs."""
+        """Return what the next step of scene `s` depends on; empty if the scene has no such pairs."""
         found = self._values(s)
         return {**found, "rounds": int(self._rounds[s])} if found else {}
 
     def load_state_dict(self, s: int, found: dict[str, Any]) -> None:
-        """Go on from a `state_dict`."""
+        """Continue from a `state_dict`."""
         if found:
             self._rounds[s] = found["rounds"]
             self._take(s, {name: found[name] for name in ("lower", "higher", *OF_BODIES, *OF_ENDS)})
 
     def _values(self, s: int) -> dict[str, np.ndarray]:
-        """Values on the device of the pairs of a scene, and of its bodies that have some."""
+        """Return the current device values of a scene's sub-cycled pairs and bodies."""
         if not self._of_scene[s]:
             return {}
         pairs = self._of_scene[s]
@@ -136,7 +148,7 @@ class Subcycles:
     # Arrays.
 
     def _join(self) -> None:
-        """Arrays of all scenes, one after the other."""
+        """Create the joint arrays of all scenes."""
         b = self.batch
         self._pairs = [len(each.get("lower", ())) for each in self._of_scene]
         rows = [self._rows(s) for s in range(b.count)]
@@ -144,7 +156,7 @@ class Subcycles:
         first_pair = np.concatenate([[0], np.cumsum(self._pairs)])
         ref = np.concatenate([ref + 2 * first for (_, _, ref), first in zip(rows, first_pair)])
         counts = np.concatenate([counts for _, counts, _ in rows])
-        # Of both ends of each pair: the row of the body, and the row among all ends, body by body.
+        # For both ends of each pair: the row of the body, and the row in the list of all ends sorted by body.
         ends = np.stack([np.repeat(np.arange(len(counts)), counts)[np.argsort(ref)], np.argsort(ref)], axis=1)
         given: dict[str, Any] = {
             "rounds": self._rounds,
@@ -180,19 +192,20 @@ class Subcycles:
         self._body_place = wp.zeros(b.body_count if self.pair_count else 0, dtype=wp.int32, device=b.device)
 
     def _rows(self, s: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Permanent numbers of a scene's bodies with such pairs, how many each has, and which."""
+        """Return a scene's sub-cycled bodies by permanent number, the number of pair ends of each, and these ends."""
         pairs = self._of_scene[s]
         if not pairs:
             return np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros(0, dtype=int)
         state = self.batch.states[s]
         body_of = np.empty(state.sphere_count, dtype=int)
         body_of[state.spheres.id.numpy()] = state.bodies.id.numpy()[state.spheres.body.numpy()]
-        ends = body_of[np.stack([pairs["lower"], pairs["higher"]], axis=1).ravel()]  # pair by pair, as `ref` counts
+        # Keep the two ends of each pair next to each other, as `ref` numbers them.
+        ends = body_of[np.stack([pairs["lower"], pairs["higher"]], axis=1).ravel()]
         number, counts = np.unique(ends, return_counts=True)
         return number, counts, np.argsort(ends, kind="stable")
 
     def _place_bodies(self, s: int, number: np.ndarray) -> None:
-        """Where bodies that have just come to have such pairs are; no force yet."""
+        """Set positions of bodies that have just become sub-cycled from the state, and the forces on them to zero."""
         bodies, found = self.batch.states[s].bodies, self._of_scene[s]
         where = np.argsort(bodies.id.numpy())[number]
         for name in OF_BODIES:
@@ -203,12 +216,12 @@ class Subcycles:
     # Launches.
 
     def locate(self) -> None:
-        """Find everything again, after a rebuild of the lists."""
+        """Look up the list entries and rows of all sub-cycled pairs and bodies after a rebuild of the lists."""
         for stage in self.locating():
             stage()
 
     def locating(self) -> list[Stage]:
-        """What does that; nothing where no pair is stepped in rounds."""
+        """Return the stages that look up pairs and bodies; empty if no pair is sub-cycled."""
         return self._locating() if self.pair_count else []
 
     def _locating(self) -> list[Stage]:
@@ -227,14 +240,14 @@ class Subcycles:
         ]
 
     def kernels(self) -> list[Any]:
-        """Stages with all that it launches."""
+        """Return stages with all kernels of the sub-cycling, so that they can be compiled."""
         if not self.batch.features.subcycling:
             return []
         rounds = self._round(0, 0) if self.batch.features.half_list else [self._all_rounds()]
         return [*self._locating(), *rounds, self._foreseeing(0)]
 
     def stages(self, part: int) -> list[Any]:
-        """Rounds of a step, a thread's part of them."""
+        """Return one thread's stages for the rounds of a step."""
         if not self.batch.features.half_list:
             return [self._all_rounds(), self._foreseeing(part)]
         meet = self.batch.barrier()
@@ -242,7 +255,7 @@ class Subcycles:
         return [each for stage in (*rounds, self._foreseeing(part)) for each in (stage, *meet)]
 
     def _all_rounds(self) -> Stage:
-        """Those of a GPU, whose blocks must all have room at once."""
+        """Return the GPU's single stage for all rounds of a step; its blocks must all be resident together."""
         b, f = self.batch, self.batch.features
         count = max(self.pair_count, self.body_count)
         blocks = round_blocks(count, b.device.sm_count, self.abreast) if b.device.is_cuda else 1
@@ -266,7 +279,7 @@ class Subcycles:
         return self._stage(foreseeing_kernel(b.scalar, f.meshes, f.half_list, f.dissipation), part, self.body_count)
 
     def _stage(self, kernel: Any, part: int, count: int, **named: int) -> Stage:
-        """A launch over a thread's part of so many pairs or bodies."""
+        """Return a launch over one thread's share of `count` pairs or bodies."""
         b = self.batch
         first, last = count * part // b.threads, count * (part + 1) // b.threads
         tasks = -(-(last - first) // SPAN) if b.features.half_list else last - first

@@ -1,4 +1,4 @@
-"""What there is to choose in testing fresh concrete in a vessel by discrete elements, and what it makes of that."""
+"""Parameters of discrete element tests of fresh concrete in a vessel, and the contact laws that follow from them."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from .sizes import Gaussian, Sizes, Uniform
 
 LAWS = ("linear", "bonds", "mortar", "plastic", "rolling")
 STIFF = {"mortar": 1e6, "plastic": 1e6}
-"""Modulus where a law needs another than Zhan's 1e5 Pa [Pa]: cores of mortar's spheres must be stiffer than shells."""
+"""Contact modulus [Pa] of laws that cannot use Zhan's 1e5 Pa: mortar needs cores that are stiffer than its shells."""
 DENSE = {"mortar": 0.66, "plastic": 0.66}
-"""Solid fraction where a law needs another than LOOSE: shells overlap all around."""
+"""Solid fraction of packings by law, where it is not LOOSE: the shells of mortar must overlap on all sides."""
 LOOSE = 0.6
 RUBBING = {"mortar": 0.0, "plastic": 0.0, "rolling": 0.5}
-"""Friction where a law needs another than Zhan's 0.05: spheres that cannot roll must not slide either."""
+"""Friction coefficient by law, where it is not Zhan's 0.05: spheres that resist rolling must not slide instead."""
 CONTACTS = 6.9
-"""Touching neighbours of a sphere in such a packing of mortar's, shells included, measured: 6.7 to 6.9."""
+"""Touching neighbours of a sphere in a packing of mortar spheres, shells included; measured 6.7 to 6.9."""
 
 WITH_BONDS = Needs("law", lambda law: law == "bonds", "is bonds")
 WITH_MORTAR = Needs("law", lambda law: law in ("mortar", "plastic"), "is mortar or plastic")
@@ -42,7 +42,10 @@ BY_ITSELF = Needs("bulk_density", lambda bulk: bulk is None, "is not given")
 
 @dataclass(frozen=True, kw_only=True)
 class GrainParameters:
-    """Grains."""
+    """Grains.
+
+    Sizes and density of the grains, and how densely they are packed.
+    """
 
     sizes: Annotated[str, "Size distribution: gaussian (mean at the middle, standard deviation half of the range) or "
                           "uniform",
@@ -66,7 +69,10 @@ class GrainParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class LawParameters:
-    """Contacts."""
+    """Contacts.
+
+    Contact law between grains with its parameters, and the grip of plate and mould.
+    """
 
     law: Annotated[
         str,
@@ -133,7 +139,10 @@ class LawParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class VesselRun(Declared):
-    """Run."""
+    """Run.
+
+    Duration and settings of the computation.
+    """
 
     duration: Annotated[float, "Longest simulated time; the run ends earlier when the concrete rests [s]", Above()] = (
         10.0
@@ -162,11 +171,11 @@ class VesselRun(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
-    """What the tests of fresh concrete have in common."""
+    """Parameters that all tests of fresh concrete in a vessel have in common."""
 
     HOLDING: ClassVar[dict[str, float]] = {}
-    """Grip of the mould where a law has another than 0: of a funnel that does not hold it, mortar falls out in the same
-    two seconds whatever its viscosity."""
+    """Default grip of the mould by law, where it is not 0. Without grip, mortar falls out of a funnel in two seconds
+    whatever its viscosity."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -183,7 +192,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 
     @property
     def stiffness(self) -> float:
-        """Modulus of the contacts of the scene's own laws [Pa]."""
+        """Effective modulus of the contacts in the scene's own laws [Pa]."""
         return self.modulus if self.modulus is not None else STIFF.get(self.law, 1e5)
 
     @property
@@ -193,24 +202,24 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 
     @property
     def rubbing(self) -> float:
-        """Friction between grains."""
+        """Coefficient of friction between grains."""
         return self.friction if self.friction is not None else RUBBING.get(self.law, 0.05)
 
     @property
     def holding(self) -> float:
-        """Grip of the mould, of what the plate has at most unless it was given."""
+        """Grip of the mould, a factor on the grains' friction and yield stress; by default no more than the plate's."""
         if self.mould_grip is not None:
             return self.mould_grip
         return min(self.HOLDING.get(self.law, 0.0), self.plate_grip)
 
     @property
     def is_gripped(self) -> bool:
-        """Whether the law resists sliding or rolling by fields that a grip multiplies."""
+        """True if the law resists sliding or rolling by fields that a grip can multiply."""
         law = self.grain_law()
         return law.gripped(0.5) != law
 
     def grain_law(self) -> ContactLaw:
-        """Law between grains."""
+        """Return the contact law between grains."""
         if self.contact is not None:
             return self.contact
         linear = Contact(
@@ -224,12 +233,12 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         return linear
 
     def wall_laws(self) -> dict[tuple[str, str], ContactLaw]:
-        """Laws with the materials `plate` and `mould`."""
+        """Return the contact laws of grains with the materials `plate` and `mould`."""
         grips = {"plate": self.plate_grip, "mould": self.holding}
         return {("aggregate", name): self.grain_law().gripped(grip) for name, grip in grips.items()}
 
     def bonds(self) -> Bonds | None:
-        """Bonds between grains."""
+        """Return the bonds between grains, or None if the law has none."""
         if self.law != "bonds":
             return None
         return Bonds(
@@ -238,7 +247,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         )  # fmt: skip
 
     def fill(self, inside: Solid) -> Fill:
-        """The concrete in a closed solid."""
+        """Return the fill of concrete in a closed solid."""
         return Fill(
             container=MeshContainer(inside.trimesh()),
             sizes=self.distribution(),
@@ -249,14 +258,14 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         )
 
     def distribution(self) -> Sizes:
-        """Of the grains' diameters."""
+        """Return the size distribution of the grains."""
         if self.sizes == "uniform":
             return Uniform(self.size_min, self.size_max)
         middle, half = 0.5 * (self.size_min + self.size_max), 0.5 * (self.size_max - self.size_min)
         return Gaussian(middle, max(half, 1e-6 * middle), self.size_min, self.size_max)
 
     def settings(self) -> dict[str, Any]:
-        """Arguments of a scene that say how it is computed, and what carries the concrete."""
+        """Return the arguments of a scene for duration, contact laws, bonds, time step and output."""
         return {
             "duration": self.duration,
             "contact": self.grain_law(),
@@ -274,10 +283,10 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 
 
 def sheared() -> tuple[float, float, float]:
-    """Of contacts in all directions n, in a simple shear of rate 1 whose rate of strain is D: means of |D n| across n,
-    of its square, and of the square of what is along n.
+    """Return three means over contacts in all directions n, in simple shear of rate 1 with strain rate tensor D.
 
-    The squares are 1/10 and 1/15; the first is a sum over directions, spread evenly (Fibonacci's).
+    They are the means of |D n| across n, of its square, and of the square of the component of D n along n. The squares
+    are 1/10 and 1/15 exactly. The first mean is a sum over directions spread evenly on a Fibonacci lattice.
     """
     count = 20_000
     z = (2 * np.arange(count) + 1) / count - 1
@@ -289,14 +298,15 @@ def sheared() -> tuple[float, float, float]:
 
 
 def mortar_law(given: VesselParameters) -> BinghamMortar:
-    """Law of contacts whose stresses add up to those of the concrete.
+    """Return a contact law whose stresses add up to the yield stress and viscosity of the concrete.
 
-    Neighbours take part in a simple shear as its mean field says. Contacts, Z/2 for each grain, act on pi d^2/4 over
-    the distance d: as many as fill 3/4 Z phi of the volume. Each loses its yield stress times what slides across its
-    normal, and viscosity over the shell times the square of that and, by Trouton's ratio, three times that of what
-    closes; the sum is what the concrete loses. Shells also pull and bend (:class:`BinghamMortar`), so that a heap
-    stands. Against closed forms slumps err by 7 to 25 % at 20 to 500 Pa, spreads by less than 7 % at 100 to 200 Pa; at
-    1000 Pa a cone stands whole where the closed form has it slump by 78 mm.
+    The derivation assumes that neighbours follow the mean flow of a simple shear. Each grain has Z/2 contacts with an
+    area of pi d^2/4 over a distance d, which together fill 3/4 Z phi of the volume. A contact dissipates its yield
+    stress times the sliding across its normal. Its viscosity over the shell thickness dissipates the square of the
+    sliding plus, by Trouton's ratio, three times the square of the closing speed. The sum equals the dissipation of
+    the concrete. Shells also pull and bend (:class:`BinghamMortar`), so that a heap can stand. Compared with closed
+    forms, slumps deviate by 7 to 25 % at 20 to 500 Pa, and spreads by less than 7 % at 100 to 200 Pa. At 1000 Pa a cone
+    stands whole, where the closed form gives a slump of 78 mm.
     """
     slides, square, closes = sheared()
     filled = 0.75 * CONTACTS * given.packed
@@ -313,11 +323,12 @@ def mortar_law(given: VesselParameters) -> BinghamMortar:
 
 
 def plastic_law(given: VesselParameters) -> PlasticMortar:
-    """The same of :class:`PlasticMortar`, whose contacts lose their yield stress times |D n|, of which the mean is pi/8
-    in a simple shear of rate 1, and viscosity over the shell times its square, 1/6.
+    """Return the law of :class:`PlasticMortar` that corresponds to :func:`mortar_law`.
 
-    The shells' tension was chosen on a heap of 1000 Pa, which slumps by 120 mm with 2.5, and stands whole with 3.5, for
-    78 mm by the closed form of a tall cone, 104 by another method; other yield stresses are predicted.
+    In a simple shear of rate 1 its contacts dissipate the yield stress times |D n|, whose mean is pi/8, and the
+    viscosity over the shell thickness times |D n|^2, whose mean is 1/6. The shells' tension was fitted on a heap of
+    1000 Pa: with 2.5 it slumps by 120 mm and with 3.5 it stands whole, where the closed form of a tall cone gives
+    78 mm and another method 104 mm. Other yield stresses are predictions.
     """
     filled = 0.75 * CONTACTS * given.packed
     return PlasticMortar(
@@ -337,8 +348,10 @@ COARSER = (2.0, 1.5, 1.25, 1.0)
 
 
 def vessel_knobs(given: VesselParameters, narrowest: float) -> Iterator[Knob]:
-    """What trades accuracy for time: grains no larger than a fourth of the `narrowest` passage [m], steps, precision,
-    stiffness."""
+    """Yield settings that trade accuracy for computing time: time step, precision, grain size and stiffness.
+
+    Grains are no larger than a quarter of the `narrowest` passage [m].
+    """
     if given.time_step is None:
         yield scaled("time step", "safety", given.safety, (2.0, 1.5, 1.0, 0.5), -1.0)
     yield precisions()
@@ -360,9 +373,9 @@ def vessel_knobs(given: VesselParameters, narrowest: float) -> Iterator[Knob]:
 
 
 BALANCED = 0.01
-"""Part of the largest impulse that may be missing in the balance of momentum."""
+"""Largest error of the momentum balance, relative to the largest impulse."""
 FEWEST = 200
-"""Grains that stand for concrete in a vessel: of fewer the outcome is that of single stones."""
+"""Fewest grains that represent concrete in a vessel; with fewer, single stones decide the outcome."""
 
 
 CURES = {
@@ -376,7 +389,7 @@ CURES = {
 
 
 def found_bad(run: Run) -> dict[str, tuple[bool, str]]:
-    """What every run in a vessel is checked for: name -> (passed, what was found)."""
+    """Return the checks of every run in a vessel by name, each as (passed, finding)."""
     result = run.result
     balance, overlap, grains = result["momentum_balance_error"], result["largest_overlap"], result["bodies"]
     return {
@@ -387,7 +400,7 @@ def found_bad(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def vessel_remarks(given: VesselParameters, what: str) -> tuple[str, ...]:
-    """What a scene simplifies."""
+    """Return the simplifications of a scene as remarks; `what` names the parts along which the concrete may slide."""
     found = []
     if given.law == "mortar":
         found.append(

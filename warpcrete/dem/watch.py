@@ -1,4 +1,4 @@
-"""Watch over a run: stops it when its state no longer means anything."""
+"""Watch over a run, which stops it when its state has become meaningless."""
 
 from __future__ import annotations
 
@@ -14,47 +14,47 @@ from .sampling import STORED
 from .state import State
 
 CALM = 0.8
-"""Of what is watched for, below which no row is expected to pass it."""
-COARSEST = 1e-3  # rounding of positions over the smallest radius; overlaps of a per cent then keep one digit
+"""Fraction of a limit below which the next row is not expected to exceed it."""
+COARSEST = 1e-3  # largest rounding of positions over the smallest radius; an overlap of 1 % then keeps one digit
 
 
 class Watch:
-    """Checks every row of the series; speed is also checked in every step, on the device.
+    """Check of every row of the series against the scene's limits; the device checks speeds in every step.
 
-    It costs a few additions a sample, since the series measures overlap and energies anyway.
+    The checks cost a few additions per sample, because the series contains overlaps and energies anyway.
     """
 
     def __init__(self, model: Model, state: State) -> None:
         self.model, self.state = model, state
         self.limits = model.scene.watch
         self.rounding = float(np.finfo(np.float64 if model.scalar is wp.float64 else np.float32).eps)
-        # Less than what lifts everything by a hundredth of the smallest radius is of no interest.
+        # Ignore energies below those that lift all bodies by a hundredth of the smallest radius.
         mass = state.total_mass
         self.floor = 0.01 * mass * float(np.linalg.norm(model.scene.gravity)) * state.smallest_radius
         self.least = math.inf
-        self.scale = 0.0  # the energy in play, at its largest so far
+        self.scale = 0.0  # largest energy in play so far [J]
 
     def state_dict(self) -> dict[str, float]:
-        """What it compares with."""
+        """Return the reference energies with which later rows are compared."""
         return {"least": self.least, "scale": self.scale}
 
     def load_state_dict(self, state: dict[str, float]) -> None:
-        """Go on from a `state_dict`."""
+        """Continue from a `state_dict`."""
         self.least, self.scale = state["least"], state["scale"]
 
     def is_calm(self, row: dict[str, float]) -> bool:
-        """Whether after such a row, which it has seen, the next will hardly raise anything."""
+        """Return whether a checked row is so far from all limits that the next row will hardly exceed one."""
         limits = self.limits
         calm = limits.overlap is None or row["deepest_overlap"] < CALM * limits.overlap
         calm = calm and self._resolution(row) < CALM * COARSEST
         return calm and (limits.energy is None or _free(row) - self.least < CALM * limits.energy * self.scale)
 
     def _resolution(self, row: dict[str, float]) -> float:
-        """To what part of the smallest sphere's radius positions are rounded."""
+        """Return the rounding of positions divided by the smallest sphere's radius."""
         return self.rounding * row["reach"] / self.state.smallest_radius if self.state.body_count else 0.0
 
     def __call__(self, row: dict[str, float]) -> None:
-        """Raises :class:`InstabilityError` naming time, body, quantity and cures."""
+        """Raise :class:`InstabilityError` if a row exceeds a limit; the message names time, body and cures."""
         time, limits = row["time"], self.limits
         broken = [name for name, value in row.items() if not math.isfinite(value)]
         if broken:
@@ -92,18 +92,18 @@ class Watch:
 
 
 def _free(row: dict[str, float]) -> float:
-    """Energy that is stored, less what walls and drives put in [J]."""
+    """Return the stored energy minus the work of walls and drives [J]."""
     return sum(row[name] for name in STORED) - (row["wall_work"] + row["drive_work"])
 
 
 def unstable(time: float, body: int, what: str, cures: str = "") -> InstabilityError:
-    """The error of a run that has become unstable."""
+    """Return the error for a run that has become unstable."""
     cures = cures or "a smaller time step (safety below 0.8), softer contacts or bonds, more damping"
     return InstabilityError(f"t = {time:.6g} s, body {body}: {what}; usual cures: {cures}")
 
 
 def failed_body(model: Model, state: State, place: int) -> InstabilityError:
-    """The error of a run that a device has stopped, for the body at a `place` of the state's arrays."""
+    """Return the error for a run that the device has stopped because of the body at index `place` of the arrays."""
     own = np.flatnonzero(state.spheres.body.numpy() == place)
     velocity, radius = state.spheres.velocity.numpy()[own, :3], state.spheres.position.numpy()[own, 3]
     body, speeds = int(state.bodies.id.numpy()[place]), np.linalg.norm(velocity, axis=1)
@@ -127,7 +127,7 @@ def failed_body(model: Model, state: State, place: int) -> InstabilityError:
 
 
 def _wall_passed(model: Model, state: State, spheres: np.ndarray, radius: np.ndarray) -> str:
-    """Name of a mesh that has the centre of one of these spheres behind it; empty if there is none."""
+    """Return the name of a mesh that one of these spheres has crossed with its centre; empty if there is none."""
     if not model.features.meshes:
         return ""
     walls, overlap = (getattr(state.slots, name).numpy()[spheres] for name in ("wall", "overlap"))

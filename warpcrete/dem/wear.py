@@ -1,7 +1,8 @@
-"""Wear of walls: what contacts did to each patch of a wall since t = 0, and how deep that wears it after Archard.
+"""Wear of walls: sliding and impacts on each patch of a wall since t = 0, and the depth worn according to Archard.
 
-Every step adds what each sphere does to each wall, without loss; at a sample that goes to the patch where the sphere
-touched last. So sums are exact, and places to within what a sphere goes between two samples.
+Every step adds the contributions of each sphere to each wall without loss. At a sample, these sums go to the patch that
+the sphere touched last. Sums are therefore exact, and places are accurate to the distance that a sphere moves between
+two samples.
 """
 
 from __future__ import annotations
@@ -21,33 +22,34 @@ from .scene import Wear
 from .state import State
 
 AROUND = 24
-"""Patches round a pipe, unless their size is given."""
+"""Default number of patches around a pipe."""
 MOST_AROUND, MOST_PATCHES = 3600, 1_000_000
 COLUMNS = ("sliding_work", "impact_loss", "load_way")
-"""Of the series and of a patch: work of sliding [J], loss of impacts [J], load times way slid [N m]."""
+"""Columns of the series and of a patch: work of sliding [J], energy lost in impacts [J], load times sliding distance
+[N m]."""
 UNITS = {"sliding_work": "J", "impact_loss": "J", "load_way": "N m"}
 HOUR = 3600.0
 SEEN = 1e-4
-"""Part of its distance by which a triangle may lie behind what a ray meets, which rounds."""
+"""Relative distance by which a triangle may lie behind the hit of a ray and still count as hit, because of rounding."""
 
 
 class Patches(ABC):
-    """A wall cut into patches."""
+    """Division of a wall into patches."""
 
     areas: np.ndarray
-    """[m2], shape (patches,); infinite for a plane without an end."""
+    """Areas of the patches [m2], shape (patches,); infinite for an unbounded plane."""
 
     @abstractmethod
     def of(self, points: np.ndarray) -> np.ndarray:
-        """Patch of each of `points` (n, 3), in the wall's frame [m]."""
+        """Return the patch number of each of `points` (n, 3), given in the wall's frame [m]."""
 
     def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Vertices (v, 3) [m], faces (f, 3) and the patch of each vertex (v,); None where nothing is drawn."""
+        """Return vertices (v, 3) [m], faces (f, 3) and each vertex's patch (v,), or None if the wall is not drawn."""
         return None
 
 
 class PlanePatch(Patches):
-    """A plane, whole."""
+    """A plane as a single patch."""
 
     def __init__(self, wall: PlaneWall) -> None:
         self._wall = wall
@@ -62,10 +64,10 @@ class PlanePatch(Patches):
 
 
 class PipePatches(Patches):
-    """Stations along a pipe times places around it, in rows of stations.
+    """Patches of a pipe: stations along the pipe times places around it, numbered station by station.
 
-    The angle counts from the outside of its bends (their plane, away from the centre), or from a normal of a straight
-    pipe's axis, towards the side.
+    The angle counts from the outside of the pipe's bends (in their plane, away from the centre), or from a normal of a
+    straight pipe's axis.
     """
 
     def __init__(self, wall: PipeWall, side: float | None) -> None:
@@ -74,13 +76,13 @@ class PipePatches(Patches):
         self.around = int(np.clip(round(2 * np.pi * wall.radius / width), 3, MOST_AROUND))
         self.stations = max(1, min(round(wall.axis.length / width), MOST_PATCHES // self.around))
         self.along = (np.arange(self.stations) + 0.5) * wall.axis.length / self.stations
-        """Middle of each station, arc length [m]."""
+        """Arc length of the middle of each station [m]."""
         self.angles = 2 * np.pi * np.arange(self.around) / self.around
-        """Middle of each place around [rad]."""
+        """Angle of the middle of each place around the pipe [rad]."""
         self.areas = self._areas(wall.axis.length / self.stations).ravel()
 
     def _areas(self, long: float) -> np.ndarray:
-        """Area of each patch [m2]: of a bend the outside is longer than the axis."""
+        """Return the area of each patch [m2]; the outside of a bend is longer than its axis."""
         turn = np.array([next(iter(self._curvature(s)), 0.0) for s in self.along])
         lever = self.radius * np.cos(self.angles)
         return long * 2 * np.pi * self.radius / self.around * (1 + turn[:, None] * lever[None])
@@ -91,12 +93,12 @@ class PipePatches(Patches):
             piece = segment["piece"]
             if begin <= s <= begin + piece.length and isinstance(piece, Arc):
                 _, _, normal, _ = self.axis.frame(begin)
-                # Frames do not twist, so a bend the other way has its outside on the other side.
+                # Frames do not twist, so a bend in the opposite direction has its outside at the opposite angle.
                 yield float(np.sign(normal[0] @ segment["outward"])) / piece.radius
             begin += piece.length
 
     def place(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Arc length [m] and angle [rad] of points (n, 3)."""
+        """Return arc lengths [m] and angles [rad] of points (n, 3)."""
         s = self.axis.along(points)
         centre, _, normal, side = self.axis.frame(s)
         offset = points - centre
@@ -109,7 +111,7 @@ class PipePatches(Patches):
         return row * self.around + column
 
     def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """A corner in the middle of each patch, and rings at both ends."""
+        """Return a surface with a vertex in the middle of each patch, and rings of vertices at both ends."""
         length = self.axis.length
         s = np.concatenate([[0.0], self.along, [length]])
         points, _, normal, side = self.axis.frame(s)
@@ -124,7 +126,7 @@ class PipePatches(Patches):
 
 
 class MeshPatches(Patches):
-    """The triangles of a mesh. Of those that lie on one another the first is worn."""
+    """Triangles of a mesh as patches; of coincident triangles the first takes all the wear."""
 
     def __init__(self, wall: MeshWall) -> None:
         self._wall = wall
@@ -138,7 +140,7 @@ class MeshPatches(Patches):
         return self._origin[np.maximum(faces_at(self._cleaned, points, self._reach), 0)]
 
     def seen_from(self, axis: Axis) -> np.ndarray:
-        """Return which triangles face an axis with nothing before them: of a thick wall those inside, shape (f,)."""
+        """Return a mask of the triangles that are visible from an axis, shape (f,); in a thick wall the inner ones."""
         middle = self._cleaned.vertices[self._cleaned.faces].mean(axis=1)
         nearest = axis.nearest(middle)
         apart = np.linalg.norm(middle - nearest, axis=1)
@@ -153,7 +155,7 @@ class MeshPatches(Patches):
 
 
 def patches_of(wall: Wall, side: float | None) -> Patches:
-    """The patches of a wall; those of a pipe have about this `side` [m]."""
+    """Return the division of a wall into patches, for a pipe with sides of about `side` [m]."""
     if isinstance(wall, PipeWall):
         return PipePatches(wall, side)
     return MeshPatches(wall) if isinstance(wall, MeshWall) else PlanePatch(wall)
@@ -161,41 +163,41 @@ def patches_of(wall: Wall, side: float | None) -> Patches:
 
 @dataclass(repr=False)
 class WornWall:
-    """What contacts did to a wall, patch by patch."""
+    """Sliding, impacts and wear of a wall, patch by patch."""
 
     name: str
     patches: Any
-    """A :class:`PipePatches`, :class:`MeshPatches` or :class:`PlanePatch`."""
+    """Division of the wall: a :class:`PipePatches`, :class:`MeshPatches` or :class:`PlanePatch`."""
     done: np.ndarray
-    """Of each patch the columns of :data:`COLUMNS` since t = 0, shape (patches, 3)."""
+    """Values of :data:`COLUMNS` for each patch since t = 0, shape (patches, 3)."""
     coefficient: float
-    """Archard's k [m2/N]."""
+    """Archard's coefficient k [m2/N]."""
 
     def __repr__(self) -> str:
         return f"<WornWall {self.name!r}: {len(self.done)} patches, {self.done[:, 0].sum():.4g} J of sliding>"
 
     @property
     def sliding(self) -> np.ndarray:
-        """Work of sliding over the area [J/m2], shape (patches,)."""
+        """Work of sliding per area [J/m2], shape (patches,)."""
         return self.done[:, 0] / self.patches.areas
 
     @property
     def impacts(self) -> np.ndarray:
-        """What impacts lost over the area [J/m2], shape (patches,)."""
+        """Energy lost in impacts per area [J/m2], shape (patches,)."""
         return self.done[:, 1] / self.patches.areas
 
     @property
     def depth(self) -> np.ndarray:
-        """Worn depth k (load x way) / area [m], shape (patches,)."""
+        """Worn depth k (load times sliding distance) / area [m], shape (patches,)."""
         return self.coefficient * self.done[:, 2] / self.patches.areas
 
     def mean_depth(self, chosen: np.ndarray | slice = slice(None)) -> float:
-        """Worn depth over the area of chosen patches [m]."""
+        """Return the mean worn depth over the area of chosen patches [m]."""
         return float(self.coefficient * self.done[chosen, 2].sum() / self.patches.areas[chosen].sum())
 
 
 class WearMap:
-    """What contacts did to every wall of a scene."""
+    """Wear of every wall of a scene."""
 
     def __init__(self, walls: Sequence[Wall], wear: Wear) -> None:
         self.walls = [
@@ -204,7 +206,7 @@ class WearMap:
         ]
 
     def take(self, state: State) -> None:
-        """Move what spheres did since the last time to the patches, in the order of their permanent numbers."""
+        """Move the spheres' contributions since the last call to the patches, in the order of permanent numbers."""
         order = np.argsort(state.spheres.id.numpy())
         worn, points = state.slots.worn.numpy()[order], state.slots.worn_at.numpy()[order].astype(float)
         state.slots.worn.zero_()
@@ -217,7 +219,7 @@ class WearMap:
                     wall.done[:, column] += np.bincount(patch, weights, minlength=len(wall.done))
 
     def columns(self) -> dict[str, float]:
-        """What a row of the series has of each wall, summed over its patches."""
+        """Return the wear columns of a row of the series: sums over the patches of each wall."""
         return {
             f"{wall.name}_{name}": float(wall.done[:, column].sum())
             for wall in self.walls
@@ -225,17 +227,17 @@ class WearMap:
         }
 
     def state_dict(self) -> dict[str, np.ndarray]:
-        """Patches of every wall."""
+        """Return the patches' values by wall name."""
         return {wall.name: wall.done for wall in self.walls}
 
     def load_state_dict(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from a `state_dict`."""
+        """Continue from a `state_dict`."""
         for wall in self.walls:
             wall.done = np.array(state[wall.name])
 
     @property
     def main(self) -> WornWall | None:
-        """The wall that holds the concrete: of pipes and meshes, or else of planes, the one that is worn most."""
+        """Most worn wall that holds the concrete: a pipe or mesh, or a plane if there is neither; else None."""
         found = [wall for wall in self.walls if np.isfinite(wall.patches.areas).all()]
         shaped = [wall for wall in found if not isinstance(wall.patches, PlanePatch)] or found
         return max(shaped, key=lambda wall: wall.done[:, 2].sum()) if shaped else None

@@ -1,4 +1,4 @@
-"""Numbers and pictures of the wear of walls."""
+"""Results and figures of the wear of walls."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .wear import HOUR, MeshPatches, PipePatches, PlanePatch, WornWall
 
 
 def _of(of: Callable[[WornWall, Any], float | None]) -> Callable[[Any], float | None]:
-    """Of the wall that holds the concrete, once there was time to wear it."""
+    """Return a function of a run's data that applies `of` to the wall that holds the concrete, or gives None."""
 
     def found(known: Any) -> float | None:
         wall = known.wear.main if known.wear is not None else None
@@ -38,7 +38,10 @@ def _by_volume(wall: WornWall, known: Any) -> float | None:
 
 
 def covered(wall: WornWall, scene: Any) -> np.ndarray | slice:
-    """Patches of the stretch of a pipe that aggregates touched, on the inside of a mesh; all of other walls."""
+    """Return a mask of the wall patches in the stretch of a pipe that aggregates touched; all patches of other walls.
+
+    For a mesh the mask contains patches on its inside, and those that were touched.
+    """
     found = places(wall, scene)
     touched = wall.done[:, 2] > 0
     if found is None or not touched.any():
@@ -48,7 +51,7 @@ def covered(wall: WornWall, scene: Any) -> np.ndarray | slice:
 
 
 def inside(wall: WornWall, scene: Any) -> np.ndarray:
-    """Which patches of a pipe's wall concrete can touch, shape (patches,): of a mesh those that the axis sees."""
+    """Return a mask of the patches that concrete can touch, shape (patches,); in a mesh those visible from the axis."""
     if not isinstance(wall.patches, MeshPatches):
         return np.ones(len(wall.done), bool)
     return wall.patches.seen_from(scene.pipe.axis)
@@ -60,7 +63,7 @@ def _mean(wall: WornWall, known: Any, column: int) -> float:
 
 
 def places(wall: WornWall, scene: Any) -> tuple[np.ndarray, np.ndarray] | None:
-    """Arc length [m] and angle [rad] of the middle of each patch of a pipe; None of other walls."""
+    """Return arc length [m] and angle [rad] of the middle of each patch of a pipe; None for other walls."""
     patches = wall.patches
     if isinstance(patches, PipePatches):
         return np.repeat(patches.along, patches.around), np.tile(patches.angles, patches.stations)
@@ -94,11 +97,11 @@ QUANTITIES = (
     Quantity("wear_worst_along", "m", _of(lambda wall, known: _place(wall, known, 0, 1.0))),
     Quantity("wear_worst_angle", "deg", _of(lambda wall, known: _place(wall, known, 1, 180 / np.pi))),
 )
-"""Of the wall that holds the concrete: means over the stretch that it touched, and the worst patch, since t = 0."""
+"""Wear of the wall that holds the concrete since t = 0: means over the stretch touched, and the worst patch."""
 
 
 def report(run: Any) -> Iterator[tuple[str, str]]:
-    """A line about the wear of a run that counted it."""
+    """Yield a line about the wear of a run that measured it."""
     result = run.result
     if "wear_depth_per_hour" not in result:
         return
@@ -119,9 +122,10 @@ def report(run: Any) -> Iterator[tuple[str, str]]:
 
 
 def plot_wear(run: Any, wall: WornWall | None = None) -> Any:
-    """Matplotlib figure of worn depth per hour [um/h] of a run: over arc length and angle of a pipe, and means along.
+    """Return a figure of a run's worn depth per hour [um/h] over arc length and angle of a pipe, and of means along it.
 
-    `wall` is one of `run.wear.walls`; None takes the one that holds the concrete. Returns None where there is none.
+    `wall` is one of `run.wear.walls`; by default the wall that holds the concrete. Returns None if there is nothing to
+    draw.
     """
     from matplotlib.figure import Figure
 

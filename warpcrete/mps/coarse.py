@@ -1,4 +1,8 @@
-"""Cubes that particles are gathered in for the coarse grid of the solves (`kernels/mps/coarse.py`)."""
+"""Coarse grid of cubes that gathers particles for the preconditioner in `kernels/mps/coarse.py`.
+
+Coarse unknowns are constant over each cube (Nicolaides 1987). They carry the smooth part of a solution across the
+column, so the iterations of a solve hardly grow with the number of particles.
+"""
 
 from __future__ import annotations
 
@@ -11,18 +15,21 @@ import warp as wp
 from ..core.device import parallel
 
 WIDTH = 4.0
-"""Of a cube, over the spacing. 3 takes a tenth fewer iterations with twice as many cubes, 6 a quarter more."""
+"""Width of a cube in particle spacings.
+
+With 3 the solves take a tenth fewer iterations but need twice as many cubes; with 6 they take a quarter more.
+"""
 LEAST = 12.0
-"""Height of a column, over a cube's, from which on they are worth it: below, the diagonal alone is as fast."""
+"""Minimum height of a column, in cubes, for a coarse grid; below it the diagonal preconditioner is as fast."""
 ABOVE = 1.1
-"""How high the cubes reach over the column's height; what is above counts to the topmost."""
+"""Height of the grid of cubes, relative to the column's height; particles above belong to the topmost cubes."""
 
 
 class CoarseGrid:
-    """Cubes around a column of particles. Neighbours of a particle are in its own cube and those around it."""
+    """Grid of cubes around a column; all neighbours of a particle lie in its own cube or in those around it."""
 
     def __init__(self, structs: Any, scalar: Any, layout: Any, radius: float, reach: float, device: Any) -> None:
-        """`layout` of the column, `radius` of the pipe and `reach` of neighbours [m]."""
+        """Build the cubes for the `layout` of a column, the pipe's `radius` [m] and the neighbours' `reach` [m]."""
         self.width, self.radius, axes = max(WIDTH * layout.spacing, reach), radius, layout.fluid.shape[1]
         wide, tall = (max(3, math.ceil(size / self.width)) for size in (2 * radius, ABOVE * layout.height))
         self.cells = (*[wide] * (axes - 1), tall)
@@ -38,7 +45,7 @@ class CoarseGrid:
         self.arrays.neighbour = wp.array(self._neighbours().ravel(), dtype=wp.int32, device=device)
 
     def _neighbours(self) -> np.ndarray:
-        """Cubes around each, the first axis fastest, -1 where there is none; shape (3^axes, cubes)."""
+        """Return the cubes around each cube, the first axis fastest, -1 where there is none; shape (3^axes, cubes)."""
         axes, found = len(self.cells), []
         at = np.stack(np.unravel_index(np.arange(self.count), self.cells, order="F"), 1)
         for step in np.ndindex((3,) * axes):
@@ -49,7 +56,7 @@ class CoarseGrid:
         return np.stack(found).astype(np.int32)
 
     def gather(self, places: np.ndarray) -> None:
-        """Put particles into their cubes; `places` of shape (n, axes) [m]."""
+        """Sort particles at `places` [m], shape (n, axes), into their cubes."""
         lowest = np.array([*[-self.radius] * (len(self.cells) - 1), 0.0])
         at = np.clip(((places - lowest) / self.width).astype(int), 0, np.array(self.cells) - 1)
         of = np.ravel_multi_index(tuple(at.T), self.cells, order="F").astype(np.int32)

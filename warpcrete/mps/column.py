@@ -1,4 +1,4 @@
-"""A concrete, the pipe it is in, and what drives it: what the scenes `channel` and `tube` have in common."""
+"""Parameters, scenes and checks of pipe flows, shared by the scenes `channel` and `tube`."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ SHEARED: dict[str, Any] = {
     "concrete": "own", "viscosity": 30.0, "yield_stress": 40.0, "slip_viscosity": 1000.0, "slip_yield": 20.0,
     "density": 2350.0,
 }  # fmt: skip
-"""A self-compacting concrete of which slip carries 0.7 of the flow of the paper's case."""
+"""Self-compacting concrete whose slip carries only 0.7 of the flow in the paper's case."""
 LEAST_SLIP = 0.9
-"""Part of the mean velocity that slip must make for a column on a piston to hold."""
+"""Minimum ratio of slip to mean velocity for a column on a piston to keep its volume and force balance."""
 FEWEST_ACROSS = 4
-"""Particles across a pipe, of the coarsest spacing that a trade tries."""
+"""Minimum number of particles across a pipe when a study of accuracy against time coarsens the spacing."""
 FLOW = 1500e-6
-"""Of the paper's reference case [m3/s]."""
+"""Volume flow of the paper's reference case [m3/s]."""
 TWO_PHASES = Needs("aggregates", bool, "is on")
 
 
 def twice(radius: Any) -> Any:
-    """Diameter of a radius."""
+    """Return the diameter for a radius; anything that is not a number is returned as it is."""
     return 2 * radius if isinstance(radius, int | float) and not isinstance(radius, bool) else radius
 
 
 @dataclass(frozen=True, kw_only=True)
 class ConcreteParameters:
-    """Concrete."""
+    """Concrete and its slip layer."""
 
     concrete: Annotated[
         str,
@@ -68,18 +68,18 @@ class ConcreteParameters:
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        """As of every declared dataclass."""
+        """Return the section of a concrete file that holds these parameters, and the names that it may contain."""
         return "flow", CONSTANTS
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """A file's constants: a run's record holds them, however the file changes."""
+        """Return the constants of a concrete file, so that a run's record holds them even if the file changes later."""
         return file_constants(values)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnParameters:
-    """Pipe and piston."""
+    """Pipe, piston and particle spacing."""
 
     diameter: Annotated[
         float, "Inner diameter of the pipe, or distance of the planes [m]", Above(), Alias("radius", twice)
@@ -94,7 +94,7 @@ class ColumnParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class AggregateParameters:
-    """Coarse aggregate."""
+    """Coarse aggregate of the two-phase model."""
 
     aggregates: Annotated[bool, "Simulate two phases: coarse aggregate as rigid groups of particles in mortar"] = False
     aggregate_fraction: Annotated[
@@ -120,7 +120,7 @@ class AggregateParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, FlowSettings):
-    """A column of concrete that a piston drives up a pipe."""
+    """Column of concrete that a piston drives up a pipe."""
 
     ends: Annotated[
         str,
@@ -133,15 +133,15 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """A file's constants, and its mix's coarse aggregate."""
+        """Return the constants of a concrete file and the coarse aggregate of its mix."""
         return {**file_constants(values), **file_aggregates(values)}
 
     def constants(self) -> Concrete:
-        """The concrete's."""
+        """Return the concrete that these parameters describe."""
         return concrete_of(self.concrete, self.slip_thickness, **{name: getattr(self, name) for name in CONSTANTS})
 
     def coarse(self, concrete: Concrete, dimensions: int) -> Aggregates | None:
-        """The coarse aggregate and its mortar, if there are two phases."""
+        """Return the coarse aggregate with its mortar, or None in one phase."""
         fraction = self.aggregate_fraction
         if not self.aggregates or fraction == 0:
             return None
@@ -157,7 +157,11 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         return Aggregates(fraction=fraction, mortar=mortar, density=self.aggregate_density)
 
     def driven(self, concrete: Concrete, bulk: float, dimensions: int) -> float:
-        """The flow [m3/s] that was given, or that theory says the given pressure drives; `bulk` is the radius [m]."""
+        """Return the given flow [m3/s], or the flow that the given pressure drives by theory.
+
+        `bulk` is the pipe's radius less the slip layer [m]. Raises :class:`SceneError` if flow and pressure are both
+        given, or if nothing flows.
+        """
         flow = self.flow
         if self.pressure is not None:
             if flow is not None:
@@ -170,9 +174,10 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         return flow
 
     def ends_for(self, concrete: Concrete, bulk: float, flow: float, dimensions: int) -> str:
-        """Return the ends that were asked for, or those that hold for the flow [m3/s] in a pipe of radius `bulk` [m].
+        """Return the chosen ends, or those that suit a `flow` [m3/s] in a pipe of radius `bulk` [m].
 
-        Between a piston and a wall that concrete sticks to, a column loses volume and balance: it must slip.
+        A column between a piston and a wall that the concrete sticks to loses volume and force balance, so "piston"
+        requires slip.
         """
         if self.ends != "auto":
             return self.ends
@@ -188,9 +193,10 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
 def column_scene(
     name: str, dimensions: int, given: FlowParameters, paper: Mapping[str, Mapping[str, float]] | None = None
 ) -> FluidScene:
-    """Scene of a column; `paper` has the printed figures of each concrete in the paper's own case.
+    """Return the scene of a column of concrete in a pipe.
 
-    Raises :class:`SceneError` where the pressure moves nothing, or through nothing.
+    `paper` holds the printed results of each concrete; they apply only to the paper's own case. Raises
+    :class:`SceneError` if the pressure moves nothing, or if the slip layer leaves no bore.
     """
     Within(0, np.nextafter(given.diameter / 2, 0), "use less than the radius").check(
         "slip_thickness", given.slip_thickness, " m"
@@ -212,27 +218,30 @@ def column_scene(
         spacing=given.spacing,
         aggregates=given.coarse(concrete, dimensions),
         published=(paper or {}).get(given.concrete, {}) if _is_papers(given) else {},
-        # The printed scheme balances no forces, which is what it is run to show.
+        # The printed scheme does not balance the forces. The run is meant to show this, so it must not stop there.
         watch=FlowWatch(force_balance=None) if given.paper_scheme else FlowWatch(),
         **settings,
     )
 
 
 def _is_papers(given: FlowParameters) -> bool:
-    """Is this the paper's own case, one phase, thin layer?"""
+    """Return whether this is the paper's own case, with one phase and a slip layer of zero thickness."""
     free = {"concrete", "spacing", "flow", *(f.name for f in fields(FlowSettings))} - {"gravity", "rest"}
     other = [f.name for f in fields(given) if f.name not in free and getattr(given, f.name) != f.default]
     return not other and given.flow in (None, FLOW)
 
 
 ACCURACY = {2: 0.01, 3: 0.02}
-"""Of pressure and slip velocity, by dimensions, in one phase."""
+"""Accepted error of pressure and slip velocity in one phase, by number of dimensions."""
 TWO_PHASE_ACCURACY = 0.03
-"""Of the pressure; two phases may differ more from one fluid's theory."""
+"""Accepted error of the pressure in two phases, which may deviate more from the theory of one fluid."""
 WALL_ACCURACY = {True: 0.05, False: 0.03}
-"""Of the wall's stress, in two phases and in one: the weight hides what is wrong with it in the pressure."""
+"""Accepted error of the wall stress in two phases (True) and in one (False).
+
+Weight dominates the pressure and would hide an error of the wall stress there.
+"""
 PROFILE_ACCURACY = 0.01
-"""Root mean square, of the mean velocity."""
+"""Accepted root mean square error of the velocity profile, relative to the mean velocity."""
 
 
 CURES = {
@@ -250,7 +259,7 @@ CURES = {
 
 @with_cures(CURES)
 def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
-    """Acceptance of a flow: name -> (passed, what was found)."""
+    """Return the acceptance checks of a flow: for each name whether it passed, and the value found."""
     result, scene = run.result, run.scene
     two = scene.aggregates is not None
     if "pressure_error" not in result:
@@ -267,10 +276,10 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
         "volume": (abs(result["volume_error"]) < 1e-3, f"largest error {100 * result['volume_error']:+.3f} %"),
         "balance of forces": (abs(balance) < 5e-3, f"{100 * balance:+.2f} % of the piston's force is not balanced"),
     }  # fmt: skip
-    if scene.gained:  # what of the bulk's structure stays whole has no closed form
+    if scene.gained:  # closed-form theory does not cover structure that partly survives in the bulk
         found = {name: found[name] for name in ("volume", "balance of forces")}
         peak, least, most = number(result["restart_pressure"]), scene.theory().pressure, all_slip(scene).pressure
-        # What slips as a whole has most of what its layer gained in the first sample.
+        # A plug that slips as a whole still has most of its layer's gained yield stress when the first sample is taken.
         plug = all_slip(scene).wall_stress <= rested(scene.concrete, scene.rest, scene.thixotropy).yield_stress
         left = 0.5 * math.exp(-scene.velocity * float(run.series["time"][1]) / scene.breakdown) if plug else 0.0
         found["restart"] = (
@@ -278,7 +287,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
             f"{peak / 1e3:.4g} kPa; theory: {least / 1e3:.4g} kPa without structure, {most / 1e3:.4g} kPa with all of "
             "the structure, as a plug",
         )
-    if scene.duration is None:  # who gives a duration does not ask for a steady flow; the report says if it is none
+    if scene.duration is None:  # a run of given duration need not be steady; the report says if it is not
         found = {"steady": (result["steady"], f"after {number(result['simulated_time']):g} s"), **found}
     if not two and not scene.gained:
         found["slip velocity"] = (abs(slip) < limit, f"off theory by {100 * slip:+.2f} % of the mean velocity")
@@ -290,7 +299,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def all_slip(scene: FluidScene) -> Steady:
-    """The state at its start after a rest: all of it slips at once, and the layer has lost nothing yet."""
+    """Return the state just after a rest in which the whole section slips as a plug on a layer that is still intact."""
     concrete = rested(scene.concrete, scene.rest, scene.thixotropy)
     stress = concrete.slip_yield + concrete.slip_viscosity * scene.velocity
     return steady_of_stress(replace(concrete, yield_stress=max(stress, concrete.yield_stress)), scene.line, stress,
@@ -298,7 +307,7 @@ def all_slip(scene: FluidScene) -> Steady:
 
 
 def flow_trading(dimensions: int) -> Trading:
-    """What trades accuracy for time in a flow."""
+    """Return the knobs and quantities by which a flow trades accuracy for run time."""
     return Trading(
         lambda given: _knobs(given, dimensions),
         quantities=("pressure", "slip_velocity"),
@@ -309,10 +318,10 @@ def flow_trading(dimensions: int) -> Trading:
 
 
 def _variants(given: FlowParameters, dimensions: int) -> dict[str, dict[str, Any]]:
-    """Other concretes, flows and pipes, all of one phase, where theory is the reference.
+    """Return parameters of other concretes, flows and pipes in one phase, for which theory is the reference.
 
-    More flow or less means that slip carries more or less of it; the self-compacting concrete is all but sheared. All
-    are solved as the given flow is, whose settings are to be carried over to them.
+    With more or less flow, slip carries a larger or smaller part of it; the self-compacting concrete is sheared almost
+    everywhere. All variants keep the ends of the given flow, because its settings are applied to them.
     """
     if given.aggregates or given.pressure is not None:
         return {}

@@ -1,4 +1,4 @@
-"""Flows as recorders draw them."""
+"""Display of pipe flows for recorders: particles, walls, curves and profiles."""
 
 from __future__ import annotations
 
@@ -16,49 +16,49 @@ GRAIN = np.array([120, 118, 112], np.uint8)
 MORTAR = np.array([214, 204, 184], np.uint8)
 PIPE = (150, 165, 180, 40)
 GOLDEN = np.pi * (3 - 5**0.5)
-"""Angle from one particle to the next about an axis [rad]."""
+"""Golden angle [rad], by which successive particles are turned about the axis of a tube."""
 OURS, THEORY = (215, 95, 30), (150, 150, 150)
 
 
 class FlowDisplay(Display):
-    """Particles by speed on a scale that shows the profile, by pressure, or grains against mortar (`phase`)."""
+    """Display of a pipe flow: particles coloured by speed, by pressure, or by `phase` (grains and mortar)."""
 
     colourings: ClassVar = ("speed", "pressure", "phase")
     noun: ClassVar = "concrete"
 
     @property
     def preferred(self) -> str:
-        """What colours show unless they are told to."""
+        """Colouring that is used unless another one is chosen."""
         return "speed" if self.simulation.scene.aggregates is None else "phase"
 
     @property
     def driven(self) -> str:
-        """What the pressure is."""
+        """Label of the pressure that drives the flow."""
         return "pressure on the piston" if self.simulation.scene.ends == "piston" else "pressure over the stretch"
 
     @property
     def direction(self) -> tuple[float, float, float]:  # type: ignore[override]
-        """From what there is to see to the eye: a channel is seen from the front, a tube a little from aside."""
+        """Direction from the flow to the viewer: from the front for a channel, slightly from the side for a tube."""
         aside = 0.0 if self.simulation.scene.dimensions == 2 else 0.25
         return aside, -1.0, 0.1 * aside
 
     def radii(self) -> np.ndarray:
-        """Half a spacing each [m], shape (n,)."""
+        """Return the radii of the drawn particles [m], half a spacing each, shape (n,)."""
         return np.full(self.simulation.state.count, 0.5 * self.simulation.state.mark_spacing, np.float32)
 
     def centres(self) -> np.ndarray:
-        """Particles in the room [m], shape (n, 3): z up, a channel in the plane of x and z."""
+        """Return the positions of the particles [m], shape (n, 3): z is up, a channel lies in the plane y = 0."""
         x = self.read("particles.position").astype(float)
         x[:, -1] += self.simulation.scene.velocity * self.time
         if self.simulation.scene.dimensions == 2:
             return np.insert(x, 1, 0.0, axis=1)
-        if x.shape[1] == 2:  # of a grid about the axis: each at an angle of its own
+        if x.shape[1] == 2:  # a flow about the axis is two-dimensional; each particle is drawn at its own angle
             angle = GOLDEN * np.arange(len(x))
             return np.stack([x[:, 0] * np.cos(angle), x[:, 0] * np.sin(angle), x[:, 1]], 1)
         return x
 
     def scale(self) -> tuple[str, float, float] | None:
-        """What colours show, as read, with its lowest and highest value; None for colours of things."""
+        """Return label, lowest and highest value of what the colours show, or None where they show materials."""
         scene, theory = self.simulation.scene, self.simulation.scene.theory()
         if self.colouring == "pressure":
             return "pressure [kPa]", 0.0, theory.pressure / 1e3
@@ -68,18 +68,18 @@ class FlowDisplay(Display):
         return None
 
     def things(self) -> dict[str, np.ndarray]:
-        """Grains and mortar, where colours show these."""
+        """Return the colours of grains and mortar where the colours show materials."""
         return {"coarse aggregate": GRAIN, "mortar": MORTAR} if self.scale() is None else {}
 
     def _snap(self) -> Snapshot:
         return self.once("particles", lambda: Snapshot.of(self.simulation.flow))
 
     def fields(self) -> dict[str, np.ndarray]:
-        """Velocity along the pipe [m/s] and pressure [Pa]."""
+        """Return velocity along the pipe [m/s] and pressure [Pa] of all particles."""
         return {"velocity": self._snap().velocity, "pressure": self._snap().pressure}
 
     def colours(self) -> np.ndarray:
-        """RGB bytes of all particles, shape (n, 3)."""
+        """Return RGB bytes of all particles, shape (n, 3)."""
         snap = self._snap()
         scale = self.scale()
         if scale is not None:
@@ -90,12 +90,12 @@ class FlowDisplay(Display):
         grains = self.simulation.state.grains
         coarse = np.zeros(len(snap.height), bool) if grains is None else grains.group >= 0
         shade = np.ones(len(coarse))
-        if grains is not None:  # neighbours tell apart
+        if grains is not None:  # different shades tell neighbouring grains apart
             shade[coarse] = 0.75 + 0.25 * ((grains.group[coarse] * 7919) % 13) / 12
         return (np.where(coarse[:, None], GRAIN, MORTAR) * shade[:, None]).astype(np.uint8)
 
     def plots(self) -> tuple[Plot, ...]:
-        """Pressure on the piston and slip velocity, beside theory."""
+        """Return curves of the driving pressure and the slip velocity over time, with their values by theory."""
         theory = self.simulation.scene.theory()
         return (
             Plot("pressure", self.driven.capitalize(), (
@@ -109,7 +109,7 @@ class FlowDisplay(Display):
         )  # fmt: skip
 
     def profiles(self) -> tuple[Profile, ...]:
-        """Velocity amid the column over the distance from the middle, beside theory."""
+        """Return the velocity profile at mid-height of the column, with the profile by theory."""
         place = "distance from the middle" if self.simulation.scene.dimensions == 2 else "radius"
         title = f"Velocity [cm/s] over {place} [mm]"
         return (Profile("velocity", title, (
@@ -132,11 +132,11 @@ class FlowDisplay(Display):
 
     @property
     def cut(self) -> float | None:
-        """Through the axis of a tube; a channel is flat."""
+        """Coordinate y [m] of the plane that cuts a tube open through its axis; None for a channel, which is flat."""
         return None if self.simulation.scene.dimensions == 2 else 0.0
 
     def walls(self) -> list[DrawnWall]:
-        """The pipe, or the two planes."""
+        """Return the pipe, or the two planes of a channel, as drawn walls."""
         scene, spacing = self.simulation.scene, self.simulation.state.layout.spacing
         length = self.simulation.state.layout.height * 1.1 + self._travel()
         if scene.dimensions == 3:
@@ -149,12 +149,12 @@ class FlowDisplay(Display):
         return [DrawnWall("pipe", vertices, faces, False, PIPE)]
 
     def _travel(self) -> float:
-        """Of the piston, as far as it can be foreseen [m]; a run until steady takes some hundredths of a second."""
+        """Return how far the piston is expected to move [m]; a run until steady takes some hundredths of a second."""
         duration = self.simulation.scene.duration
         return self.simulation.scene.velocity * (0.05 if duration is None else duration)
 
     def bounds(self) -> np.ndarray:
-        """Lowest and highest corner of the whole way of the column, shape (2, 3) [m]."""
+        """Return the lowest and highest corner of all that the column passes through [m], shape (2, 3)."""
         size = self.simulation.state.layout.height + self._travel()
         # Long columns fill the picture by their length, short ones by their width.
         across = max(0.0, 4 * self.simulation.scene.radius - size)

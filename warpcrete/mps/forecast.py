@@ -1,6 +1,6 @@
-"""What a run of a flow will take: a coarser one tells when it is steady, the first steps of the flow what they cost.
+"""Forecast of a pipe flow: a coarser copy gives the time until it is steady, the first steps give their cost.
 
-Start-up is physics, not numerics, so that the coarser flow takes as long as the finer one.
+Start-up is physics rather than numerics, so the coarser flow takes as much simulated time as the finer one.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from .scene import FluidScene
 from .simulation import FluidSimulation
 
 ENOUGH = 2500
-"""Particles of the coarser flow."""
+"""Number of particles of the coarser copy."""
 SPENT = 1.0  # wall time for which steps are timed [s]
-TAKEN = 10  # steps at once
+TAKEN = 10  # number of steps that are timed together
 
 
 def forecast(scene: FluidScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
-    """Forecast of a run; `device` as Warp's, `probe` times a frame of recordings.
+    """Return the forecast of a run on a Warp `device`; `probe` times one frame of the recordings.
 
-    Raises what the run would raise before its first step.
+    Raises the errors that the run would raise before its first step.
     """
 
     def begun() -> FluidSimulation:
@@ -34,8 +34,8 @@ def forecast(scene: FluidScene, device: Any, precision: str, threads: int | None
         simulation.prepare()
         return simulation
 
-    between = max(1, round(scene.sample_interval / scene.time_step))  # steps, of which graphs are made
-    loading = begun()  # kernels are loaded now, and no part of a time any more
+    between = max(1, round(scene.sample_interval / scene.time_step))  # steps between two samples
+    loading = begun()  # loads the kernels, so that later timings exclude the loading
     loading.flow.take(min(between, TAKEN))
     loading.release()
     simulation, placing = timed(begun, device)
@@ -70,7 +70,7 @@ def forecast(scene: FluidScene, device: Any, precision: str, threads: int | None
 def _duration(
     scene: FluidScene, count: int, device: str, precision: str, threads: int | None
 ) -> tuple[float, list[str]]:
-    """Simulated time until the flow is steady [s], and remarks."""
+    """Return the simulated time until the flow is steady [s], and remarks."""
     if scene.duration is not None:
         return scene.duration, []
     factor = max(1.0, (count / ENOUGH) ** (1 / scene.dimensions))
@@ -91,18 +91,18 @@ def _duration(
 
 
 def step_time(simulation: Any) -> float:
-    """Wall time of a step [s]."""
+    """Return the wall time of a step [s]."""
     flow = simulation.flow
-    flow.take(TAKEN)  # its graph is there now
+    flow.take(TAKEN)  # captures the graph before steps are timed
     times: list[float] = []
     while sum(times) < SPENT:
         times.append(timed(lambda: flow.take(TAKEN), flow.device)[1])
-    # Other programs make steps slower, never faster; a long run meets them less often than not.
+    # Other programs only slow steps down, and do so rarely in a long run, so the forecast uses the lower quartile.
     return float(np.quantile(times, 0.25)) / TAKEN
 
 
 def _features(simulation: FluidSimulation) -> dict[str, str]:
-    """What is computed and why, in words."""
+    """Return short descriptions of what is computed, by feature."""
     scene, flow = simulation.scene, simulation.flow
     concrete = scene.concrete
     return {

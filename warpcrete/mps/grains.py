@@ -1,4 +1,4 @@
-"""Coarse aggregate of the two-phase model: which particles of a column are rigid together."""
+"""Coarse aggregate of the two-phase model: groups of particles in a column that move as rigid grains."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from .scene import FluidScene
 
 @dataclass(frozen=True)
 class Grains:
-    """Rigid groups of elementary particles."""
+    """Rigid grains of coarse aggregate; each grain is a group of elementary particles."""
 
     order: np.ndarray
-    """Places of the layout in the order of the state: grain by grain, then the mortar."""
+    """Indices of the layout's particles in the order of the state: grain by grain, then the mortar."""
     group: np.ndarray
-    """Grain of each particle in that order, -1 for mortar, shape (n,)."""
+    """Grain number of each particle in the order of the state, -1 for mortar, shape (n,)."""
     first: np.ndarray
-    """First particle of each grain, and the end, shape (grains + 1,)."""
+    """Index of the first particle of each grain, and the end of the last grain, shape (grains + 1,)."""
     size: np.ndarray
-    """Drawn size of each grain [m]: diameter of the disc or ball of equal volume, shape (grains,)."""
+    """Size of each grain [m]: diameter of the disc or ball of equal volume, shape (grains,)."""
 
     @property
     def count(self) -> int:
@@ -31,11 +31,11 @@ class Grains:
 
 
 def scatter(scene: FluidScene, layout: Layout) -> Grains:
-    """Place grains of random size and shape at random, largest first, until they fill their part of the column.
+    """Place grains of random size and shape at random, the largest class first, up to their volume fraction.
 
-    A grain takes the particles inside its outline: a circle or ball of its size, with a random waviness, that does not
-    reach over walls, piston and surface. In two dimensions grains keep a particle of mortar between them; in three,
-    where random placing leaves less room, they may touch. Raises :class:`SceneError` where they find no room.
+    A grain consists of the particles inside its outline, a circle or ball of its size with a random waviness, clear of
+    walls, piston and surface. In two dimensions at least one particle of mortar stays between two grains. In three,
+    where random placing leaves less room, grains may touch. Raises :class:`SceneError` if the grains do not fit.
     """
     aggregates = scene.aggregates
     assert aggregates is not None
@@ -57,7 +57,7 @@ def scatter(scene: FluidScene, layout: Layout) -> Grains:
             size = rng.uniform(smallest, largest)
             centre = places[rng.integers(n)] + rng.uniform(-0.5, 0.5, dimensions) * spacing
             wave = _outline(rng, dimensions, aggregates.roundness)
-            # Places stand layer by layer from the piston on.
+            # The layout stores particles layer by layer from the piston, so those near a grain form a contiguous range.
             widest = 0.5 * size * (2 - aggregates.roundness) + rim_width
             near = np.arange(*np.searchsorted(places[:, -1], [centre[-1] - widest, centre[-1] + widest]))
             offset = places[near] - centre
@@ -93,7 +93,7 @@ def scatter(scene: FluidScene, layout: Layout) -> Grains:
 
 
 def _outline(rng: np.random.Generator, dimensions: int, roundness: float):
-    """Radius over mean radius of a random shape, as a function of directions (n, dimensions)."""
+    """Return a function of unit directions (n, dimensions) that gives a random shape's radius relative to its mean."""
     strength = (1 - roundness) * rng.uniform(0.3, 1.0)
     axis = rng.normal(size=(3, dimensions))
     axis /= np.linalg.norm(axis, axis=1)[:, None]
@@ -101,7 +101,7 @@ def _outline(rng: np.random.Generator, dimensions: int, roundness: float):
 
     def radius(direction: np.ndarray) -> np.ndarray:
         c = direction @ axis.T
-        # Ovality, egg shape and three corners.
+        # The three terms give the circle or ball an oval shape, an egg shape and three corners.
         return 1 + strength * (parts[0] * (2 * c[:, 0] ** 2 - 1) + parts[1] * c[:, 1] + parts[2] * (
             4 * c[:, 2] ** 3 - 3 * c[:, 2]))  # fmt: skip
 

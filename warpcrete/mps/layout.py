@@ -1,4 +1,4 @@
-"""Where the particles of a flow start."""
+"""Initial positions of the particles of a flow."""
 
 from __future__ import annotations
 
@@ -10,27 +10,30 @@ import numpy as np
 from .scene import FluidScene
 
 LAYERS = 4
-"""Of particles behind a wall, which stand in for the fluid there wherever neighbours are counted."""
+"""Number of layers of dummy particles behind a wall, which replace the fluid there in all sums over neighbours."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Places of particles at the start, from the piston's middle; the last coordinate runs along the pipe."""
+    """Initial positions of particles, relative to the piston's middle; the last coordinate runs along the pipe."""
 
     spacing: float
-    """[m]"""
+    """Distance of particles [m]."""
     volume: float
-    """Of a particle [m3], or area [m2] in two dimensions."""
+    """Volume of a particle [m3], or its area in two dimensions [m2]."""
     fluid: np.ndarray
-    """Shape (n, dimensions) [m], layer by layer from the piston."""
+    """Positions of fluid particles [m], shape (n, dimensions), layer by layer from the piston."""
     wall: np.ndarray
-    """Shape (m, dimensions) [m]."""
+    """Positions of wall particles [m], shape (m, dimensions)."""
     height: float
-    """Of the column [m]."""
+    """Height of the column [m]."""
 
 
 def layout(scene: FluidScene) -> Layout:
-    """Rows along a channel, rings in a tube: the first half a spacing from the wall, like the last from the axis."""
+    """Return the layout of a column, with rows of particles along a channel or rings of particles in a tube.
+
+    The outermost row or ring is half a spacing from the wall, the innermost ring half a spacing from the axis.
+    """
     if scene.dimensions == 2:
         across = max(2, round(2 * scene.radius / scene.spacing))
         spacing = 2 * scene.radius / across
@@ -45,10 +48,10 @@ def layout(scene: FluidScene) -> Layout:
         outside = np.concatenate([_ring(k, spacing) for k in range(rings, rings + LAYERS)])
         area = math.pi * scene.radius**2
     layers = round(scene.length / spacing)
-    step = scene.length / layers  # so that the column has just its length
+    step = scene.length / layers  # distance of layers with which the column has exactly the scene's length
     height = (np.arange(layers) + 0.5) * step
     beneath = (np.arange(-LAYERS, 0) + 0.5) * step
-    # The front bulges while it flows: room for that.
+    # The front bulges while the concrete flows, so the walls reach beyond the column.
     above = (np.arange(-LAYERS, layers + math.ceil(0.3 * layers) + 2 * LAYERS) + 0.5) * step
     wall = np.concatenate([_stacked(inside, beneath), _stacked(outside, above)])
     fluid = _stacked(inside, height)
@@ -57,7 +60,7 @@ def layout(scene: FluidScene) -> Layout:
 
 def _ring(number: int, spacing: float) -> np.ndarray:
     count = round(2 * math.pi * (number + 0.5))
-    # Turned by the golden angle, so that neighbouring rings are not aligned.
+    # Each ring is turned by the golden angle, so that neighbouring rings are not aligned.
     angle = 2 * math.pi * np.arange(count) / count + 2.39996 * number
     return (number + 0.5) * spacing * np.stack([np.cos(angle), np.sin(angle)], 1)
 

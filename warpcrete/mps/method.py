@@ -1,4 +1,4 @@
-"""Implicit moving particles, as the rest of the program sees them."""
+"""Registration of the moving particle method with the rest of the program."""
 
 from ..core.method import Method
 from .display import FlowDisplay

@@ -1,4 +1,4 @@
-"""Concretes by name, as flows take them."""
+"""Concretes for flows, by name or from a file."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ..mix.mix import completed, mix_named
 from ..theory.pipe import THICKER_LAYERS, Concrete
 
 CONSTANTS = ("density", "viscosity", "yield_stress", "slip_viscosity", "slip_yield")
-"""Of a concrete, each of which may be given in place of a named one's."""
+"""Names of the constants of a concrete; a given value replaces that of a named concrete."""
 AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mortar_yield")
-"""Of its coarse aggregate in a flow of two phases."""
+"""Names of the parameters of the coarse aggregate in a two-phase flow."""
 
 
 def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | None) -> Concrete:
-    """A concrete by name or from a file, or `own` with all five of :data:`CONSTANTS`; those that are given replace the
-    named one's.
+    """Return a concrete by name or from a file, or `own` with all five :data:`CONSTANTS`.
 
-    A slip layer of one of the thicknesses of the paper's Table 3 has the eta_L printed there.
+    Given constants replace those of the named concrete. A slip layer whose thickness [m] is in the paper's Table 3
+    takes the eta_L printed there. Raises :class:`SceneError` if constants are missing, also that of the layer.
     """
     given = {key: value for key, value in constants.items() if value is not None}
     named = {} if len(given) == len(CONSTANTS) else _flow_of(name)
@@ -52,12 +52,15 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
 
 
 def flowing() -> list[str]:
-    """Names of the shipped concretes whose flow is known."""
+    """Return the names of the shipped concretes that have flow constants."""
     return [name for name in shipped() if completed(name).flow]
 
 
 def file_constants(values: Mapping[str, Any]) -> dict[str, float]:
-    """Constants of the concrete among a scene's parameters, if it is a file and does not have all of them already."""
+    """Return the constants of the concrete file that a scene's parameters name.
+
+    The result is empty if the concrete is not a file, or if all constants are given already.
+    """
     name = values.get("concrete")
     name = str(name) if isinstance(name, os.PathLike) else name
     if not isinstance(name, str) or not is_file(name) or all(values.get(each) is not None for each in CONSTANTS):
@@ -66,8 +69,10 @@ def file_constants(values: Mapping[str, Any]) -> dict[str, float]:
 
 
 def file_aggregates(values: Mapping[str, Any]) -> dict[str, float]:
-    """Share, density and mortar of the coarse aggregate, where two phases are asked for and the concrete among a
-    scene's parameters is a file that describes a mix."""
+    """Return share, density and mortar of the coarse aggregate of the concrete file that a scene's parameters name.
+
+    The result is empty unless the scene has two phases, the file describes a mix, and a value is missing.
+    """
     name = values.get("concrete")
     name = str(name) if isinstance(name, os.PathLike) else name
     if not values.get("aggregates") or not isinstance(name, str) or not is_file(name):
@@ -79,7 +84,7 @@ def file_aggregates(values: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _flow_of(name: str) -> dict[str, float]:
-    """Constants of a concrete by name or from a file; `own` has none."""
+    """Return the constants of a concrete by name or from a file; `own` has none."""
     if name == "own":
         return {}
     if not is_file(name):

@@ -1,6 +1,6 @@
-"""The implicit moving particle method: what carries a state forward, its lists and working arrays.
+"""Solver of the implicit moving particle method, with its neighbour lists and working arrays.
 
-What a step is made of stands in `stages.py`.
+The module `stages.py` describes the stages of a step.
 """
 
 from __future__ import annotations
@@ -25,33 +25,36 @@ from .stages import step_by_one_thread, step_stages
 from .state import CUTOFF, WIDE, FluidState, flow_numbers
 from .stepping import Stepping
 
-SKIN = 0.1  # of the lists, over the spacing: the column moves as a whole, so lists last for some eighty steps
-CORRECTION = 0.2  # part of the density's error that one step takes away
-HISTORY = 256  # iterations whose residual is kept
+SKIN = 0.1  # skin of the neighbour lists in spacings; the column moves as a whole, so lists last some eighty steps
+CORRECTION = 0.2  # fraction of the density error that one step removes
+HISTORY = 256  # maximum number of iterations whose residuals are kept
 
 
 class MovingParticles(Stepping):
-    """Carries a state forward. `threads` (CPU only) each own a range of particles.
+    """Stepper that advances the particles of a flow in time; on a CPU each of its `threads` owns a range of particles.
 
-    Its arrays, with meaning, unit and shape, are those of the structs in `kernels/mps/structs.py`.
+    The structs in `kernels/mps/structs.py` give meaning, unit and shape of the arrays.
     """
 
     flags: wp.array
-    """The state's."""
+    """Control flags of the state."""
     particles: Any
-    """The state's struct `Particles`."""
+    """Arrays of the fluid particles, the struct `Particles` of the state."""
     lists: Any
-    """Neighbours, a struct `Lists`."""
+    """Neighbour lists, a struct `Lists`."""
     fields: Any
     """Working arrays of a step, a struct `Fields`."""
     matrix: Any
-    """Of the equations that are solved, a struct `Matrix`."""
+    """Coefficients of the linear systems, a struct `Matrix`."""
     viscous: Any
-    """System of the velocities, a struct `Solve` of vectors."""
+    """Linear system of the velocities, a struct `Solve` of vectors."""
     projection: Any
-    """System of the pressure's increment, a struct `Solve` of numbers."""
+    """Linear system of the pressure increment, a struct `Solve` of numbers."""
     shifting: Any
-    """System of what moves particles off crowds, likewise; its residual is the density's error."""
+    """Linear system that shifts particles out of crowded regions, a struct `Solve` of numbers.
+
+    The residual of the system is the density error.
+    """
 
     def __init__(self, state: FluidState, *, threads: int | None = None) -> None:
         scene = state.scene
@@ -73,7 +76,7 @@ class MovingParticles(Stepping):
         self.lists = self.structs.Lists()
         self.lists.wall_position = self._array(self.structs.Lists, "wall_position", state.layout.wall)
         self.points = wp.zeros(self.count + len(state.layout.wall), dtype=wp.vec3f, device=self.device)
-        """Where all particles are, for the grid, shape (n + wall particles,) [m]."""
+        """Positions of fluid and wall particles for the hash grid [m], shape (n + wall particles,)."""
         self.flow = flow_numbers(state, skin=SKIN, correction=CORRECTION)
         self._room = 1.0
         self._step: Step | None = None
@@ -87,14 +90,14 @@ class MovingParticles(Stepping):
         self.build()
 
     def _array(self, struct: Any, name: str, value: Any) -> wp.array:
-        """Array of a struct: host data, or a shape for zeros."""
+        """Return an array for a member of a struct: a copy of host data, or zeros if `value` is a size."""
         dtype = struct.vars[name].type.dtype
         if isinstance(value, int):
             return wp.zeros(value, dtype=dtype, device=self.device)
         return wp.array(value, dtype=dtype, device=self.device)
 
     def _fields(self) -> Any:
-        """Working arrays, but for those that go with the lists."""
+        """Return the working arrays, except for those whose sizes depend on the neighbour lists."""
         struct = self.structs.Fields
         fields = struct()
         sizes = {"wall_scale": 1, "late": 2, "pair_weight": 0}
@@ -103,7 +106,7 @@ class MovingParticles(Stepping):
         return fields
 
     def _matrix(self) -> Any:
-        """Coefficients of the equations that are solved, but for what goes with the lists."""
+        """Return the coefficients of the linear systems, except for arrays sized by the neighbour lists."""
         struct = self.structs.Matrix
         matrix = struct()
         for name in ("diagonal", "drag", "free"):
@@ -117,14 +120,18 @@ class MovingParticles(Stepping):
         return matrix
 
     def _coarse(self) -> CoarseGrid | None:
-        """That of the solves; rigid grains, which are larger than its cubes, and the printed scheme have none."""
+        """Return the coarse grid that preconditions the solves, or None where it is of no use.
+
+        The coarse grid cannot serve rigid grains, which are larger than its cubes, nor the scheme as the paper prints
+        it. For short columns the diagonal preconditioner alone is as fast.
+        """
         layout, reach = self.state.layout, self._list_reach[0]
         if self.grains is not None or self.scene.paper_scheme or layout.height < LEAST * WIDTH * layout.spacing:
             return None
         return CoarseGrid(self.structs, self.scalar, layout, self.scene.radius, reach, self.device)
 
     def _solve(self, struct: Any) -> Any:
-        """Working arrays of one system of equations."""
+        """Return the working arrays of one linear system."""
         solve = struct()
         bodies = 0 if self.state.grains is None else self.state.grains.count
         cubes = 0 if self.coarse is None else self.coarse.count
@@ -140,12 +147,12 @@ class MovingParticles(Stepping):
 
     @property
     def counts(self) -> dict[str, int]:
-        """Of what it consists of."""
+        """Numbers of fluid particles and of wall particles."""
         return {"particles": self.count, "wall particles": len(self.points) - self.count}
 
     @property
     def holdings(self) -> dict[str, Any]:
-        """What holds its memory, by part."""
+        """Objects that hold the flow's memory, by the name of their part."""
         solves = self.viscous, self.projection, self.shifting
         return {"particles": self.particles, "neighbours": self.lists, "matrix": self.matrix, "solves": solves}
 
@@ -155,16 +162,16 @@ class MovingParticles(Stepping):
         around = 2.0 if self.scene.dimensions == 2 else 2 * math.pi * self.scene.radius
         return around * self.state.layout.height
 
-    # Lists.
+    # The following methods build the neighbour lists.
 
     @property
     def _list_reach(self) -> tuple[float, float]:
-        """Of near and of all neighbours [m]."""
+        """Reach of the near neighbours and of all neighbours [m], including the skin."""
         near = LAPLACIAN if self.scene.paper_scheme else CUTOFF
         return (near + SKIN) * self.state.layout.spacing, (max(near, WIDE) + SKIN) * self.state.layout.spacing
 
     def _reserve(self) -> None:
-        """Rows of lists for what the lattice has, and more than half as much again for crowds."""
+        """Allocate list rows for 1.6 times the neighbours that the lattice has, to leave room for crowded regions."""
         d, n = self.scene.dimensions, self.count
         ball = math.pi if d == 2 else 4 / 3 * math.pi
         near, whole = (ball * (reach / self.state.layout.spacing) ** d for reach in self._list_reach)
@@ -182,7 +189,10 @@ class MovingParticles(Stepping):
         self._step = None
 
     def _check_memory(self, near: int, far: int, wall: int) -> None:
-        """Raise :class:`CapacityError` if the lists will not fit; what else a particle has is a tenth of them."""
+        """Raise :class:`CapacityError` if the neighbour lists do not fit in memory.
+
+        The other arrays of a particle take about a tenth of the memory of its lists.
+        """
         size = wp.types.type_size_in_bytes(self.scalar)
         needed = 1.1 * self.count * ((4 + 2 * size) * near + 4 * (far + wall))
         free = memory_free(self.device)
@@ -193,7 +203,11 @@ class MovingParticles(Stepping):
             )
 
     def build(self) -> None:
-        """Build the lists anew for the places as they are."""
+        """Rebuild the neighbour lists at the current positions, with longer rows if a list overflows.
+
+        The lists hold all neighbours within reach plus a skin, so they last until a particle has moved about half the
+        skin.
+        """
         place, search = list_kernels(self.scalar, self.scene.dimensions, not self.parallel)
         near_reach, whole_reach = self._list_reach
         launch(
@@ -220,10 +234,10 @@ class MovingParticles(Stepping):
         self.fields.late.zero_()
         self.rebuilds += 1
 
-    # Stepping.
+    # The following methods provide the stages of a step and the state for checkpoints.
 
     def stage(self, kernel: Any, dim: Size, *, block: int | None = None, **named: Any) -> Stage:
-        """A launch of a kernel; parameters that are not `named` are the attributes of the same names."""
+        """Return a stage that launches `kernel`; parameters not in `named` come from attributes of the same names."""
         for name in parameter_names(kernel):
             if name not in named:
                 named[name] = getattr(self, name)
@@ -231,7 +245,7 @@ class MovingParticles(Stepping):
 
     @property
     def step(self) -> Step:
-        """Stages of one step on the arrays that there are now, a list for each thread."""
+        """Stages of one step on the current arrays, one list for each thread."""
         if self._step is None:
             self._step = step_stages(self)
         return self._step
@@ -240,23 +254,24 @@ class MovingParticles(Stepping):
         return step_by_one_thread(self)
 
     def solves(self) -> dict[int, Any]:
-        """Working arrays of its solves, by what they solve for."""
+        """Return the working arrays of the linear systems, by what they solve for."""
         return {VISCOSITY: self.viscous, PRESSURE: self.projection, DENSITY: self.shifting}
 
     def state_arrays(self) -> dict[str, np.ndarray]:
-        """Arrays that the next step depends on.
+        """Return the arrays that the next step depends on.
 
-        The lists are those of the places for which they were built, so that sums keep their order.
+        Among the arrays are the positions at which the neighbour lists were built: lists rebuilt from these positions
+        have the same order, and so have all sums.
         """
         lists = {"built": self.fields.built.numpy(), "late": self.fields.late.numpy()}
         return self.state.state_dict() | lists
 
     def state_dict(self) -> dict[str, Any]:
-        """All that the next step depends on."""
+        """Return everything that the next step depends on."""
         return {"arrays": self.state_arrays(), "numbers": {"steps": self.steps, "rebuilds": self.rebuilds}}
 
     def load_state_dict(self, found: dict[str, Any]) -> None:
-        """Go on from a `state_dict`."""
+        """Restore the flow from a `state_dict`, with the same neighbour lists."""
         arrays, numbers = found["arrays"], found["numbers"]
         self.particles.position.assign(arrays["built"])
         self.build()

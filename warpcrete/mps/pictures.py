@@ -1,4 +1,4 @@
-"""Pictures of flows, by Matplotlib."""
+"""Matplotlib figures of pipe flows."""
 
 from __future__ import annotations
 
@@ -16,8 +16,10 @@ def plot_flow(
     particles: tuple[np.ndarray, np.ndarray, float] | None = None,
     scale: tuple[str, float, float] | None = None,
 ) -> Any:
-    """Figure of pressure against time and velocity profiles, both beside theory; `particles` (places, RGB bytes,
-    spacing) are drawn beside them, with the `scale` of their colours (what they show, its lowest and highest value).
+    """Return a figure of the pressure over time and of velocity profiles, both with theory.
+
+    `particles` (positions, RGB bytes, spacing) are drawn next to them, with a colour bar for `scale` (label, lowest and
+    highest value).
     """
     from matplotlib.figure import Figure
 
@@ -43,7 +45,7 @@ def _pressure(axes: Any, run: Run) -> None:
         )
     piston = run.scene.ends == "piston"
     axes.set(xlabel="time [s]", ylabel=f"pressure {'on the piston' if piston else 'over the stretch'} [kPa]")
-    # The start is far below and of no interest.
+    # The first rows are far below the others and would spoil the range of the axis.
     shown = np.append(run.series["pressure"][2:] / 1e3, theory)
     lowest, highest = np.nanmin(shown), np.nanmax(shown)
     if np.isfinite(lowest + highest):
@@ -55,7 +57,7 @@ def _pressure(axes: Any, run: Run) -> None:
 def _profiles(axes: Any, run: Run) -> None:
     scene = run.scene
     piston = scene.ends == "piston"
-    for part in run.result["profiles"][: None if piston else 1]:  # all are the same in a periodic pipe
+    for part in run.result["profiles"][: None if piston else 1]:  # a periodic pipe has the same profile everywhere
         axes.plot(
             100 * np.array(part["radius"]["value"]), 100 * np.array(part["velocity"]["value"]), ".", markersize=5,
             label=f"{100 * part['height']['value']:.0f} cm above the piston" if piston else "this run",
@@ -70,7 +72,7 @@ def _profiles(axes: Any, run: Run) -> None:
 def _particles(
     axes: Any, places: np.ndarray, shades: np.ndarray, spacing: float, scale: tuple[str, float, float] | None
 ) -> None:
-    """Cut through the middle: what lies nearer to the eye would hide the inside."""
+    """Draw the particles behind a vertical plane through the middle, so that the inside of the flow is visible."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.collections import EllipseCollection
     from matplotlib.colors import Normalize
@@ -101,7 +103,7 @@ def _particles(
 
 
 def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
-    """The picture of a run folder, if there is more than the start."""
+    """Return the figure of a run folder, or None if the run has only its initial row."""
     if "profiles" not in run.result:
         return None
     display = simulation.display(colouring)

@@ -1,4 +1,4 @@
-"""What is measured in a flow: pressure on the piston, slip velocity, profiles, volume, balance of forces, aggregate."""
+"""Measurements of a particle flow: pressure, slip velocity, profiles, volume, balance of forces, aggregate."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from ..theory.pipe import velocity
 from .particles import MovingParticles
 
 MIDDLE = (0.4, 0.6)
-"""Part of the column, in parts of its height, in which slip velocity and profile are taken."""
+"""Range of heights, relative to the column's height, in which slip velocity and profile are measured."""
 STRAIGHT = (0.2, 0.8)
-"""Part in which the pressure's gradient is taken."""
+"""Range of heights, relative to the column's height, in which the pressure gradient is measured."""
 LOWEST = 0.1
-"""Part above the piston through which the pressure is continued to the piston."""
+"""Height, relative to the column's, up to which pressures are fitted and extrapolated to the piston."""
 WINDOW = (0.65, 0.85)
-"""Heights between which the window falls from one to nothing that measures the volume."""
+"""Heights, relative to the column's, between which the weight in the volume measurement falls from one to zero."""
 UNITS = {
     "time": "s",
     "travel": "m",
@@ -40,27 +40,27 @@ UNITS = {
     "aggregate_front": "1",
     "aggregate_rear": "1",
 }
-"""Of the columns of a row."""
+"""Units of the columns of the time series."""
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Arrays of the particles on the host, double precision."""
+    """Arrays of the particles at one moment, on the host and in double precision."""
 
     height: np.ndarray
-    """Above the piston [m]."""
+    """Height of each particle above the piston [m]."""
     distance: np.ndarray
-    """From the axis, or the middle plane [m]."""
+    """Distance of each particle from the axis or the middle plane [m]."""
     velocity: np.ndarray
-    """Along the pipe [m/s]."""
+    """Velocity of each particle along the pipe [m/s]."""
     speed: np.ndarray
-    """[m/s]"""
+    """Magnitude of each particle's velocity [m/s]."""
     pressure: np.ndarray
-    """[Pa]"""
+    """Pressure of each particle [Pa]."""
 
     @staticmethod
     def of(flow: MovingParticles) -> Snapshot:
-        """What the particles hold now."""
+        """Return the snapshot of a flow's particles."""
         p = flow.state.particles
         x, v = p.position.numpy().astype(float), p.velocity.numpy().astype(float)
         speed = np.linalg.norm(v, axis=1)
@@ -69,16 +69,16 @@ class Snapshot:
 
 
 def section(flow: MovingParticles) -> float:
-    """Cross section of the pipe [m2], of a channel [m2 per metre of depth]."""
+    """Return the cross section of the pipe [m2], or that of a channel per metre of depth."""
     return 2 * flow.scene.radius if flow.scene.dimensions == 2 else math.pi * flow.scene.radius**2
 
 
 def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> dict[str, float]:
-    """A row of the series; `before` is the row before, for what changes in between. Of a channel, momentum is that of a
-    metre's depth.
+    """Return a row of the series; the change of momentum is taken from `before`, the previous row.
 
-    The pressure on the piston is that of the particles near it, continued in a straight line, and half a spacing of
-    its gradient more: the particles of the surface have none, though half of each lies above its centre.
+    The momentum of a channel is that of a metre of depth. The pressure on the piston is extrapolated by a straight line
+    from the particles near it, plus half a spacing times the gradient: surface particles have zero pressure at their
+    centres, although half of each lies above its centre.
     """
     scene, state, layout = flow.scene, flow.state, flow.state.layout
     snap = Snapshot.of(flow)
@@ -106,6 +106,7 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
     force = pressure * area
     drag = float(np.sum(weight * stress)) * layout.volume
     outcomes = flow.outcomes()
+    # The piston's force must equal weight, wall drag and the rate of change of momentum.
     residual = force - state.mass * scene.gravity - drag - change
     surface = np.array([layout.height - 0.5 * layout.spacing])
     if flow.steps:
@@ -130,13 +131,16 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
 
 
 def window(part: np.ndarray, weight: np.ndarray | float = 1.0) -> float:
-    """Particles in a window that falls smoothly with height: as many as at the start, if none lost or won volume."""
+    """Return the number of particles in a window whose weight falls smoothly with height.
+
+    The number stays as at the start if the concrete neither loses nor gains volume.
+    """
     lower, upper = WINDOW
     return float(np.sum(weight * 0.5 * (1 + np.cos(np.pi * np.clip((part - lower) / (upper - lower), 0, 1)))))
 
 
 def aggregate_fractions(flow: MovingParticles, snap: Snapshot) -> dict[str, float]:
-    """Volume fraction of coarse aggregate in inner and outer half of the radius, front and rear of the column."""
+    """Return the volume fractions of coarse aggregate in the inner and outer half of the radius, front and rear."""
     if flow.state.grains is None:
         return {}
     coarse = flow.state.grains.group >= 0
@@ -150,9 +154,9 @@ def aggregate_fractions(flow: MovingParticles, snap: Snapshot) -> dict[str, floa
 
 
 def profile(flow: MovingParticles, height: float, bins: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Distance from the axis [m] and mean velocity [m/s] of the particles within 1.5 spacings of `height` [m].
+    """Return distances from the axis [m] and mean velocities [m/s] of particles within 1.5 spacings of `height` [m].
 
-    As many `bins` as there are particles from axis to wall, unless given.
+    By default there are as many `bins` as particles from the axis to the wall.
     """
     snap, layout = Snapshot.of(flow), flow.state.layout
     chosen = np.abs(snap.height - height) < 1.5 * layout.spacing
@@ -161,7 +165,7 @@ def profile(flow: MovingParticles, height: float, bins: int = 0) -> tuple[np.nda
 
 
 def over_radius(distance: np.ndarray, values: np.ndarray, radius: float, bins: int) -> tuple[np.ndarray, np.ndarray]:
-    """Means of distance and values in each of `bins` rings of equal width up to `radius`; empty ones are left out."""
+    """Return mean distances and values in `bins` rings of equal width up to `radius`, without empty rings."""
     edges = np.linspace(0, radius, bins + 1)
     place = np.clip(np.searchsorted(edges, distance, side="right") - 1, 0, bins - 1)
     count = np.bincount(place, minlength=bins)
@@ -172,7 +176,7 @@ def over_radius(distance: np.ndarray, values: np.ndarray, radius: float, bins: i
 
 
 def _slope(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Slope and value at zero of the straight line through points."""
+    """Return slope and value at zero of the straight line fitted to points."""
     if len(x) < 2 or np.ptp(x) == 0:
         return 0.0, float(np.mean(y)) if len(y) else math.nan
     slope, value = np.polyfit(x, y, 1)

@@ -1,4 +1,4 @@
-"""The numbers that a flow comes to, each with its unit, beside those of theory."""
+"""Result quantities of a pipe flow, with their units and the values that theory gives."""
 
 from __future__ import annotations
 
@@ -14,51 +14,54 @@ from ..theory.pipe import Steady
 from .scene import FluidScene
 
 LAST = 0.2
-"""Part of a run of given duration, at its end, whose means are the run's quantities; else the last row's are."""
+"""Last part of a run of given duration over which quantities are averaged; other runs take them from the last row."""
 COMPARED = ("pressure", "slip_velocity", "wall_stress")
-"""Columns of the series that theory has, too."""
+"""Columns of the series that theory predicts."""
 UNITS = {"pressure": "Pa", "slip_velocity": "m/s", "wall_stress": "Pa"}
 
 
 @dataclass(frozen=True)
 class Known:
-    """What there is to know of a flow when its quantities are worked out."""
+    """Scene, series and theory from which the quantities of a flow are computed."""
 
     scene: FluidScene
     series: dict[str, np.ndarray]
-    """Two rows or more."""
+    """Columns of the time series, with two rows or more."""
     theory: Steady
 
     @property
     def chosen(self) -> np.ndarray:
-        """Rows that are averaged."""
+        """Mask of the rows that are averaged."""
         time = self.series["time"]
         if self.scene.duration is None:
             return np.arange(len(time)) == len(time) - 1
         return time >= time[-1] * (1 - LAST)
 
     def mean(self, name: str) -> float:
-        """Of a column."""
+        """Return the mean of a column over the chosen rows."""
         return float(self.series[name][self.chosen].mean())
 
     def by_theory(self, name: str) -> float:
-        """What theory has for it."""
+        """Return the value of a quantity by theory."""
         return float(getattr(self.theory, name))
 
     def error(self, name: str) -> float:
-        """Relative to theory; a flow may be all shear, so slip is judged by the mean velocity."""
+        """Return the relative error against theory; that of the slip velocity is relative to the mean velocity.
+
+        A flow may be all shear, and then its slip velocity is no useful scale.
+        """
         size = self.scene.velocity if name == "slip_velocity" else self.by_theory(name)
         return (self.mean(name) - self.by_theory(name)) / size
 
 
 def expected(scene: FluidScene) -> dict[str, float]:
-    """What theory says of the steady flow."""
+    """Return pressure, slip velocity and wall stress of the steady flow by theory."""
     theory = scene.theory()
     return {name: float(getattr(theory, name)) for name in UNITS}
 
 
 def largest(values: np.ndarray) -> float:
-    """Return the value of largest magnitude, with its sign; NaN if any value is."""
+    """Return the value of largest magnitude, with its sign; NaN if any value is NaN."""
     return float(values[np.argmax(np.abs(values))])
 
 
@@ -119,7 +122,7 @@ QUANTITIES = (
 
 
 def report(run: Run) -> Iterator[tuple[str, str]]:
-    """Lines about a run besides its quantities."""
+    """Yield lines of the report that go beyond the quantities: printed values, and whether the flow is not steady."""
     if run.scene.published and "pressure" in run.result:
         for name, value in run.scene.published.items():
             factor, unit = shown(UNITS[name])

@@ -1,4 +1,4 @@
-"""What runs of flows have in common, whether particles alone carry them or a grid."""
+"""Base class for runs of flows, by particles alone or on a grid."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from ..core.units import quantity
 
 
 class FlowRun(Simulation):
-    """A simulation whose state is a `flow`: it has `state`, `state_dict`, `load_state_dict`, `count` and `steps`."""
+    """Simulation of one `flow`, which has `state`, `state_dict`, `load_state_dict`, `count` and `steps`."""
 
     flow: Any
 
     def set_up(self) -> None:
-        """Nothing but the rows: particles take memory."""
+        """Start an empty series; the particles are placed later, because they take memory."""
         self._rows: list[dict[str, float]] = []
 
     @abstractmethod
     def placed(self) -> Any:
-        """The flow at the start."""
+        """Return the flow at its start."""
 
     @abstractmethod
     def measured(self) -> dict[str, float]:
-        """A row of the series."""
+        """Measure the flow and return a row of the series."""
 
     @property
     def prepared(self) -> bool:
-        """The particles are there."""
+        """True once the particles are placed."""
         return hasattr(self, "flow")
 
     @property
@@ -42,11 +42,11 @@ class FlowRun(Simulation):
 
     @property
     def state(self) -> Any:
-        """The particles."""
+        """State of the flow, with its particles."""
         return self.flow.state
 
     def prepare(self) -> None:
-        """Place the particles."""
+        """Place the particles at their initial positions."""
         started = wall_clock.perf_counter()
         self.tell("packing", 0.0)
         self.flow = self.stepper = self.placed()
@@ -60,7 +60,7 @@ class FlowRun(Simulation):
         return row
 
     def state_dict(self) -> dict[str, Any]:
-        """The flow, and the rows so far."""
+        """Return the state of the flow and the rows so far."""
         return {
             "flow": self.flow.state_dict(),
             "columns": list(self._rows[0]) if self._rows else [],
@@ -68,7 +68,7 @@ class FlowRun(Simulation):
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from a `state_dict`, in place of `prepare`."""
+        """Restore a run from a `state_dict`, in place of `prepare`."""
         spent = dict(self._spent)
         self.prepare()
         self._spent = spent
@@ -76,16 +76,16 @@ class FlowRun(Simulation):
         self._rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
 
     def release(self) -> None:
-        """Let go of the device's memory; the run's results stay."""
-        for name in ("flow", "stepper"):  # a run may have failed before it had them
+        """Release the device memory; the results of the run stay."""
+        for name in ("flow", "stepper"):  # a run that failed early may lack these attributes
             self.__dict__.pop(name, None)
 
     def series(self) -> dict[str, np.ndarray]:
-        """Columns of the rows so far."""
+        """Return the columns of the series so far."""
         return {name: np.array([row[name] for row in self._rows]) for name in (self._rows[0] if self._rows else ())}
 
     def speed(self) -> dict[str, Any]:
-        """What the run took, as its result tells it."""
+        """Return wall times, step rates and memory of the run for its result."""
         flow, running = self.flow, self._spent.get("running", 0.0)
         return {
             "wall_time": quantity(running, "s"),

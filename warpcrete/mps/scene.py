@@ -1,6 +1,7 @@
 """Scenes of the moving particle method: concrete as a Bingham fluid that a piston drives up a pipe.
 
-Two dimensions are a channel between planes 2 R apart, three a round tube (Xu, Li & Jiang 2021, section 3.3).
+In two dimensions the pipe is a channel between planes 2 R apart, in three a round tube (Xu, Li & Jiang 2021, section
+3.3).
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ from ..core.html import Parametrised
 from ..core.parameters import Above, Alias, Declared, Needs, OneOf, Within
 from ..theory.pipe import Concrete, Line, Steady, restart, steady
 
-FEWEST_ACROSS = 4  # particles over the pipe's width
+FEWEST_ACROSS = 4  # minimum number of particles across the pipe
 ENDS = ("piston", "periodic")
 RESTED = Needs("rest", lambda rest: rest > 0, "is above 0")
 MOST_PARTICLES = 2**26
-"""Particles of a column, whose lists still fit the memory of today's largest GPU."""
-SHORTEST = 8  # spacings in the column's length: less has no inside that neither piston nor surface disturbs
+"""Maximum number of particles of a column; their neighbour lists still fit in the memory of today's largest GPU."""
+SHORTEST = 8  # minimum length of a column in spacings; piston and surface disturb a shorter column everywhere
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,15 +31,15 @@ class Aggregates:
     """Coarse aggregate of the two-phase model: rigid groups of elementary particles in mortar."""
 
     fraction: float
-    """Of the volume."""
+    """Volume fraction of the coarse aggregate."""
     mortar: Concrete
-    """Bingham constants and density of what is between them; its slip layer is the concrete's."""
+    """Density and Bingham constants of the mortar between the aggregates; its slip layer is that of the concrete."""
     density: float = 2630.0
-    """[kg/m3]"""
+    """Density of the aggregate [kg/m3]."""
     sizes: tuple[tuple[float, float, float], ...] = ((5e-3, 10e-3, 0.3), (10e-3, 15e-3, 0.4), (15e-3, 20e-3, 0.3))
-    """Smallest and largest size [m] and part of each class, by volume."""
+    """Smallest size [m], largest size [m] and volume share of each size class."""
     roundness: float = 0.6
-    """1 makes circles or spheres; less, radii that vary by up to 1 - roundness."""
+    """Roundness of the aggregates: 1 gives circles or spheres, less gives radii that vary by up to 1 - roundness."""
 
     def __post_init__(self) -> None:
         positive("aggregate fraction", self.fraction, "", "leave out aggregates")
@@ -55,7 +56,7 @@ class Aggregates:
 
 @dataclass(frozen=True, kw_only=True)
 class FlowWatch(Declared):
-    """Limits past which a flow stops with an InstabilityError; checked at every sample. NaN is always one."""
+    """Limits beyond which a flow stops with an InstabilityError, checked at every sample; NaN exceeds every limit."""
 
     called = "watch"
 
@@ -88,7 +89,7 @@ STEP_ERROR = (
 
 @dataclass(frozen=True, kw_only=True)
 class FlowSettings(Declared):
-    """How a flow is computed."""
+    """Settings of the flow simulation."""
 
     duration: Annotated[float | None, "Simulated time [s]; default: until the flow is steady"] = None
     ends: Annotated[
@@ -153,7 +154,7 @@ class FlowSettings(Declared):
 
 
 def check_interval(scene: Any) -> None:
-    """Refuse intervals of samples that no run can keep: shorter than its steps, if they are equal."""
+    """Refuse a sample interval that no run can keep: one shorter than the time step, if all steps are equal."""
     positive("sample_interval", scene.sample_interval, "s")
     if not scene.step_error:
         between("sample_interval", scene.sample_interval, scene.time_step, np.inf, "s", "use at least one time step")
@@ -161,28 +162,28 @@ def check_interval(scene: Any) -> None:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class FluidScene(Parametrised, FlowSettings):
-    """A column of concrete in a pipe, driven from below by a piston at constant speed; SI units."""
+    """Column of concrete in a pipe, driven from below by a piston at constant speed; SI units."""
 
     name: str
     concrete: Concrete
     dimensions: int
-    """2: channel of width 2 R; 3: round tube."""
+    """Number of dimensions: 2 for a channel of width 2 R, 3 for a round tube."""
     radius: float
-    """R [m]"""
+    """Radius R of the pipe, or half the width of the channel [m]."""
     length: float
-    """Of the column [m]."""
+    """Length of the column [m]."""
     velocity: float
-    """Of the piston [m/s]."""
+    """Velocity of the piston [m/s]."""
     spacing: float
-    """Wanted distance of particles [m]; the nearest is taken that divides the channel's width, or the tube's radius."""
+    """Wanted particle distance [m]; the nearest value that divides the channel's width or the tube's radius is used."""
     aggregates: Aggregates | None = None
     watch: FlowWatch = field(default_factory=FlowWatch)
     published: Mapping[str, float] = field(default_factory=dict)
     """Quantities of the result that the paper prints for this scene, in SI units."""
     remarks: tuple[str, ...] = ()
-    """What the scene simplifies, to be told before a run."""
+    """Remarks on what the scene simplifies, shown before a run."""
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments that make this scene again through its scene function; empty if it has none."""
+    """Arguments with which the scene's function makes this scene again; empty if there is no such function."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -251,24 +252,24 @@ class FluidScene(Parametrised, FlowSettings):
 
     @property
     def form(self) -> str:
-        """Form of the theory to compare with."""
+        """Form of the theory that results are compared with, "plane" or "pipe"."""
         return "plane" if self.dimensions == 2 else "pipe"
 
     @property
     def line(self) -> Line:
-        """The pipe as the theory sees it."""
+        """Pipe of the scene as a :class:`Line` of the closed-form theory."""
         return Line(radius=self.radius, length=self.length, gravity=self.gravity)
 
     @property
     def gained(self) -> float:
-        """By yield stresses at rest [Pa]."""
+        """Increase of the yield stresses during the rest before the start [Pa]."""
         return self.thixotropy * self.rest
 
     def theory(self) -> Steady:
-        """The steady state by closed form."""
+        """Return the steady state of the flow by closed-form theory."""
         return steady(self.concrete, self.line, np.pi * self.radius**2 * self.velocity, self.form)
 
     def restart(self) -> Steady:
-        """The state in which it would flow as fast if none of the structure broke that it gained at rest."""
+        """Return the theoretical state at full flow just after the rest, before any structure is broken."""
         flow = np.pi * self.radius**2 * self.velocity
         return restart(self.concrete, self.line, self.rest, self.thixotropy, flow, self.form)

@@ -1,4 +1,4 @@
-"""Flow of a Bingham fluid from a scene to a finished run; `core/run_loop.py` has what every run goes through."""
+"""Simulation of a pipe flow, from a scene to a finished run; `core/run_loop.py` has the loop common to all runs."""
 
 from __future__ import annotations
 
@@ -25,31 +25,32 @@ from .scene import FluidScene
 from .state import FluidState
 from .watch import WatchedFlow
 
-LONGEST = 2.0  # simulated seconds after which a flow that does not become steady ends all the same
+LONGEST = 2.0  # simulated time [s] after which a flow that does not become steady ends
 SETTLES = 0.03
-"""Time in which a flow becomes steady, about [s]."""
+"""Typical simulated time until a flow is steady [s]."""
 PROFILES = (0.2, 0.5, 0.8)
-"""Heights of the velocity profiles in the result, in parts of the column's (Xu et al. 2021, Fig. 18)."""
+"""Heights of the result's velocity profiles, relative to the column's height (Xu et al. 2021, Fig. 18)."""
 BREAKING = 6.0
-"""Slips by which a layer's structure falls to 1/e, after which a flow ends all the same."""
+"""Maximum duration of a flow, in units of the time in which slip breaks the layer's structure down to 1/e."""
 SLIPS = 0.1
-"""Slip over the mean velocity below which nobody waits until a layer is broken."""
+"""Ratio of slip to mean velocity below which a run does not wait until the layer's structure is broken."""
 BROKEN = 0.01
-"""Part that may be left of what a layer gained at rest in a steady flow."""
+"""Fraction of the yield stress gained at rest that the slip layer may still have in a steady flow."""
 APART = 5e-3
 """Simulated time between the rows that must agree in a steady flow [s]."""
 
 
 class FluidSimulation(FlowRun):
-    """A flow; parameters and errors are those of :class:`warpcrete.Simulation`. A solve that does not converge raises
-    :class:`ConvergenceError`.
+    """Simulation of a pipe flow; parameters and errors are those of :class:`warpcrete.Simulation`.
+
+    A solve that does not converge raises :class:`ConvergenceError`.
     """
 
     scene_type = FluidScene
     scene: FluidScene
 
     def set_up(self) -> None:
-        """What to watch, and by what."""
+        """Create the monitor of the flow and choose the functions that measure the flow."""
         super().set_up()
         self.steady = False
         self._watch = WatchedFlow(self.scene)
@@ -58,12 +59,12 @@ class FluidSimulation(FlowRun):
 
     @property
     def top_speed(self) -> float:
-        """Of the steady flow, by theory [m/s]."""
+        """Highest speed of the steady flow by theory [m/s]."""
         return self._watch.top_speed
 
     @property
     def duration(self) -> float:
-        """Simulated time of the whole run, at most [s]."""
+        """Maximum simulated time of the whole run [s]."""
         if self.scene.duration is not None:
             return self.scene.duration
         breaking = BREAKING * self.scene.breakdown / self.scene.theory().slip_velocity if self._breaks else 0.0
@@ -71,63 +72,63 @@ class FluidSimulation(FlowRun):
 
     @property
     def _breaks(self) -> bool:
-        """Slip breaks what a layer gained at rest, within some time."""
+        """True if slip breaks the structure that the layer gained at rest, within a reasonable time."""
         scene = self.scene
         return bool(scene.gained) and scene.theory().slip_velocity > SLIPS * scene.velocity
 
     @property
     def expected_duration(self) -> float:
-        """Simulated time that the run will take, about [s]."""
+        """Expected simulated time of the run [s]."""
         return SETTLES if self.scene.duration is None else self.scene.duration
 
     @property
     def frame_step(self) -> float:
-        """Particles alone take steps of one size."""
+        """Size of the time steps [s], which is constant for particles alone; infinite for flows on a grid."""
         return np.inf if self.scene.ends == "periodic" else self.scene.time_step
 
     def unit(self, column: str) -> str:
-        """Unit of a column of the series."""
+        """Return the unit of a column of the series."""
         return UNITS[column]
 
     def display(self, colouring: str | None = None) -> FlowDisplay:
-        """What recorders draw."""
+        """Return the display that recorders draw."""
         return FlowDisplay(self, colouring)
 
     def placed(self) -> MovingParticles | GridFlow:
-        """The particles, and the grid where there is one."""
+        """Return the flow at its start: a grid with particles for a periodic pipe, else particles alone."""
         if self._periodic:
             check_memory(pipe_cells(self.scene), self.device, self.precision)
             return GridFlow(GridState(self.scene, pipe_layout(self.scene), self.device, self.precision))
         return MovingParticles(FluidState(self.scene, self.device, self.precision), threads=self.threads)
 
     def measured(self) -> dict[str, float]:
-        """A row of the series."""
+        """Measure the flow and return a row of the series."""
         return self._probes.measured(self.flow, self._rows[-1] if self._rows else None)
 
     def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if the row shows that the state means nothing any more."""
+        """Raise :class:`InstabilityError` if the row shows that the state is no longer meaningful."""
         self._watch(row)
 
     def ended_early(self) -> bool:
-        """The flow is steady, and no duration was asked for."""
+        """Return whether the flow is steady and no duration is given."""
         now, part = self._rows[-1], self.scene.steadiness
         if self._breaks and now["layer_gained"] > BROKEN * self.scene.gained:
-            return False  # it may break so slowly that nothing else shows it
+            return False  # the structure may break so slowly that no other quantity shows it
         earlier = []
         for wanted in (now["time"] - APART, now["time"] - 2 * APART):
-            # The first row holds no slip layer yet; one agreement may be chance.
+            # In the first row the slip layer is not computed yet. Two earlier rows must agree: one may do so by chance.
             found = [row for row in self._rows[1:] if row["time"] <= wanted + 1e-9]
             if not found:
                 return False
             earlier.append(found[-1])
         scale = {name: abs(now[name]) for name in ("pressure", "wall_stress")} | {"slip_velocity": self.scene.velocity}
-        if self._periodic:  # a plug may still grow when the wall's stress hardly changes any more
+        if self._periodic:  # the plug may still grow when the wall stress hardly changes any more
             scale["fastest"] = self.scene.velocity
         self.steady = all(abs(row[name] - now[name]) <= part * size for row in earlier for name, size in scale.items())
         return self.steady and self.scene.duration is None
 
     def result(self, finished: bool) -> Run:
-        """The run as it is now, with its quantities."""
+        """Return the run as it is now, with its quantities."""
         scene, flow, rows = self.scene, self.flow, self._rows
         series = self.series()
         result: dict[str, Any] = {

@@ -1,14 +1,16 @@
 """One step of the implicit moving particle method, as a list of stages.
 
-A step projects as pressure-correction methods do, with the pressure of the step before in the prediction:
+A step is a pressure-correction scheme whose predictor uses the pressure of the previous step:
 
-1. geometry: moment matrices, apparent viscosity, predicted pressure (filtered);
-2. velocities under viscosity, slip layer, predicted pressure and weight (implicit), grains as rigid bodies;
-3. the increment of pressure that takes their divergence away;
-4. places: along the velocities, then off crowds by a second, loose solve that no velocity feels.
+1. Geometry: moment matrices, apparent viscosity, and the filtered pressure of the previous step.
+2. Velocities: an implicit solve with viscosity, slip layer, predicted pressure and weight, in which grains are rigid
+   bodies.
+3. Pressure: the increment of the pressure that removes the divergence of these velocities.
+4. Positions: particles move with their velocities; a second, loose solve then shifts them out of crowded regions
+   without changing any velocity.
 
-Xu, Li & Jiang 2021, sections 2.1 to 2.5; where their printed scheme does not hold, notebooks/fluid.md says what is
-done instead and why.
+The method is that of Xu, Li & Jiang 2021, sections 2.1 to 2.5. Where the printed scheme fails, notebooks/fluid.md says
+what is done instead and why.
 """
 
 from __future__ import annotations
@@ -31,29 +33,35 @@ from ..kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY, span
 from ..kernels.mps.two_level import resident_two_level, serial_two_level
 from .state import lattice_number
 
-VELOCITY_ERROR = 1e-6  # of the viscosity solve: residual over that which a change by the piston's speed would make
-LEAST_PRESSURE = 1e-4  # of the pressure's tolerance, for residuals over those of the piston's speed across the radius
-SHIFTING = 0.1, 1e-7  # of the density's solve: residual over that at its start, or mean over the density's error
+VELOCITY_ERROR = 1e-6
+"""Tolerance of the viscosity solve, relative to the residual that a velocity error of piston speed would cause."""
+LEAST_PRESSURE = 1e-4
+"""Ratio of the absolute to the relative tolerance of the pressure solve.
+
+The absolute tolerance is a fraction of the residual for a divergence of (piston speed / radius).
+"""
+SHIFTING = 0.1, 1e-7
+"""Relative tolerance of the density solve, and the rms residual at which the solve stops in any case."""
 
 
 def step_stages(particles: Any) -> Step:
-    """Stages of one step of :class:`MovingParticles` on the arrays that there are now, a list for each thread."""
+    """Return the stages of one step of :class:`MovingParticles` on its current arrays, one list for each thread."""
     return [part.step() for part in step_parts(particles)]
 
 
 def step_by_one_thread(particles: Any) -> Step:
-    """The same as one thread takes it for all, chunk by chunk."""
+    """Return the stages of one step for a single thread that processes the chunks of all threads."""
     return [StepPart(particles, range(particles.threads), []).step()]
 
 
 def step_parts(particles: Any) -> list[StepPart]:
-    """What each thread does in a step."""
+    """Return the part of a step that each thread does."""
     meet = particles.barrier()
     return [StepPart(particles, range(part, part + 1), meet) for part in range(particles.threads)]
 
 
 class StepPart:
-    """What one thread does in a step: the rows of its `parts`, and with the first part what is done once for all."""
+    """Part of a step that one thread does: the rows of its `parts`, and for the first thread the shared work."""
 
     def __init__(self, particles: Any, parts: range, meet: list[Stage]) -> None:
         self.p, self.parts, self.meet = particles, parts, meet
@@ -63,7 +71,7 @@ class StepPart:
         self.kind = particles.scalar, self.dimensions, self.serial
 
     def step(self) -> list[Any]:
-        """The whole step."""
+        """Return all stages of the step."""
         if self.scene.paper_scheme:
             return [
                 *self.geometry(),
@@ -91,10 +99,10 @@ class StepPart:
             *self.finish(),
         ]
 
-    # Launches.
+    # The following methods make stages from a kernel.
 
     def each(self, kernel: Any, **named: Any) -> list[Stage]:
-        """A kernel over the rows of each part; then all wait."""
+        """Return stages that run a kernel over the rows of each part, followed by a barrier."""
         p, found = self.p, []
         for part in self.parts:
             first, end = p.count * part // p.threads, p.count * (part + 1) // p.threads
@@ -103,21 +111,21 @@ class StepPart:
         return [*found, *self.meet]
 
     def alone(self, kernel: Any, tasks: int = 1, **named: Any) -> list[Stage]:
-        """A kernel that the first part runs for all; then all wait."""
+        """Return stages in which the first thread runs a kernel for all, followed by a barrier."""
         return [*([self.p.stage(kernel, tasks, **named)] if self.parts.start == 0 else []), *self.meet]
 
     def in_blocks(self, kernel: Any, number: int | None = None, **named: Any) -> Stage:
-        """A kernel in whole blocks of a GPU, over all rows unless a number of blocks is given."""
+        """Return a stage that runs a kernel in whole GPU blocks, over all rows unless a number of blocks is given."""
         return self.p.stage(kernel, BLOCK * (number or self.p.blocks), block=BLOCK, **named)
 
-    # Stages, in their order.
+    # The following methods return the stages of a step, in the order of the step.
 
     def geometry(self) -> list[Any]:
         kernel = geometry_kernel(*self.kind, self.two_phase)
         return self.each(kernel, **members(kernel, particle=self.p.particles))
 
     def wall_scale(self) -> list[Any]:
-        """The factor that makes the wall's areas of all particles that of the wall."""
+        """Return stages that scale the particles' wall areas so that their sum is the area of the wetted wall."""
         p = self.p
         weights = {"weight": p.fields.wall_weight}
         result = {"wanted": p.wet_area / p.state.layout.volume, "factor": p.fields.wall_scale}
@@ -134,7 +142,7 @@ class StepPart:
         return self.each(momentum_kernel(*self.kind, self.two_phase))
 
     def bodies(self) -> list[Any]:
-        """Grains as the solve for velocities sees them."""
+        """Return the stage that prepares the rigid grains for the velocity solve."""
         if not self.two_phase:
             return []
         return self.alone(bodies_kernel(self.p.scalar, self.dimensions), self.p.state.grains.count)
@@ -150,7 +158,7 @@ class StepPart:
         return [*self.gathered(False), *solve]
 
     def shifting(self) -> list[Any]:
-        """The solve of what moves particles off crowds, and how far that is."""
+        """Return the density solve and the stage that turns its solution into shifts out of crowded regions."""
         tolerance, error = SHIFTING
         return [
             *self.solve(self.p.shifting, DENSITY, self.p.fields.potential, tolerance, error * self.size),
@@ -158,7 +166,7 @@ class StepPart:
         ]
 
     def motion(self) -> list[Any]:
-        """Velocities of grains, then all particles, then grains' places."""
+        """Return stages that update the grains' velocities, then all particles, then the grains' positions."""
         advance = self.each(advance_kernel(*self.kind))
         if not self.two_phase:
             return advance
@@ -171,7 +179,7 @@ class StepPart:
         return self.alone(finish, late=self.p.fields.late)
 
     def printed_weights(self) -> list[Any]:
-        """Of the scheme as the paper prints it."""
+        """Return the stage that computes the weights of the scheme as the paper prints it."""
         reach = paper_scheme.LAPLACIAN
         return self.each(
             paper_scheme.weights_kernel(*self.kind),
@@ -179,10 +187,13 @@ class StepPart:
             laplacian_number=lattice_number(self.dimensions, reach),
         )
 
-    # Solves.
+    # The following methods return the linear solves.
 
     def gathered(self, vector: bool) -> list[Any]:
-        """The coarse matrix, of velocities or of numbers; that of the pressure serves what moves particles too."""
+        """Return stages that form the coarse matrix of the preconditioner, of velocities (`vector`) or of the pressure.
+
+        The coarse matrix of the pressure also serves the density solve.
+        """
         coarse = self.p.coarse
         if coarse is None:
             return []
@@ -195,7 +206,7 @@ class StepPart:
 
     @property
     def size(self) -> float:
-        """Norm of as many ones as there are particles."""
+        """Norm of a vector of ones with a row for each particle, which turns an rms value into a norm."""
         return math.sqrt(self.p.count)
 
     @property
@@ -204,7 +215,11 @@ class StepPart:
         return self.scene.concrete.density / self.scene.time_step
 
     def solve(self, system: Any, what: int, x: Any, tolerance: float, absolute: float) -> list[Any]:
-        """Conjugate gradients down to `tolerance` of the residual at the start, or to `absolute`; adds to `x`."""
+        """Return the stage of a conjugate-gradient solve that adds its solution to `x`.
+
+        The solve stops when the residual is below `tolerance` times the initial one, or below the norm `absolute`. The
+        preconditioner is the matrix's diagonal, plus the coarse grid if there is one.
+        """
         p, maximum = self.p, self.scene.maximum_iterations
         vector = what == VISCOSITY
         rigid = vector and self.two_phase

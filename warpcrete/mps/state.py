@@ -1,4 +1,4 @@
-"""State of a flow: its particles on a device, and the places they start from."""
+"""State of a particle flow on a device, and the positions at which it starts."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from .layout import Layout, layout
 from .scene import FluidScene
 
 CUTOFF = 2.1
-"""Reach of gradient, divergence and Laplacian over the spacing (Xu et al. 2021: 2.1 and 4.1)."""
+"""Reach of gradient, divergence and Laplacian in particle spacings (Xu et al. 2021 use 2.1 and 4.1)."""
 WIDE = 3.1
-"""Reach of the density over the spacing."""
+"""Reach of the density sum in particle spacings."""
 
 
 class FluidState:
-    """Everything that changes in a flow, and what follows from the places at its start.
+    """State of a flow: all arrays that change in a run, and what follows from the initial positions.
 
-    Its arrays, with meaning, unit and shape, are those of the structs `Particles` and `Grains` in
-    `kernels/mps/structs.py`; they have a row for each fluid particle, in an order that never changes.
+    The arrays have a row for each fluid particle, in an order that never changes. The structs `Particles` and `Grains`
+    in `kernels/mps/structs.py` give meaning, unit and shape.
     """
 
     flags: wp.array
-    """Slots of `kernels/common/control.py`, shape (FLAGS,)."""
+    """Control flags with the slots of `kernels/common/control.py`, shape (FLAGS,)."""
     particles: Any
-    """A struct `Particles`."""
+    """Arrays of the fluid particles, a struct `Particles`."""
     grain_arrays: Any
-    """A struct `Grains`; None in one phase."""
+    """Arrays of the rigid grains, a struct `Grains`; None in one phase."""
 
     def __init__(self, scene: FluidScene, device: Any, precision: str) -> None:
         self.scene, self.device, self.scalar = scene, device, scalar_of(precision)
@@ -65,7 +65,7 @@ class FluidState:
         self.grain_arrays = self._place_grains(fluid) if self.grains is not None else None
 
     def _filled(self, struct: Any, **arrays: Any) -> Any:
-        """A struct of arrays: of host data, or of zeros."""
+        """Return a struct of arrays: copies of host data, or zeros where a size is given."""
         made = struct()
         for name, value in arrays.items():
             dtype = struct.vars[name].type.dtype
@@ -78,7 +78,7 @@ class FluidState:
     def _place_grains(self, fluid: np.ndarray) -> Any:
         grains = self.grains
         assert grains is not None
-        # As the device has them, in its precision.
+        # Read the positions back, so that the offsets fit the values on the device in its precision.
         place = self.particles.position.numpy().astype(float)
         middle = np.stack([place[a:b].mean(0) for a, b in zip(grains.first[:-1], grains.first[1:])])
         offset = place[: grains.first[-1]] - middle[grains.group[: grains.first[-1]]]
@@ -104,13 +104,13 @@ class FluidState:
 
     @property
     def mass(self) -> float:
-        """Of all fluid particles [kg], or [kg/m] in two dimensions."""
+        """Mass of all fluid particles [kg], or per metre of depth [kg/m] in two dimensions."""
         if self.grains is None:
             return self.scene.concrete.density * self.layout.volume * self.count
         return float(self.particles.density.numpy().sum(dtype=float)) * self.layout.volume
 
     def state_dict(self) -> dict[str, np.ndarray]:
-        """Arrays that the next step depends on, lists apart."""
+        """Return the arrays that the next step depends on, without the neighbour lists."""
         found = {name: getattr(self.particles, name).numpy() for name in PARTICLE_ARRAYS}
         found["flags"] = self.flags.numpy()
         if self.grain_arrays is not None:
@@ -118,7 +118,7 @@ class FluidState:
         return found
 
     def load_state_dict(self, found: dict[str, np.ndarray]) -> None:
-        """Go on from a `state_dict`."""
+        """Restore the state from a `state_dict`."""
         for name in PARTICLE_ARRAYS:
             getattr(self.particles, name).assign(found[name])
         self.flags.assign(found["flags"])
@@ -128,12 +128,14 @@ class FluidState:
 
 PARTICLE_ARRAYS = ("position", "rounding", "velocity", "pressure")
 GRAIN_ARRAYS = ("turn", "middle", "middle_rounding")
-"""What the next step depends on, of particles and of grains."""
+"""Names of the arrays of particles (PARTICLE_ARRAYS) and of grains that the next step depends on."""
 
 
 def flow_numbers(state: FluidState, *, skin: float, correction: float) -> Any:
-    """Struct of a flow's numbers for the kernels; `skin` of the lists over the spacing, `correction` the part of the
-    density's error that a step takes away.
+    """Return the struct of constants of a flow for the kernels.
+
+    `skin` is that of the neighbour lists in particle spacings, `correction` the fraction of the density error that a
+    step removes.
     """
     scene = state.scene
     flow = flow_struct(state.scalar)()
@@ -167,7 +169,7 @@ def flow_numbers(state: FluidState, *, skin: float, correction: float) -> Any:
 
 
 def lattice_number(dimensions: int, reach: float) -> float:
-    """Sum of weights of a particle inside a square or cubic lattice; `reach` over its spacing."""
+    """Return the sum of neighbour weights in a square or cubic lattice; `reach` is in units of its spacing."""
     size = np.arange(-math.ceil(reach), math.ceil(reach) + 1.0)
     r = np.linalg.norm(np.stack(np.meshgrid(*[size] * dimensions), -1).reshape(-1, dimensions), axis=1)
     r = r[(r > 0) & (r < reach)]
@@ -183,7 +185,7 @@ def _density_weight(q: np.ndarray) -> np.ndarray:
 
 
 def _sum_at_start(layout: Layout, reach: float, weight: Callable[[np.ndarray], np.ndarray]) -> float:
-    """Mean over a layer amid the column of the weights of all others within `reach` spacings."""
+    """Return the sum of weights of all neighbours within `reach` spacings, the mean over a layer at mid-height."""
     everything = np.concatenate([layout.fluid, layout.wall])
     middle = layout.fluid[np.argmin(np.abs(layout.fluid[:, -1] - 0.5 * layout.height)), -1]
     layer = layout.fluid[np.abs(layout.fluid[:, -1] - middle) < 1e-6 * layout.spacing]

@@ -1,4 +1,7 @@
-"""How flows take steps: graphs of some, then a look at what they came to; several flows abreast on a GPU."""
+"""Time stepping of flows by graphs of several steps, alone or with several flows at a time on one GPU.
+
+After some graphs the host reads the flags to see how far the flow has come.
+"""
 
 from __future__ import annotations
 
@@ -22,59 +25,59 @@ from ..kernels.common.control import FAILED, HALTED, STALE, STEPS
 from ..kernels.mps.conjugate_gradient import AFTER, BEFORE, ITERATIONS
 from ..kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY
 
-LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}
-LAUNCH = 4  # largest graphs from one look at the flags to the next
+LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}  # maximum number of steps of a graph
+LAUNCH = 4  # number of largest graphs that are launched between two reads of the flags
 WHAT = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
 ABREAST = 64
-"""Flows that a GPU carries forward at once, at most."""
+"""Maximum number of flows that run on one GPU at a time."""
 
 
 class Stepping(ABC):
-    """A flow that takes steps by replaying graphs of them; steps of constant size unless a subclass knows better."""
+    """Flow that takes steps by replaying graphs; steps have a constant size unless a subclass overrides this."""
 
     scene: Any
     threads: int
-    """That work on it on a CPU."""
+    """Number of CPU threads that work on the flow."""
     flags: wp.array
     parallel: bool
     time: float
     steps: int
     abreast: int = 1
-    """Flows that share the GPU; set by :meth:`share`."""
+    """Number of flows that share the GPU; set by :meth:`share`."""
     _launcher: Launcher
     _step: Step | None
     _goal: int = 0
-    """Steps to be taken in all."""
+    """Number of steps at which the flow stops."""
 
     @property
     @abstractmethod
     def step(self) -> Step:
-        """Stages of one step, a list for each thread."""
+        """Stages of one step, one list for each thread."""
 
     @abstractmethod
     def solves(self) -> dict[int, Any]:
-        """Working arrays of its solves, by what they solve for."""
+        """Return the working arrays of the linear systems, by what they solve for."""
 
     def _alone(self) -> Step:
         return self.step
 
     def build(self) -> None:
-        """What a step asked for, to be done between steps."""
+        """Do between two steps what a step has requested, such as a rebuild of the neighbour lists."""
         raise TypeError(f"{type(self).__name__} has nothing to build between steps")
 
     def share(self, abreast: int) -> None:
-        """Leave room on the GPU for so many flows in all."""
+        """Set how many flows share the GPU, which limits the blocks that the solves of this flow occupy."""
         if abreast != self.abreast:
             self.abreast, self._step = abreast, None
             self._launcher.invalidate_graphs()
 
     def take(self, steps: int) -> None:
-        """Take steps. Raises :class:`ConvergenceError` or :class:`InstabilityError`."""
+        """Take a number of steps; raise :class:`ConvergenceError` or :class:`InstabilityError` if one fails."""
         self.aim(steps=self.steps + steps)
         self._go()
 
     def advance(self, until: float) -> None:
-        """Take whole steps up to the one that ends nearest to `until` [s]; raises as `take` does."""
+        """Take whole steps up to the one that ends nearest to `until` [s]; raise the same errors as `take`."""
         self.aim(until)
         self._go()
 
@@ -84,27 +87,27 @@ class Stepping(ABC):
             self.settle()
 
     def aim(self, until: float = math.inf, steps: int | None = None) -> None:
-        """Say where to go: to the step that ends nearest to `until` [s], or to so many steps in all."""
+        """Set the goal: the step that ends nearest to `until` [s], or a total number of steps."""
         self._goal = math.floor(until / self.scene.time_step + 0.5) if steps is None else steps
 
     @property
     def arrived(self) -> bool:
-        """It is where it was to go."""
+        """True when the flow has reached its goal."""
         return self.steps >= self._goal
 
     @property
     def _left(self) -> int:
-        """Steps that are to be taken, or are thought to be; at least one."""
+        """Number of steps still to take, possibly an estimate; at least one before the goal is reached."""
         return self._goal - self.steps
 
     def launch(self) -> None:
-        """Go some of the way; a GPU takes the steps while Python goes on."""
+        """Launch some of the steps towards the goal; a GPU takes them while Python goes on."""
         largest = LARGEST_GRAPH["cuda" if self.parallel else "threads" if self.threads > 1 else "cpu"]
         sizes = graph_sizes(min(self._left, LAUNCH * largest), largest)
         self._launcher.replay(self.step, self._alone, sizes, lambda: bool(self.flags.numpy()[int(HALTED)]))
 
     def settle(self) -> None:
-        """Wait, and see how far that came. Raises what a step failed with."""
+        """Wait for the launched steps and read how far they came; raise the error of a failed step."""
         flags = self.flags.numpy()
         self._look(flags)
         if flags[int(FAILED)]:
@@ -113,7 +116,7 @@ class Stepping(ABC):
             self.build()
 
     def _look(self, flags: np.ndarray) -> None:
-        """What is known of where it is."""
+        """Update step count and time from the flags."""
         self.steps = int(flags[int(STEPS)])
         self.time = self.steps * self.scene.time_step
 
@@ -132,7 +135,7 @@ class Stepping(ABC):
         )
 
     def outcomes(self) -> dict[str, dict[str, float]]:
-        """Iterations and residuals of each solve in the last step."""
+        """Return iterations and residuals of each solve in the last step."""
         found = {}
         for what, solve in self.solves().items():
             outcome: np.ndarray = solve.outcome.numpy()
@@ -142,7 +145,7 @@ class Stepping(ABC):
 
 
 class _Run:
-    """A simulation that runs beside others on a stream of its own."""
+    """Simulation that runs next to others, on a GPU stream of its own."""
 
     def __init__(self, simulation: Any, checkpoint: Path | None) -> None:
         self.simulation, self.checkpoint = simulation, checkpoint
@@ -155,7 +158,10 @@ class _Run:
         return self.simulation.stepper
 
     def begin(self, abreast: int) -> None:
-        """Up to where it wants to take steps. Raises :class:`CapacityError` if the device has no room for it now."""
+        """Prepare the simulation and run it up to its first steps.
+
+        Raises :class:`CapacityError` if the device has no room for the simulation now.
+        """
         simulation = self.simulation
         if self.checkpoint is not None or not simulation.prepared:
             simulation.begin(self.checkpoint)
@@ -164,7 +170,7 @@ class _Run:
         self._go_on(None)
 
     def set_out(self) -> None:
-        """Towards the goal; the device takes the steps while Python goes on."""
+        """Launch steps towards the goal; the device takes them while Python goes on."""
         try:
             with wp.ScopedStream(self._stream) if self._stream else nullcontext():
                 self._flow.launch()
@@ -172,7 +178,7 @@ class _Run:
             self._go_on(failure)
 
     def look(self) -> None:
-        """What it did set out for is done: see what came of it; a next goal, or the outcome."""
+        """Check the steps that have been launched, then set the next goal or keep the outcome."""
         try:
             self._flow.settle()
         except (Exception, KeyboardInterrupt) as failure:
@@ -182,7 +188,7 @@ class _Run:
                 self._go_on(None)
 
     def _go_on(self, error: BaseException | None) -> None:
-        """Aim at the next time that the run wants to be at, or end; an `error` is raised inside it."""
+        """Resume the run's coroutine until it wants a later time or ends; an `error` is raised inside the run."""
         assert self._coroutine is not None
         try:
             while True:
@@ -194,11 +200,11 @@ class _Run:
         except StopIteration as end:
             self.outcome = end.value
         except (Exception, KeyboardInterrupt) as failure:
-            traceback.clear_frames(failure.__traceback__)  # they hold the device's memory
+            traceback.clear_frames(failure.__traceback__)  # the frames of the traceback hold device memory
             self.outcome = failure
 
     def stop(self, why: KeyboardInterrupt) -> None:
-        """End now."""
+        """End the run now because of an interruption."""
         if self.outcome is None:
             if self._coroutine is None:
                 self.outcome = why
@@ -209,11 +215,12 @@ class _Run:
 def run_abreast(
     simulations: Sequence[Any], checkpoints: Sequence[Path | None], progress: Progress
 ) -> list[Run | BaseException]:
-    """Run flows of one device: on a GPU side by side, as many as it has room for, each on a stream; on a CPU in turn.
+    """Run flows of one device and return the run or the error of each.
 
-    All set out together and are looked at together, as to read an array waits for the whole device. Each does what it
-    does alone, to the bit; what fails harms no other. After an interruption (Ctrl-C) unfinished runs are returned as
-    such, and `KeyboardInterrupt` for those that had not begun.
+    On a GPU as many flows as it has room for run at the same time, each on its own stream; on a CPU they run in turn.
+    All flows launch together and are checked together, because reading an array waits for the whole device. Each flow
+    gives the same bits as when it runs alone, and a failure does not affect the others. After an interruption (Ctrl-C)
+    unfinished runs are returned as such, and `KeyboardInterrupt` stands for those that had not begun.
     """
     if len(simulations) < 2 or not parallel(simulations[0].device):
         return run_in_turn(simulations, checkpoints, progress)
@@ -241,7 +248,7 @@ def _together(everyone: list[_Run], device: Any, progress: Progress) -> None:
             except CapacityError as error:
                 run.simulation.release()
                 if under_way:
-                    full = True  # until another has ended
+                    full = True  # no other run fits until one has ended
                     break
                 run.outcome = error
             except (Exception, KeyboardInterrupt) as failure:

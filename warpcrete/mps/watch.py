@@ -1,4 +1,4 @@
-"""Watch over a flow: stops it when its state no longer means anything."""
+"""Monitor of a flow, which stops the run when its state is no longer meaningful."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from ..theory.pipe import velocity
 from .scene import FluidScene
 
 MEASURED = ("pressure", "wall_stress", "fastest", "volume_error", "momentum")
-"""Columns that are numbers in every row of a flow that means anything."""
+"""Columns of the time series that must be finite in every row."""
 CURES = "a smaller time step, a finer spacing, precision float64"
 OF_COLUMNS = "; for concrete that shears, ends = periodic"
 
 
 class WatchedFlow:
-    """Checks every row of the series against the limits of the scene's `watch`."""
+    """Monitor that checks every row of the series against the limits of the scene's `watch`."""
 
     def __init__(self, scene: FluidScene) -> None:
         self.limits = scene.watch
@@ -25,7 +25,7 @@ class WatchedFlow:
         self.top_speed = float(velocity(scene.concrete, scene.line, theory, [0.0])[0])
 
     def __call__(self, row: dict[str, float]) -> None:
-        """Raises :class:`InstabilityError` naming time, quantity, limit and cures."""
+        """Raise :class:`InstabilityError` with time, quantity, limit and cures if a row exceeds a limit."""
         limits = self.limits
         for name in MEASURED:
             if not math.isfinite(row[name]):
@@ -46,7 +46,7 @@ class WatchedFlow:
                      f"{limits.volume:g})"
             )  # fmt: skip
         balance = row["force_balance_error"]
-        # In the first row the wall bears nothing yet.
+        # The balance is not checked in the first row, where the wall bears no stress yet.
         if limits.force_balance is not None and row["time"] > 0 and not abs(balance) <= limits.force_balance:
             raise self._unstable(
                 row, f"forces do not balance: {balance:.3g} of the piston's force is left over (watch.force_balance = "

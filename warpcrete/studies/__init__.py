@@ -1,1 +1,1 @@
-"""Many runs together: parameter studies, and what is made of unit pressures."""
+"""Parameter studies, calibrations, speed-accuracy trade-offs, pipelines and whole pump lines."""

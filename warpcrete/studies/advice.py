@@ -1,4 +1,4 @@
-"""Settings for a wanted accuracy, from a trade that measured them."""
+"""Settings that reach a wanted accuracy, chosen from a measured trade-off between speed and accuracy."""
 
 from __future__ import annotations
 
@@ -14,41 +14,43 @@ from ..core.files import read_json
 from ..core.parameters import declared_fields
 
 NO_MATTER = ("seed", "precision", "tolerated_error")
-"""Parameters in which a scene may differ from that of a trade."""
+"""Parameters whose values do not affect whether a trade-off study applies to a scene."""
 SHIPPED = Path(__file__).parents[1] / "measured"
-"""Folder of the trades of standard scenes that come with the package, as `compact` leaves them."""
+"""Folder of the trade-off records that come with the package, in the short form written by :func:`compact`."""
 
 
 @dataclass(frozen=True)
 class Advice:
-    """What to set, what is promised of it, and how far that carries."""
+    """Recommended settings, the error that they promise, and the limits of that promise."""
 
     changes: dict[str, Any]
-    """Parameters to set."""
+    """Recommended parameter values, by parameter name."""
     setting: str
-    """In words."""
+    """Description of the recommended settings for the user."""
     promised: float
-    """Largest error of the trade's quantities."""
+    """Upper bound of the relative error of all measured quantities, as a fraction."""
     quantities: tuple[str, ...]
+    """Names of the measured quantities to which the promised error applies."""
     ratio: float
-    """Time of a run over that of the scene without these changes."""
+    """Wall time of a run with these settings, divided by that of the scene without them."""
     left_out: tuple[str, ...]
-    """What belongs to the setting, but could not be set: without it nothing is promised."""
+    """Descriptions of settings that this scene cannot take; without them the promised error does not hold."""
     outside: tuple[str, ...]
-    """In what the scene differs from the one that was measured: the promise was not tried there."""
+    """Differences between this scene and that of the trade-off study, in words; the promise was not tested there."""
     tried: tuple[str, ...]
-    """Other scenes on which it was tried."""
+    """Descriptions of other scenes on which the settings were tested."""
     machine: str
-    """What times were measured on."""
+    """Processor on which the wall times were measured."""
     time: float
-    """Of a run in the trade's scene on that machine [s]."""
+    """Wall time of a run of the trade-off study's scene with these settings, on `machine` [s]; NaN if unknown."""
 
 
 def shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> Path | None:
-    """The shipped trade of a scene that is nearest to what is `given`; None where there is none.
+    """Return the file of the shipped trade-off record that is most similar to a scene; None if there is none.
 
-    It is of the same scene function; then what could be traded there is most alike, then least parameters are apart,
-    then it is of the same kind of machine.
+    Only records of the scene function `name` are considered. They are ranked by whether both scenes agree in having a
+    closed form, then by how few knobs (accuracy parameters) exist in only one of them, then by how few parameters
+    differ, then by the kind of machine (GPU or CPU).
     """
     own = module.scene.resolved(given)
     found = []
@@ -65,7 +67,7 @@ def shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> P
 
 
 def compact(record: Mapping[str, Any]) -> dict[str, Any]:
-    """What a shipped trade keeps of a trade.json."""
+    """Return the part of a trade.json record that the package ships."""
     kept = ("scene", "parameters", "quantities", "repeat", "device", "machine", "threads", "promises")
     of_points = ("setting", "origin", "time", "errors", "suspect")
     points = [{name: point[name] for name in of_points} for point in record["points"]]
@@ -74,12 +76,12 @@ def compact(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accuracy: float) -> Advice:
-    """Cheapest settings that a trade promises to err by no more than `accuracy` (1 is all).
+    """Return the cheapest settings whose promised relative error is at most `accuracy`, a fraction between 0 and 1.
 
-    `trade` is its folder, or the file of a shipped one; `given` are the parameters of the scene `name` of `module` that
-    somebody chose; of those only properties of the concrete change, as the aggregate's sizes do when it is coarsened.
-    Raises :class:`SceneError` for an accuracy that is none or that the trade did not reach, :class:`RunFolderError`
-    for what holds no trade of this scene.
+    `trade` is the folder of a trade-off study, or the file of a shipped record. `given` holds the parameters that the
+    user chose for the scene `name` of `module`. The advice never replaces a chosen value, unless it belongs to the
+    concrete itself: coarser aggregate, for example, replaces the grain sizes. Raises :class:`SceneError` if `accuracy`
+    is outside the interval or was not reached, and :class:`RunFolderError` if `trade` holds no record of this scene.
     """
     if not 0 < accuracy < 1:
         refuse("accuracy", f"{100 * accuracy:g} %", "must be above 0 % and below 100 %")
@@ -133,8 +135,8 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
 
 
 def outside(measured: Mapping[str, Any], own: Mapping[str, Any], module: Any) -> list[str]:
-    """Parameters that differ from those of the trade's scene, in words."""
-    # As the scene takes them: a letter for a unit is its name.
+    """Return descriptions of the parameters that differ from those of the measured scene."""
+    # Compare converted values, because a parameter has several spellings: a pipe unit has a letter and a name.
     ours = module.scene.declared(own)
     with names_from_file():
         theirs = module.scene.declared(measured)

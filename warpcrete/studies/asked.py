@@ -1,4 +1,4 @@
-"""A study as Python asks for it, by a scene function."""
+"""Python interface of parameter studies: run a study of a scene function."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ SETTINGS = ("repeat", "one_at_a_time", "device", "precision", "processes", "fram
 
 
 def study(scene: Any, *, vary: Mapping[str, Sequence[Any]], out: Path | str | None = None, **given: Any) -> Study:
-    """Vary parameters of a scene function, such as ``warpcrete.scenes.pipe``: all combinations of the values in `vary`.
+    """Run a scene function, such as ``warpcrete.scenes.pipe``, with all combinations of the values in `vary`.
 
-    Settings (`repeat`, `one_at_a_time`, `device`, `processes`, `frames`, `scheduler`, `workers`, `progress` ...) are
-    those of :func:`warpcrete.studies.study.run_study`, and `rerun` and `usd` what each case records besides its table;
-    all else in `given` are parameters of the scene. `out` is the new folder (default: runs/study-NNN). Raises what that
+    The settings `repeat`, `one_at_a_time`, `device`, `processes`, `frames`, `scheduler`, `workers`, `progress` and so
+    on are those of :func:`warpcrete.studies.study.run_study`; `rerun` and `usd` switch on additional recordings of each
+    case. All other keywords are parameters of the scene. `out` is the new folder (default: runs/study-NNN). Raises
+    :class:`SceneError` if `scene` or `vary` is wrong, and everything that :func:`warpcrete.studies.study.run_study`
     raises.
     """
     name, module = module_of(scene)
@@ -33,7 +34,7 @@ def study(scene: Any, *, vary: Mapping[str, Sequence[Any]], out: Path | str | No
 
 
 def module_of(scene: Any) -> tuple[str, Any]:
-    """Name, as the command has it, and module of a scene function. Raises :class:`SceneError` for anything else."""
+    """Return a scene function's command-line name and its module; raise :class:`SceneError` for other objects."""
     module = getattr(scene, "module", None)
     if module is None or getattr(module, "scene", None) is not scene:
         refuse(

@@ -1,8 +1,8 @@
-"""Calibration: from what was measured to the parameters of a concrete, by rounds of runs.
+"""Calibration: find the parameters of a concrete that reproduce measured values, in rounds of simulation runs.
 
-The first round spreads over the ranges; each further one goes where the posterior of the runs so far lies, and partly
-where Optuna's tree-structured Parzen estimator hopes for better. Every run has a seed of its own, so that their scatter
-counts as noise. In the end the likeliest parameters are run again with fresh seeds.
+The first round spreads its runs over the parameter ranges. Each further round samples the posterior of all runs so far,
+and takes some points from Optuna's tree-structured Parzen estimator. Every run has its own random seed, so the scatter
+between seeds enters as noise. Finally, verification runs repeat the likeliest parameters with fresh seeds.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ from .targets import Target, Task, found_in, read_task, task_of
 RECORD = "calibration.json"
 Progress = Callable[[str, float, dict[str, Any]], None]
 FEWEST = 3
-"""Values of a target from which something can be said."""
+"""Minimum number of runs that must yield a target's quantity before a posterior is computed."""
 CLEAR = 0.5
-"""Emulator's standard deviation over a target's uncertainty, below which further runs would not change the answer."""
+"""Ratio of the emulator's standard deviation to the target's uncertainty below which more runs change nothing."""
 STILL = 0.25
-"""Standard deviations of the posterior by which its mean may still move from one round to the next."""
+"""Shift of the posterior mean in one round, in posterior standard deviations, below which the answer is settled."""
 
 
 def calibrate(
     targets: Path | str | Mapping[str, Any], *, out: Path | str | None = None, **settings: Any
 ) -> Calibration:
-    """Find the parameters of a concrete that meet `targets`: a file, or the mapping that such a file holds.
+    """Find the parameters of a concrete that reproduce `targets`, a file of targets or its contents as a mapping.
 
-    `out` is the new folder (default: runs/calibration-NNN), `settings` are those of :func:`run_calibration`, which says
-    what is raised.
+    `out` is the new folder (default: runs/calibration-NNN). `settings` and the errors raised are those of
+    :func:`run_calibration`.
     """
     asked = Path(targets) if isinstance(targets, str) else targets
     return run_calibration(asked, modules(), out=Path(out) if out else next_folder("calibration"), **settings)
@@ -69,18 +69,18 @@ def run_calibration(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Find the parameters of the scenes `modules` that meet `targets`, a file or a mapping, into the new folder `out`.
+    """Find the parameters of the scenes in `modules` that reproduce `targets`, a file or a mapping.
 
-    `trials` is the most that are run (default: 10 for each free parameter and 10 more), `batch` how many at a time
-    (default: 4 and 2 for each free parameter), `repeat` the seeds with which the answer is tried in the end. Raises
-    :class:`SceneError` before anything is written for wrong targets, :class:`WarpcreteError` where all runs of a target
-    fail.
+    Results go to the new folder `out`. `trials` limits the number of parameter sets that are run (default: 10, plus 10
+    for each free parameter). `batch` is the number of sets in one round (default: 4, plus 2 for each free parameter).
+    `repeat` is the number of seeds with which the answer is verified. Raises :class:`SceneError` for wrong targets,
+    before anything is written, and :class:`WarpcreteError` if all runs of a target fail.
     """
     needs_extra("calibrate", "optuna", "sklearn", "emcee")
     with files_read() as files:
         read = isinstance(targets, Path)
         task, raw = read_task(targets, modules) if read else (task_of(targets, modules), dict(targets))
-    files.pop(str(targets.resolve()) if read else "", None)  # what it says is kept
+    files.pop(str(targets.resolve()) if read else "", None)  # its contents are in the record
     free = len(task.free)
     most = 10 + 10 * free if trials is None else trials
     at_once = 4 + 2 * free if batch is None else batch
@@ -110,7 +110,7 @@ def resume_calibration(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Go on with a calibration; runs that are there are used. `trials` is a new bound for all of them together."""
+    """Continue a calibration and reuse its finished runs; `trials` is a new limit for all trials together."""
     needs_extra("calibrate", "optuna", "sklearn", "emcee")
     if trials is not None:
         _check_trials(trials)
@@ -159,7 +159,7 @@ def _go_on(
 
 
 def _search(found: Calibration, modules: Mapping[str, Any], where: Mapping[str, Any], tell: Progress) -> None:
-    """Rounds until the answer is settled or the trials are used up, and the proof."""
+    """Run rounds until the answer is settled or the trials are used up, then verify the answer."""
     settings, rounds = found.record["settings"], found.record["rounds"]
     most = settings["trials"]
     place = 0
@@ -192,9 +192,10 @@ def run_round(
     found: Calibration, modules: Mapping[str, Any], place: int, trials: Sequence[Trial], where: Mapping[str, Any],
     tell: Progress, part: tuple[float, float],
 ) -> bool:  # fmt: skip
-    """Run all scenes of a round and note what they come to; False if it was interrupted.
+    """Run all scenes of a round and store the results in `trials`; return False if the user interrupted the round.
 
-    `part` is where it begins and ends in all the work, as fractions.
+    `part` holds the fraction of all work that was done before this round, and the fraction that this round takes.
+    Raises :class:`WarpcreteError` if runs were lost because a process died or the disk was full.
     """
     for group in range(len(found.task.groups)):
         study = _ran(found, modules, place, group, trials, where, _within(tell, part, group, found.task))
@@ -210,7 +211,7 @@ def run_round(
 
 
 def _within(tell: Progress, part: tuple[float, float], group: int, task: Task) -> Progress:
-    """Progress of a study as part of all."""
+    """Return a progress callback that converts the progress of one study to the progress of the calibration."""
     groups = len(task.groups)
 
     def hear(phase: str, fraction: float, figures: dict[str, Any]) -> None:
@@ -223,7 +224,7 @@ def _ran(
     found: Calibration, modules: Mapping[str, Any], place: int, group: int, trials: Sequence[Trial],
     where: Mapping[str, Any], tell: Progress,
 ) -> Study:  # fmt: skip
-    """The runs of one scene in a round, as a study of their own, begun or gone on with."""
+    """Run one scene of a round as a separate study, or resume that study."""
     target = found.task.groups[group][0]
     folder = found.folder / "rounds" / f"{place + 1:02d}-{group + 1}-{target.scene}"
     module = modules[target.scene]
@@ -245,7 +246,7 @@ def _ran(
 
 
 def _take(study: Study, trials: Sequence[Trial], targets: Sequence[Target]) -> None:
-    """Note what the runs of a scene came to."""
+    """Store the values, failures and failed checks of one scene's runs in `trials`."""
     for trial, case in zip(trials, study.cases, strict=True):
         result = study.results.get(case.name)
         if result is None:
@@ -262,7 +263,7 @@ def _take(study: Study, trials: Sequence[Trial], targets: Sequence[Target]) -> N
 
 
 def _judge(found: Calibration, seed: int) -> None:
-    """The posterior of the trials so far, and whether more of them would change it."""
+    """Compute the posterior of the trials so far, and decide whether more trials would change it."""
     searched = found.searched
     points = np.array([trial.units for trial in searched])
     values = {target: np.array([trial.values.get(target, math.nan) for trial in searched])
@@ -295,7 +296,7 @@ def _judge(found: Calibration, seed: int) -> None:
 def _proposed(
     found: Calibration, left: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
 ) -> dict[str, Any] | None:
-    """The next round: points of the unit cube and seeds; None when all is done."""
+    """Return the next round's parameter sets, as points of the unit cube, and seeds; return None when all is done."""
     begun = settings["seed"] + len(found.trials)
     if found.posterior is not None and (found.settled or left <= 0):
         if settings["repeat"] == 0:
@@ -315,7 +316,7 @@ def _proposed(
 def _first(
     found: Calibration, count: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
 ) -> list[list[float]]:
-    """Points that fill the ranges evenly, and what closed forms say where there are some."""
+    """Return the points of the first round: an estimate from closed forms, if any, then an even Sobol sequence."""
     from scipy.stats import qmc
 
     free = len(found.task.free)
@@ -327,7 +328,11 @@ def _first(
 
 
 def _next(found: Calibration, count: int, seed: int) -> list[list[float]]:
-    """Points of the posterior, far from one another, and for each three of them one of Optuna's."""
+    """Return the points of the next round: a quarter from Optuna, the others from the posterior.
+
+    The first point from the posterior is its maximum. Every further point is the posterior sample that is farthest from
+    all points so far, with distances scaled by the posterior's standard deviations.
+    """
     assert found.posterior is not None
     random = np.random.default_rng(seed)
     hoped = _hoped(found, count // 4, seed)
@@ -343,7 +348,7 @@ def _next(found: Calibration, count: int, seed: int) -> list[list[float]]:
 
 
 def _hoped(found: Calibration, count: int, seed: int) -> list[list[float]]:
-    """Points that Optuna asks for, told of all trials; failed ones break its constraint."""
+    """Return points proposed by the optimiser Optuna, which knows all trials and treats failed ones as infeasible."""
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)

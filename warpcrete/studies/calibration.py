@@ -1,4 +1,4 @@
-"""A calibration: its trials, its answer, and what that does not tell."""
+"""Results of a calibration: its trials, the parameters found, and the questions that the data leave open."""
 
 from __future__ import annotations
 
@@ -13,31 +13,32 @@ from .posterior import Posterior, told_apart, unmoved
 from .targets import Target, Task
 
 Outcome = dict[Target, float]
-"""Values of a run's targets; those that it did not come to are left out."""
+"""Values of the targets in one run; targets without a value are left out."""
 FAR = 3.0
-"""Standard deviations between a target and the best that could be reached: it cannot be met."""
+"""Distance of the closest reachable value from a target, in standard deviations, above which it is unreachable."""
 
 
 @dataclass
 class Trial:
-    """A run, or several that share their parameters, of all scenes of the task."""
+    """One parameter set with one seed, run once in every scene of the task."""
 
     number: int
     units: list[float]
-    """Place in the ranges."""
+    """Positions in the parameter ranges, one number from 0 to 1 for each free parameter."""
     seed: int
     proof: bool = False
-    """Of the likeliest parameters, after the search: it is compared, not fitted."""
+    """Whether this is a verification run of the likeliest parameters: it is compared with the targets, but not fitted.
+    """
     values: Outcome = field(default_factory=dict)
     failure: str = ""
-    """Why there is no value for a target."""
+    """Reason why a target has no value; empty if all fitted targets have one."""
     suspect: list[str] = field(default_factory=list)
-    """Checks of its runs that failed."""
+    """Names of the failed plausibility checks of the trial's runs."""
 
 
 @dataclass(repr=False)
 class Calibration:
-    """A finished calibration, or what there is of it."""
+    """A calibration, complete or still in progress."""
 
     folder: Path
     task: Task
@@ -45,38 +46,43 @@ class Calibration:
     trials: list[Trial] = field(default_factory=list)
     posterior: Posterior | None = None
     settled: bool = False
-    """Further runs would not change the answer."""
+    """Whether further runs would no longer change the answer."""
     finished: bool = False
     took: float = 0.0
-    """Wall time of this call [s]."""
+    """Wall time of the last call that ran or resumed the calibration [s]."""
 
     def __repr__(self) -> str:
         fitted = ", ".join(f"{name} {value:.4g}" for name, value in self.best.items())
         return f"<Calibration of {len(self.task.free)} parameters: {fitted or 'no answer yet'}, folder '{self.folder}'>"
 
     def _repr_html_(self) -> str:
-        """Its answer as a table, for notebooks."""
+        """Return the likeliest parameters as an HTML table for notebooks."""
         rows = [(free.name, f"{self.best[free.name]:.4g}") for free in self.task.free if free.name in self.best]
         return html_table(rows, ["parameter", "likeliest"] if rows else (), repr(self))
 
     @property
     def best(self) -> dict[str, float]:
-        """Likeliest values of the free parameters; empty before there is an answer."""
+        """Likeliest values of the free parameters, by name; empty until a posterior exists."""
         return {} if self.posterior is None else self.task.values(self.posterior.best)
 
     @property
     def searched(self) -> list[Trial]:
-        """Trials that are fitted."""
+        """Trials of the search, without the verification runs."""
         return [trial for trial in self.trials if not trial.proof]
 
     def proved(self, target: Target) -> list[float]:
-        """What runs with the likeliest parameters gave for a target; those of an answer before more trials are left
-        out."""
+        """Return the values of a target in the verification runs of the current answer.
+
+        Verification runs of earlier answers are left out.
+        """
         last = [trial for trial in self.trials if trial.proof and trial.units == self.trials[-1].units]
         return [trial.values[target] for trial in last if target in trial.values]
 
     def off(self, target: Target) -> float:
-        """Best answer less the measured value, in standard deviations of the target; NaN where nothing is known."""
+        """Return the best value minus the measured one, in standard deviations of the target; NaN without any value.
+
+        The best value is the mean of the verification runs, or else the prediction for the likeliest parameters.
+        """
         assert self.posterior is not None
         runs = self.proved(target)
         found = float(np.mean(runs)) if runs else self.posterior.predicted(target, self.posterior.best[None])[0]
@@ -84,7 +90,7 @@ class Calibration:
 
     @property
     def findings(self) -> list[str]:
-        """What the answer does not tell, in sentences."""
+        """Sentences about unreachable targets, undetermined parameters and failed runs."""
         if self.posterior is None:
             return []
         found, task = self.posterior, self.task

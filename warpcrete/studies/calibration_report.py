@@ -1,4 +1,4 @@
-"""What a calibration leaves in its folder: tables, a figure, and the concrete that it found."""
+"""Output files of a calibration: tables, a figure, and the calibrated concrete."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from .posterior import told_apart
 from .targets import Target
 
 SMOOTH = 60
-"""Bins of a histogram of the posterior."""
+"""Number of bins in a histogram of the posterior."""
 
 
 def write(found: Calibration, modules: Mapping[str, Any]) -> None:
-    """calibration.md, calibration.png, answer.json and concrete.yaml, as far as there is an answer."""
+    """Write calibration.md and, if a posterior exists, calibration.png, answer.json and concrete.yaml."""
     with whole_file(found.folder / "calibration.md") as partial:
         partial.write_text(report(found) + "\n", encoding="utf-8")
     if found.posterior is None:
@@ -33,7 +33,7 @@ def write(found: Calibration, modules: Mapping[str, Any]) -> None:
 
 
 def report(found: Calibration) -> str:
-    """Markdown: the parameters, the targets, and what the answer does not tell."""
+    """Return a Markdown report with the parameters, the targets, and the questions that the data leave open."""
     lines = ["# Calibration", ""]
     if found.posterior is None:
         return "\n".join([*lines, f"No answer yet: {len(found.trials)} trials done."])
@@ -47,7 +47,7 @@ def report(found: Calibration) -> str:
 
 
 def parameter_table(found: Calibration) -> list[str]:
-    """Markdown table: the likeliest value of each parameter, and where it lies."""
+    """Return a Markdown table with the likeliest value and the 95 % interval of each free parameter."""
     assert found.posterior is not None
     lines = [
         "| parameter | range | most likely | 95 % of the posterior | relative to the range's |",
@@ -61,7 +61,7 @@ def parameter_table(found: Calibration) -> list[str]:
 
 
 def target_table(found: Calibration) -> list[str]:
-    """Markdown table: each target beside what runs with the answer gave, and what the posterior predicts."""
+    """Return a Markdown table that compares each target with the verification runs and the posterior's prediction."""
     lines = [
         "| target | measured | runs with the most likely parameters | predicted | deviation / standard deviation |",
         "|---|---|---|---|---|",
@@ -90,7 +90,7 @@ def _shown(target: Target, deviation: float) -> str:
 
 
 def answer(found: Calibration) -> dict[str, Any]:
-    """The answer as numbers in SI units."""
+    """Return the parameters, targets and findings of a calibration for answer.json, in SI units."""
     assert found.posterior is not None
     return {
         "finished": found.finished,
@@ -118,7 +118,10 @@ def answer(found: Calibration) -> dict[str, Any]:
 
 
 def concrete_of(found: Calibration, modules: Mapping[str, Any]) -> dict[str, Any]:
-    """The file of a concrete: all that the scenes had of it and agree on; empty where no parameter is a concrete's."""
+    """Return the contents of the calibrated concrete's file: the values that all scenes of the task share.
+
+    The result is empty if no free parameter is a property of the concrete.
+    """
     sections: dict[str, dict[str, Any]] = {}
     names: set[Any] = set()
     for target in found.task.targets:
@@ -145,7 +148,7 @@ def concrete_of(found: Calibration, modules: Mapping[str, Any]) -> dict[str, Any
 
 
 def draw(found: Calibration) -> Any:
-    """The posterior: each parameter alone on the diagonal, pairs below it, trials as points."""
+    """Return a Matplotlib figure of the posterior: histograms on the diagonal, pairs below, trials as points."""
     from matplotlib.figure import Figure
 
     assert found.posterior is not None
@@ -184,7 +187,7 @@ def draw(found: Calibration) -> Any:
 
 
 def _few_ticks(axis: Any) -> None:
-    """1, 2 and 5 of each decade, as plain numbers."""
+    """Put ticks at 1, 2 and 5 of each decade, labelled with plain numbers."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

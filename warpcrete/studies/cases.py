@@ -10,9 +10,9 @@ from typing import Any
 
 from ..core.errors import refuse
 
-LONGEST_NAME = 120  # of a run folder
+LONGEST_NAME = 120  # maximum length of a run folder's name [characters]
 MOST_CASES = 10_000
-"""Cases of one study: each has a folder of its own, and all are in its tables and its figure."""
+"""Maximum number of cases in a study, because every case fills a folder and appears in the tables and the figure."""
 
 
 @dataclass(frozen=True)
@@ -20,11 +20,11 @@ class Case:
     """One run of a study."""
 
     name: str
-    """Of its run folder."""
+    """Name of the case's run folder."""
     varied: dict[str, Any]
-    """The parameters that the study varies, and their values here; without the seed."""
+    """Values of the varied parameters in this case, by name; the seed is left out."""
     parameters: dict[str, Any]
-    """All that the scene function is given."""
+    """All keyword arguments of the scene function."""
 
 
 def cases_of(
@@ -36,11 +36,13 @@ def cases_of(
     one_at_a_time: bool = False,
     seeded: bool = True,
 ) -> list[Case]:
-    """Cases of a study: every combination of the values, or each parameter alone; seeds count from the base's.
+    """Return the cases of a study: all combinations of the varied values, or each parameter varied alone.
 
-    `base` and `varied` are parameters of the scene function, `defaults` the values of those that are not given. Of each
-    parameter alone, the others hold their base or default value, and a point that several parameters share is one case.
-    Raises :class:`SceneError` for empty or repeated values.
+    `base` holds fixed parameters of the scene function, `varied` the values of each varied one, and `defaults` the
+    default values of all others. `repeat` makes that many cases of every combination, with consecutive seeds from the
+    base's seed on. With `one_at_a_time`, the other varied parameters keep their base or default value, and identical
+    cases are merged. `seeded` tells whether the scene has a seed. Raises :class:`SceneError` for empty or repeated
+    values and for too many cases.
     """
     if not 1 <= repeat <= MOST_CASES:
         refuse("repeat", repeat, f"must be from 1 to {MOST_CASES}")
@@ -76,7 +78,7 @@ def _combined(varied: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
 def _alone(
     base: Mapping[str, Any], varied: Mapping[str, Sequence[Any]], defaults: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """Each parameter varied while the others hold; every point names all of them."""
+    """Return points at which one parameter varies and the others are fixed; every point names all parameters."""
     held = {name: base.get(name, defaults.get(name)) for name in varied}
     points = [held | {name: value} for name, values in varied.items() for value in values]
     unique: list[dict[str, Any]] = []
@@ -87,7 +89,7 @@ def _alone(
 
 
 def word_of(value: Any) -> str:
-    """A value as part of a folder's name."""
+    """Return a value as part of a folder's name, with unsafe characters replaced."""
     return "".join(
         c if c.isalnum() or c in ".+-" else "_" for c in (f"{value:g}" if isinstance(value, float) else str(value))
     )

@@ -1,7 +1,8 @@
-"""Studies and trades on several GPUs or machines: Dask's scheduler and workers, one a GPU or a core.
+"""Studies and trade-off studies on several GPUs or machines, with Dask's scheduler and workers.
 
-Folders are those of one machine, which all workers must see under the same path, and so are the bits. When a worker is
-lost, another one goes on with what it had, of a study from the last checkpoints.
+Each worker uses one GPU, or a CPU core for each thread of a run. All workers must see the run folders under the same
+path. Folders and results equal those of a study on one machine, bit for bit. When a worker is lost, another one
+continues its work; the cases of a study continue from their last checkpoints.
 """
 
 from __future__ import annotations
@@ -30,23 +31,23 @@ from .cases import Case
 from .running import Book, kept, run_cases
 
 SCHEDULERS = ("local", "slurm")
-"""What can be started; anything else is the address of one that runs."""
+"""Schedulers that this module can start; any other text is the address of a running scheduler."""
 LOCAL = {"host": LOOPBACK, "port": 0, "dashboard": False, "dashboard_address": f"{LOOPBACK}:0"}
-"""Options of a scheduler for one machine: nobody else can reach it."""
+"""Options of a scheduler that only processes on this machine can reach."""
 LOOK = 1.0
-"""From one question whether to stop to the next [s]."""
+"""Interval at which a worker checks whether the user wants to stop [s]."""
 CONNECT = 20.0
-"""Time for a scheduler to answer, and for a worker to be there [s]."""
+"""Time limit for a scheduler to answer and for the first worker to connect [s]."""
 T = TypeVar("T")
 _job = threading.Lock()
 
 
 class WorkerLost(WarpcreteError):
-    """A worker has died of every try of a job, or failed of what nobody foresaw."""
+    """Error raised when every worker that tried a job died, or the job raised an unexpected exception."""
 
 
 def check_scheduler(scheduler: str | None, workers: int | None, processes: int | None = None) -> None:
-    """Refuse settings that contradict each other, and Dask that is missing."""
+    """Refuse scheduler settings that contradict each other, and report a missing Dask package."""
     if scheduler is None:
         if workers is not None:
             refuse("workers", workers, "need a scheduler", "give a scheduler, too")
@@ -71,33 +72,36 @@ def check_scheduler(scheduler: str | None, workers: int | None, processes: int |
 
 
 class Cluster:
-    """Workers that cases run on."""
+    """Dask workers on which the cases of a study run."""
 
     def __init__(self, client: Any, scheduler: str, workers: int | None) -> None:
         self._client, self._scheduler, self._workers = client, scheduler, workers
 
     @property
     def count(self) -> int:
-        """Workers that there are now, at least 1."""
+        """Number of connected workers, at least 1."""
         return max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
 
     def device(self, wanted: str | None) -> str | None:
-        """Name of a device, as a worker finds it; a job of SLURM has a GPU only where one was asked for."""
+        """Return the name of a device as a worker knows it.
+
+        A SLURM job has a GPU only if one was requested, so its default device is the CPU.
+        """
         return "cpu" if wanted is None and self._scheduler == "slurm" else unnumbered(wanted)
 
     def ask(self, function: Callable[..., T], *arguments: Any) -> T:
-        """What a function returns on a worker."""
+        """Run a function on a worker and return its result; raise the exception that it raised."""
         found = _outcome(self._client.submit(function, *arguments, pure=False))
         if isinstance(found, Exception):
             raise found
         return found
 
     def machine(self, device: str | None, precision: str, seed: int) -> tuple[str, dict[str, Any]]:
-        """Device that a worker takes for `device`, and its provenance."""
+        """Return the device that a worker selects for `device`, and its provenance record."""
         return self.ask(_machine, self.device(device), precision, seed)
 
     def hardware(self, device: str | None) -> str:
-        """What all workers that there are compute on; raises :class:`WarpcreteError` if that is not the same."""
+        """Return the processor model of all connected workers; raise :class:`WarpcreteError` if the models differ."""
         found = sorted(set(self._client.run(hardware, self.device(device)).values()))
         if len(found) > 1:
             raise WarpcreteError(
@@ -107,7 +111,7 @@ class Cluster:
         return found[0]
 
     def run(self, record: dict[str, Any], module: Any, folder: Path, pending: list[Case], book: Book) -> None:
-        """Run cases: one a job on CPUs; on GPUs a part of all for each worker, which it runs as a batch."""
+        """Run the cases of a study: one job per case on CPUs, one batch of cases per worker on GPUs."""
         parts = [[case] for case in pending]
         if record["device"].startswith("cuda"):
             count = self._workers or self.count
@@ -130,11 +134,11 @@ class Cluster:
         *,
         lazily: bool = False,
     ) -> None:
-        """Have workers do jobs, `function(record, module, folder, job, asked)` of each; `where` is the first three.
+        """Run `function(record, module, folder, job, asked)` on workers for every job.
 
-        `jobs` come with a tag, by which `book` is told what was returned or raised. `lazily`, as many are taken as
-        there are workers, and another when one is done. When `gap` hears a Ctrl-C, `asked` says so to those that run,
-        and what has not begun is left.
+        `where` holds the first three arguments. `jobs` yields pairs of a tag and a job, and `book` receives the tag and
+        the job's result or exception. With `lazily`, `jobs` is read only when a worker is free for the next job. After
+        a Ctrl-C in `gap`, the callback `asked` returns True in running jobs, and waiting jobs are cancelled.
         """
         from dask.distributed import Event, wait
         from dask.distributed import TimeoutError as NotYet
@@ -150,7 +154,7 @@ class Cluster:
                     running[self._client.submit(_do, function, *common, job, name, pure=False)] = tag
                 if gap.asked and not stopping:
                     stopping = True
-                    stop.set()  # those that run end at their next sample
+                    stop.set()  # make running jobs end at their next sample
                     with_workers = {key for keys in self._client.processing().values() for key in keys}
                     for future in [future for future in running if future.key not in with_workers]:
                         future.cancel()
@@ -165,7 +169,7 @@ class Cluster:
                 for future in ended.done:
                     book(running.pop(future), _outcome(future))
         except WarpcreteError:
-            stop.set()  # nobody waits for the others
+            stop.set()  # end the other jobs, because their results are lost
             raise
         except Exception as lost:
             raise WarpcreteError(
@@ -187,11 +191,11 @@ def _outcome(future: Any) -> Any:
 def open_cluster(
     scheduler: str | None, workers: int | None, device: str | None, threads: int = 1
 ) -> Iterator[Cluster | None]:
-    """Workers by the name or the address of a scheduler; None without one.
+    """Yield the workers of a scheduler, given by its name or address; yield None if `scheduler` is None.
 
-    `local` starts processes here, as many as `workers` or one a GPU, or on a CPU one for so many cores as a run has
-    `threads`; `slurm` submits `workers` jobs (default 1) as Dask's configuration describes them, for GPUs if `device`
-    names one. Raises :class:`SceneError` for settings that cannot be, :class:`WarpcreteError` where no scheduler
+    `local` starts processes on this machine: `workers` of them, or by default one per GPU, or on a CPU one for every
+    `threads` cores. `slurm` submits `workers` jobs (default 1) as Dask's configuration describes them, on GPUs if
+    `device` names one. Raises :class:`SceneError` for impossible settings, and :class:`WarpcreteError` if no scheduler
     answers.
     """
     if scheduler is None:
@@ -203,7 +207,7 @@ def open_cluster(
 
 @contextmanager
 def _without_main() -> Iterator[None]:
-    """Hide the caller's script: processes that Dask starts, also in place of lost ones, would run it as they start."""
+    """Hide the caller's script from Dask, whose worker processes would otherwise run it at every start."""
     main = vars(sys.modules["__main__"])
     hidden = {name: main.pop(name) for name in ("__file__", "__spec__") if name in main}
     main["__spec__"] = None
@@ -235,7 +239,7 @@ def _opened(scheduler: str, workers: int | None, device: str | None, threads: in
             raise WarpcreteError(f"scheduler = {scheduler!r}: does not answer: {error}; check the address") from error
         with client:
             try:
-                # A job may wait for long, and who started it knows.
+                # A SLURM job may wait in the queue for hours, and the user expects that, so there is no time limit.
                 client.wait_for_workers(1, timeout=None if scheduler == "slurm" else CONNECT)
             except TimeoutError as error:
                 raise WarpcreteError(f"scheduler = {scheduler!r}: has no workers; start some") from error
@@ -246,7 +250,7 @@ def _opened(scheduler: str, workers: int | None, device: str | None, threads: in
 
 
 def local_cluster(workers: int | None, device: str | None, threads: int = 1) -> Any:
-    """Worker processes on this machine, each for one run at a time; of GPUs each sees its own alone."""
+    """Start worker processes on this machine, each for one run at a time; a GPU worker sees only its own GPU."""
     from dask.distributed import Nanny, Scheduler, SpecCluster
 
     environments: list[dict[str, str]]
@@ -266,7 +270,7 @@ def local_cluster(workers: int | None, device: str | None, threads: int = 1) -> 
         environments = [{"CUDA_VISIBLE_DEVICES": number} for number in numbers[: workers or len(numbers)]]
     else:
         environments = [{} for _ in range(workers or max(1, default_threads() // threads))]
-    # The variables are set when a worker's process begins, before Warp looks for devices.
+    # Dask sets these environment variables when a worker process starts, before Warp looks for devices.
     options = {
         "nthreads": 1,
         "memory_limit": 0,
@@ -284,8 +288,9 @@ def local_cluster(workers: int | None, device: str | None, threads: int = 1) -> 
 
 
 def slurm_cluster(device: str | None, threads: int = 1) -> Any:
-    """Jobs of SLURM by `jobqueue.slurm` of Dask's configuration; what that leaves open is a core for each thread of a
-    run, 4 GB and one GPU.
+    """Create a cluster of SLURM jobs from the section `jobqueue.slurm` of Dask's configuration.
+
+    Defaults for missing entries are a core for each thread of a run, 4 GB of memory, and one GPU if `device` names one.
     """
     import dask.config
     from dask_jobqueue.slurm import SLURMCluster
@@ -304,7 +309,7 @@ def slurm_cluster(device: str | None, threads: int = 1) -> Any:
     directives = list(given.get("job-extra-directives") or [])
     if on_gpu and not any(each.strip().startswith(gpu) for each in directives):
         directives.append("--gres=gpu:1")
-    # A worker has one thread, as a process does one job at a time, whatever threads its run has.
+    # A worker process gets one Dask thread because it runs one job at a time, however many threads a simulation uses.
     processes = 1 if on_gpu else cores // threads
     return SLURMCluster(
         cores=processes,
@@ -317,12 +322,12 @@ def slurm_cluster(device: str | None, threads: int = 1) -> Any:
 
 
 def unnumbered(device: str | None) -> str | None:
-    """A device as a worker calls it, which sees one GPU at most."""
+    """Return a device name without its number, because a worker sees at most one GPU."""
     return "cuda" if device is not None and device.startswith("cuda") else device
 
 
 def dask_setup(worker: Any) -> None:
-    """Called by Dask in a local worker, as it is preloaded: Ctrl-C is for the study to hear."""
+    """Prepare a local worker when Dask preloads this module: ignore Ctrl-C, which the parent process handles."""
     warn_in_one_line()
     leave_to_parent()
 
@@ -333,13 +338,16 @@ def _machine(device: str | None, precision: str, seed: int) -> tuple[str, dict[s
 
 
 def hardware(device: str | None) -> str:
-    """What computes there: a GPU or a CPU, by its model."""
+    """Return the model name of the GPU or CPU that computes on a device."""
     found = find_device(device)
     return found.name if found.is_cuda else processor()
 
 
 def _do(function: Callable[..., T], record: dict[str, Any], module_name: str, folder: str, job: Any, stop: str) -> T:
-    """A job, on a worker; one at a time, whatever threads it has: to capture launches a process has one place."""
+    """Run one job on a worker.
+
+    A lock admits one job at a time, because a process can capture kernel launches for only one simulation at once.
+    """
     with _job:
         return function(record, importlib.import_module(module_name), Path(folder), job, _asked(stop))
 
@@ -347,7 +355,7 @@ def _do(function: Callable[..., T], record: dict[str, Any], module_name: str, fo
 def _run_part(
     record: dict[str, Any], module: Any, folder: Path, cases: list[Case], asked: Callable[[], bool]
 ) -> list[Any]:
-    """Cases of a study; those that this worker, or one that was lost, has finished before are not run again."""
+    """Run cases of a study on a worker, except those that this or a lost worker has finished before."""
     found = {case.name: kept(folder / case.name) for case in cases}
     left = [case for case in cases if found[case.name] is None]
     found |= dict(zip((case.name for case in left), run_cases(record, module, folder, left, asked)))
@@ -355,7 +363,7 @@ def _run_part(
 
 
 def _asked(name: str) -> Callable[[], bool]:
-    """Whether an event is set, asked once in a while."""
+    """Return a function that tells whether a Dask event is set; it queries the scheduler once per `LOOK` seconds."""
     from dask.distributed import Event, get_client
 
     event, looked, answer = Event(name, client=get_client()), -LOOK, False

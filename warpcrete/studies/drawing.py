@@ -1,4 +1,4 @@
-"""The figure of a parameter study."""
+"""Figure of a parameter study."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from ..core.method import Quantity
 from ..core.units import shown
 
 MARKERS = ("o", "s", "^", "D", "v")
-ACROSS = 3  # axes beside one another
+ACROSS = 3  # maximum number of panels in a row of the figure
 
 
 def draw(study: Any) -> Any:
-    """Matplotlib figure: each quantity that the study compares over each varied parameter, with its scatter.
+    """Return a Matplotlib figure of each compared quantity over each varied parameter, with its scatter.
 
-    Quantities of one unit share an axis. Numbers are joined by lines, words stand side by side; the other varied
-    parameters tell the lines apart.
+    Quantities of the same unit share a panel. Numeric values are joined by lines; words are placed side by side. The
+    legend tells lines with different values of the other varied parameters apart.
     """
     from matplotlib.figure import Figure
 
@@ -40,7 +40,7 @@ def draw(study: Any) -> Any:
 
 
 def _panel(axes: Any, study: Any, rows: list[dict[str, Any]], name: str, drawn: list[Quantity]) -> None:
-    """Some quantities over one parameter."""
+    """Draw quantities of one unit over one parameter."""
     mine = [row for row in rows if name in row] or rows
     values = list(dict.fromkeys(row.get(name, 0) for row in mine))
     numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
@@ -51,7 +51,7 @@ def _panel(axes: Any, study: Any, rows: list[dict[str, Any]], name: str, drawn: 
         lines.setdefault(label, []).append(row)
     for k, (label, part) in enumerate(lines.items()):
         part = sorted(part, key=lambda row: row.get(name, 0)) if numeric else part
-        # Words stand side by side, the lines a little apart.
+        # Words have positions 0, 1, 2 ... on the axis. A small offset keeps the lines' error bars apart.
         x = [row.get(name, 0) if numeric else values.index(row.get(name, 0)) + 0.08 * k for row in part]
         for each, marker in zip(drawn, MARKERS):
             y = np.array([row[each.name] for row in part]) * factor
@@ -67,7 +67,7 @@ def _panel(axes: Any, study: Any, rows: list[dict[str, Any]], name: str, drawn: 
     title = drawn[0].title if len(drawn) == 1 else ""
     axes.set(xlabel=study.heading(name).replace("_", " "), ylabel=f"{title} [{unit}]".lstrip())
     lower, upper = axes.get_ylim()
-    if lower > 0:  # from zero on, but where a quantity has both signs
+    if lower > 0:  # let the axis start at zero, unless a quantity has both signs
         axes.set_ylim(0, upper)
     axes.spines[["top", "right"]].set_visible(False)
     count = len(lines) * len(drawn)

@@ -1,4 +1,4 @@
-"""What a scene requires, told before it runs: features, memory, time step, wall time, and what would save most."""
+"""Forecast of a scene before it runs: features, memory, time step, wall time, and the most effective savings."""
 
 from __future__ import annotations
 
@@ -26,32 +26,33 @@ from .advice import outside, shipped
 from .fronts import Error, worst
 from .trade_report import percent
 
-TIMED = 3  # frames
+TIMED = 3  # number of frames that are timed for each recorder
 LARGE = 0.9
-"""Of the time, what a simplification must leave less than to be worth a line."""
+"""A simplification is listed only if it leaves less than this fraction of the wall time."""
 
 
 @dataclass(frozen=True)
 class Saving:
-    """A simplification of a scene."""
+    """A simplification of a scene that shortens its run."""
 
     what: str
+    """Name of the simplification, for the user."""
     ratio: float
-    """Time that is left, over that of the scene as it is."""
+    """Wall time with the simplification, divided by that of the scene as given."""
     error: str
-    """As measured, or that it was not."""
+    """Measured error that the simplification causes, in words, or a note that it was not measured."""
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """What a scene will take on a device."""
+    """Forecast of a scene on a device, with the savings that simplifications would bring."""
 
     scene: str
     forecast: Forecast
     savings: tuple[Saving, ...]
-    """Largest first."""
+    """Savings in order of effect, largest first."""
     source: str
-    """Of measured errors; empty if there are none."""
+    """Source of the measured errors; empty if there are none."""
 
     def __str__(self) -> str:
         return "\n".join(_lines(self))
@@ -67,11 +68,12 @@ def explain(
     trade: Path | str | None = None,
     cache: bool = True,
 ) -> Explanation:
-    """What a scene will take on a device: measured in a few seconds, and kept for the next time.
+    """Forecast memory, time step and wall time of a scene on a device, measured in a few seconds and then cached.
 
-    `scene` is one that a scene function made, or any other that :class:`warpcrete.Simulation` takes; `trade` the folder
-    of a trade whose measured errors are told beside savings (default: the shipped one that is nearest).
-    Raises what a run of it raises before its first step.
+    `scene` is a scene of a scene function, or any other that :class:`warpcrete.Simulation` accepts. `trade` is the
+    folder of a trade-off study, whose measured errors are listed with the savings (default: the most similar shipped
+    record). With `cache`, results are kept in the user's cache folder. Raises the same errors as a run of the scene
+    before its first step.
     """
     found = find_device(device)
     threads = checked_threads(threads)
@@ -86,14 +88,17 @@ def explain(
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 write_json(path, asdict(forecast))
-            except (OSError, RunFolderError):  # a cache that cannot be written is none
+            except (OSError, RunFolderError):  # the forecast is valid even if it cannot be cached
                 pass
     savings, source = _savings(scene, forecast, Path(trade) if trade else None, found.is_cuda)
     return Explanation(scene.name, forecast, savings, source)
 
 
 def _frames(simulation: Any) -> dict[str, float]:
-    """Wall time of a frame of each recorder that runs have by default [s], with its part of what they do at the end."""
+    """Return the mean wall time of a frame for each default recorder [s].
+
+    The time includes a frame's share of the work at the end of a run.
+    """
     found = {}
     for kind in (kind for kind in RECORDERS if kind.default):
         with tempfile.TemporaryDirectory() as folder:
@@ -109,7 +114,7 @@ def _frames(simulation: Any) -> dict[str, float]:
 
 
 def _cached(scene: Any, device: Any, threads: int) -> Path:
-    """File in the user's cache for this scene, version and device."""
+    """Return the cache file for a scene with these versions of the software, this device and this thread count."""
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     version = provenance(device, "float32", 0)
     key = fingerprint((scene, version.get("warpcrete"), version.get("warp"), version.get("device_name"),
@@ -126,7 +131,7 @@ def _read(path: Path) -> Forecast | None:
 
 
 def _savings(scene: Any, forecast: Forecast, trade: Path | None, on_gpu: bool) -> tuple[tuple[Saving, ...], str]:
-    """Simplifications, by what a trade measured and by what bounds the time step."""
+    """Return savings found from a trade-off record and from the limits of the time step, with the record's source."""
     found = list(_by_step(forecast))
     record, source = _trade_of(scene, trade, on_gpu)
     found += _alone(record.get("points", []), _knobs_of(scene))
@@ -134,7 +139,7 @@ def _savings(scene: Any, forecast: Forecast, trade: Path | None, on_gpu: bool) -
 
 
 def _knobs_of(scene: Any) -> set[str]:
-    """Knobs of a scene that settings may have."""
+    """Return the names of a scene's accuracy knobs that recommended settings may change."""
     module = modules().get(scene.name)
     given = arguments_of(scene)
     if module is None or not given:
@@ -143,7 +148,10 @@ def _knobs_of(scene: Any) -> set[str]:
 
 
 def _alone(points: list[dict[str, Any]], knobs: set[str]) -> Iterator[Saving]:
-    """Of a trade's points those that differ by one of the knobs and save time; the first one is the scene as given."""
+    """Yield a saving for every point of a trade-off record that changes one knob and shortens the run.
+
+    The first point of a record is the scene as given.
+    """
     for point in points[1:]:
         given, alone = points[0], point["origin"] in knobs and point["errors"] and not point["suspect"]
         if not alone or not point["time"]["value"] or not given["time"]["value"]:
@@ -157,10 +165,10 @@ def _alone(points: list[dict[str, Any]], knobs: set[str]) -> Iterator[Saving]:
 
 
 def _by_step(forecast: Forecast) -> Iterator[Saving]:
-    """Without a kind of bonds, without dashpots: steps would be longer."""
+    """Yield the saving from removing or softening the kind of bond that limits the time step, if there is one."""
     alone, whole = forecast.limits.get("contacts"), forecast.limits.get("all together")
     if not alone or not whole or not forecast.wall_time or not 0.9 < forecast.time_step / whole < 1.1:
-        return  # a step that was given
+        return  # the user chose the time step, so nothing would lengthen it
     rest = 1.0 - sum(forecast.parts.get(part, 0.0) for part in ("steps", "settling")) / forecast.wall_time
     for name, limit in forecast.limits.items():
         if name.startswith("contacts and ") and limit < 1.05 * whole and limit < LARGE * alone:
@@ -171,7 +179,7 @@ def _by_step(forecast: Forecast) -> Iterator[Saving]:
 
 
 def _trade_of(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[Mapping[str, Any], str]:
-    """Record of a trade with its knobs alone, and what it is called."""
+    """Return the trade-off record that fits a scene and a description of its source; both are empty without one."""
     module = modules().get(scene.name)
     if trade is not None:
         if not (trade / "trade.json").is_file():

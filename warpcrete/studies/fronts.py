@@ -1,4 +1,4 @@
-"""Statistics of a trade: differences with their intervals, the front of what nothing beats, settings by promise."""
+"""Statistics of trade-off studies: errors with confidence intervals, the Pareto front, and cheapest settings."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ STUDENT = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228
 
 @dataclass(frozen=True)
 class Error:
-    """Relative difference of a quantity from its reference."""
+    """Relative difference of a quantity's mean from its reference value."""
 
     quantity: str
     shift: float
-    """With its sign."""
+    """Signed relative difference, as a fraction."""
     interval: float
-    """Half width of its 95 % confidence interval; 0 where nothing is random, NaN where one run says nothing of it."""
+    """Half width of the 95 % confidence interval of `shift`; 0 if nothing is random, NaN if there are too few runs."""
 
     @property
     def size(self) -> float:
@@ -29,28 +29,29 @@ class Error:
 
     @property
     def bound(self) -> float:
-        """What the error is at most, interval included."""
+        """Largest error that the confidence interval allows; infinite without an interval."""
         return self.size + (math.inf if math.isnan(self.interval) else self.interval)
 
     @property
     def within_scatter(self) -> bool:
-        """Seeds alone explain it."""
+        """Whether the scatter between seeds alone explains the difference."""
         return math.isfinite(self.interval) and 0 < self.size <= self.interval
 
 
 def student(freedom: float) -> float:
-    """Two-sided 95 % quantile of Student's t; a fraction of degrees of freedom counts as the whole ones below."""
+    """Return the two-sided 95 % quantile of Student's t distribution; degrees of freedom are rounded down."""
     whole = max(int(freedom), 1)
     if whole <= len(STUDENT):
         return STUDENT[whole - 1]
-    # The quantile's expansion in 1/n about the normal one (Abramowitz & Stegun 26.7.5).
+    # For many degrees of freedom n, expand the quantile in 1/n about the normal one (Abramowitz & Stegun 26.7.5).
     return 1.960 + 2.372 / whole + 2.823 / whole**2 + 2.556 / whole**3
 
 
 def difference(quantity: str, values: Sequence[float], reference: Sequence[float], size: float | None = None) -> Error:
-    """Difference of two means over `size` (default: the reference's mean), with Welch's interval.
+    """Return the difference of two means, divided by `size`, with the 95 % interval of Welch's t-test.
 
-    One value each is taken as exact, as flows without randomness are; one value beside several has no interval (NaN).
+    The default `size` is the magnitude of the reference's mean. If both sides have one value, as in flows without
+    randomness, the difference counts as exact. If only one side has a single value, the interval is NaN.
     """
     a, b = np.asarray(values, float), np.asarray(reference, float)
     size = abs(float(b.mean()) if size is None else size) or math.nan
@@ -59,7 +60,7 @@ def difference(quantity: str, values: Sequence[float], reference: Sequence[float
         return Error(quantity, shift, 0.0)
     if len(a) == 1 or len(b) == 1:
         return Error(quantity, shift, math.nan)
-    if np.array_equal(a, b):  # the same runs
+    if np.array_equal(a, b):  # the reference is compared with itself
         return Error(quantity, 0.0, student(len(b) - 1) * float(b.std(ddof=1)) / math.sqrt(len(b)) / size)
     parts = np.array([a.var(ddof=1) / len(a), b.var(ddof=1) / len(b)])
     spread = float(parts.sum())
@@ -70,7 +71,11 @@ def difference(quantity: str, values: Sequence[float], reference: Sequence[float
 
 
 def next_within(shifts: Sequence[float]) -> float:
-    """Size that the next of such errors stays within with 95 %, if they are normal; one alone bounds itself."""
+    """Return the bound that the next error stays within with a probability of 95 %, if errors are normally distributed.
+
+    This is the prediction interval |mean| + t s sqrt(1 + 1/n) of n errors with the standard deviation s. A single error
+    is its own bound.
+    """
     values = np.asarray(shifts, float)
     if len(values) < 2:
         return float(np.abs(values).max(initial=0.0))
@@ -79,7 +84,7 @@ def next_within(shifts: Sequence[float]) -> float:
 
 
 def front(points: Sequence[tuple[float, float]]) -> list[int]:
-    """Places of the (cost, error) pairs that no other one beats in both, by rising cost."""
+    """Return the indices of the (cost, error) pairs on the Pareto front, by rising cost."""
     order = sorted(range(len(points)), key=lambda k: points[k])
     best, found = math.inf, []
     for k in order:
@@ -92,11 +97,11 @@ def front(points: Sequence[tuple[float, float]]) -> list[int]:
 def cheapest_within(
     knobs: Mapping[str, Sequence[tuple[float, float]]], target: float, limit: int = 2_000_000
 ) -> dict[str, int] | None:
-    """Levels by knob, with the least product of cost factors whose errors together stay within `target`.
+    """Return the cheapest combination of knob levels whose errors add up to at most `target`; None if there is none.
 
-    `knobs` has (cost factor, error) for the levels of each; errors are added up, since signs that cancel in one scene
-    do not in the next. None where even the least errors are more than that. Raises ValueError beyond `limit`
-    combinations, which no scene comes near.
+    `knobs` holds (cost factor, error) for the levels of each knob; the cost of a combination is the product of its
+    factors. Errors are added without regard to sign, because signs that cancel in one scene do not cancel in the next.
+    Raises ValueError for more than `limit` combinations.
     """
     names = list(knobs)
     if math.prod(len(knobs[name]) for name in names) > limit:
@@ -113,5 +118,5 @@ def cheapest_within(
 
 
 def worst(errors: Sequence[Error]) -> Error | None:
-    """The largest of the errors, by what they are at most."""
+    """Return the error with the largest bound; None without errors."""
     return max(errors, key=lambda each: each.bound, default=None)

@@ -1,7 +1,8 @@
-"""Pressure that a line of pipes needs, by discrete elements: each kind of part simulated once for each seed.
+"""Pressure of a pump line by discrete elements: each kind of part is simulated once for every seed.
 
-A straight pipe gives the stress on its wall against the pressure there, which rises with it; a bend or reducer what it
-loses over straight pipe beside it. The line is put together from its end, where the pressure is none, to its start.
+A straight pipe yields the shear stress on its wall as a function of the local pressure. A bend or reducer yields its
+friction relative to that of straight pipe. The pressure along the line follows by integration from its end, where the
+pressure is zero, to its start.
 """
 
 from __future__ import annotations
@@ -30,38 +31,43 @@ from .lines import Part, PipeLine
 
 SCENE = "part-dem"
 STRAIGHT = 3.0
-"""Diameters of straight pipe before and behind a bend or reducer that is simulated, half of a straight pipe's."""
+"""Length of straight pipe before and behind a simulated bend or reducer [diameters]; straight pipe is twice as long."""
 WIDEST = 0.3
-"""Of the narrowest bore, up to which all sizes are multiplied."""
+"""Fraction of the narrowest bore to which the largest stone is enlarged by default."""
 STIFFER = 5.0
-"""Times the concrete's modulus: soft aggregates are still being pressed together after a travel of many diameters,
-and what leaves is less than what enters. Straight pipe of 125 mm loses 9.48 kPa/m with the modulus of Zhan, 1e5 Pa, and
-9.55 kPa/m with five times as much."""
+"""Default factor on the concrete's elastic modulus.
+
+Soft aggregates are still being compressed after a travel of many diameters, so that less leaves a part than enters it.
+In straight pipe of 125 mm the loss is 9.48 kPa/m with the modulus of Zhan et al. (1e5 Pa), and 9.55 kPa/m with five
+times that modulus.
+"""
 PRESSED = "pressed"
-"""Straight pipe is simulated twice: behind a plug that hardly holds, and behind one that is pressed against it ..."""
+"""Mark of the second simulation of straight pipe, behind a plug that presses against the concrete. The first simulation
+has a plug that hardly resists; its low pressures alone would overestimate the friction at high pressure.
+"""
 PRESSURE = 0.04
-"""... by so much of the modulus, as friction at low pressure alone says too much of that at high."""
+"""Pressure of the pressing plug in the second simulation of straight pipe, as a fraction of the modulus."""
 SOFT = 0.2
-"""Pressure over the modulus above which elements would be pressed into one another, and friction rises no more."""
+"""Ratio of pressure to modulus above which wall friction is assumed constant, as elements would overlap strongly."""
 STEPS = 50
-"""In which a part's pressure is summed."""
+"""Number of steps in which the pressure is integrated along a part."""
 EVEN = 0.8
-"""What leaves a part over what enters it, below which it is told."""
+"""Ratio of outflow to inflow of solids below which a remark says that the concrete is still being compressed."""
 SIZES = ("size_min", "size_max", "size_mean", "size_deviation")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Elements:
-    """How parts are simulated by discrete elements."""
+    """Settings for simulating the parts of a line by discrete elements."""
 
     shapes: str = "spheres"
-    """As of scene part-dem."""
+    """Shapes of the elements, as in the scene part-dem."""
     coarse: float | None = None
-    """All sizes times this; None: until the largest is 0.3 of the narrowest bore."""
+    """Factor on all stone sizes; None enlarges stones until the largest is 0.3 times as wide as the narrowest bore."""
     seeds: int = 1
-    """Packings of each kind of part, whose scatter is the band."""
+    """Number of packings of each kind of part; their scatter gives the band of the pressure."""
     stiffer: float = STIFFER
-    """The modulus times this."""
+    """Factor on the concrete's elastic modulus."""
 
     def __post_init__(self) -> None:
         between("seeds", self.seeds, 1, 100)
@@ -72,49 +78,55 @@ class Elements:
 
 @dataclass(frozen=True)
 class WallLaw:
-    """Stress on a straight pipe's wall against the pressure there: friction of the stones' push, and a layer's."""
+    """Linear law of the shear stress on a straight pipe's wall: stress = start + slope * pressure.
+
+    The slope is due to Coulomb friction of the aggregates, and the constant term to the lubrication layer.
+    """
 
     diameter: float
-    """[m]"""
+    """Inner diameter of the pipe [m]."""
     start: float
-    """Stress without pressure [Pa]."""
+    """Wall stress at zero pressure [Pa]."""
     slope: float
-    """Stress over pressure."""
+    """Increase of the wall stress per increase of pressure."""
     measured: float
-    """Largest pressure that it was fitted to [Pa]."""
+    """Largest pressure at which the law was measured [Pa]."""
     largest: float
-    """Pressure above which it is taken to rise no more [Pa]."""
+    """Pressure above which the wall stress is assumed constant [Pa]."""
 
     @classmethod
     def of(cls, diameter: float, columns: Mapping[str, np.ndarray], largest: float) -> WallLaw:
-        """A line through what the stations of a straight pipe have, which Coulomb friction and a layer give."""
+        """Fit the law to the stresses measured in slices of a straight pipe of the given `diameter` [m].
+
+        `columns` holds the arrays `axial_stress`, which serves as the pressure, and `wall_stress` [Pa].
+        """
         pressure, shear = columns["axial_stress"], columns["wall_stress"]
         here = np.isfinite(pressure)
         slope, start = (float(x) for x in np.polyfit(pressure[here], shear[here], 1))
         return cls(diameter, start, slope, float(pressure[here].max()), largest)
 
     def gradient(self, pressure: float) -> float:
-        """Of the pressure, by friction [Pa/m]."""
+        """Return the pressure loss by friction per metre of pipe [Pa/m]."""
         return 4 / self.diameter * max(self.start + self.slope * min(pressure, self.largest), 0.0)
 
 
 @dataclass(frozen=True)
 class Packed:
-    """What one seed's runs came to."""
+    """Results of all simulated parts for one seed."""
 
     laws: Mapping[float, WallLaw]
-    """By the diameter [m]."""
+    """Friction laws of straight pipe, by its diameter [m]."""
     ratios: Mapping[tuple[Any, ...], float]
-    """Of each kind of bend or reducer: its loss over straight pipe's."""
+    """Friction of each kind of bend or reducer, relative to straight pipe of its length."""
     density: float
-    """Of what fills the pipe, as the elements weigh it [kg/m3]."""
+    """Bulk density of the elements that fill the pipe [kg/m3]."""
 
     def ratio(self, part: Part) -> float:
-        """What a part loses over straight pipe."""
+        """Return a part's friction relative to straight pipe of its length."""
         return self.ratios.get(part.alike, part.curving)
 
     def course(self, line: PipeLine) -> list[tuple[float, float]]:
-        """Friction and weight of each part of a line [Pa], from its start to its end."""
+        """Return the pressure losses (friction, weight) of each part of a line [Pa], from its start to its end."""
         pressure, found = 0.0, []
         for part in reversed(line.parts):
             friction = 0.0
@@ -122,7 +134,7 @@ class Packed:
             ratio = self.ratio(part)
             step = part.length / STEPS
             for place in range(STEPS):
-                # From the part's end on, by the gradient in the middle of each step.
+                # Integrate from the part's end towards its start with the midpoint rule.
                 along = 1 - (place + 0.5) / STEPS
                 there = pressure + friction + weight * (1 - along)
                 ahead = there + 0.5 * step * ratio * self._gradient(part, along, there)
@@ -132,52 +144,52 @@ class Packed:
         return found[::-1]
 
     def _gradient(self, part: Part, along: float, pressure: float) -> float:
-        """Of straight pipe as wide as a part at this fraction of its length [Pa/m]."""
+        """Return the friction of straight pipe at a fraction `along` of a part's length [Pa/m]."""
         begin, end = (self.laws[diameter].gradient(pressure) for diameter in (part.diameter, part.outlet))
         return along * end + (1 - along) * begin
 
 
 @dataclass(repr=False)
 class ElementLine:
-    """What a line needs at its start, by discrete elements."""
+    """Pressure losses of a pump line, computed by discrete elements."""
 
     line: PipeLine
     concrete: str
     flow: float
-    """[m3/s]"""
+    """Flow rate [m3/s]."""
     packed: list[Packed]
-    """One for each seed."""
+    """Results of the simulated parts, one entry for each seed."""
     remarks: list[str]
     took: dict[str, float] = field(default_factory=dict)
-    """Wall time of each simulation that was run, beside others [s], by its folder's name."""
+    """Wall time of each new simulation, which may share the device with others [s], by its folder's name."""
     elapsed: float = 0.0
-    """Wall time of all of them, packing included [s]."""
+    """Wall time of all new simulations together, including packing [s]."""
     failed: dict[str, list[str]] = field(default_factory=dict)
-    """Checks that simulations failed, and what they found, likewise."""
+    """Failed checks of the simulations with their findings, by folder name."""
 
     def __repr__(self) -> str:
         return f"<ElementLine of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
 
     @property
     def pressures(self) -> list[float]:
-        """At the start of the line, of each seed [Pa]."""
+        """Pressures at the start of the line, one for each seed [Pa]."""
         return [sum(map(sum, each.course(self.line))) for each in self.packed]
 
     @property
     def pressure(self) -> float:
-        """Their mean [Pa]."""
+        """Pressure at the start of the line, averaged over the seeds [Pa]."""
         return float(np.mean(self.pressures))
 
     def frictions(self) -> np.ndarray:
-        """Of the parts, means over the seeds [Pa], shape (parts,)."""
+        """Return the friction of each part, averaged over the seeds [Pa], shape (parts,)."""
         return np.mean([[friction for friction, _ in each.course(self.line)] for each in self.packed], axis=0)
 
     def weights(self) -> np.ndarray:
-        """Likewise."""
+        """Return the pressure due to each part's weight, averaged over the seeds [Pa], shape (parts,)."""
         return np.mean([[weight for _, weight in each.course(self.line)] for each in self.packed], axis=0)
 
     def record(self) -> dict[str, Any]:
-        """As line-dem.json has it."""
+        """Return the contents of line-dem.json."""
         return {
             "line": self.line.name,
             "concrete": self.concrete,
@@ -208,11 +220,11 @@ def run_elements(
     threads: int | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> ElementLine:
-    """Pressure that a `line` needs at a `flow` [m3/s] of a `concrete`, by its name or file, by discrete elements.
+    """Compute the pressure that a `line` needs at a `flow` [m3/s] of a `concrete` (name or file) by discrete elements.
 
-    Each kind of part is simulated without weight, all of them side by side where the device does that; runs go into
-    `out`, where those that were cut go on, and those in `known`, the folder of an earlier line, are taken. Raises
-    :class:`SceneError` for settings that make no scene, and the error of the first run that ended in one.
+    Each kind of part is simulated without weight, and on a GPU all parts run together. Runs are stored in `out`,
+    where interrupted runs continue; finished runs in `known`, the folder of an earlier line, are reused. Raises
+    :class:`SceneError` for impossible settings, and the error of the first run that failed.
     """
     elements = elements or Elements()
     if known is not None and not (known / "parts").is_dir():
@@ -254,7 +266,7 @@ def run_elements(
 
 
 def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
-    """Kinds of parts, and straight pipe of every diameter."""
+    """Yield the kinds of parts that need a simulation, including straight pipe of every diameter."""
     for part in line.parts:
         if not part.by_length:
             yield part.alike, part
@@ -267,7 +279,7 @@ def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
 def _parameters(
     part: Part, pressed: bool, line: PipeLine, concrete: str, flow: float, elements: Elements, seed: int
 ) -> dict[str, Any]:
-    """Of the scene of a kind of part, without weight."""
+    """Return the scene parameters that simulate a kind of part without weight."""
     wide = max(part.diameter, part.outlet)
     own: dict[str, Any] = {"concrete": concrete, "diameter": part.diameter, "flow": flow, "gravity": 0.0,
                            "straight": STRAIGHT * wide, "travel": 2 * part.diameter, "seed": seed,
@@ -287,14 +299,17 @@ def _parameters(
 
 
 def sized(own: Mapping[str, Any], narrowest: float, elements: Elements) -> dict[str, Any]:
-    """Parameters of a part's scene with its sizes and modulus as `elements` has them, for a `narrowest` bore [m]."""
+    """Return a part's scene parameters with the stone sizes and the modulus scaled as `elements` says.
+
+    `own` holds the parameters before scaling, and `narrowest` is the narrowest bore of the line [m].
+    """
     given = modules()[SCENE].scene.declared(dict(own))
     whole = {**own, "modulus": elements.stiffer * given.modulus}
     ranged = given.sizes in ("gaussian", "uniform")
     sieve = [] if ranged else [entry.split(":") for entry in given.sizes.split(",")]
     least, most = (given.size_min, given.size_max) if ranged else (1e-3 * float(sieve[k][0]) for k in (0, -1))
     factor = elements.coarse or max(1.0, WIDEST * narrowest / most)
-    # The plug's balls, which are small, would set the time step.
+    # Small plug balls would limit the time step, so they are enlarged together with the aggregate.
     whole["plug_ball"] = max(factor * given.plug_ball, min(factor * least, narrowest / 5))
     if not ranged:
         return whole | {"sizes": ",".join(f"{factor * float(opening):g}:{passing}" for opening, passing in sieve)}
@@ -309,7 +324,7 @@ def _simulate(
     jobs: Sequence[tuple[Any, int, Any]], kinds: Mapping[Any, Part], runs: dict[tuple[Any, int], Any],
     out: Path | None, device: str | None, threads: int | None, progress: Callable[[str, float], None] | None,
 ) -> dict[str, float]:  # fmt: skip
-    """Run what is not there yet, enter it in `runs`, and return how long each took [s]."""
+    """Run the simulations that are still missing, store them in `runs`, and return their wall times [s]."""
     simulations, checkpoints = [], []
     for key, seed, scene in jobs:
         part = kinds[key]
@@ -368,7 +383,7 @@ def _packed(kinds: Mapping[Any, Part], runs: Mapping[Any, Run]) -> Packed:
 
 
 def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Mapping[Any, Part]) -> Iterator[str]:
-    """What a reader should know: of the line, of failed checks, and what the runs do not cover."""
+    """Yield remarks for the user about the line itself, failed checks, and limits of the simulations."""
     yield from found.line.remarks()
     if any(part.layer != 1 for part in found.line.parts):
         yield "the slip layer of a hose is treated as that of a pipe"
@@ -389,7 +404,10 @@ def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Map
 
 
 def lines_of_elements(found: ElementLine, others: Mapping[str, Sequence[float]]) -> list[str]:
-    """Headline and a table of the parts as text; `others` are frictions by other ways [Pa], a column each."""
+    """Return a headline and a table of the parts as lines of Markdown.
+
+    `others` holds frictions of the parts from other methods [Pa], with one column of the table for each.
+    """
     low, high = min(found.pressures), max(found.pressures)
     span = f"; {low / 1e5:.4g} to {high / 1e5:.4g} bar over {len(found.packed)} seeds" if len(found.packed) > 1 else ""
     text = [

@@ -1,4 +1,4 @@
-"""The folder of a line: one run of each kind of part, which the same line takes up again after it was cut."""
+"""Folder of a simulated line: it holds one run for each kind of part, and an interrupted line continues in it."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ from ..record.checks import CheckRecorder
 from ..record.run_folder import TableRecorder
 
 ASKED = "asked.json"
-"""Says what the folder's line is, until it is complete."""
+"""Name of the file that describes the folder's line until all its runs are finished."""
 PARTS = "parts"
 
 
 @contextmanager
 def line_folder(out: Path | None, asked: Mapping[str, Any]) -> Iterator[None]:
-    """Hold a new folder, or that of the same line that was cut, while the line is simulated; None: no folder.
+    """Lock the folder of a line during a `with` block: a new folder, or that of the same interrupted line.
 
-    `asked` is everything that the line's runs depend on, as JSON. A block that fails before any run leaves no folder.
-    Raises :class:`RunFolderError` for a folder of another line, or of one that is complete.
+    `asked` holds everything on which the line's runs depend, as JSON; `out` may be None for no folder. A block that
+    fails before any run leaves no folder. Raises :class:`RunFolderError` if the folder exists and is complete or
+    belongs to another line.
     """
     if out is None:
         yield
@@ -47,9 +48,9 @@ def line_folder(out: Path | None, asked: Mapping[str, Any]) -> Iterator[None]:
 
 
 def known_run(lines: Sequence[Path | None], scene: Any, digest: str = "") -> Path | None:
-    """Return the folder of a finished run of that very scene in the folders of some lines.
+    """Return the folder of a finished run of the same scene in the folders of several lines; None if there is none.
 
-    A mesh file is known by its `digest` in the name.
+    `digest` identifies a mesh file and must be part of the folder's name.
     """
     parts = [line / PARTS for line in lines if line is not None]
     return next((path for each in parts for path, finished in _same(each, scene, digest) if finished), None)
@@ -58,9 +59,9 @@ def known_run(lines: Sequence[Path | None], scene: Any, digest: str = "") -> Pat
 def part_simulation(
     scene: Any, check: Any, out: Path | None, called: str, digest: str = "", **settings: Any
 ) -> tuple[Simulation, Path | None]:
-    """Return the simulation of a part and the checkpoint that it goes on from, if there is one.
+    """Return the simulation of a part and the checkpoint from which it continues; the checkpoint may be None.
 
-    It runs into the folder `called` among the parts in `out`, or into that of the same scene that was cut.
+    The run folder is the interrupted one of the same scene in `out`, or else a new one called `called`.
     """
     if out is None:
         return Simulation(scene, recorders=[CheckRecorder(check)], **settings), None
@@ -73,7 +74,7 @@ def part_simulation(
 
 
 def _same(folder: Path, scene: Any, digest: str) -> Iterator[tuple[Path, bool]]:
-    """Yield the folders of runs of that very scene, and whether each is complete."""
+    """Yield the folders of runs of the same scene, each with whether the run is complete."""
     for here in sorted(folder.iterdir()) if folder.is_dir() else ():
         record, result = here / "scene.json", here / "result.json"
         if digest not in here.name or not record.is_file():
@@ -86,7 +87,7 @@ def _same(folder: Path, scene: Any, digest: str) -> Iterator[tuple[Path, bool]]:
 
 
 def _free_folder(folder: Path) -> Path:
-    """Return the folder, or one with a number behind where two kinds of part round to the same name."""
+    """Return `folder`, or a numbered variant of it if it exists, because two kinds of part may round to one name."""
     count, free = 1, folder
     while free.exists():
         count += 1

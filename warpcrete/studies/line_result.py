@@ -1,4 +1,4 @@
-"""What a line of pipes needs: the sum over its parts, as numbers, text and figure."""
+"""Pressure that a pump line needs, summed over its parts: numbers, text and figure."""
 
 from __future__ import annotations
 
@@ -19,48 +19,51 @@ from .lines import Part, PipeLine, friction, layered
 
 @dataclass(frozen=True)
 class Loss:
-    """Of a part of a line."""
+    """Pressure losses of one part of a line."""
 
     part: Part
     friction: float
-    """[Pa]"""
+    """Pressure loss by friction [Pa]."""
     theory: float
-    """By the closed form, as a straight pipe of its bore and length [Pa]."""
+    """Friction by the closed form, which treats the part as a straight pipe of its bore and length [Pa]."""
     weight: float
-    """Of the concrete, over its rise [Pa]."""
+    """Pressure due to the weight of the concrete over the part's rise [Pa]."""
 
 
 @dataclass(repr=False)
 class LineResult:
-    """What a line needs at its start."""
+    """Pressure that a line needs at its start, with the losses of its parts."""
 
     line: PipeLine
     concrete: Concrete
     flow: float
-    """[m3/s]"""
+    """Flow rate [m3/s]."""
     losses: list[Loss]
+    """Losses of the parts, from the start of the line to its end."""
     layer_factor: float
+    """Factor by which the resistance of the slip layer may be wrong, in both directions."""
     simulated: bool
+    """Whether friction comes from simulations and not from the closed form."""
     folder: Path | None = None
     took: dict[str, float] = field(default_factory=dict)
-    """Wall time of each simulation that was run [s], by its folder's name."""
+    """Wall time of each new simulation [s], by its folder's name."""
     failed: dict[str, list[str]] = field(default_factory=dict)
-    """Checks that simulations failed, and what they found, likewise."""
+    """Failed checks of the simulations with their findings, by folder name."""
     extremes: tuple[Concrete, Concrete] | None = None
-    """Concretes at the ends of the band, in place of a slip layer that is off by `layer_factor`."""
+    """Concretes that define the lower and upper end of the band; None if `layer_factor` defines it."""
 
     def __repr__(self) -> str:
         return f"<LineResult of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
 
     def _repr_html_(self) -> str:
-        """Its parts as a table, for notebooks."""
+        """Return the table of the parts as HTML for notebooks."""
         rows = [line.strip("| ").split(" | ") for line in lines_of(self) if line.startswith("| ")]
         return html_table(rows[1:], ["part", "", *rows[0][2:]], repr(self))
 
     def table(self) -> Any:
-        """Its parts as a pandas DataFrame in SI units, with their numbers as index; `attrs["units"]` has the units.
+        """Return the parts as a pandas DataFrame in SI units, with the part numbers as index.
 
-        Raises :class:`WarpcreteError` where pandas is not installed.
+        `attrs["units"]` holds the units of the columns. Raises :class:`WarpcreteError` if pandas is not installed.
         """
         parts = self.record()["parts"]
         units = {name: entry["unit"] for name, entry in parts[0].items() if isinstance(entry, dict)}
@@ -68,49 +71,51 @@ class LineResult:
         return dataframe(columns, units, "number")
 
     def plot(self) -> Any:
-        """Matplotlib figure of the pressure along the line: with its band, and by theory."""
+        """Return a Matplotlib figure of the pressure along the line, with its band and the closed form."""
         return draw(self)
 
     @property
     def pressure(self) -> float:
-        """At the start of the line [Pa]."""
+        """Pressure at the start of the line [Pa]."""
         return float(self.course(lambda loss: loss.friction + loss.weight)[1][0])
 
     @property
     def theory(self) -> float:
-        """The same by the closed form, bends and reducers as straight pipe [Pa]."""
+        """Pressure at the start by the closed form, which treats bends and reducers as straight pipe [Pa]."""
         return float(self.course(lambda loss: loss.theory + loss.weight)[1][0])
 
     @property
     def power(self) -> float:
-        """That goes into the concrete [W]; a pump takes more."""
+        """Hydraulic power transferred to the concrete [W]; the pump itself consumes more."""
         return self.pressure * self.flow
 
     def band(self) -> tuple[float, float]:
-        """Pressure with a slip layer that resists `layer_factor` times less and more, or of the `extremes` [Pa].
+        """Return the lower and upper pressure at the start of the line [Pa] from the uncertainty of the concrete.
 
-        Friction changes as the closed form does.
+        The two pressures belong to a slip layer whose resistance is `layer_factor` times smaller and larger, or to the
+        two concretes of `extremes`. Simulated friction is scaled in proportion to the closed form.
         """
         low, high = (float(self.course(of)[1][0]) for of in self.ends())
         return low, high
 
     def ends(self) -> list[Callable[[Loss], float]]:
-        """What a part loses at the two ends of the band [Pa]."""
+        """Return, for both ends of the band, a function that gives the pressure loss of a part [Pa]."""
         factors = (1 / self.layer_factor, self.layer_factor)
         others = self.extremes or [layered(self.concrete, factor) for factor in factors]
         return [lambda x, c=c: x.friction * friction(x.part, c, self.flow) / x.theory + x.weight for c in others]
 
     @property
     def band_words(self) -> str:
-        """What is different at the ends of the band."""
+        """Description of the band for the user."""
         if self.extremes is not None:
             return "all constants at the lower and upper ends of the mix's bands"
         return f"{self.layer_factor:g} times less or more resistance of the slip layer"
 
     def course(self, of: Callable[[Loss], float]) -> tuple[np.ndarray, np.ndarray]:
-        """Places along the line [m] between its parts, and the pressure there [Pa] from what each part loses.
+        """Return places along the line between its parts [m] and the pressure there [Pa], both of shape (parts + 1,).
 
-        It never falls below 0: concrete that runs down faster than it is pumped parts, and pulls at nothing.
+        `of` gives the pressure loss of a part. The pressure never falls below zero: where concrete runs down faster
+        than it is pumped, the column breaks and transmits no tension.
         """
         places = np.concatenate([[0.0], np.cumsum([loss.part.length for loss in self.losses])])
         found = [0.0]
@@ -119,7 +124,7 @@ class LineResult:
         return places, np.array(found[::-1])
 
     def remarks(self) -> list[str]:
-        """What a reader should know: of the line, of checks that failed, and where the concrete parts."""
+        """Return remarks for the user about the line, failed checks, and places where the concrete column breaks."""
         found = self.line.remarks()
         found += [f"check FAILED in {name}: {what}" for name, bad in self.failed.items() for what in bad]
         course = self.course(lambda loss: loss.friction + loss.weight)[1]
@@ -130,7 +135,7 @@ class LineResult:
         return found
 
     def record(self) -> dict[str, Any]:
-        """As line.json has it."""
+        """Return the contents of line.json."""
         low, high = self.band()
         return {
             "line": self.line.name,
@@ -162,7 +167,7 @@ class LineResult:
 
 
 def lines_of(result: LineResult) -> list[str]:
-    """Headline, and a table of the parts, as text."""
+    """Return a headline and a table of the parts as lines of Markdown."""
     low, high = result.band()
     found = [
         f"**{result.line.name}**: {result.line.length:.4g} m, {result.line.rise:.4g} m up, {result.concrete.name} at "
@@ -190,7 +195,7 @@ def _bar(pressure: float) -> str:
 
 
 def draw(result: LineResult) -> Any:
-    """Matplotlib figure of the pressure along a line: ours with its band, and theory."""
+    """Return a Matplotlib figure of the pressure along a line, with its band and the closed form."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.5, 4.2), layout="constrained")

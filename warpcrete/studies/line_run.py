@@ -1,4 +1,4 @@
-"""Pressure that a line of pipes needs: each kind of part simulated once, as a flow, and added up."""
+"""Pressure of a pump line by flow simulation: each kind of part is simulated once, and the losses are added up."""
 
 from __future__ import annotations
 
@@ -19,15 +19,17 @@ from .line_result import LineResult, Loss, draw, lines_of
 from .lines import Part, PipeLine, friction, layered
 
 GRAVITY = 9.81
-"""[m/s2]"""
+"""Gravitational acceleration [m/s2]."""
 CELLS = 12
-"""Across a bore: straight stretches of parts of 125 mm err by -0.7 to 1.7 %, and by 1.6 % at 8."""
+"""Default number of cells across the narrowest bore of a bend or reducer. With 12 cells, straight stretches of parts of
+125 mm deviate from theory by -0.7 to 1.7 %, with 8 cells by 1.6 %.
+"""
 TUBE_CELLS = 20
-"""Across a straight pipe, which is the cheaper for being endless."""
+"""Number of particles across a straight pipe, which is cheaper to simulate because it is periodic."""
 LAYER_FACTOR = 2.0
-"""By which a slip layer that was not measured may be off, either way."""
+"""Default factor by which the resistance of an unmeasured slip layer may be wrong, in both directions."""
 AHEAD = 2.5
-"""Diameters of straight pipe before and behind a bend or reducer that is simulated."""
+"""Length of straight pipe before and behind a simulated bend or reducer [diameters]."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 
@@ -46,15 +48,15 @@ def run_line(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> LineResult:
-    """Pressure that a `line` needs at a `flow` [m3/s] of a `concrete`.
+    """Compute the pressure that a `line` needs at a `flow` [m3/s] of a `concrete`.
 
-    Each kind of part is simulated once, without weight, `cells` across its bore: straight pipe as an endless one, bends
-    and reducers between straight stretches, of which they get what the part loses beyond them; without `simulate` the
-    closed form stands for all. The band of the pressure is that of a slip layer off by `layer_factor`, or of the two
-    concretes of `band`, which a mix has. Runs go into the new folder `out`, or one that
-    :func:`warpcrete.studies.line_folder.line_folder` holds, where runs that were cut go on; of the same scene, those in
-    `known`, the folder of an earlier line, finished or cut, are taken. Raises :class:`SceneError` for a flow or
-    settings that make no scene.
+    Each kind of part is simulated once, without weight. Straight pipe is periodic. A bend or reducer lies between
+    straight stretches with `cells` cells across the narrowest bore, and its loss excludes that of these stretches.
+    Without `simulate`, the closed form of straight pipe replaces all simulations. The band of the pressure belongs to a
+    slip layer whose resistance is wrong by `layer_factor`, or to the two concretes in `band`. Runs are stored in the
+    new folder `out`, or in one locked by :func:`warpcrete.studies.line_folder.line_folder`, where interrupted runs
+    continue; finished runs in `known`, the folder of an earlier line, are reused. Raises :class:`SceneError` for an
+    impossible flow or setting.
     """
     positive("flow", flow, "m3/s")
     between("layer_factor", layer_factor, 1, math.inf)
@@ -71,7 +73,7 @@ def run_line(
     tell = progress or (lambda phase, fraction, figures: None)
     kinds = {part.alike: part for part in line.parts} if simulate else {}
     cases = {key: _case(part, concrete, flow, cells) for key, part in kinds.items()}
-    # Every scene is made before the first runs, so that what cannot be is refused at once.
+    # Build all scenes before the first run, so that an impossible scene is refused at once.
     scenes = {key: modules()[name].scene(**parameters) for key, (name, parameters) in cases.items()}
     found: dict[tuple[Any, ...], float] = {}
     took: dict[str, float] = {}
@@ -111,7 +113,7 @@ def run_line(
 
 
 def _case(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str, dict[str, Any]]:
-    """Scene and parameters that a kind of part is simulated by, without weight."""
+    """Return the scene's name and the parameters that simulate a kind of part without weight."""
     concrete = layered(concrete, part.layer)
     own = {"concrete": "own", **{name: getattr(concrete, name) for name in CONSTANTS}}
     own |= {"diameter": part.diameter, "flow": flow, "gravity": 0.0}
@@ -131,14 +133,14 @@ def _case(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str,
 
 
 def _lost(part: Part, result: Mapping[str, Any]) -> float:
-    """Friction of a bend or reducer [Pa], or of a straight pipe by the metre [Pa/m], from its run."""
+    """Return the friction of a bend or reducer [Pa], or of a straight pipe per metre [Pa/m], from its run."""
     if part.by_length:
         return 4 * number(result["wall_stress"]) / part.diameter
     return number(result["middle_loss"]) * (part.angle / max(part.angle, 5.0) if part.kind == "bend" else 1.0)
 
 
 def folder_name(part: Part) -> str:
-    """Of the runs of a kind of part."""
+    """Return the name of the run folder for a kind of part."""
     if part.by_length:
         layer = "" if part.layer == 1 else f"-layer-{part.layer:g}"
         return f"straight-{1e3 * part.diameter:g}{layer}"

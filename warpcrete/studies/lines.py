@@ -1,4 +1,4 @@
-"""What the closed form of straight pipes makes of the parts of a line."""
+"""Closed-form pressure losses of the parts of a pump line."""
 
 from __future__ import annotations
 
@@ -14,11 +14,14 @@ __all__ = [
 ]  # fmt: skip
 
 FINE = 200
-"""Places at which a taper's friction is summed."""
+"""Number of places along a tapered part at which the friction is evaluated."""
 
 
 def friction(part: Part, concrete: Concrete, flow: float) -> float:
-    """What the closed form of a straight pipe of a part's bore and length loses, for a hose with its bends [Pa]."""
+    """Return a part's friction [Pa] by the closed form, as that of a straight pipe with its bore and length.
+
+    For a hose, the result includes the additional loss of its bends.
+    """
     concrete = layered(concrete, part.layer)
     at = (np.arange(FINE) + 0.5) / FINE if part.outlet != part.diameter else np.zeros(1)
     bores = part.diameter + at * (part.outlet - part.diameter)
@@ -27,15 +30,15 @@ def friction(part: Part, concrete: Concrete, flow: float) -> float:
 
 
 def layered(concrete: Concrete, factor: float) -> Concrete:
-    """The same concrete with so many times the slip layer's resistance."""
+    """Return a copy of the concrete whose slip layer has `factor` times the resistance."""
     return replace(concrete, slip_viscosity=factor * concrete.slip_viscosity, slip_yield=factor * concrete.slip_yield)
 
 
 def restart(line: PipeLine, concrete: Concrete, rest: float, thixotropy: float, flow: float = 0.0) -> float:
-    """Pressure at the pump [Pa] that sets all of a line going after `rest` [s], by theory.
+    """Return the pressure at the pump [Pa] that sets a whole line in motion after a `rest` [s], by the closed form.
 
-    Its yield stresses have grown by `thixotropy` [Pa/s]. Without a `flow` [m3/s] it is that from which the line moves;
-    with one that at which it starts at that flow at once.
+    During the rest, the yield stresses grow by `thixotropy` [Pa/s]. With a `flow` of 0 [m3/s], the result is the
+    pressure at which motion begins; with a larger `flow`, it is the pressure for restarting at that flow at once.
     """
     grown = rested(concrete, rest, thixotropy)
     weight = concrete.density * Line().gravity * line.rise

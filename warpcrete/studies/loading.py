@@ -1,4 +1,4 @@
-"""Runs and studies read back from their folders."""
+"""Reader of runs and studies from their folders."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from .study import Study, load_study
 
 
 def load(folder: Path | str) -> Run | Study:
-    """The run in a folder, or the study, as far as it got.
+    """Load the run or the study in a folder, even an unfinished one.
 
-    A :class:`Run` has scene, series and quantities. What only a simulation holds, as bodies at the end, is not there. A
-    run that was killed has no result, and one without rows no series; of a scene that can no more be made, as its mesh
-    file has gone, only name and parameters are there. A study has its cases, and the run of each as `study["001"]`.
-    Raises :class:`RunFolderError` for anything that is no folder of this version's.
+    A loaded :class:`Run` has the scene, time series and quantities, but not the state of the simulation, such as its
+    bodies. A run that was killed has no result, and a run without recorded rows has no series. If the scene cannot be
+    built again, for example because its mesh file is missing, only its name and parameters are available. A study has
+    its cases, and returns the run of each one as `study["001"]`. Raises :class:`RunFolderError` if `folder` holds
+    neither in the format of this version.
     """
     folder = Path(folder)
     return load_study(folder) if (folder / "study.json").is_file() else load_run(folder)

@@ -1,4 +1,4 @@
-"""What the two papers report, as cases to run and claims to judge (Zhan et al. 2019; Xu, Li & Jiang 2021)."""
+"""Results of the two source papers, as cases to run and claims to judge (Zhan et al. 2019; Xu, Li & Jiang 2021)."""
 
 from __future__ import annotations
 
@@ -9,51 +9,55 @@ from typing import Any
 import numpy as np
 
 FLAT = 0.05
-"""Part of their mean by which pressures may differ that a paper calls equal."""
+"""Relative spread (range over mean) up to which pressures count as equal."""
 LINEAR = 0.98
-"""Of a straight line's fit, the coefficient of determination from which on a course is called linear."""
+"""Coefficient of determination of a straight line's fit above which a relation counts as linear."""
 GROWS = 0.03
-"""Part by which a pressure grows at least that a paper calls growing."""
+"""Relative growth of a pressure above which it counts as growing."""
 
 Judge = Callable[[Sequence[float], Sequence[float]], tuple[bool, str]]
-"""Of values of a parameter and pressures [Pa]: does the claim hold, and what was found."""
+"""Function of a parameter's values and the pressures [Pa]. It returns whether the paper's claim holds, and a finding.
+"""
 
 
 @dataclass(frozen=True)
 class Row:
-    """A parameter that the paper varies, alone."""
+    """A parameter that the paper varies alone, with the paper's claim about it."""
 
     name: str
+    """Name of the varied parameter of the scene function."""
     parameter: str
     values: tuple[Any, ...]
     claim: str
-    """What the paper says of it."""
+    """Claim of the paper about the effect of the parameter."""
     judge: Judge
+    """Function that judges whether our pressures support the claim."""
     base: Mapping[str, Any] = field(default_factory=dict)
+    """Further parameters that all runs of this variation share."""
     numbers: tuple[float, ...] = ()
-    """Values as numbers, where they are words."""
+    """Numeric equivalents of `values` if these are words; otherwise empty."""
     printed: Mapping[Any, float] = field(default_factory=dict)
-    """Largest pressures that the paper's text gives [Pa]."""
+    """Peak pressures that the text of the paper states, by parameter value [Pa]."""
 
     @property
     def is_hydrated(self) -> bool:
-        """Has to do with hydrated bonds."""
+        """Whether the varied parameter concerns hydrated bonds."""
         return self.parameter.startswith("hydration")
 
     @property
     def places(self) -> tuple[float, ...]:
-        """Values as numbers."""
+        """Values of the parameter as numbers."""
         return self.numbers or self.values
 
 
 def flat(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """All are nearly equal."""
+    """Judge whether all pressures are nearly equal."""
     spread = (max(pressures) - min(pressures)) / float(np.mean(pressures))
     return spread < FLAT, f"they differ by {100 * spread:.1f} %"
 
 
 def linear(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Grows along a straight line."""
+    """Judge whether the pressure grows along a straight line."""
     slope, shift = np.polyfit(values, pressures, 1)
     rest = np.asarray(pressures) - (slope * np.asarray(values) + shift)
     fit = 1 - float(rest @ rest) / max(float(np.var(pressures)) * len(pressures), 1e-300)
@@ -63,14 +67,14 @@ def linear(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, s
 
 
 def growing(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Grows from each value to the next."""
+    """Judge whether the pressure grows from each value to the next."""
     steps = np.diff(pressures) / pressures[0]
     growth = (pressures[-1] - pressures[0]) / pressures[0]
     return bool(np.all(steps > -FLAT / 5) and growth > GROWS), f"{100 * growth:+.0f} % from end to end"
 
 
 def narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Equal in wide pipes, far more in the narrowest."""
+    """Judge whether pressures are equal from the third pipe diameter on, and far higher in the narrowest pipe."""
     level, what = flat(values[2:], pressures[2:])
     growth = pressures[0] / pressures[2] - 1
     holds = level and growth > 0.5
@@ -78,14 +82,14 @@ def narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, s
 
 
 def late(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """The first two equal, then growth."""
+    """Judge whether the first two pressures are equal and the further ones grow."""
     level, what = flat(values[:2], pressures[:2])
     grown, how = growing(values[1:], pressures[1:])
     return level and grown, f"the first two values: {what}; then {how}"
 
 
 OF_ALL = (narrow, late)
-"""Judges that go by single values, so that none may be missing."""
+"""Judging functions that need every value, so that no run may be missing."""
 
 ZHAN = (
     Row("diameter", "diameter", (0.100, 0.125, 0.150, 0.175, 0.200),
@@ -101,28 +105,30 @@ ZHAN = (
     Row("hydrated modulus", "hydration_modulus", (2e4, 1e6, 1e7, 1e8, 1e9), "grows with the stiffness (at 20 %)",
         growing, base={"hydration": 0.2}),
 )  # fmt: skip
-"""Section 5 of Zhan et al. 2019, on unit D; pressures are the largest of a run."""
+"""Parameter variations in section 5 of Zhan et al. 2019, on unit D; the pressures are peak pressures."""
 SMALLEST = {10e-3: 5e-3, 20e-3: 5e-3, 40e-3: 10e-3, 60e-3: 10e-3}
-"""Of aggregates, by their largest [m]."""
+"""Smallest aggregate size by the largest one, in the gradings of Zhan et al. [m]."""
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
+"""Names of the paper's four pipe units A to D."""
 PRINTED = {"vertical": (38.93e3, 35e3), "horizontal": (15.69e3, 12e3), "bend-to-horizontal": (None, None),
            "bend-to-vertical": (38.58e3, None)}  # fmt: skip
-"""Largest pressure and that at the end, of the units [Pa]."""
+"""Peak pressure and final pressure of each unit in the paper [Pa]; None where the paper gives no number."""
 PRINTED_TRAVEL = {"vertical": 0.08, "horizontal": 0.10}
-"""Travel of the piston at the largest pressure [m]."""
+"""Travel of the piston at the peak pressure in the paper [m]."""
 PIPELINES = {"Burj Khalifa": (576.0, 83.0, 21.15e6, 17.1e6), "Shanghai Tower": (582.0, 150.0, 22.17e6, 23.4e6)}
-"""Metres up and along, the paper's prediction and what was recorded [Pa]."""
+"""Lengths up and along [m], pressure predicted by the paper and pressure recorded on site [Pa], by pipeline."""
 
 UNITS_ROW = "units"
-"""Name by which the four units are chosen."""
+"""Name of the group of runs with the four pipe units."""
 
 CONCRETES: dict[str, dict[str, Any]] = {
     "literal": {"concrete": "zhan-table1"},
     "calibrated": {"concrete": "zhan"},
     "stiff stones": {"concrete": "zhan", "modulus": 1e7, "solid_fraction": 0.62, "layer_viscosity": 1660.0},
 }
-"""The paper's Table 1; with layer and friction of the wall calibrated on A and B; the same with stones of 1e7 Pa,
-loosely packed, for which the layer is another (and the friction the same)."""
+"""Concretes of the reproduction: Table 1 of Zhan et al. as printed; the same with a wall layer and wall friction
+calibrated on units A and B; and stones of 1e7 Pa, loosely packed, with the same friction and another layer.
+"""
 
 OPEN: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {
     "equal fraction": ({"solid_fraction": 0.70}, ("units", "diameter", "aggregate size", "shape factor"),
@@ -135,14 +141,16 @@ OPEN: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {
     "faceted pipe": ({"wall": "mesh", "facets": 64}, ("units",), "a pipe of 64 facets instead of the exact one"),
     "longer plug": ({"plug_layers": 12}, ("units",), "a plug of twelve layers of balls instead of two (six in bends)"),
 }  # fmt: skip
-"""What the paper does not say, by name: parameters beside those of the calibrated concrete, which rows are run with
-them, and in words. Nothing is fitted again: A and B may move."""
+"""Assumptions about details that Zhan et al. leave open. Each entry has parameters that are added to the calibrated
+concrete, the parameter variations that are run with them, and a description. Nothing is calibrated again, so the
+pressures of units A and B may change.
+"""
 COARSE = dict(shapes="spheres", size_min=15e-3, size_max=40e-3)
-"""What --quick runs instead of clumps of 5 to 20 mm."""
+"""Parameters of a quick reproduction, which uses spheres of 15 to 40 mm instead of clumps of 5 to 20 mm."""
 
 
 def zhan_case(row: Row, value: Any, quick: bool) -> dict[str, Any]:
-    """Parameters of unit D at a value of a row."""
+    """Return the scene parameters of Zhan's unit D at one value of a varied parameter."""
     case: dict[str, Any] = {"unit": "bend-to-vertical", "shapes": "reference", **(COARSE if quick else {})}
     case |= dict(row.base) | {row.parameter: value}
     if row.parameter == "size_max":
@@ -151,27 +159,35 @@ def zhan_case(row: Row, value: Any, quick: bool) -> dict[str, Any]:
 
 
 def overrides(name: str) -> dict[str, Any]:
-    """Parameters of a column of the report: a concrete, or the calibrated one with something open varied."""
+    """Return the parameters of a report column: one of the concretes, or the calibrated one with an open assumption."""
     return CONCRETES[name] if name in CONCRETES else {**CONCRETES["calibrated"], **OPEN[name][0]}
 
 
 def rows_of(name: str) -> tuple[str, ...]:
-    """Names of what a column is run with."""
+    """Return the names of the parameter variations that are run for a column of the report."""
     return OPEN[name][1] if name in OPEN else (UNITS_ROW, *(row.name for row in ZHAN))
 
 
 XU_CONCRETES = ("no1", "no2", "no3")
 XU_FLOWS = (500e-6, 1000e-6, 1500e-6, 2000e-6)
-"""[m3/s]"""
+"""Flow rates in Xu's study [m3/s]."""
 XU_REFERENCE = 1500e-6
+"""Flow rate at which the other parameters are varied [m3/s]."""
 XU_SPACINGS = (20e-3, 10e-3, 5e-3)
+"""Particle spacings in Xu's resolution study [m]."""
 XU_THICKNESSES = (0.0, 2e-3, 4e-3, 6e-3)
+"""Thicknesses of the slip layer in Xu's study [m]."""
 XU_PRINTED = {"pressure": 9.40e3, "slip_velocity": 0.186}
-"""Of concrete no. 1 at the reference flow [Pa, m/s]; the paper's own form of theory gives 9.43e3 and 0.186."""
+"""Pressure [Pa] and slip velocity [m/s] that Xu prints for concrete no. 1 at the reference flow. The paper's own closed
+form gives 9.43e3 Pa and 0.186 m/s.
+"""
 
 
 def xu_cases(quick: bool) -> dict[str, list[tuple[str, dict[str, Any]]]]:
-    """Scenes and parameters by what they are about; the paper computes planes, the pipe is ours."""
+    """Return the scenes and parameters of Xu's cases by topic.
+
+    The paper computes flow between planes (scene `channel`); the round pipe (scene `tube`) is our addition.
+    """
     column = {"length": 0.3, "diameter": 0.1}
     flows = XU_FLOWS[1::2] if quick else XU_FLOWS
     scenes = ("channel",) if quick else ("channel", "tube")

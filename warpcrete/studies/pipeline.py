@@ -1,4 +1,4 @@
-"""Pressure of a whole pipeline from unit pressures (Zhan et al. 2019, Eq. 13)."""
+"""Pressure of a whole pipeline, extrapolated from pressures of short pipe units (Zhan et al. 2019, Eq. 13)."""
 
 from __future__ import annotations
 
@@ -13,14 +13,21 @@ STRAIGHT = ("vertical", "horizontal")
 
 
 def pipeline_pressure(vertical: float, horizontal: float, height: float, distance: float) -> float:
-    """Total pressure [Pa] from pressure per metre of vertical and horizontal pipe [Pa/m] and their lengths [m]."""
+    """Return the total pressure [Pa] from pressures per metre of pipe [Pa/m] and the lengths of pipe [m].
+
+    Zhan et al. (2019), Eq. 13, adds `vertical` times `height` and `horizontal` times `distance`. Raises
+    :class:`SceneError` for a negative length.
+    """
     between("pipeline vertical length", height, 0, float("inf"), "m")
     between("pipeline horizontal length", distance, 0, float("inf"), "m")
     return vertical * height + horizontal * distance
 
 
 def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> None:
-    """Refuse scenes that Eq. 13 says nothing of, and an `other` result, read from `source`, that does not fit."""
+    """Refuse scenes to which Zhan's Eq. 13 does not apply, and an unsuitable `other` result, read from `source`.
+
+    Raises :class:`SceneError` for the scene and :class:`RunFolderError` for the result.
+    """
     pipe = getattr(scene, "pipe", None)
     if pipe is None:
         refuse("pipeline", scene.name, "needs a straight unit of discrete elements (Eq. 13)", "use the scene pipe")
@@ -42,10 +49,11 @@ def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> Non
 def pipeline_estimate(
     run: Run, height: float, distance: float, other: dict[str, Any] | None = None
 ) -> dict[str, Any] | None:
-    """Eq. 13 with the plateau of `run` for its own direction; None if it has no plateau.
+    """Return a pipeline's pressure by Zhan's Eq. 13 from the plateau pressure of `run`; None without a plateau.
 
-    The other direction comes from `other`, the result.json of a run of the other straight unit; without one it
-    is this run's plateau less (or plus) the weight of the concrete, an assumption that the result names.
+    `height` and `distance` are the lengths of vertical and horizontal pipe [m]. The run gives the pressure per metre in
+    its own direction. `other`, the result.json of a run of the other straight unit, gives that in the other direction.
+    Without it, the weight of the concrete is subtracted or added; the result states this assumption.
     """
     if "plateau_pressure" not in run.result:
         return None

@@ -1,9 +1,12 @@
-"""Which parameters the measured values allow: emulators of a few runs, and a posterior over the free parameters.
+"""Bayesian calibration: emulators trained on few runs, and the posterior of the free parameters.
 
-Each fitted quantity has a Gaussian process over the free parameters, in the unit cube of their ranges, that takes the
-runs' scatter (their seeds) as noise. The posterior is that of normal errors of the targets, of which the emulator's own
-uncertainty is a part, with a flat prior over the ranges (Kennedy & O'Hagan 2001, without a term for a wrong model). It
-is sampled by an ensemble of walkers (Goodman & Weare 2010).
+For each target quantity, a Gaussian process over the unit cube of parameter ranges replaces the simulation; it takes
+the scatter between seeds as noise. With a flat prior over the ranges, the logarithm of the posterior is
+
+    -1/2 sum [(z - m)^2 / v + ln v],  v = s^2 + e^2,
+
+where z and s are the measured value and its uncertainty, and m and e are the emulator's mean and uncertainty (Kennedy &
+O'Hagan 2001, without their term for model error). An ensemble of walkers samples the posterior (Goodman & Weare 2010).
 """
 
 from __future__ import annotations
@@ -19,20 +22,22 @@ import numpy as np
 from .targets import Target, Task
 
 SEARCHED = 2048
-"""Points of the unit cube from which the walkers begin at the best."""
+"""Number of points in the unit cube from which the best ones become the walkers' starting points."""
 WALKERS, STEPS, DISCARDED = 64, 300, 100
 WIDTH = 0.15
-"""Of the neighbourhood in the unit cube in which a failed run makes others doubtful."""
+"""Radius in the unit cube of parameter ranges within which a failed run makes success less likely."""
 FLAT = 1 / np.sqrt(12)
-"""Standard deviation of a parameter in its range of which nothing is known."""
+"""Standard deviation of a uniform distribution on the interval from 0 to 1."""
 
 
 class Emulator:
-    """A Gaussian process of one quantity: linear trend, smooth rest, scatter."""
+    """Gaussian process that predicts one quantity: a linear trend, a smooth remainder, and noise."""
 
     def __init__(self, points: np.ndarray, values: np.ndarray, least: float) -> None:
-        """`points` of the unit cube, shape (n, free), have `values`, shape (n,); `least` is a difference in values that
-        means nothing."""
+        """Fit the process to the `values`, shape (n,), at `points` of the unit cube, shape (n, free).
+
+        Differences between values below `least` are treated as negligible.
+        """
         from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, WhiteKernel
 
@@ -41,15 +46,15 @@ class Emulator:
         smooth = ConstantKernel(0.3, (1e-4, 1e2)) * RBF([0.7] * free, (0.15, 10.0))
         kernel = DotProduct(1.0, (1e-2, 1e2)) + smooth + WhiteKernel(1e-3, (1e-8, 1.0))
         self.process = GaussianProcessRegressor(kernel, n_restarts_optimizer=1, random_state=0, alpha=1e-9)
-        with warnings.catch_warnings():  # hyperparameters at a bound are no concern
+        with warnings.catch_warnings():  # ignore warnings of parameters at their bounds
             warnings.simplefilter("ignore")
             self.process.fit(points - 0.5, (values - self.middle) / self.scale)
         fitted: Any = self.process.kernel_
         self.scatter = self.scale * float(np.sqrt(fitted.k2.noise_level))
-        """Standard deviation of single runs about the mean."""
+        """Standard deviation of single runs about the mean over seeds."""
 
     def __call__(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean over seeds and its standard deviation at points of the unit cube, shapes (n,)."""
+        """Return the mean over seeds at points of the unit cube and its standard deviation, shapes (n,)."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             mean, deviation = map(np.asarray, self.process.predict(points - 0.5, return_std=True))
@@ -59,52 +64,55 @@ class Emulator:
 
 @dataclass
 class Posterior:
-    """What the runs so far say of the free parameters."""
+    """Posterior of the free parameters, given the runs so far."""
 
     task: Task
     emulators: dict[Target, Emulator]
-    """Of fitted targets, and of those held out that have values."""
+    """Emulators of all fitted targets and of held-out targets with enough values."""
     samples: np.ndarray
-    """Points of the unit cube, shape (n, free), as likely as the targets make them."""
+    """Samples of the posterior as points of the unit cube, shape (n, free)."""
     best: np.ndarray
-    """The likeliest point, shape (free,)."""
+    """Likeliest point of the unit cube, shape (free,)."""
 
     def predicted(self, target: Target, points: np.ndarray | None = None) -> tuple[float, float]:
-        """Mean and standard deviation of a target's quantity over the posterior, or at points; NaN without values."""
+        """Return the mean and standard deviation of a target's quantity; NaN without an emulator.
+
+        The average is over the posterior samples, or over `points` of the unit cube, shape (n, free).
+        """
         if target not in self.emulators:
             return math.nan, math.nan
         mean, deviation = self.emulators[target](self.samples if points is None else points)
         return float(mean.mean()), float(np.sqrt(mean.var() + (deviation**2).mean()))
 
     def doubt(self, target: Target) -> float:
-        """Standard deviation of the emulator where the posterior is, over the target's uncertainty."""
+        """Return the emulator's root-mean-square error over the posterior, divided by the target's uncertainty."""
         return float(np.sqrt((self.emulators[target](self.samples)[1] ** 2).mean()) / target.uncertainty)
 
     def span(self, target: Target) -> tuple[float, float]:
-        """Lowest and highest mean of a quantity within the ranges."""
+        """Return the lowest and highest predicted mean of a target's quantity within the parameter ranges."""
         mean, _ = self.emulators[target](_spread(len(self.task.free), 512, 1))
         return float(mean.min()), float(mean.max())
 
     def interval(self, place: int, part: float = 0.95) -> tuple[float, float]:
-        """Values of a free parameter between which the middle `part` of the posterior lies."""
+        """Return the central interval of a free parameter that holds the fraction `part` of the posterior."""
         edge = 50 * (1 - part)
         low, high = np.percentile(self.samples[:, place], [edge, 100 - edge])
         return self.task.free[place].value(low), self.task.free[place].value(high)
 
     def narrowing(self, place: int) -> float:
-        """Standard deviation of a parameter over that of its range without any data."""
+        """Return a parameter's posterior standard deviation, relative to that of a uniform distribution."""
         return float(self.samples[:, place].std() / FLAT)
 
     def correlations(self) -> np.ndarray:
-        """Of the free parameters in the posterior, as they are searched, shape (free, free)."""
+        """Return the correlation matrix of the free parameters in the unit cube, shape (free, free)."""
         return np.atleast_2d(np.corrcoef(self.samples.T))
 
 
 def posterior(task: Task, points: np.ndarray, values: dict[Target, np.ndarray], seed: int) -> Posterior:
-    """The posterior of runs at `points` of the unit cube, shape (n, free).
+    """Compute the posterior from runs at `points` of the unit cube, shape (n, free).
 
-    `values` holds what they gave for each target, shape (n,), NaN where a run failed: three or more of every
-    fitted one.
+    `values` holds each target's results, shape (n,), with NaN for failed runs. Every fitted target needs at least three
+    finite values. `seed` makes the sampling reproducible.
     """
     import emcee
     from scipy.optimize import minimize
@@ -146,14 +154,14 @@ def posterior(task: Task, points: np.ndarray, values: dict[Target, np.ndarray], 
 
 
 def _spread(free: int, count: int, seed: int) -> np.ndarray:
-    """Points that fill the unit cube evenly, shape (count, free)."""
+    """Return points that fill the unit cube evenly (a Sobol sequence), shape (count, free)."""
     from scipy.stats import qmc
 
     return qmc.Sobol(free, seed=seed).random_base2(int(np.ceil(np.log2(count))))[:count]
 
 
 def _trusted(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.ndarray:
-    """Logarithm of the chance that a run succeeds: by the sound ones among those nearby."""
+    """Return the logarithm of the estimated probability that runs at these points succeed, judged by nearby runs."""
     if sound.all():
         return np.zeros(len(at))
     near = np.exp(-0.5 * ((at[:, None] - points[None]) ** 2).sum(-1) / WIDTH**2)
@@ -161,7 +169,7 @@ def _trusted(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.ndarra
 
 
 def told_apart(found: Posterior, close: float = 0.9) -> list[tuple[str, str, float]]:
-    """Pairs of parameters of which the data fix hardly more than a combination, with their correlation."""
+    """Return pairs of parameters with a correlation of at least `close`, of which the data fix only a combination."""
     names = [free.name for free in found.task.free]
     matrix = found.correlations()
     return [
@@ -173,7 +181,10 @@ def told_apart(found: Posterior, close: float = 0.9) -> list[tuple[str, str, flo
 
 
 def unmoved(found: Posterior, targets: Sequence[Target]) -> dict[Target, tuple[float, float]]:
-    """Targets that no free parameter moves by as much as a fifth of their uncertainty, or as the runs' scatter."""
+    """Return the predicted range of each target that the free parameters hardly change.
+
+    The range is narrower than a fifth of the target's uncertainty, or than the scatter between seeds.
+    """
     spans: dict[Any, tuple[float, float]] = {target: found.span(target) for target in targets}
     return {
         target: (low, high)

@@ -1,4 +1,4 @@
-"""Reproduce a paper: run what it ran, and say of each of its figures and trends whether ours agree."""
+"""Reproduction of a paper: run the paper's cases and judge whether each figure and trend agrees."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from .study import Study, resume_study, run_listed
 PAPERS = ("zhan", "xu")
 RECORD = "reproduction.json"
 KNOWN = "known.json"
-"""Results that were taken from earlier reproductions."""
+"""Name of the file with results from earlier reproductions."""
 QUICK = ("literal", "calibrated")
-"""Concretes that a quick reproduction runs."""
+"""Concretes in a quick reproduction."""
 HYDRATED = ("calibrated", "literal")
-"""Concretes whose hydrated bonds are run unless others are named; with stiff stones all takes ten times the steps."""
+"""Concretes that are run with hydrated bonds by default; stiff stones would need ten times as many steps."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 
@@ -40,12 +40,12 @@ def reproduce(
     processes: int | None = None,
     progress: Progress | None = None,
 ) -> Reproduction:
-    """Run what a paper ran, `zhan` (discrete elements) or `xu` (flows), into the new folder `out`.
+    """Run the cases of a paper, `zhan` (discrete elements) or `xu` (flows), and write to the new folder `out`.
 
-    `quick` takes coarse spheres for clumps and fewer cases; every case of elements has so many `seeds`. `only` names
-    columns (concretes, and what the paper leaves open) and rows (units, parameters) of Zhan et al. to which the runs
-    are limited; results in `known`, folders of earlier reproductions, are taken. Raises :class:`SceneError` for what is
-    none of these, and :class:`RunFolderError` for a folder without results.
+    `quick` replaces clumps by coarse spheres and runs fewer cases. `seeds` is the number of seeds for each case of
+    discrete elements. `only` limits the runs of Zhan et al. to the named columns (concretes and open assumptions) and
+    rows (units and parameters). `known` lists folders of earlier reproductions whose results are reused. Raises
+    :class:`SceneError` for an unknown paper or name, and :class:`RunFolderError` for a folder without results.
     """
     one_of("paper", paper, PAPERS)
     if not 1 <= seeds <= MOST_CASES:
@@ -65,7 +65,7 @@ def reproduce(
 def resume_reproduction(
     folder: Path, *, processes: int | None = None, progress: Progress | None = None
 ) -> Reproduction:
-    """Go on with a reproduction: runs that are finished are used."""
+    """Continue a reproduction and reuse its finished runs."""
     with held(folder, RECORD):
         return _go_on(folder, processes, progress)
 
@@ -104,7 +104,7 @@ def _part(tell: Progress, place: int, count: int) -> Progress:
 
 
 def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Columns and rows of Zhan et al. among names; none of a kind: all of it."""
+    """Return the report columns and rows of Zhan et al. named in `only`; an empty list stands for all of them."""
     columns, rows = [*CONCRETES, *OPEN], [UNITS_ROW, *(row.name for row in ZHAN)]
     if only and paper != "zhan":
         refuse("only", list(only), "can be used with paper zhan only", "leave it out")
@@ -118,7 +118,7 @@ def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def _results(folder: Path, paper: str, quick: bool) -> dict[str, Any]:
-    """Results of an earlier reproduction of the same kind; what failed is run again."""
+    """Return the results in the folder of an earlier reproduction of the same paper, without failed runs."""
     if not (folder / RECORD).is_file() or not (folder / "results.json").is_file():
         raise RunFolderError(f"known = '{folder}': contains no results of a reproduction")
     record = read_record(folder / RECORD)
@@ -130,22 +130,24 @@ def _results(folder: Path, paper: str, quick: bool) -> dict[str, Any]:
 
 
 def zhan_studies(found: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
-    """Group, scene and parameters of what is run of Zhan et al. 2019; the dearest last."""
+    """Return the group, scene and parameters of each study for Zhan et al. 2019, the most expensive last."""
     names = found.columns or (QUICK if found.quick else (*CONCRETES, *OPEN))
     studies = [(name, _cases(found, name, hydrated=False)) for name in names]
     hydrated = [name for name in HYDRATED if name in names and not found.quick]
-    if found.columns and found.rows:  # asked for by name
+    if found.columns and found.rows:  # the user named a column and a row
         hydrated = [name for name in names if name in CONCRETES]
     studies += [(f"{name}, hydrated", _cases(found, name, hydrated=True)) for name in hydrated]
     return [(group, "pipe", cases) for group, cases in studies if cases]
 
 
 def _cases(found: Reproduction, name: str, hydrated: bool) -> list[dict[str, Any]]:
-    """Of one column with all seeds what is not known: parameters that have to do with hydration, or the others and the
-    units."""
+    """Return the parameters of a report column's cases that have no result yet, for all seeds.
+
+    With `hydrated` these are the rows about hydrated bonds, and otherwise the units and all other rows.
+    """
     asked = [each for each in rows_of(name) if each in (found.rows or rows_of(name))]
     units = [unit_case(unit, found.quick) for unit in UNITS] if UNITS_ROW in asked and not hydrated else []
-    # Small stones are what makes a run long: a quick reproduction goes without sizes.
+    # A quick reproduction omits the aggregate sizes, because small stones make a run long.
     rows = [row for row in ZHAN if row.name in asked and row.is_hydrated == hydrated
             and not (found.quick and row.parameter == "size_max")]  # fmt: skip
     cases = units + [zhan_case(row, value, found.quick) for row in rows for value in row.values]
@@ -155,7 +157,7 @@ def _cases(found: Reproduction, name: str, hydrated: bool) -> list[dict[str, Any
 
 
 def xu_studies(found: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
-    """The same of Xu, Li & Jiang 2021."""
+    """Return the group, scene and parameters of each study for Xu, Li & Jiang 2021."""
     studies = []
     for group, cases in xu_cases(found.quick).items():
         for scene in dict.fromkeys(scene for scene, _ in cases):
@@ -181,7 +183,7 @@ def _run(
     if (folder / "study.json").is_file():
         return resume_study(folder, module, processes=processes, progress=tell)
     same: dict[str, list[Mapping[str, Any]]] = {}
-    for case in cases:  # several rows go through the reference case, each by a value that is the default
+    for case in cases:  # several rows contain the reference case: run it once
         same.setdefault(repr(module.scene.declared(_meant(module, case))), []).append(case)
     first = [_meant(module, alike[0]) for alike in same.values()]
     listed = [Case(f"{place + 1:03d}", each, each) for place, each in enumerate(first)]
@@ -192,7 +194,7 @@ def _run(
 
 
 def _meant(module: Any, case: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters that mean something: flows have no seed that matters, and nothing hydrates at a fraction of 0."""
+    """Return the parameters that affect the case: a flow, for example, has no relevant seed."""
     return module.scene.meaningful(case)
 
 
@@ -200,7 +202,7 @@ def _take(found: Reproduction, group: str, study: Study) -> None:
     keys = read_json(study.folder.with_suffix(".json"))
     for case in study.cases:
         named = keys[case.name]
-        for key in [named] if isinstance(named, str) else named:  # a name alone in folders of version 0.2
+        for key in [named] if isinstance(named, str) else named:  # folders of version 0.2 have one key per case
             if case.name in study.results:
                 found.results[key] = study.results[case.name]
             elif case.name in study.failures:

@@ -1,4 +1,4 @@
-"""The report of a reproduction: the paper beside ours, each trend judged in words, and a figure."""
+"""Report of a reproduction: the paper's results next to ours, a verdict on each trend, and a figure."""
 
 from __future__ import annotations
 
@@ -36,13 +36,14 @@ WHAT = {
         "1 kPa; the layer of 1660 Pa s/m is fitted to the same ends"
     ),
 }
+"""Descriptions of the concretes in the report."""
 
 VARIED = {"flow": "flow", "resolution": "spacing", "slip layer": "slip_thickness"}
-"""What a group of Xu's cases varies."""
+"""Name of the parameter that each group of Xu's cases varies."""
 
 
 def write(found: Reproduction) -> None:
-    """reproduction.md, reproduction.png and results.json, of what there is."""
+    """Write the results so far to reproduction.md, reproduction.png and results.json."""
     text = "\n".join(_zhan(found) if found.paper == "zhan" else _xu(found))
     with whole_file(found.folder / "reproduction.md") as partial:
         partial.write_text(text.rstrip() + "\n", encoding="utf-8")
@@ -54,7 +55,7 @@ def write(found: Reproduction) -> None:
 
 
 def _plain(result: Mapping[str, Any]) -> dict[str, float]:
-    """Numbers of a result.json in SI units."""
+    """Return the numbers in the contents of a result.json, in SI units."""
     found = {}
     for name, entry in result.items():
         if isinstance(entry, dict) and "value" in entry and isinstance(entry["value"], int | float):
@@ -65,7 +66,7 @@ def _plain(result: Mapping[str, Any]) -> dict[str, float]:
 
 
 def ran(found: Reproduction, names: Iterable[str] = CONCRETES) -> list[str]:
-    """Columns, concretes or what is open, of which there are runs."""
+    """Return the names of the report columns that have results; a column is a concrete or an open assumption."""
     return [name for name in names
             if any(key.startswith((f"{name}: ", f"{name}, hydrated: ")) for key in found.results)]  # fmt: skip
 
@@ -118,7 +119,7 @@ def _units(found: Reproduction) -> Iterator[str]:
 
 
 def _open(found: Reproduction) -> Iterator[str]:
-    """What the paper does not say, varied."""
+    """Yield the section of the report on assumptions that the paper leaves open."""
     names = ran(found, OPEN)
     if not names:
         return
@@ -154,7 +155,7 @@ def _pair(peaks: list[float], ends: list[float]) -> str:
 
 
 def _with_scatter(values: list[float]) -> str:
-    """Mean over seeds [kPa], with their standard deviation where there are several."""
+    """Return the mean over the seeds [kPa] as text, with the standard deviation if there are several."""
     if not values:
         return "-"
     scatter = f" +- {np.std(values, ddof=1) / 1e3:.2f}" if len(values) > 1 else ""
@@ -162,7 +163,7 @@ def _with_scatter(values: list[float]) -> str:
 
 
 def _pipelines(found: Reproduction) -> Iterator[str]:
-    """The paper's Eq. 13 from ends of A and B of one metre."""
+    """Yield the table of whole pipelines by the paper's Eq. 13, from the final pressures of units A and B."""
     yield "Eq. 13, pressure of a whole pipeline from one metre of vertical and one metre of horizontal pipe [MPa]:"
     yield ""
     yield "| pipeline | recorded | paper | " + " | ".join(ran(found)) + " |"
@@ -198,7 +199,7 @@ def _row(found: Reproduction, row: Row) -> Iterator[str]:
 
 
 def _verdict(errors: list[float], count: int) -> str:
-    """Of the errors of pressures, of `count` runs."""
+    """Return a verdict on the relative errors of the pressures in `count` planned runs."""
     if len(errors) < count:
         return f"Not judged: {count - len(errors)} of {count} runs are missing."
     worst = float(np.max(errors))
@@ -206,7 +207,7 @@ def _verdict(errors: list[float], count: int) -> str:
 
 
 def draw(found: Reproduction) -> Any:
-    """A panel for each parameter: ours as lines, what the paper prints as crosses."""
+    """Return a figure with a panel for each parameter; lines are our pressures, and crosses those in the paper."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12, 6.5), layout="constrained")

@@ -1,4 +1,4 @@
-"""How the cases of a study run: together on a GPU, in processes on a CPU."""
+"""Execution of a study's cases: together on a GPU, in separate processes on a CPU."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from .cases import Case
 from .workers import Crew, NoWorker
 
 FAILED = "failed.txt"
-"""Says in a case's folder what it failed with for good."""
+"""Name of the file in a case's folder that states why the case failed for good."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 Book = Callable[[Case, Any], None]
-"""Told what came of a case: a run, its result.json, or an exception."""
+"""Callback that receives a case and its outcome: a run, the contents of its result.json, or an exception."""
 
 
 def simulation_of(
     record: dict[str, Any], module: Any, folder: Path, case: Case, tell: Progress
 ) -> tuple[Simulation, Path | None]:
-    """Simulation of a case, into its run folder, and the checkpoint that it goes on from, if there is one."""
+    """Return the simulation of a case, and the checkpoint from which it continues (None without one)."""
     here, command = folder / case.name, record["command"]
     every = command["checkpoint_every"]
     checkpoint = here / "checkpoint.npz"
@@ -57,12 +57,12 @@ def simulation_of(
 def simulations_of(
     record: dict[str, Any], module: Any, folder: Path, cases: list[Case], told: Callable[[Case], Progress]
 ) -> tuple[dict[str, tuple[Simulation, Path | None]], dict[str, Any]]:
-    """What :func:`simulation_of` makes of each case, and what those failed with that it refuses."""
+    """Return the simulations and checkpoints of the cases by name, and the exceptions of cases that are refused."""
     made, refused = {}, {}
     for case in cases:
         try:
             made[case.name] = simulation_of(record, module, folder, case, told(case))
-        except Exception as error:  # of this case alone
+        except Exception as error:  # an invalid case must not stop the other cases
             refused[case.name] = error
     return made, refused
 
@@ -70,7 +70,7 @@ def simulations_of(
 def run_on_gpu(
     record: dict[str, Any], module: Any, folder: Path, pending: list[Case], book: Book, tell: Progress
 ) -> None:
-    """All cases as the method runs many."""
+    """Run all cases together on a GPU: discrete elements in batches, flows on streams of their own."""
     done = dict.fromkeys((c.name for c in pending), 0.0)
 
     def told(case: Case) -> Progress:
@@ -99,7 +99,7 @@ def run_on_gpu(
 def _outcomes(
     made: dict[str, tuple[Simulation, Path | None]], tell: Callable[[str, float], None]
 ) -> dict[str, Run | BaseException]:
-    """Run simulations as their method runs many."""
+    """Run the simulations with the method's `run_many`, and return the outcomes by case name."""
     if not made:
         return {}
     simulations, checkpoints = zip(*made.values())
@@ -109,7 +109,10 @@ def _outcomes(
 def run_in_processes(
     record: dict[str, Any], module: Any, folder: Path, pending: list[Case], processes: int | None, book: Book
 ) -> None:
-    """One case a process at a time, so that after a Ctrl-C nothing begins that has not begun."""
+    """Run the cases in worker processes, one case per process at a time.
+
+    A case is submitted only when a process is free, so no further case starts after a Ctrl-C.
+    """
     workers = min(processes or default_threads(), len(pending))
     left = list(pending)
     running: dict[Any, Case] = {}
@@ -132,20 +135,21 @@ def run_in_processes(
                         outcome = error
                     book(case, outcome)
             except KeyboardInterrupt:
-                crew.stop()  # those that run end at their next sample
+                crew.stop()  # make running cases end at their next sample
 
 
 def run_case(record: dict[str, Any], module_name: str, folder: str, case: Case, asked: Callable[[], bool]) -> Any:
-    """Run one case in a worker process; return its result.json, or what it failed with."""
+    """Run one case in a worker process; return the contents of its result.json, or the exception that ended it."""
     return run_cases(record, importlib.import_module(module_name), Path(folder), [case], asked)[0]
 
 
 def run_cases(
     record: dict[str, Any], module: Any, folder: Path, cases: list[Case], asked: Callable[[], bool]
 ) -> list[Any]:
-    """Run cases as the method runs many, on a CPU with one thread or as many as `record` says, until `asked` to stop.
+    """Run cases with the method's `run_many`, each CPU run with as many threads as `record` says (default 1).
 
-    Returns for each its result.json, what it failed with, or None if it had not begun.
+    The runs end early when the callback `asked` returns True. Returns for each case the contents of its result.json,
+    the exception that ended it, or None if it had not started.
     """
     simulations: list[Simulation] = []
     hear = heard(asked, simulations)
@@ -159,7 +163,10 @@ def run_cases(
 
 
 def heard(asked: Callable[[], bool], simulations: Sequence[Simulation]) -> Progress:
-    """Progress callback that ends a run at its next sample, and what comes before it at once, when `asked` says so."""
+    """Return a progress callback that ends runs when `asked` returns True.
+
+    Running simulations end at their next sample; any earlier phase, such as packing, is interrupted at once.
+    """
 
     def hear(phase: str, fraction: float, figures: dict[str, Any]) -> None:
         if asked():
@@ -172,14 +179,14 @@ def heard(asked: Callable[[], bool], simulations: Sequence[Simulation]) -> Progr
 
 
 def _plain(outcome: Any) -> Any:
-    """What of an outcome goes from a process to another."""
+    """Return the part of an outcome that can be sent to another process."""
     if isinstance(outcome, Run):
         return outcome.result
     return outcome if isinstance(outcome, Exception) else None
 
 
 def outcome_of(folder: Path) -> Any:
-    """What came of a case before: its result.json, its error, or None."""
+    """Return the earlier outcome of a case from its folder: its result.json, its error, or None if it is unfinished."""
     if (folder / FAILED).is_file():
         return WarpcreteError(saved_text(folder / FAILED).strip())
     if (folder / "result.json").is_file() and not (folder / "checkpoint.npz").is_file():
@@ -190,7 +197,7 @@ def outcome_of(folder: Path) -> Any:
 
 
 def kept(folder: Path) -> Any:
-    """The same; a case that was cut before its first checkpoint is cleared away."""
+    """Return a case's earlier outcome; delete its folder if that holds neither an outcome nor a checkpoint."""
     found = outcome_of(folder)
     if found is None and folder.exists() and not (folder / "checkpoint.npz").is_file():
         hold = Hold(folder)

@@ -1,7 +1,7 @@
-"""JSON schemas of the files that users write, made from the declarations that also check these files.
+"""JSON schemas of the files that users write, derived from the declarations that also check these files.
 
-Editors complete and validate a file by them. `warpcrete/schemas` holds them; a test compares it with what
-:func:`schemas` makes, and :func:`write_all` renews it.
+Editors use the schemas to complete and validate a file. The folder `warpcrete/schemas` holds them; a test compares it
+with the output of :func:`schemas`, and :func:`write_all` updates it.
 """
 
 from __future__ import annotations
@@ -31,13 +31,17 @@ from .targets import TARGET_KEYS
 Schema = dict[str, Any]
 FOLDER = Path(__file__).parents[1] / "schemas"
 DRAFT = "http://json-schema.org/draft-07/schema#"
-"""The draft that editors know best."""
+"""Draft of the JSON Schema standard that most editors support."""
 NUMBER = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
+"""Schema of a text entry, which YAML may have read as a number."""
 TEXT: Schema = {"type": ["string", "number"]}
-SAID = {"name": "name of the concrete", "source": "origin of the numbers", "calibrated": ("parameters that were "
-                                                                                         "fitted, and to which "
-                                                                                         "targets"),
-        "base": "name or file of a concrete whose missing parameters this file adds"}  # fmt: skip
+SAID = {
+    "name": "name of the concrete",
+    "source": "origin of the numbers",
+    "calibrated": "parameters that were fitted, and to which targets",
+    "base": "name or file of a concrete whose missing parameters this file adds",
+}
+"""Descriptions of the text entries of a concrete's file."""
 
 
 def schemas() -> dict[str, Schema]:
@@ -46,7 +50,7 @@ def schemas() -> dict[str, Schema]:
 
 
 def shipped_schema(kind: str) -> Path:
-    """Return the path of a shipped schema, or raise :class:`SceneError` for a kind of file that has none."""
+    """Return the path of a shipped schema; raise :class:`SceneError` for an unknown kind of file."""
     known = sorted(path.stem for path in FOLDER.glob("*.json"))
     if kind not in known:
         refuse("schema", kind, f"must be one of {', '.join(known)}", suggested(kind, known))
@@ -54,7 +58,7 @@ def shipped_schema(kind: str) -> Path:
 
 
 def write_all(folder: Path = FOLDER) -> None:
-    """Write every schema to `folder`."""
+    """Write all schemas to `folder`."""
     folder.mkdir(exist_ok=True)
     for name, schema in schemas().items():
         (folder / f"{name}.json").write_text(json.dumps(schema, indent=1) + "\n", encoding="utf-8")
@@ -77,12 +81,12 @@ def concrete_schema() -> Schema:
 
 
 def mix_schema() -> Schema:
-    """Return the schema of a concrete's file that describes a mix."""
+    """Return the schema of a concrete's file with a mix design."""
     return concrete_schema() | {"title": "A mix of warpcrete", "required": ["mix"]}
 
 
 def line_schema() -> Schema:
-    """Return the schema of a line's file."""
+    """Return the schema of a pump line's file."""
     found = {name: TEXT | {"description": text} for name, text in LINE_TEXTS.items()}
     found |= {name: quantity(unit, text) for name, (unit, text) in AMOUNTS.items()}
     found["begin"] = {"enum": list(BEGINS), "description": "direction in which the line begins"}
@@ -95,7 +99,7 @@ def line_schema() -> Schema:
 
 
 def targets_schema() -> Schema:
-    """Return the schema of a file of targets for a calibration."""
+    """Return the schema of a calibration's file of targets."""
     known = {name: declared_fields(module.scene.parameters) for name, module in modules().items()}
     numbers = sorted({n for fields in known.values() for n, f in fields.items() if f.kind in (int, float)} - {"seed"})
     of_scene = {name: _object(_parameters(fields.values()), f"parameters of scene {name}") | _own_parameters(fields)
@@ -135,7 +139,7 @@ def targets_schema() -> Schema:
 
 
 def quantity(unit: str, text: str, number: Mapping[str, Any] | None = None) -> Schema:
-    """Return the schema of a number in `unit`, or a text of a number and one of the units that people write."""
+    """Return the schema of a number in `unit`, or a text with a number and a common unit, such as "125 mm"."""
     units = "|".join(sorted((_escaped(each) for each in UNITS[unit]), key=len, reverse=True))
     shown = f"{text} [{unit}]" if unit != "1" and f"[{unit}]" not in text else text
     return {
@@ -168,7 +172,7 @@ def of_field(field: Field) -> Schema:
 
 
 def _bounds(field: Field) -> Schema:
-    """Return the bounds of a number by the rules of its field and by the table of limits."""
+    """Return the bounds of a number from the rules of its field and the table of limits."""
     found: Schema = {}
     limit = limit_of(field.name, field.unit.strip())
     if field.kind is float and limit is not None:
@@ -185,7 +189,7 @@ def _bounds(field: Field) -> Schema:
 
 
 def _parameters(fields: Iterable[Field]) -> dict[str, Schema]:
-    """Return the schema of each parameter of a scene by every name that it has."""
+    """Return the schemas of a scene's parameters by name, aliases included."""
     found = {}
     for field in fields:
         for name in (field.name, *(alias.name for alias in field.of_kind(Alias))):
@@ -200,7 +204,7 @@ def _own_parameters(fields: Mapping[str, Field]) -> Schema:
 
 
 def _part(kind: str) -> Schema:
-    """Return the schema of what a part says."""
+    """Return the schema of the contents of one part of a line."""
     special: dict[str, Schema] = {
         "to": {"enum": list(WAYS)},
         "file": {"type": "string"},
@@ -246,7 +250,7 @@ def _mix_section() -> Schema:
 
 
 def _points(columns: Mapping[str, str]) -> Schema:
-    """Return the schema of pairs of numbers, or of the path of a CSV file."""
+    """Return the schema of a list of number pairs, or of the path of a CSV file."""
     pair = [quantity(unit, name) for name, unit in columns.items()]
     pairs = {"type": "array", "minItems": 2,
              "items": {"type": "array", "items": pair, "minItems": 2, "maxItems": 2}}  # fmt: skip

@@ -1,4 +1,4 @@
-"""Where a calibration begins: what closed forms say of the free parameters, where they know the targets."""
+"""Starting point of a calibration, estimated from closed-form solutions."""
 
 from __future__ import annotations
 
@@ -13,11 +13,14 @@ from ..methods import method_of
 from .targets import Target, Task
 
 TRIED = 32
-"""Points of the unit cube from which the best is taken; a funnel's closed form takes a quarter of a second each."""
+"""Number of points in the unit cube that are compared; the closed form of a funnel takes a quarter of a second."""
 
 
 def closed_form_start(task: Task, modules: Mapping[str, Any]) -> list[list[float]]:
-    """The point of the unit cube whose closed forms come nearest to the targets that have one; none without any."""
+    """Return, in a list, the point of the unit cube whose closed-form predictions fit the targets best.
+
+    The list is empty if no target has a closed form.
+    """
     known = [
         target for target in task.fitted if _closed_form(task, target, [0.5] * len(task.free), modules) is not None
     ]
@@ -36,7 +39,7 @@ def _misfit(task: Task, known: list[Target], point: Any, modules: Mapping[str, A
 
 
 def _closed_form(task: Task, target: Target, point: Any, modules: Mapping[str, Any]) -> float | None:
-    """What theory says of a target's quantity; None where there is none, or nothing would flow."""
+    """Return the closed-form prediction of a target's quantity; None if there is none or nothing would flow."""
     module = modules[target.scene]
     try:
         scene = module.scene(**task.parameters(target, task.values(point), module))

@@ -1,8 +1,8 @@
-"""Parameter studies: cases from lists of values, run side by side, with one table and one figure.
+"""Parameter studies: cases from lists of parameter values, run in parallel, with one table and one figure.
 
-On a GPU cases of discrete elements that need the same features are one batch, flows run one after the other; on a CPU
-each case runs in a process of its own. Every case
-fills a run folder of its own below the study's, and a study that is started again runs only what is not finished.
+On a GPU, cases of discrete elements that need the same features run as one batch, and flows run side by side on streams
+of their own. On a CPU, each case runs in its own process. Every case has its own run folder inside the study's folder,
+and a resumed study runs only unfinished cases.
 """
 
 from __future__ import annotations
@@ -41,58 +41,57 @@ from .study_table import columns_of, write_parquet
 from .workers import WorkerDied
 
 COUNTS = ("runs", "failed", "suspect")
-"""Columns of a table: finished runs, runs that ended with an error, finished runs that a check does not accept."""
+"""Columns that count runs: finished ones, ones that ended with an error, and finished ones with a failed check."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 
 @dataclass(repr=False)
 class Study:
-    """A finished study, or what there is of it."""
+    """A parameter study, complete or still in progress."""
 
     folder: Path
     scene: str
     """Name of the scene."""
     cases: list[Case]
     quantities: Sequence[Quantity] = ()
-    """What the cases are compared by."""
+    """Quantities in which the cases are compared."""
     units: Mapping[str, str] = field(default_factory=dict)
-    """Of the varied parameters, as far as they have any."""
+    """Units of the varied parameters, by name; parameters without a unit are missing."""
     results: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """result.json of every finished case, by name."""
+    """Contents of result.json of every finished case, by case name."""
     failures: dict[str, str] = field(default_factory=dict)
-    """What ended a case, by name."""
+    """Message of the error that ended a case, by case name."""
     blameless: set[str] = field(default_factory=set)
-    """Names of cases whose process died, or that a full disk ended."""
+    """Names of failed cases that are not at fault, because their process died or the disk was full."""
 
     def __repr__(self) -> str:
         return f"<Study of scene {self.scene!r}: {self.progress}, folder '{self.folder}'>"
 
     @property
     def progress(self) -> str:
-        """How many cases are done, and how many failed, in words."""
+        """Numbers of finished and failed cases, as text."""
         failed = f", {len(self.failures)} failed" if self.failures else ""
         return f"{len(self.results)} of {len(self.cases)} cases done{failed}"
 
     @property
     def finished(self) -> bool:
-        """Every case ran to its end, or failed for good."""
+        """Whether every case has either finished or failed."""
         return len(self.results) + len(self.failures) == len(self.cases)
 
     @property
     def lost(self) -> list[str]:
-        """Names of the failed cases that are not to blame themselves, as their process died or the disk was full: they
-        run again."""
+        """Names of failed cases that will run again, because their process died or the disk was full."""
         return [name for name in self.failures if name in self.blameless]
 
     @property
     def suspect(self) -> dict[str, list[str]]:
-        """Checks that failed, by the names of the finished cases that have any."""
+        """Names of failed checks, by the name of the finished case."""
         found = {name: failed_checks(result) for name, result in self.results.items()}
         return {name: checks for name, checks in found.items() if checks}
 
     @property
     def compared(self) -> list[Quantity]:
-        """Quantities that some case came to; all of them before there is one."""
+        """Quantities that at least one case yields; all quantities while no case has finished."""
         results = self.results.values()
 
         def met(each: Quantity) -> bool:
@@ -104,15 +103,15 @@ class Study:
 
     @property
     def varied(self) -> list[str]:
-        """Names of the parameters that vary."""
+        """Names of the varied parameters."""
         return list(dict.fromkeys(key for case in self.cases for key in case.varied))
 
     def heading(self, parameter: str) -> str:
-        """A parameter with its unit."""
+        """Return the name of a parameter with its unit, as a column heading."""
         return f"{parameter} [{self.units[parameter]}]" if self.units.get(parameter) else parameter
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row for each set of varied values: mean and standard deviation (scatter) of the quantities over seeds."""
+        """Return the means and standard deviations of the quantities over the seeds, a row per set of varied values."""
         groups: dict[str, list[Case]] = {}
         for case in self.cases:
             groups.setdefault(json.dumps(case.varied, sort_keys=True), []).append(case)
@@ -131,7 +130,7 @@ class Study:
         return rows
 
     def __getitem__(self, case: str) -> Run:
-        """The run of a case, by its name, from its folder; raises :class:`KeyError` for one that there is not."""
+        """Load the run of a case by the case's name; raise :class:`KeyError` for an unknown case."""
         if case not in self._ipython_key_completions_():
             raise KeyError(
                 f"the study has no case {case!r}; its cases are {', '.join(self._ipython_key_completions_())}"
@@ -142,25 +141,24 @@ class Study:
         return [case.name for case in self.cases]
 
     def table(self) -> Any:
-        """All cases and seeds as a pandas DataFrame in SI units, one row a run, with `case` as index; `attrs["units"]`
-        has the units of its columns.
+        """Return all cases and seeds as a pandas DataFrame in SI units, one row per run, with `case` as index.
 
-        Raises :class:`WarpcreteError` where pandas is not installed.
+        `attrs["units"]` holds the units of the columns. Raises :class:`WarpcreteError` if pandas is not installed.
         """
         columns, units = columns_of(self)
         return dataframe(columns, units, "case")
 
     def plot(self) -> Any:
-        """Matplotlib figure: each quantity that the study compares over each varied parameter, with its scatter."""
+        """Return a Matplotlib figure of each compared quantity over each varied parameter, with its scatter."""
         return draw(self)
 
     def _repr_html_(self) -> str:
-        """The table of means and scatters, for notebooks."""
+        """Return the table of means and scatters as HTML for notebooks."""
         rows = [line.strip("| ").split(" | ") for line in self.markdown().splitlines() if not line.startswith("|--")]
         return html_table(rows[1:], rows[0], repr(self))
 
     def markdown(self) -> str:
-        """Markdown table of means and scatters over seeds, in the units that people read."""
+        """Return a Markdown table of means and standard deviations over the seeds, in customary units."""
         titles = [f"{each.title} [{shown(each.unit)[1]}]" for each in self.compared]
         head = [*map(self.heading, self.varied), *titles, *COUNTS]
         lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
@@ -175,7 +173,7 @@ class Study:
         return "\n".join(lines)
 
     def write(self, figure: bool = True) -> None:
-        """Table as Markdown, CSV and, of every case, Parquet, and the figure, of what there is."""
+        """Write the results so far: study.csv, study.md, study.parquet (with every case) and the figure study.png."""
         rows = self.rows()
         units = {each.name: each.unit for each in self.compared}
         units |= {f"{name}_scatter": unit for name, unit in units.items()}
@@ -211,13 +209,15 @@ def run_study(
     progress: Progress | None = None,
     **recorders: bool,
 ) -> Study:
-    """Run a study of the scene function `module.scene` into the new folder `out`.
+    """Run a study of the scene function `module.scene` and write it to the new folder `out`.
 
-    `varied` holds the values of each varied parameter, `base` the others that differ from their defaults; `repeat`
-    runs every case with so many seeds; `one_at_a_time` varies each parameter alone. `processes` are those of a CPU
-    (default: one a core); `recorders` those that a case has besides table and picture (`rerun`, `usd`). With a
-    `scheduler` the cases run on the `workers` of :func:`warpcrete.studies.cluster.open_cluster`. Raises
-    :class:`SceneError` before anything is written if any case makes no scene.
+    `varied` holds the values of each varied parameter, and `base` all other parameters that differ from their defaults.
+    `repeat` is the number of seeds for each case. `one_at_a_time` varies each parameter alone instead of combining
+    them. `processes` is the number of processes on a CPU (default: one per core). `frames` is the number of recorded
+    frames per simulated second, and `checkpoint_every` the wall time between checkpoints [s]. `recorders` switches on
+    additional recordings (`rerun`, `usd`). With a `scheduler`, the cases run on the `workers` of
+    :func:`warpcrete.studies.cluster.open_cluster`. Raises :class:`SceneError` before anything is written if a case is
+    no valid scene.
     """
     check_scheduler(scheduler, workers, processes)
     given: dict[str, Any] = module.scene.resolved(base or {})
@@ -266,7 +266,7 @@ def run_listed(
     figure: bool = True,
     **recorders: bool,
 ) -> Study:
-    """Run a study of cases that stand in a list, with or without a figure; see :func:`run_study`."""
+    """Run a study of the given cases, with or without a figure; see :func:`run_study` for the other arguments."""
     cases = list(cases)
     if frames is not None:
         positive("frames", frames, "1/s")
@@ -276,7 +276,7 @@ def run_listed(
     check_limit("checkpoint_every", checkpoint_every, "s")
     for place, case in enumerate(cases):
         made = module.scene(**case.parameters)
-        # Paths, for one, are written down as the scene has them, whole, and a concrete's parameters by value.
+        # The record holds values as the scene uses them, such as absolute paths and a concrete's single parameters.
         cases[place] = replace(case, parameters=module.scene.plain(made, case.parameters))
         check_named(made)
         files |= made.parameters.files
@@ -314,14 +314,14 @@ def resume_study(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> Study:
-    """Go on with a study: finished and failed cases stay as they are, begun ones go on from their checkpoints.
+    """Continue a study: keep finished and failed cases, and continue interrupted ones from their checkpoints.
 
-    It may go on elsewhere: with processes, or with a scheduler, as :func:`run_study` takes them.
+    The study may continue with other `processes` or another `scheduler` than before; :func:`run_study` explains them.
     """
     check_scheduler(scheduler, workers, processes)
     record = read_record(folder / "study.json")
     check_files(folder / "study.json", record.get("files", {}))
-    # Of GPUs all that there are: which one a study had says little of where it goes on.
+    # Use all GPUs that are present, because the number of the earlier GPU means nothing on another machine.
     device = unnumbered(record.get("device"))
     with held(folder, "study.json"), open_cluster(scheduler, workers, device) as cluster:
         return _go_on(folder, module, processes, cluster, progress)
@@ -330,14 +330,14 @@ def resume_study(
 def _go_on(
     folder: Path, module: Any, processes: int | None, cluster: Cluster | None, progress: Progress | None
 ) -> Study:
-    """Run what is not finished, and write the tables."""
+    """Run all unfinished cases, and write the tables and the figure."""
     record, study = _opened(folder, module)
     cases = study.cases
     pending = [case for case in cases if not _known(study, case)]
     tell = progress or (lambda phase, fraction, figures: None)
 
     def book(case: Case, outcome: Any) -> None:
-        """Note what came of a case. Only what the case itself is to blame for counts for good."""
+        """Store the outcome of a case; only an instability or an invalid scene counts as its final failure."""
         if isinstance(outcome, Run | dict):
             result = outcome.result if isinstance(outcome, Run) else outcome
             if result.get("finished"):
@@ -365,7 +365,7 @@ def _go_on(
 
 @names_from_file()
 def _opened(folder: Path, module: Any) -> tuple[dict[str, Any], Study]:
-    """A study's record, and the study before any case is looked at."""
+    """Return the record of a study and a :class:`Study` without results."""
     record = read_record(folder / "study.json")
     try:
         cases = [Case(c["name"], c["varied"], c["parameters"]) for c in record["cases"]]
@@ -385,9 +385,9 @@ def _opened(folder: Path, module: Any) -> tuple[dict[str, Any], Study]:
 
 
 def load_study(folder: Path) -> Study:
-    """The study in a folder, as far as it got; nothing there is changed.
+    """Load the study in a folder, even an unfinished one, without changing any file.
 
-    Raises :class:`RunFolderError` for one that is none of this version's.
+    Raises :class:`RunFolderError` if the folder holds no study of this version.
     """
     name, known = read_record(folder / "study.json").get("scene"), modules()
     if name not in list(known):
@@ -401,7 +401,7 @@ def load_study(folder: Path) -> Study:
 
 
 def _lists(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:
-    """Lists of values by their parameters' own names."""
+    """Return the varied values by the parameters' own names, after replacing aliases and reading units."""
     found: dict[str, list[Any]] = {}
     for name, values in varied.items():
         (own,) = scene.resolved({name: None})
@@ -416,17 +416,23 @@ def _lists(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[str, list[An
 
 
 def _meaningful(scene: Any, cases: Sequence[Case]) -> list[Case]:
-    """Cases without the parameters that mean nothing there; refused are those that mean nothing in any of them."""
+    """Return the cases without parameters that have no effect in them.
+
+    Raises :class:`SceneError` for a parameter that has no effect in any case.
+    """
     found = [replace(case, parameters=scene.meaningful(case.parameters)) for case in cases]
     used = {name for case in found for name in case.parameters}
     for case in cases:
         if set(case.parameters) - used:
-            scene(**case.parameters)  # says why
+            scene(**case.parameters)  # raise the error that names the parameter
     return found
 
 
 def _known(study: Study, case: Case) -> bool:
-    """Take over a case that is finished or failed; clear away one that was cut before its first checkpoint."""
+    """Return whether a case has finished or failed before, and store that outcome in `study`.
+
+    A case that was interrupted before its first checkpoint is deleted.
+    """
     found = kept(study.folder / case.name)
     _book(study, case, found)
     return found is not None

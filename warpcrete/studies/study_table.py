@@ -1,4 +1,4 @@
-"""A study as a table of all its cases, for DataFrames and Parquet."""
+"""Table of all cases of a study, for DataFrames and Parquet files."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ FINISHED, FAILED, OPEN = "finished", "failed", "not finished"
 
 
 def columns_of(study: Any) -> tuple[dict[str, list[Any]], dict[str, str]]:
-    """Columns of a study by name, a row for each case and seed, and the units of those that have one, SI.
+    """Return the columns of a study's table by name, with one row per case and seed, and the columns' units.
 
-    Case, outcome, seed and varied parameters, every number of its result, the checks that it failed, and what ended it.
+    Columns are the case, its outcome, seed and varied parameters, every number of its result in SI units, the names of
+    failed checks, and the error. Columns without a unit are missing from the units.
     """
     rows = [_row(study, case) for case in study.cases]
     first = ["case", "outcome", "seed", *study.varied]
@@ -29,13 +30,13 @@ def columns_of(study: Any) -> tuple[dict[str, list[Any]], dict[str, str]]:
 
 
 def _row(study: Any, case: Any) -> tuple[dict[str, Any], dict[str, str]]:
-    """Values of a case by column, and units of its quantities."""
+    """Return the values of a case by column, and the units of its quantities."""
     result = study.results.get(case.name, {})
     outcome = FINISHED if result else FAILED if case.name in study.failures else OPEN
     row: dict[str, Any] = {"case": case.name, "outcome": outcome, "seed": case.parameters.get("seed"), **case.varied}
     units: dict[str, str] = {}
     for name, entry in result.items():
-        if name in row:  # what a case varies says itself
+        if name in row:  # the value of a varied parameter takes precedence
             continue
         if isinstance(entry, dict) and set(entry) == {"value", "unit"}:
             units[name] = entry["unit"]
@@ -48,8 +49,9 @@ def _row(study: Any, case: Any) -> tuple[dict[str, Any], dict[str, str]]:
 
 
 def write_parquet(study: Any, path: Path) -> None:
-    """The table as Parquet: a column's unit is in its field's metadata, and all are in `units` of the DataFrame's
-    `attrs` that pandas reads it as.
+    """Write the table of a study as Parquet.
+
+    Each column's unit is in the metadata of its field. Pandas reads all units into `attrs["units"]` of the DataFrame.
     """
     import pyarrow
     from pyarrow import parquet
@@ -67,7 +69,7 @@ def write_parquet(study: Any, path: Path) -> None:
 
 
 def _array(pyarrow: Any, values: Sequence[Any]) -> Any:
-    """One column; what has no one type is text."""
+    """Return one column as an Arrow array; values of mixed types become text."""
     try:
         return pyarrow.array(values)
     except (pyarrow.ArrowInvalid, pyarrow.ArrowTypeError):

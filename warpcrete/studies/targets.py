@@ -1,4 +1,4 @@
-"""What a calibration is asked: measured quantities of scenes, and parameters that are free within a range."""
+"""Task of a calibration: measured quantities of scenes, and free parameters with their ranges."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ from ..methods import METHODS, method_of
 KEYS = ("base", "vary", "targets")
 TARGET_KEYS = ("scene", "quantity", "value", "uncertainty", "parameters", "held_out")
 DECADE = 10.0
-"""Ranges whose ends are so far apart are searched by their logarithm, unless they say otherwise."""
+"""Ratio of a range's ends from which on the parameter is searched on a logarithmic scale by default."""
 APART = 3.0
-"""Standard deviations between two values of the same quantity from which on they contradict one another."""
+"""Difference between two values of one quantity, in standard deviations, above which they contradict each other."""
 
 
 @dataclass(frozen=True)
 class Free:
-    """A parameter that is looked for."""
+    """A free parameter of the calibration, with its range."""
 
     name: str
     low: float
     high: float
     log: bool
-    """Searched by its logarithm."""
+    """Whether the parameter is searched on a logarithmic scale."""
     whole: bool
-    """A whole number."""
+    """Whether the parameter is a whole number."""
 
     def value(self, unit: float) -> float:
-        """At a place of the range, 0 to 1."""
+        """Return the parameter's value at the position `unit` of its range, from 0 to 1."""
         if self.log:
             found = math.exp(math.log(self.low) + unit * (math.log(self.high) - math.log(self.low)))
         else:
@@ -53,7 +53,7 @@ class Free:
         return round(found) if self.whole else min(max(found, self.low), self.high)
 
     def place(self, value: float) -> float:
-        """Of a value in the range, 0 to 1."""
+        """Return the position of a value in the parameter's range, from 0 to 1."""
         if self.log:
             return math.log(value / self.low) / math.log(self.high / self.low)
         return (value - self.low) / (self.high - self.low)
@@ -61,49 +61,49 @@ class Free:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A quantity of a scene that was measured."""
+    """A measured quantity of a scene."""
 
     scene: str
     quantity: str
     value: float
     uncertainty: float
-    """Standard deviation [as the value]."""
+    """Standard deviation, in the unit of `value`."""
     parameters: Mapping[str, Any]
-    """Of the scene, besides those that are free."""
+    """Parameters of the scene, without the free ones."""
     held_out: bool
-    """Is predicted and compared, but not fitted."""
+    """Whether the quantity is predicted and compared with the measurement, but not fitted."""
     unit: str
 
     @property
     def key(self) -> str:
-        """Targets of one run have one key."""
+        """Text that is the same for all targets that one run can answer: the scene and its parameters."""
         return json.dumps([self.scene, dict(self.parameters)], sort_keys=True, default=str)
 
     @property
     def label(self) -> str:
-        """In words."""
+        """Description of the quantity and its scene, for people."""
         given = ", ".join(f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
                           for name, value in self.parameters.items() if name not in ("concrete", "seed"))  # fmt: skip
         return f"{self.quantity.replace('_', ' ')} of {self.scene}" + (f" ({given})" if given else "")
 
     def words(self, value: float) -> str:
-        """A value of the quantity as people read it."""
+        """Return a value of the quantity as text, in the unit that people use."""
         factor, unit = shown(self.unit)
         return f"{value * factor:.4g} {unit}".strip()
 
 
 @dataclass(frozen=True)
 class Task:
-    """Targets and free parameters."""
+    """The calibration's targets and free parameters."""
 
     base: str | None
-    """Concrete of which everything is that is not free; None: each scene's own."""
+    """Name or file of the concrete that provides all properties that are not free; None uses each scene's own."""
     free: tuple[Free, ...]
     targets: tuple[Target, ...]
 
     @property
     def groups(self) -> list[list[Target]]:
-        """Targets that one run answers."""
+        """Groups of targets that one run can answer together."""
         found: dict[str, list[Target]] = {}
         for target in self.targets:
             found.setdefault(target.key, []).append(target)
@@ -111,27 +111,29 @@ class Task:
 
     @property
     def fitted(self) -> list[Target]:
+        """Targets that the calibration fits, without those that are held out."""
         return [target for target in self.targets if not target.held_out]
 
     def values(self, units: Sequence[float]) -> dict[str, float]:
-        """Free parameters at a point of the unit cube."""
+        """Return the values of the free parameters, by name, at a point of the unit cube."""
         return {free.name: free.value(float(unit)) for free, unit in zip(self.free, units)}
 
     def places(self, values: Mapping[str, float]) -> np.ndarray:
-        """The point of the unit cube of some values, shape (free,)."""
+        """Return the point of the unit cube for values of the free parameters, shape (free,)."""
         return np.array([free.place(values[free.name]) for free in self.free])
 
     def parameters(self, target: Target, values: Mapping[str, float], module: Any) -> dict[str, Any]:
-        """Of the target's scene, with those of the free parameters that it has."""
+        """Return the keyword arguments of the target's scene, including the free parameters that the scene has."""
         known = declared_fields(module.scene.parameters)
         base = {"concrete": self.base} if self.base is not None and "concrete" in known else {}
         return {**base, **target.parameters, **{name: value for name, value in values.items() if name in known}}
 
 
 def read_task(path: Path, modules: Mapping[str, Any]) -> tuple[Task, dict[str, Any]]:
-    """The task of a file of targets, and the file as a mapping; raises :class:`SceneError` for anything wrong in it.
+    """Read a file of targets; return the task and the file's contents as a mapping.
 
-    `warpcrete calibrate --help` shows one. Files in it are meant from its folder.
+    `warpcrete calibrate --help` shows an example. Paths in the file are relative to its folder. Raises
+    :class:`SceneError` for any mistake in the file.
     """
     raw = read_mapping(path, "targets")
     if isinstance(raw.get("base"), str) and is_file(raw["base"]):
@@ -145,7 +147,10 @@ def read_task(path: Path, modules: Mapping[str, Any]) -> tuple[Task, dict[str, A
 
 @names_from_file()
 def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any], folder: Path | None = None) -> Task:
-    """The task of a mapping such as :func:`read_task` reads; files in it are meant from `folder`."""
+    """Build the task from a mapping, the contents of a file of targets; paths are relative to `folder`.
+
+    Raises :class:`SceneError` for any mistake in the mapping.
+    """
     for key in raw:
         if key not in KEYS:
             with within(raw, key):
@@ -226,7 +231,7 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
 
 
 def _in_unit(called: str, given: Any, quantity: str) -> Any:
-    """Return a text with a unit, as "550 mm", as a number in the unit of the `quantity`; anything else as it is."""
+    """Return a text such as "550 mm" as a number in the unit of `quantity`, and anything else unchanged."""
     units = {each.name: each.unit for method in METHODS for each in method.quantities}
     if isinstance(given, str) and quantity not in units:
         refuse("quantity", quantity, "is not measured in any scene", known_names(quantity, units))
@@ -236,7 +241,7 @@ def _in_unit(called: str, given: Any, quantity: str) -> Any:
 
 
 def _uncertainty(called: str, given: Any, value: float, quantity: str) -> float:
-    """Return a standard deviation, given as a number or as a part of the value."""
+    """Return a standard deviation that was given as a number or as a percentage of the value."""
     found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*", given) if isinstance(given, str) else None
     if found:
         given = float(found.group(1)) / 100 * abs(value)
@@ -253,7 +258,7 @@ def _uncertainty(called: str, given: Any, value: float, quantity: str) -> float:
 
 
 def _field(name: str, targets: Sequence[Target], modules: Mapping[str, Any]) -> Field:
-    """Return the declaration of a free parameter, which must be a number of at least one target's scene."""
+    """Return the declaration of a free parameter; it must be a number, and at least one target's scene must have it."""
     scenes = dict.fromkeys(target.scene for target in targets)
     known = [_known(modules, scene) for scene in scenes]
     fields = [each[name] for each in known if name in each]
@@ -267,7 +272,7 @@ def _field(name: str, targets: Sequence[Target], modules: Mapping[str, Any]) -> 
 
 
 def _free(name: str, given: Any, field: Field) -> Free:
-    """Return a free parameter with its range."""
+    """Check the range of a free parameter and return the parameter."""
     called, whole = f"vary {name}", field.kind is int
     scale = None
     if isinstance(given, Mapping):
@@ -293,7 +298,10 @@ def _free(name: str, given: Any, field: Field) -> Free:
 
 
 def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
-    """The target with its unit: its scene can be made at both ends of every range, and has that quantity."""
+    """Return the target with its unit, after checking that its scene measures the quantity.
+
+    The scene must also be valid at both ends of every parameter range; otherwise :class:`SceneError` is raised.
+    """
     module = modules[target.scene]
     middle = [0.5] * len(task.free)
     scene = module.scene(**task.parameters(target, task.values(middle), module))
@@ -317,7 +325,7 @@ def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
 
 
 def _agree(targets: Sequence[Target]) -> None:
-    """Refuse two values of one quantity that exclude each other."""
+    """Refuse two measured values of one quantity that contradict each other."""
     for place, one in enumerate(targets):
         for other in targets[:place]:
             scatter = math.hypot(one.uncertainty, other.uncertainty)
@@ -330,7 +338,7 @@ def _agree(targets: Sequence[Target]) -> None:
 
 
 def found_in(result: Mapping[str, Any], target: Target) -> float | None:
-    """The target's quantity in a result.json; None where it is not there or no number."""
+    """Return the target's quantity from a result.json; None if it is missing or not a finite number."""
     entry = result.get(target.quantity)
     value = None if entry is None else number(entry)
     return value if value is not None and math.isfinite(value) else None

@@ -1,10 +1,10 @@
-"""Speed against accuracy: what the knobs of a scene cost and what they err by, measured, within a budget of time.
+"""Trade-off studies: measure how the knobs of a scene change its wall time and its errors, within a time budget.
 
-First the scene as it is given, then each knob alone, then all knobs as fine as the budget allows (the reference, where
-no closed form is one), then the combinations that the measurements suggest for errors of 20 to 1 %. What such a
-combination promises is tried with seeds that no other run had. Every run fills a folder of its own, so a trade that is
-started again uses what is there. Runs are made one at a time, on workers each of them, or their times would mean
-nothing.
+A knob is a parameter that trades accuracy for speed, such as the resolution. The study first runs the scene as given
+and each knob alone. Then it runs all knobs as fine as the budget allows; this is the reference, unless a closed form is
+known. Finally it runs the combinations that the measurements suggest for errors of 20 to 1 %, and tests them with fresh
+seeds. Every run has its own folder, so a resumed study reuses it. Runs that share a processor would falsify each
+other's wall times, so only one runs at a time on this machine, or on each worker.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from .trading import Tell, Trade
 
 SETTINGS = ("budget", "quantities", "knobs", "repeat", "device", "threads", "scheduler", "workers", "progress")
 FRESH = 3
-"""Seeds that a promise is tried with, besides those that it was made from."""
+"""Number of fresh seeds with which a promised error is tested, in addition to the seeds on which it is based."""
 ALONE_UNTIL, FINEST_UNTIL, COMBINED_UNTIL = 0.55, 0.8, 0.9
-"""Parts of the budget after which knobs alone, the finest setting and the combinations make room for what follows."""
+"""Fractions of the budget at which three phases end: single knobs, the finest setting, and combinations."""
 
 
 def trade(scene: Any, *, out: Path | str | None = None, **given: Any) -> Trade:
     """Measure speed against accuracy of a scene function, such as ``warpcrete.scenes.pipe``.
 
-    Settings (`budget` [s], `quantities`, `knobs`, `repeat`, `device`, `threads`, `scheduler`, `workers`, `progress`)
-    are those of :func:`run_trade`; all else in `given` are parameters of the scene. `out` is the new folder (default:
-    runs/trade-NNN). Raises what that raises.
+    The settings `budget` [s], `quantities`, `knobs`, `repeat`, `device`, `threads`, `scheduler`, `workers` and
+    `progress`, and the errors raised, are those of :func:`run_trade`. All other keywords are parameters of the scene.
+    `out` is the new folder (default: runs/trade-NNN).
     """
     name, module = module_of(scene)
     settings = {key: given.pop(key) for key in SETTINGS if key in given}
@@ -67,14 +67,15 @@ def run_trade(
     workers: int | None = None,
     progress: Tell | None = None,
 ) -> Trade:
-    """Measure speed against accuracy of the scene `module.scene` with parameters `base` into the new folder `out`.
+    """Measure speed against accuracy of the scene `module.scene` with parameters `base`.
 
-    `budget` is wall time [s]; `quantities` are those that errors are of, `knobs` those that are turned (default: all
-    of the scene), `repeat` the seeds of each setting (default 3; 1 where nothing is random). With a `scheduler` runs
-    are made side by side on the `workers` of :func:`warpcrete.studies.cluster.open_cluster`, one at a time on each,
-    which has a GPU, or the cores of its `threads` (default 1), to itself; the budget stays wall time, in which more is
-    measured. Raises :class:`SceneError` before anything is written where that cannot be done, and after the first run
-    where the budget does not reach for a second.
+    Results go to the new folder `out`. `budget` is the wall time [s]. `quantities` names the result quantities whose
+    errors are measured, `knobs` the knobs that are varied (default: all of the scene), and `repeat` the number of seeds
+    of each setting (default 3, or 1 if nothing is random). With a `scheduler`, runs are distributed over the `workers`
+    of :func:`warpcrete.studies.cluster.open_cluster`. Each worker runs one simulation at a time and has a GPU, or
+    `threads` cores (default 1), to itself; the budget remains wall time, so more is measured. Raises
+    :class:`SceneError` before anything is written if the settings are impossible, and after the first run if the
+    budget is too short for a second.
     """
     check_scheduler(scheduler, workers)
     trading = getattr(module, "trading", None)
@@ -134,7 +135,7 @@ def run_trade(
 def _machine(
     module: Any, parameters: Mapping[str, Any], device: str | None, threads: int | None
 ) -> tuple[str, dict[str, Any]]:
-    """Device that a scene runs on, and its provenance; refuses what cannot be simulated there."""
+    """Return the device on which a scene runs and its provenance; raise an error if the scene cannot run there."""
     scene = module.scene(**parameters)
     found = Simulation(scene, device=device, precision=scene.precision, threads=threads).device
     return str(found), provenance(found, scene.precision, int(getattr(scene, "seed", 0)))
@@ -145,7 +146,7 @@ def _machine_of(module_name: str, *arguments: Any) -> tuple[str, dict[str, Any]]
 
 
 def _check_cores(scheduler: str | None, workers: int | None, device: str | None, threads: int | None) -> None:
-    """Refuse workers that would have to share cores, as then their times would mean nothing."""
+    """Refuse workers that would share CPU cores, because their wall times would be meaningless."""
     cores = default_threads()
     between("threads", 1 if threads is None else threads, 1, float("inf"))
     if scheduler == "local" and workers and workers * (threads or 1) > cores and not find_device(device).is_cuda:
@@ -164,13 +165,14 @@ def resume_trade(
     workers: int | None = None,
     progress: Tell | None = None,
 ) -> Trade:
-    """Go on with a trade for another `budget` of wall time [s]; runs that are there are used.
+    """Continue a trade-off study for another `budget` of wall time [s], reusing the finished runs.
 
-    It may go on with another `scheduler`, or without one, on the same kind of GPU or CPU.
+    The study may continue with another `scheduler`, or without one, on the same kind of GPU or CPU. Raises
+    :class:`RunFolderError` if `folder` holds no trade-off study, or one of another version or processor.
     """
     check_scheduler(scheduler, workers)
     record = read_record(folder / "trade.json")
-    check_files(folder / "trade.json", record.get("files", {}))  # before any of them is imported
+    check_files(folder / "trade.json", record.get("files", {}))  # reject changed files before importing them
     try:
         with names_from_file():
             trade = Trade(folder, module, record)
@@ -192,7 +194,7 @@ def resume_trade(
     check_limit("budget", budget, "s")
     if scheduler is None:
         find_device(trade.device)
-    # Of GPUs all that there are, as with a study.
+    # Use all GPUs that are present, because the number of the earlier GPU means nothing on another machine.
     device = unnumbered(trade.device)
     _check_cores(scheduler, workers, device, trade.threads)
     with held(folder, "trade.json"), open_cluster(scheduler, workers, device, trade.threads) as cluster:
@@ -212,12 +214,12 @@ def _go_on(trade: Trade, budget: float, cluster: Cluster | None, progress: Tell 
 
 
 def _random(scene: Any) -> bool:
-    """Seeds change something."""
+    """Return whether a scene's results depend on the random seed."""
     return getattr(scene, "fill", None) is not None or getattr(scene, "aggregates", None) is not None
 
 
 def _measure(trade: Trade, tell: Tell) -> None:
-    """All phases, as far as the budget goes; tables and figure are written whatever ends it."""
+    """Run all phases that the budget allows; write the tables and the figure even after an error or an interruption."""
     given = trade.point(GIVEN, {})
     try:
         with trade.gap:
@@ -235,7 +237,7 @@ def _phases(trade: Trade, given: Point, tell: Tell) -> None:
             refuse("scene", trade.scene_name, f"does not run as given: {given.failure}")
         return
     needed = trade.rounds(2 * len(trade.seeds)) * given.cost
-    if trade.spent > 0 and needed > trade.budget:  # of a trade that goes on, little may be left to do
+    if trade.spent > 0 and needed > trade.budget:  # a resumed study may need only few further runs
         refuse(
             "budget", f"{trade.budget:.3g} s", "is too short for two runs" + " for every seed" * trade.has_seeds,
             f"one run takes {given.cost:.3g} s; give {5 * needed:.2g} s or more",
@@ -260,15 +262,16 @@ def _phases(trade: Trade, given: Point, tell: Tell) -> None:
 
 
 def _one_at_a_time(trade: Trade, tell: Tell) -> None:
-    """Each level of each knob alone, the cheap ones first."""
+    """Run the scene with each level of each accuracy knob alone, cheap ones first."""
     alone = [trade.point(knob.name, {knob.name: k}) for knob in trade.knobs for k in range(len(knob.levels))]
     trade.run_all(sorted(alone, key=trade.expected), trade.seeds, tell, ALONE_UNTIL)
 
 
 def _finest(trade: Trade, tell: Tell) -> None:
-    """All knobs at their finest, or as near to that as the budget reaches: first gives way what matters least.
+    """Run the reference setting: all accuracy knobs at their finest level, or as fine as the budget allows.
 
-    No knob is set coarser than the scene has it.
+    If the budget is too short, the function coarsens the knob that saves most time per error, one level at a time. No
+    knob becomes coarser than in the scene as given.
     """
     levels = {}
     for knob in trade.chosen_knobs:
@@ -282,9 +285,9 @@ def _finest(trade: Trade, tell: Tell) -> None:
         cost = trade.given.cost * math.prod(trade.ratio(by_name[name], k) for name, k in top.items())
         if cost * trade.rounds(len(trade.seeds)) <= max(FINEST_UNTIL * trade.budget - trade.spent, 0.0):
             break
-        if top == trade.record.get("finest"):  # run before, when there was more left
+        if top == trade.record.get("finest"):  # an earlier call ran this setting when the budget was larger
             break
-        # What a step back saves, in powers of e, for each part of error that it costs.
+        # For each knob, divide the logarithm of the time factor that one coarser level saves by the error it adds.
         saved = {}
         for name, usable in levels.items():
             if len(usable) > 1:
@@ -298,14 +301,14 @@ def _finest(trade: Trade, tell: Tell) -> None:
     point = trade.point(REFERENCE, top)
     if trade.run(point, trade.seeds, tell, COMBINED_UNTIL):
         trade.record = {**trade.record, "finest": top}
-    else:  # as given is what there is to go by
+    else:  # use the scene as given as the reference
         del trade.points[before:]
         point = trade.given
     point.origin = REFERENCE
 
 
 def _combine(trade: Trade, tell: Tell) -> None:
-    """For each wanted error the levels that should stay within it at least cost."""
+    """Run, for each wanted error, the cheapest combination of levels that is expected to stay within that error."""
     choices = {
         knob.name: [(trade.ratio(knob, k), trade.shift(knob, k)) for k in range(len(knob.levels))]
         for knob in trade.chosen_knobs
@@ -317,9 +320,9 @@ def _combine(trade: Trade, tell: Tell) -> None:
 
 
 def _promise(trade: Trade, tell: Tell) -> None:
-    """The cheapest point within each wanted error, tried with fresh seeds and in variants of the scene.
+    """Find the cheapest setting within each wanted error, and test it with fresh seeds and in variants of the scene.
 
-    One that fails with those, or errs by more there, gives way.
+    If a setting fails there or exceeds the wanted error, the next cheapest one is tested.
     """
     variants = trade.module.trading.variants(trade.declared) if trade.exact else {}
     chosen = {knob.name for knob in trade.chosen_knobs}
@@ -343,9 +346,9 @@ def _promise(trade: Trade, tell: Tell) -> None:
 def _carried(
     trade: Trade, point: Point, variants: Mapping[str, Mapping[str, Any]], target: float, tell: Tell
 ) -> tuple[dict[str, Error | None], float]:
-    """Largest error of a point in each variant of the scene, as far as they are needed, and what it promises then.
+    """Return the largest error of a setting in each variant of the scene, and the error bound that it promises.
 
-    As many are run at a time as there are workers for.
+    Testing stops at the first variant in which the error exceeds `target`. Workers run several variants at a time.
     """
     found: dict[str, Error | None] = {}
     points: list[Point] = []
@@ -355,7 +358,7 @@ def _carried(
         if not trade.complete(other, trade.seeds):
             trade.run_all(others[number : number + trade.abreast], trade.seeds, tell)
         if not other.results and not other.failure.startswith("failed"):
-            continue  # no time was left
+            continue  # there was no time left to run this variant
         error = worst(trade.errors_of(other, trade.seeds)) if other.results else None
         found[variant if not other.suspect else f"{variant} (fails: {', '.join(other.suspect)})"] = error
         if error is not None:

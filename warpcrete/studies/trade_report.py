@@ -1,4 +1,4 @@
-"""What a trade leaves behind: tables, numbers, one figure."""
+"""Output files of a trade-off study: tables, numbers and a figure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .trading import Trade
 
 
 def percent(error: Error | None) -> str:
-    """An error with its interval, as people read it."""
+    """Return an error with its confidence interval as text, in percent."""
     if error is None or not math.isfinite(error.shift):
         return "-"
     interval = f" +- {100 * error.interval:.2g}" if math.isfinite(error.interval) and error.interval > 0 else ""
@@ -23,13 +23,13 @@ def percent(error: Error | None) -> str:
 
 
 def on_front(trade: Trade) -> list[Point]:
-    """Points that no other one beats in cost and error, by rising cost."""
+    """Return the settings on the Pareto front of wall time and error, by rising wall time."""
     points = [p for p in trade.measured if not p.suspect]
     return [points[k] for k in front([(p.cost, p.worst.size) for p in points if p.worst is not None])]
 
 
 def table(trade: Trade) -> str:
-    """Markdown: every setting with its cost and errors, then what to set for a wanted error."""
+    """Return Markdown with the cost and errors of every setting, and the best settings for each wanted error."""
     against = "the closed form" if trade.exact else "the finest setting reached"
     best = on_front(trade)
     head = ["setting", "time [s]", "relative time", "work [million particle-steps]", "memory [MB]"]
@@ -58,7 +58,7 @@ def table(trade: Trade) -> str:
 
 
 def _beside(trade: Trade) -> str:
-    """What there is to know of times that were measured beside one another."""
+    """Return a sentence about runs that were measured at the same time, or an empty text if there were none."""
     most = trade.record.get("abreast", 1)
     if most == 1:
         return ""
@@ -66,7 +66,7 @@ def _beside(trade: Trade) -> str:
 
 
 def promises(trade: Trade) -> list[str]:
-    """Lines of the table of settings for wanted errors."""
+    """Return the lines of a Markdown table with the best settings for each wanted error."""
     lines = [
         "| error wanted | setting | relative time | guaranteed error | error with fresh seeds | in other scenes |",
         "|---|---|---|---|---|---|",
@@ -94,7 +94,7 @@ def promises(trade: Trade) -> list[str]:
 
 
 def write(trade: Trade) -> None:
-    """trade.md, trade.csv, trade.json and trade.png, of what there is."""
+    """Write the results so far to trade.md, trade.csv, trade.json and trade.png."""
     if not trade.points or not trade.given.results:
         return
     with whole_file(trade.folder / "trade.md") as partial:
@@ -169,15 +169,15 @@ def _number(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else "-"
 
 
-FLOOR = 1e-4  # smallest error that is drawn: logarithms know no zero
+FLOOR = 1e-4  # smallest error in the figure, because a logarithmic axis has no zero
 MARKERS = {GIVEN: "*", REFERENCE: "P", COMBINED: "D"}
-NEAR = 0.05  # parts of the figure within which a second level's name would be printed over the first
+NEAR = 0.05  # labels closer than this fraction of the figure would overlap
 
 
 def draw(trade: Trade) -> Any:
-    """Matplotlib figure: error over cost, a point for every setting, the front, and how far seeds scatter.
+    """Return a Matplotlib figure of error against wall time, with a point for every setting and the Pareto front.
 
-    Settings that fail a check are hollow.
+    A band shows the scatter between seeds. Settings with a failed check have hollow markers.
     """
     from matplotlib.figure import Figure
     from matplotlib.ticker import LogLocator, NullFormatter
@@ -213,7 +213,7 @@ def draw(trade: Trade) -> Any:
 
 
 def _series(axes: Any, origin: str, mine: list[tuple[Point, Error]], marker: str, colour: str) -> None:
-    """Points of one origin with their intervals."""
+    """Draw a group of settings, such as those that vary one knob, with their confidence intervals."""
     costs = [point.cost for point, _ in mine]
     sizes = [100 * max(error.size, FLOOR) for _, error in mine]
     spans = [100 * error.interval if math.isfinite(error.interval) else 0.0 for _, error in mine]
@@ -230,7 +230,7 @@ def _series(axes: Any, origin: str, mine: list[tuple[Point, Error]], marker: str
 
 
 def _name_levels(axes: Any, trade: Trade) -> None:
-    """Levels beside the points of single knobs, but where one would stand over another; the table has them all."""
+    """Label settings that vary a single knob with its level, unless labels overlap; the table lists all levels."""
     placed: list[Any] = []
     into_figure = axes.transData + axes.transAxes.inverted()
     for point in trade.measured:

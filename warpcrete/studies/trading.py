@@ -1,4 +1,4 @@
-"""A trade: settings of a scene, what their runs came to, what they cost and err by."""
+"""State of a trade-off study: settings of a scene, the results of their runs, and their costs and errors."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ from .running import FAILED, kept
 from .trials import FEW, Trial, run_trial, warm_up
 
 COMMAND = {"frames": 25.0, "checkpoint_every": 0.0}
-"""How workers record: no frames are drawn, and a run that was cut is made again, or its time would not be one."""
+"""Recording options on workers: checkpoints are off, because a resumed run would have no valid wall time."""
 Tell = Callable[[str, float, dict[str, Any]], None]
 
 
 class Trade:
-    """A trade, finished or as far as the budget went."""
+    """A trade-off study, complete or as far as the budget allowed."""
 
     def __init__(self, folder: Path, module: Any, record: Mapping[str, Any]) -> None:
         self.folder, self.module, self.record = folder, module, record
         self.scene_name: str = record["scene"]
         self.base: dict[str, Any] = dict(record["parameters"])
-        if module.trading.tolerance:  # a setting may be as far off as anybody could want
+        if module.trading.tolerance:  # let checks accept the largest error of interest
             self.base.setdefault(module.trading.tolerance, TARGETS[0])
         self.repeat: int = record["repeat"]
         self.device: str = record["device"]
@@ -52,15 +52,15 @@ class Trade:
         self.quantities: list[Quantity] = [known[name] for name in record["quantities"]]
         self.points: list[Point] = []
         self.tried: list[Point] = []
-        """In variants of the scene."""
+        """Settings that were run in variants of the scene."""
         self.promises: list[Promise] = []
         self.spent = 0.0
         self.budget = math.inf
         self.interrupted = False
         self.gap = StopAtSample([])
-        """Hears a Ctrl-C between runs."""
+        """Detector of a Ctrl-C between runs."""
         self.cluster: Cluster | None = None
-        """Workers that make the runs."""
+        """Workers that perform the runs; None for runs in this process."""
 
     def __repr__(self) -> str:
         done = sum(bool(point.results) for point in self.points)
@@ -68,71 +68,67 @@ class Trade:
             f"<Trade of scene {self.scene_name!r}: {done} of {len(self.points)} settings run, folder '{self.folder}'>"
         )
 
-    # What there is.
-
     @property
     def machine(self) -> str:
-        """What times were measured on."""
+        """Description of the processor on which the wall times were measured."""
         if self.device.startswith("cuda"):
             return self.hardware
         return f"{self.hardware}, {self.threads} thread{'s' if self.threads > 1 else ''}"
 
     @property
     def hardware(self) -> str:
-        """The GPU or CPU by its model."""
+        """Model name of the GPU or CPU."""
         found = self.record["provenance"]
         return found["device_name"] if self.device.startswith("cuda") else found.get("processor") or "a CPU"
 
     @property
     def abreast(self) -> int:
-        """Runs that are made at a time, each on a worker of its own."""
+        """Number of simultaneous runs, each on its own worker."""
         return 1 if self.cluster is None else self.cluster.count
 
     @property
     def given(self) -> Point:
-        """The scene as it is given."""
+        """Setting of the scene as given."""
         return self.points[0]
 
     @property
     def chosen_knobs(self) -> list[Knob]:
-        """Of which settings for a wanted accuracy are made."""
+        """Knobs (accuracy parameters) from which settings for a wanted accuracy are built."""
         return [knob for knob in self.knobs if knob.chosen]
 
     @property
     def seeds(self) -> list[int]:
-        """Of every setting's runs."""
+        """Random seeds of each setting's runs."""
         return list(range(self.first_seed, self.first_seed + self.repeat)) if self.has_seeds else [0]
 
     @property
     def reference(self) -> Point | None:
-        """All knobs as fine as the budget allowed; None where a closed form is the reference."""
+        """Reference setting with all knobs as fine as the budget allowed; None if a closed form is the reference."""
         return next((point for point in self.points if point.origin == REFERENCE), None)
 
     @property
     def measured(self) -> list[Point]:
-        """Points that have a cost and an error."""
+        """Settings with a measured wall time and error."""
         return [p for p in self.points if self.complete(p, self.seeds) and p.worst is not None
                 and math.isfinite(p.worst.bound)]  # fmt: skip
 
     def rounds(self, runs: int) -> int:
-        """How often the time of a run passes until so many are made."""
+        """Return the number of successive rounds in which the available workers complete a number of `runs`."""
         return math.ceil(runs / self.abreast)
 
     def label(self, point: Point) -> str:
-        """What a point differs by from the scene as given."""
+        """Return a description of how a setting differs from the scene as given."""
         parts = [f"{knob.name} {knob.levels[point.levels[knob.name]].label}" for knob in self.knobs
                  if knob.name in point.levels]  # fmt: skip
         return ", ".join(parts) or GIVEN
 
     def keys_of(self, point: Point) -> dict[str, str]:
-        """Levels of a point as they are called in scenes of any numbers."""
+        """Return the knob levels of a setting by knob name; the levels' names are valid in other scenes, too."""
         chosen = {knob.name: knob.levels[point.levels[knob.name]] for knob in self.knobs if knob.name in point.levels}
         return {name: level.key or level.label for name, level in chosen.items()}
 
-    # Points.
-
     def point(self, origin: str, levels: Mapping[str, int]) -> Point:
-        """The point of these levels; one that is there already by its parameters is that one."""
+        """Return the setting with these knob levels; create it unless one with equal parameters exists."""
         changes: dict[str, Any] = {}
         converted: dict[str, tuple[float, float]] = {}
         for knob in self.knobs:
@@ -148,7 +144,10 @@ class Trade:
         return self.points[-1]
 
     def carried(self, point: Point, variant: str, changes: Mapping[str, Any]) -> Point:
-        """The settings of a point in a variant of the scene; knobs go by what their levels are called there."""
+        """Apply the knob levels of a setting to a variant of the scene, and return the resulting setting.
+
+        Levels are matched by their names, because their values may differ in the variant.
+        """
         base = {**self.base, **changes}
         knobs = {knob.name: knob for knob in self.module.trading.knobs(self.module.scene.declared(base))}
         for name, key in self.keys_of(point).items():
@@ -165,7 +164,7 @@ class Trade:
         return next((point for point in self.points if point.full == full), None)
 
     def _full(self, parameters: Mapping[str, Any]) -> dict[str, Any]:
-        """All parameters that mean something, defaults included."""
+        """Return all parameters that have an effect, including default values."""
         defaults = {name: found.default for name, found in declared_fields(self.module.scene.parameters).items()}
         return self.module.scene.meaningful({**defaults, **self.module.scene.completed(parameters)})
 
@@ -175,7 +174,7 @@ class Trade:
         return any(as_given.get(key) != value for key, value in knob.levels[level].changes.items())
 
     def ratio(self, knob: Knob, level: int) -> float:
-        """Time of a level over that of the scene as given: measured, or else as expected."""
+        """Return the wall time with one knob at a level over that of the scene as given, measured or else estimated."""
         alone = self._alone(knob, level)
         if alone is not None and math.isfinite(alone.cost) and not alone.failure and self.given.cost > 0:
             return alone.cost / self.given.cost
@@ -185,26 +184,27 @@ class Trade:
         return self._with(self._full(self.module.scene.meaningful({**self.base, **knob.levels[level].changes})))
 
     def level_as_given(self, knob: Knob) -> int:
-        """Place of the level that the scene has; the finest where it has none of them."""
+        """Return the index of a knob's level in the scene as given, or of the finest level if none matches."""
         same = [k for k in range(len(knob.levels)) if not self._differs(knob.name, k)]
         return same[0] if same else len(knob.levels) - 1
 
     def expected(self, point: Point) -> float:
-        """Time of one run of a point [s]."""
+        """Return the measured or estimated wall time of one run of a setting [s]."""
         if math.isfinite(point.cost):
             return point.cost
         by_name = {knob.name: knob for knob in self.knobs}
         return self.given.cost * math.prod(self.ratio(by_name[name], k) for name, k in point.levels.items())
 
-    # Runs.
-
     def run(self, point: Point, seeds: Sequence[int], tell: Tell, until: float = 1.0) -> bool:
-        """Run what a point lacks; False if `until` of the budget does not reach, a run failed, or it was stopped."""
+        """Run the missing seeds of a setting; return whether all of them are complete.
+
+        A run does not start if it is expected to exceed the fraction `until` of the budget.
+        """
         self.run_all([point], seeds, tell, until)
         return self.complete(point, seeds)
 
     def run_all(self, points: Sequence[Point], seeds: Sequence[int], tell: Tell, until: float = 1.0) -> None:
-        """Run what points lack, in their order, as far as `until` of the budget reaches; on workers side by side."""
+        """Run the missing seeds of settings in order, within the fraction `until` of the budget, on all workers."""
         lacking = [(point, left) for point in points if (left := self._take_over(point, seeds))]
         if self.cluster is None:
             for point, (seed, *_), _ in self._due(lacking, tell, until):
@@ -215,7 +215,7 @@ class Trade:
             self._run_on(self.cluster, self._due(lacking, tell, until))
 
     def _take_over(self, point: Point, seeds: Sequence[int]) -> list[int]:
-        """Use the runs of a point that are there; returns the seeds whose runs are not."""
+        """Read the existing runs of a setting from their folders; return the seeds that still have to run."""
         for seed in seeds:
             if seed not in point.results and not point.failure:
                 found = kept(self._folder(point, seed))
@@ -228,10 +228,11 @@ class Trade:
     def _due(
         self, lacking: Sequence[tuple[Point, list[int]]], tell: Tell, until: float
     ) -> Iterator[tuple[Point, list[int], float]]:
-        """What to run next: a point, seeds, and the time there is for them [s].
+        """Yield the next job: a setting, some of its seeds, and the time that is left for them [s].
 
-        It is asked when somebody is free to run that, and goes by what runs came to until then. Where there are
-        points enough for all workers, one has all the seeds of a point, and loads its kernels once.
+        The caller requests a job when a processor is free, so each decision uses the results available at that moment.
+        If there are enough settings for all workers, one worker takes all seeds of a setting and loads its kernels only
+        once.
         """
         points = list({id(point): (point, seeds) for point, seeds in lacking}.values())
         for number, (point, seeds) in enumerate(points):
@@ -255,7 +256,7 @@ class Trade:
                 yield point, seeds[first : first + size], left
 
     def complete(self, point: Point, seeds: Sequence[int]) -> bool:
-        """Every run is there."""
+        """Return whether a setting has a result for every seed."""
         return not point.failure and all(seed in point.results for seed in seeds)
 
     def _folder(self, point: Point, seed: int) -> Path:
@@ -288,7 +289,7 @@ class Trade:
         self._book(point, seed, outcome)
 
     def _run_on(self, cluster: Cluster, due: Iterator[tuple[Point, list[int], float]]) -> None:
-        """Run on workers, one trial each at a time. Time spent is that of the wall, whatever there is of workers."""
+        """Run jobs on workers, one at a time on each; `spent` counts wall time, whatever the number of workers."""
         before, begun, running = self.spent, time.perf_counter(), 0
         record = {"device": self.device, "threads": self.threads, "command": COMMAND, "hardware": self.hardware}
 
@@ -307,14 +308,15 @@ class Trade:
             point, seeds = job
             for seed, outcome in zip(seeds, [outcomes] if isinstance(outcomes, Exception) else outcomes):
                 self._book(point, seed, outcome)
-            if point.failures:  # whichever ended first, it counts what seeds in their order come to
+            # Seeds after the first failed one are ignored, so that the order of completion has no effect.
+            if point.failures:
                 point.results = {s: r for s, r in point.results.items() if s < min(point.failures)}
 
         where = record, self.module, self.folder / "runs"
         cluster.each(run_trial, where, jobs(), book, self.gap, lazily=True)
 
     def _book(self, point: Point, seed: int, outcome: Any) -> None:
-        """Note what came of a run: its result.json, what it failed with, or None if it was stopped."""
+        """Store the outcome of a run: its result.json, the exception that ended it, or None after an interruption."""
         if isinstance(outcome, dict) and outcome.get("finished"):
             point.results[seed] = outcome
         elif isinstance(outcome, InstabilityError | SceneError):
@@ -329,21 +331,19 @@ class Trade:
         else:
             raise outcome
 
-    # Errors.
-
     def judge(self) -> None:
-        """Errors of all points, against the closed form or the reference."""
+        """Compute the errors of all settings against the closed form or the reference."""
         for point in self.points:
             point.errors = self.errors_of(point, self.seeds)
 
     def errors_of(self, point: Point, seeds: Sequence[int]) -> list[Error]:
-        """Errors of the runs of a point with some seeds."""
+        """Return the errors of a setting in its runs with the given seeds."""
         found = []
         ran = sum(seed in point.results for seed in seeds)
         for each in self.quantities if ran else ():
             values = point.values(each.name, seeds)
             if len(values) < ran:
-                found.append(Error(each.name, math.inf, 0.0))  # a run without it: it is no property of the setting
+                found.append(Error(each.name, math.inf, 0.0))  # at least one run lacks it
             elif self.exact:
                 errors = point.values(f"{each.name}_error", seeds)
                 scatter = float(np.std(errors)) if len(errors) > 1 else 0.0
@@ -355,9 +355,10 @@ class Trade:
         return found
 
     def shift(self, knob: Knob, level: int) -> float:
-        """Largest error of a level alone against the knob's finest level that ran; infinite where it failed.
+        """Return the largest error due to a knob's level, against its finest level that ran; infinity if a run failed.
 
-        What seeds alone explain counts as none: it is no error of the knob, and would add up over all knobs.
+        A difference that the scatter between seeds explains counts as zero. It is no error of the knob, and such
+        differences would accumulate over all knobs.
         """
         point = self._alone(knob, level)
         finest = next((p for k in reversed(range(len(knob.levels))) if (p := self._alone(knob, k)) is not None
@@ -374,9 +375,9 @@ class Trade:
         return max(found)
 
     def promised(self, point: Point) -> float:
-        """What a point errs by at most: as measured, interval included, or all its knobs' errors together.
+        """Return the error bound of a setting: the measured error with its interval, or the sum of its knobs' errors.
 
-        Whichever is more: errors that cancel in this scene do not in the next.
+        The function returns the larger value, because errors that cancel in this scene need not cancel in another one.
         """
         if point.worst is None:
             return math.inf
@@ -385,9 +386,9 @@ class Trade:
         return max(point.worst.bound, alone)
 
     def carried_bound(self, point: Point, variants: Sequence[Point]) -> float:
-        """What a point errs by in a scene that is as far from that of the trade as the variants are.
+        """Return the error bound of a setting in a scene that differs as much as the variants do.
 
-        95 % prediction interval of the next error, from those of the point and its variants.
+        It is the 95 % prediction interval of the next error, computed from the errors of the setting and its variants.
         """
         found = []
         for each in self.quantities:

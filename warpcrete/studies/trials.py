@@ -1,4 +1,4 @@
-"""Runs of a trade on a worker, one at a time, or their times would mean nothing."""
+"""Runs of a trade-off study on a worker, one at a time, so that their wall times are valid."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from .cluster import hardware
 from .running import heard, kept, run_cases, simulation_of
 
 FEW = 3
-"""Runs of which the median leaves out one that was charged for loading kernels."""
+"""Minimum number of runs at which the median wall time ignores a single run that also loaded kernels."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """Runs of one setting that a worker makes one after the other."""
+    """Runs of one setting that a worker performs one after the other."""
 
     cases: list[Case]
-    """The setting with different seeds."""
+    """Cases of the setting, one for each seed."""
     warm: bool
-    """Kernels are to be loaded before the first run."""
+    """Whether to load the kernels before the first run."""
     left: float
-    """Time that there is for them [s]; without it the first one is made all the same."""
+    """Time left for the runs [s]; the first run takes place even if there is none."""
 
 
 def run_trial(record: dict[str, Any], module: Any, folder: Path, trial: Trial, asked: Callable[[], bool]) -> list[Any]:
-    """Run cases until there is no time left for another, one fails or `asked` says stop.
+    """Run the cases until the time is used up, a case fails, or the callback `asked` returns True.
 
-    Returns result.json, what it failed with, or None if it was stopped, of each as far as that came. Raises
-    :class:`WarpcreteError` where a worker computes on something else than those of the trade before.
+    Returns the outcomes of the cases so far: the contents of result.json, the exception that ended the case, or None if
+    it was stopped. Raises :class:`WarpcreteError` if the worker's processor differs from that of earlier runs.
     """
     here = hardware(record["device"])
     if here != record["hardware"]:
@@ -49,7 +49,7 @@ def run_trial(record: dict[str, Any], module: Any, folder: Path, trial: Trial, a
         took = time.perf_counter() - begun
         if found and took + took / len(found) > trial.left:
             break
-        outcome = kept(folder / case.name)  # a lost worker may have come so far
+        outcome = kept(folder / case.name)  # a worker that was lost may have finished the case
         if outcome is None:
             outcome, warm = _run(record, module, folder, case, warm, asked), False
         found.append(outcome)
@@ -59,7 +59,7 @@ def run_trial(record: dict[str, Any], module: Any, folder: Path, trial: Trial, a
 
 
 def warm_up(simulation: Simulation) -> None:
-    """Load the kernels of a setting, for which a run after that is not charged."""
+    """Load the kernels of a setting, so that the next run is not charged for loading them."""
     simulation.prepare()
     simulation.stepper.take(1)
     simulation.release()
@@ -75,5 +75,6 @@ def _run(record: dict[str, Any], module: Any, folder: Path, case: Case, warm: bo
         return error
     (outcome,) = run_cases(record, module, folder, [case], asked)
     if isinstance(outcome, dict) and outcome.get("finished"):
-        return read_json(folder / case.name / "result.json")  # as whoever goes on with the trade reads it
+        # Read the file, so that a resumed study sees exactly the same numbers.
+        return read_json(folder / case.name / "result.json")
     return outcome

@@ -1,7 +1,7 @@
-"""Worker processes that run cases. They import this package alone, never the caller's script, and die one by one.
+"""Worker processes that run cases of a study.
 
-So they work from a plain script without a main guard, from standard input, from a notebook and from a session, and
-the death of one, whatever its cause, costs the case that it had.
+A worker imports only this package, never the caller's script. Studies therefore work in a plain script without a main
+guard, from standard input, and in a notebook. The death of a worker, whatever its cause, affects only its current case.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 
 from ..core.errors import PlausibilityWarning, WarpcreteError, warn_in_one_line
 
-# Ctrl-C is for the parent to hear, from the first moment on: it says what is to be done.
+# Workers ignore Ctrl-C from their first moment on, because the parent process handles it and tells them to stop.
 BOOT = """\
 import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)
 import json, sys; sys.path[:] = json.loads(sys.argv[1])
@@ -32,28 +32,28 @@ READY, STOP = "ready", "stop"
 
 
 class WorkerDied(WarpcreteError):
-    """A worker process ended before its case did."""
+    """Error raised when a worker process ends before its case does."""
 
 
 class NoWorker(WarpcreteError):
-    """No worker process starts at all."""
+    """Error raised when no worker process can be started."""
 
 
 class Crew:
-    """Worker processes, started as they are needed; any thread may give them work."""
+    """Worker processes, started on demand; any thread may give them jobs."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._all: list[_Worker] = []
         self._idle: list[_Worker] = []
         self.stopping = False
-        """Whether the workers were told to end their cases at the next sample."""
+        """Whether the workers have received the message to end their cases at the next sample."""
 
     def __enter__(self) -> Crew:
         return self
 
     def __exit__(self, *unused: Any) -> None:
-        """End all workers, those with a case at once."""
+        """End all workers at once, including those that run a case."""
         for worker in self._all:
             worker.end()
 
@@ -65,7 +65,11 @@ class Crew:
                 worker.tell(STOP)
 
     def run(self, *job: Any) -> Any:
-        """Return what :func:`_outcome` returns for a job in a worker process; raise :class:`WorkerDied` if it dies."""
+        """Run a job, a function and its arguments, in a worker process; return its result or the exception it raised.
+
+        Raises :class:`WorkerDied` if the worker process ends during the job, and :class:`NoWorker` if none can be
+        started.
+        """
         with self._lock:
             worker = self._idle.pop() if self._idle else _Worker()
             if worker not in self._all:
@@ -83,7 +87,7 @@ class Crew:
             raise
         try:
             worker.tell(job)
-        except Exception:  # a job that no pickle holds
+        except Exception:  # the job cannot be pickled
             with self._lock:
                 self._idle.append(worker)
             raise
@@ -97,7 +101,7 @@ class _Worker:
     def __init__(self) -> None:
         self._ready = False
         self.failed = False
-        """It ended before it was ready."""
+        """Whether the process ended before it was ready."""
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-c", BOOT, json.dumps([str(path) for path in sys.path])],
@@ -107,7 +111,7 @@ class _Worker:
             raise NoWorker(f"no worker process can be started: {error}; use processes = 1") from error
 
     def tell(self, message: Any) -> None:
-        """Send a message; a worker that has died is found out when its answer is awaited."""
+        """Send a message; a dead worker is detected only when its answer is read."""
         assert self._process.stdin is not None
         data = pickle.dumps(message)
         with suppress(OSError):
@@ -115,17 +119,17 @@ class _Worker:
             self._process.stdin.flush()
 
     def hear(self) -> Any:
-        """Wait for an answer."""
+        """Wait for an answer and return it; raise :class:`WorkerDied` if the worker has ended."""
         assert self._process.stdout is not None
         try:
             return pickle.load(self._process.stdout)
         except EOFError:
             raise WorkerDied(f"its process {self._end()}") from None
-        except Exception as error:  # the answer itself cannot be read
+        except Exception as error:  # the answer cannot be unpickled
             raise WorkerDied(f"its process failed: {type(error).__name__}: {error}") from error
 
     def wait_until_ready(self) -> None:
-        """Wait until the worker has imported what it needs."""
+        """Wait until the worker process has imported its modules."""
         if not self._ready:
             self._ready = self.hear() == READY
 
@@ -138,7 +142,7 @@ class _Worker:
         return f"was killed by {name}" + ("; the memory may be full: use fewer processes" if name == "SIGKILL" else "")
 
     def end(self) -> None:
-        """Close the pipe that the worker listens to, which ends it."""
+        """Close the pipe that the worker reads from; the worker then ends."""
         assert self._process.stdin is not None and self._process.stdout is not None
         with suppress(OSError):
             self._process.stdin.close()
@@ -147,11 +151,11 @@ class _Worker:
 
 
 def serve() -> None:
-    """Run the jobs that come on standard input, and answer on standard output, until the parent has gone."""
+    """Run the jobs that arrive on standard input and write the answers to standard output, until the parent ends."""
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # whatever is printed must not get among the answers
+    os.dup2(2, 1)  # printed text must not mix with the answers
     warn_in_one_line()
-    warnings.simplefilter("ignore", PlausibilityWarning)  # the parent has given them
+    warnings.simplefilter("ignore", PlausibilityWarning)  # the parent has issued these warnings already
     inbox: queue.Queue[Any] = queue.Queue()
     stop = threading.Event()
     threading.Thread(target=_listen, args=(inbox, stop), daemon=True).start()
@@ -161,7 +165,7 @@ def serve() -> None:
 
 
 def _listen(inbox: queue.Queue[Any], stop: threading.Event) -> None:
-    """Take messages; at their end the parent is gone, whatever it died of, and nobody is left to run cases for."""
+    """Receive messages until the pipe closes, then end the process, because the parent process has ended."""
     with open(0, "rb", closefd=False) as messages:
         while True:
             try:
@@ -177,14 +181,14 @@ def _listen(inbox: queue.Queue[Any], stop: threading.Event) -> None:
 def _answer(answers: Any, message: Any) -> None:
     try:
         data = pickle.dumps(message)
-    except Exception:  # an error with contents that no pickle holds
+    except Exception:  # the answer is an exception that cannot be pickled
         data = pickle.dumps(WarpcreteError(f"{type(message).__name__}: {message}"))
     answers.write(data)
     answers.flush()
 
 
 def _outcome(function: tuple[str, str], arguments: tuple[Any, ...], asked: Callable[[], bool]) -> Any:
-    """Return what a function of a module returns, or the exception that it raises."""
+    """Return the result of a function, named by its module and name, or the exception that it raises."""
     try:
         return getattr(importlib.import_module(function[0]), function[1])(*arguments, asked)
     except Exception as error:

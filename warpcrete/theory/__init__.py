@@ -1,1 +1,1 @@
-"""Closed forms: pipes, vessels and heaps, suspensions; of fluids, whatever method computes them."""
+"""Closed-form solutions for pipe flow, test vessels, heaps and suspensions, independent of any simulation method."""

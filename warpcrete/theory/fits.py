@@ -1,4 +1,4 @@
-"""Straight lines through measured points, and how well they hold."""
+"""Straight lines fitted to measured points, with the standard errors of their coefficients."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ import numpy as np
 
 @dataclass(frozen=True)
 class StraightLine:
-    """y = offset + slope x, by least squares."""
+    """Straight line y = offset + slope x, fitted by least squares."""
 
     slope: float
     offset: float
     slope_error: float
-    """Standard error; NaN where there are two points, which a line always meets."""
+    """Standard error of the slope; NaN for two points, through which a line always passes."""
     offset_error: float
 
 
 def straight_line(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray) -> StraightLine:
-    """Through two points or more, at different x."""
+    """Fit a straight line by least squares through two or more points at different x."""
     x, y = np.asarray(x, float), np.asarray(y, float)
     slope, offset = np.polyfit(x, y, 1)
     if len(x) < 3:

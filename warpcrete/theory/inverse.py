@@ -1,5 +1,6 @@
-"""From tests of fresh concrete back to its yield stress and viscosity: the closed forms of slump and spread, inverted,
-and what T500 tells; all of the cone of EN 12350-2.
+"""Yield stress and viscosity of fresh concrete, estimated from its slump, its spread and T500.
+
+Slump and spread invert the closed forms of :mod:`.vessels`. All formulas are for the cone of EN 12350-2.
 """
 
 from __future__ import annotations
@@ -11,52 +12,69 @@ import numpy as np
 from .vessels import cone_volume, heap_volume, root, tall_cone_slump
 
 TOP, BASE, HEIGHT = 0.05, 0.10, 0.30
-"""Radii and height of the cone of EN 12350-2 [m]."""
+"""Top radius, base radius and height of the cone of EN 12350-2 [m]."""
 VOLUME = cone_volume(TOP, BASE, HEIGHT)
 STIFFEST = 1e4
-"""Yield stress above any that such a cone tells of [Pa]: it bears itself from 2.4 kPa on."""
+"""Upper bound of the yield stresses that are searched [Pa]; from 2.4 kPa on the cone does not slump at all."""
 GRAVITY = 9.81
 
 SPREADS = (0.500, 0.527, 0.562, 0.611, 0.694, 0.808, 1.132)
 T500_FACTORS = (3.53e-4, 5.58e-4, 7.57e-4, 9.39e-4, 11.34e-4, 12.11e-4, 12.56e-4)
-"""Viscosity over rho g T500 [m], by the spread at rest [m] that :func:`warpcrete.theory.vessels.heap_at_rest` has.
+"""Viscosity over rho g T500 [m], by the spread at rest [m] of :func:`warpcrete.theory.vessels.heap_at_rest`.
 
-Measured with this program's own flow: `warpcrete run slump`, 300 Pa s, 2300 kg/m3, yield stresses of 80, 65, 50, 35,
-20, 10 and 2 Pa, cells of 10 mm, the mould lifted in 1 s. Without yield stress a viscous heap (Huppert 1982, about an
-axis: 0.894 (rho g V^3 t / (3 mu))^(1/8)) has 14.8e-4. With 30 Pa s, where inertia and the lift count, 50 Pa comes to
-8.7e-4 if the mould is lifted in 1 s, and to 5.9e-4 in 3 s.
+The factors were measured with this program's own flow: `warpcrete run slump` with 300 Pa s, 2300 kg/m3, yield stresses
+of 80, 65, 50, 35, 20, 10 and 2 Pa, cells of 10 mm, and a mould lifted in 1 s. For comparison, a viscous heap without
+yield stress has 14.8e-4 m (Huppert 1982, about an axis: radius 0.894 (rho g V^3 t / (3 mu))^(1/8)). At 30 Pa s inertia
+and the lift matter: with a yield stress of 50 Pa the factor is 8.7e-4 m for a lift in 1 s and 5.9e-4 m in 3 s.
 """
 
 
 def yield_of_long_heap(spread: float, density: float) -> float:
-    """Yield stress [Pa] of a heap of this diameter [m]: 225 rho g V^2 / (128 pi^2 R^5) (Roussel & Coussot 2005)."""
+    """Return the yield stress [Pa] of a long heap of diameter `spread` [m] (Roussel & Coussot 2005).
+
+    The formula is 225 rho g V^2 / (128 pi^2 R^5), with the radius R and the volume V of the cone.
+    """
     return 225 * density * GRAVITY * VOLUME**2 / (128 * math.pi**2 * (spread / 2) ** 5)
 
 
 def yield_of_heap(spread: float, density: float) -> float:
-    """The same of a heap that resists its stretch as well (:func:`warpcrete.theory.vessels.heap_at_rest`) [Pa]."""
+    """Return the yield stress [Pa] of a heap of diameter `spread` [m] that also resists being stretched.
+
+    The theory is that of :func:`warpcrete.theory.vessels.heap_at_rest`.
+    """
     return root(lambda stress: heap_volume(spread / 2, stress, density) - VOLUME, 0.0, STIFFEST)
 
 
 def yield_of_slump(slump: float, density: float, bears: float = math.sqrt(3)) -> float:
-    """Yield stress [Pa] at which the cone slumps so far [m], by :func:`warpcrete.theory.vessels.tall_cone_slump`."""
+    """Return the yield stress [Pa] at which the cone slumps by `slump` [m].
+
+    The theory is that of :func:`warpcrete.theory.vessels.tall_cone_slump`; each layer bears a pressure of `bears` yield
+    stresses.
+    """
     return root(lambda stress: slump - tall_cone_slump(TOP, BASE, HEIGHT, stress, density, bears=bears), 0.0, STIFFEST)
 
 
 def yield_of_slump_measured(slump: float, density: float) -> float:
-    """Yield stress [Pa] by rho (30 cm - slump) / 34.7 + 212, what the rheometer BTRHEOM had of some 80 mixes, with a
-    mean deviation of 162 Pa (Ferraris & de Larrard 1998); Hu has rho (30 cm - slump) / 27 by finite elements.
+    """Return the yield stress [Pa] for a `slump` [m], by the empirical relation of Ferraris & de Larrard (1998).
+
+    The relation, rho (30 cm - slump) / 34.7 + 212, describes measurements with the rheometer BTRHEOM on some 80 mixes,
+    with a mean deviation of 162 Pa. Hu's relation, from finite elements, is rho (30 cm - slump) / 27.
     """
     return density * (30 - 100 * slump) / 34.7 + 212
 
 
 def viscosity_of_t500(t500: float, spread: float, density: float) -> float:
-    """Plastic viscosity [Pa s] from the time to 500 mm [s] and the spread at rest [m], by :data:`T500_FACTORS`."""
+    """Return the plastic viscosity [Pa s] from T500 [s] and the spread at rest [m], by :data:`T500_FACTORS`.
+
+    T500 is the time until the spread reaches 500 mm.
+    """
     return density * GRAVITY * t500 * float(np.interp(spread, SPREADS, T500_FACTORS))
 
 
 def viscosity_of_t500_sedran(t500: float, spread: float, density: float) -> float:
-    """The same by rho g T500 (0.026 spread - 2.39) / 10,000, spread in mm: a relation ascribed to Sedran & de Larrard
-    (1999), who had it beside the rheometer BTRHEOM; their paper was not seen.
+    """Return the plastic viscosity [Pa s] from T500 [s] and the spread at rest [m], by an empirical relation.
+
+    The relation, rho g T500 (0.026 spread - 2.39) / 10,000 with the spread in mm, is ascribed to Sedran & de Larrard
+    (1999), who compared T500 with the rheometer BTRHEOM. Their paper itself was not available.
     """
     return density * GRAVITY * t500 * max(0.026 * 1e3 * spread - 2.39, 0.0) / 1e4

@@ -1,14 +1,16 @@
-"""Steady flow of a Bingham fluid with a slip layer through a pipe: pressure, flow, velocity profile.
+"""Steady flow of a Bingham fluid with a slip layer through a pipe: pressure, flow rate and velocity profile.
 
-Three forms of the same theory, each a law of flow and a balance of forces:
+The theory comes in three forms. Each form combines a flow law with a balance of forces:
 
-- `pipe`: round pipe; Buckingham and Reiner's flow with slip (Xu, Li & Jiang 2021, Eq. 12), P = rho g L + 2 tau_w L / R;
-- `plane`: channel between planes 2 R apart, as two-dimensional simulations have it, P = rho g L + tau_w L / R; its flow
-  is the mean velocity times pi R^2, the paper's convention;
-- `paper`: what the paper prints for two dimensions (Eqs. 23-26): the round pipe's flow with the channel's balance. It
-  agrees with neither; kept to compare with the paper's figures.
+- `pipe`: round pipe. The flow law is Buckingham-Reiner with slip (Xu, Li & Jiang 2021, Eq. 12), and the pressure is P =
+  rho g L + 2 tau_w L / R.
+- `plane`: channel between planes 2 R apart, which two-dimensional simulations represent. The pressure is P = rho g L +
+  tau_w L / R. The flow rate is the mean velocity times pi R^2, which is the paper's convention.
+- `paper`: the equations that the paper prints for two dimensions (Eqs. 23-26). They pair the flow law of the round pipe
+  with the force balance of the channel. This form agrees with neither of the others and only serves comparison with the
+  paper's figures.
 
-The slip layer obeys tau = tau_L0 + eta_L V_L (Eq. 8). Bulk concrete fills the radius less the layer's thickness.
+The slip layer obeys tau = tau_L0 + eta_L V_L (Eq. 8). The bulk concrete fills the radius less the layer's thickness.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ FORMS = ("pipe", "plane", "paper")
 
 @dataclass(frozen=True, kw_only=True)
 class Concrete(Declared):
-    """A Bingham fluid and its slip layer."""
+    """Bingham fluid with a slip layer at the wall."""
 
     name: str = "concrete"
     density: Annotated[float, "Density [kg/m3]", Above()]
@@ -47,26 +49,29 @@ class Concrete(Declared):
 
 
 CONCRETES = {name: Concrete(name=name, **concrete(name).flow) for name in ("no1", "no2", "no3")}
-"""Xu, Li & Jiang 2021, Tables 1 to 3 (slip layer of no thickness); slumps 13, 18 and 22 cm."""
+"""Concretes of Xu, Li & Jiang 2021, Tables 1 to 3, with a slip layer of zero thickness; slumps 13, 18 and 22 cm."""
 
 THICKER_LAYERS = {
     "no1": {2e-3: 889.0, 4e-3: 885.0, 6e-3: 882.0},
     "no2": {2e-3: 839.0, 4e-3: 834.0, 6e-3: 831.0},
     "no3": {2e-3: 914.0, 4e-3: 908.0, 6e-3: 902.0},
 }
-"""eta_L [Pa s/m] for slip layers of some thickness [m] (Table 3); tau_L0 is that of no thickness."""
+"""Slip viscosity eta_L [Pa s/m] by layer thickness [m] (Xu et al. 2021, Table 3).
+
+The slip yield stress tau_L0 does not depend on the thickness.
+"""
 
 MIXES = {
     "no1": dict(cement=323, sand=912, gravel=946, water=171, superplasticizer=0.808, viscosity_modifier=0.646),
     "no2": dict(cement=338, sand=890, gravel=936, water=179, superplasticizer=0.845, viscosity_modifier=0.676),
     "no3": dict(cement=360, sand=872, gravel=913, water=191, superplasticizer=0.900, viscosity_modifier=0.720),
 }
-"""Their proportions (Table 1): kg/m3, the last two in % of cement."""
+"""Proportions of the three mixes [kg/m3]; the last two are in % of the cement (Xu et al. 2021, Table 1)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Line(Declared):
-    """A stretch of straight pipe."""
+    """Stretch of straight pipe."""
 
     radius: Annotated[float, "Radius R [m]; half the distance of the planes in the form `plane`", Above()] = 0.05
     length: Annotated[float, "Length L [m]", Above()] = 0.3
@@ -81,28 +86,33 @@ class Line(Declared):
 
 @dataclass(frozen=True)
 class Steady:
-    """A steady state."""
+    """Steady state of a pipe flow."""
 
     form: str
     flow: float
-    """Q [m3/s]"""
+    """Volume flow Q [m3/s]."""
     pressure: float
-    """At the lower end [Pa]."""
+    """Pressure at the lower end [Pa]."""
     wall_stress: float
-    """tau_w [Pa]"""
+    """Shear stress tau_w at the wall [Pa]."""
     slip_velocity: float
-    """V_L [m/s]"""
+    """Slip velocity V_L at the wall [m/s]."""
     plug_radius: float
-    """Within which nothing is sheared [m]."""
+    """Radius of the plug, inside which nothing is sheared [m]."""
 
 
 def _bulk(concrete: Concrete, line: Line, stress, form: str):
-    """Mean velocity that shear in the bulk adds, over the whole section [m/s]; `stress` at the wall [Pa]."""
+    """Return the mean velocity that shear of the bulk adds [m/s], averaged over the whole section.
+
+    `stress` is the shear stress tau at the wall [Pa], a number or an array. With x = yield stress / tau the velocity is
+    R tau / (4 mu_b) (1 - 4 x / 3 + x^4 / 3) in a pipe and R tau / (3 mu_b) (1 - 3 x / 2 + x^3 / 2) in a channel.
+    """
     inner = line.radius - line.slip_thickness
     own = np.asarray(stress, float) * inner / line.radius
     with np.errstate(divide="ignore"):
         x = np.where(own > concrete.yield_stress, concrete.yield_stress / np.where(own > 0, own, 1.0), 1.0)
-    # Near x = 1 the polynomials are differences of nearly equal numbers: in their factored forms nothing cancels.
+    # If the yield stress nearly equals the wall stress (x = 1), the expanded polynomials of x subtract nearly equal
+    # numbers. The factored forms avoid this cancellation.
     rest = (1 - x) ** 2
     if form == "plane":
         return inner / line.radius * inner * own / (3 * concrete.viscosity) * rest * (1 + 0.5 * x)
@@ -111,12 +121,12 @@ def _bulk(concrete: Concrete, line: Line, stress, form: str):
 
 
 def least_stress(concrete: Concrete, line: Line) -> float:
-    """Wall stress above which something flows [Pa]: the layer slips, or the bulk is sheared before it does."""
+    """Return the wall stress [Pa] above which concrete flows, by slip of the layer or by shear of the bulk."""
     return min(concrete.slip_yield, concrete.yield_stress * line.radius / (line.radius - line.slip_thickness))
 
 
 def steady_of_stress(concrete: Concrete, line: Line, stress: float, form: str = "pipe") -> Steady:
-    """The state in which the wall bears `stress` [Pa]; up to `least_stress` nothing moves."""
+    """Return the steady state at a wall `stress` [Pa]; up to `least_stress` nothing moves."""
     one_of("form", form, FORMS)
     between("stress", stress, 0, np.inf, "[Pa]")
     slip = max(stress - concrete.slip_yield, 0.0) / concrete.slip_viscosity
@@ -130,9 +140,9 @@ def steady_of_stress(concrete: Concrete, line: Line, stress: float, form: str = 
 
 @functools.lru_cache(maxsize=1024)
 def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> Steady:
-    """The state at a flow of `flow` [m3/s]; its pressure is what a pump must give.
+    """Return the steady state at a volume `flow` [m3/s]; its pressure is what a pump must deliver.
 
-    At rest the wall may bear any stress up to `least_stress`: the answer for no flow is that limit.
+    At rest the wall may bear any stress up to `least_stress`. The result for zero flow has exactly that limit.
     """
     between("flow", flow, 0, np.inf, "[m3/s]")
     low = least_stress(concrete, line)
@@ -141,7 +151,7 @@ def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> S
         high *= 2
         if high > 1e30:
             refuse("flow", flow, "needs a wall stress beyond the range of numbers")
-    for _ in range(200):  # until there is no number between
+    for _ in range(200):  # bisection, until no floating-point number lies between the bounds
         middle = 0.5 * (low + high)
         if not low < middle < high:
             break
@@ -153,11 +163,11 @@ def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> S
 
 
 def rested(concrete: Concrete, rest: float, thixotropy: float) -> Concrete:
-    """The concrete after `rest` [s]: yield stresses of bulk and slip layer have grown by A_thix t (Roussel 2006).
+    """Return the concrete after `rest` [s], when the yield stresses of bulk and slip layer have grown by A_thix t.
 
-    A_thix, `thixotropy` [Pa/s], is below 0.1 for a concrete that hardly stiffens and above 0.5 for one that stiffens
-    strongly (his classes). It was measured on concrete; that the layer grows as fast is an assumption. The law is
-    linear for some tens of minutes at most.
+    The linear growth is Roussel's (2006) and holds for some tens of minutes at most. In his classes A_thix, the
+    `thixotropy` [Pa/s], is below 0.1 for a concrete that hardly stiffens and above 0.5 for one that stiffens strongly.
+    The constant was measured on bulk concrete; the same growth of the slip layer is an assumption.
     """
     between("rest", rest, 0, np.inf, "s")
     between("thixotropy", thixotropy, 0, np.inf, "Pa/s")
@@ -168,17 +178,21 @@ def rested(concrete: Concrete, rest: float, thixotropy: float) -> Concrete:
 def restart(
     concrete: Concrete, line: Line, rest: float, thixotropy: float, flow: float = 0.0, form: str = "pipe"
 ) -> Steady:
-    """The :class:`Steady` state that concrete which has stood is in as it starts to move, its structure still whole.
+    """Return the :class:`Steady` state in which concrete starts to move after a rest, its structure still whole.
 
-    With no flow that is the limit below which nothing moves: a plug of length L in a round pipe of diameter d takes
+    With zero `flow` this is the limit below which nothing moves: a plug of length L in a round pipe of diameter d needs
     rho g H + 4 (tau_L0 + A_thix t) L / d, as long as its layer bears less than its bulk. A piston that starts at once
-    with `flow` [m3/s] drags the layer as well. Either pressure falls to the steady one as shear breaks the structure.
+    with a `flow` [m3/s] must drag the layer as well. In both cases the pressure falls to the steady value as shear
+    breaks the structure.
     """
     return steady(rested(concrete, rest, thixotropy), line, flow, form)
 
 
 def restart_table(concrete: Concrete, line: Line, rest: float, thixotropy: float, flow: float) -> str:
-    """What a restart after `rest` [s] takes by every form, beside the steady pressure at `flow` [m3/s]; text."""
+    """Return a text table of the restart pressures after `rest` [s], one row for each form of the theory.
+
+    Each row also relates the peak pressure at `flow` [m3/s] to the steady pressure at that flow.
+    """
     grown = rested(concrete, rest, thixotropy)
     lines = [
         f"after {rest:g} s at rest with a growth rate of {thixotropy:g} Pa/s: yield stress {grown.yield_stress:g} Pa; "
@@ -195,7 +209,10 @@ def restart_table(concrete: Concrete, line: Line, rest: float, thixotropy: float
 
 
 def flow_of_pressure(concrete: Concrete, line: Line, pressure: float, form: str = "pipe") -> Steady:
-    """The state that `pressure` [Pa] at the lower end drives. Raises :class:`SceneError` where nothing flows."""
+    """Return the steady state that a `pressure` [Pa] at the lower end drives.
+
+    Raises :class:`SceneError` if nothing flows at this pressure.
+    """
     one_of("form", form, FORMS)
     weight = concrete.density * line.gravity * line.rise * line.length
     ways = 2 if form == "pipe" else 1
@@ -210,9 +227,10 @@ def flow_of_pressure(concrete: Concrete, line: Line, pressure: float, form: str 
 
 
 def velocity(concrete: Concrete, line: Line, state: Steady, radius: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Velocity [m/s] at distances `radius` [m] from the axis or middle plane, inside the bulk.
+    """Return the velocity [m/s] at distances `radius` [m] from the axis or middle plane.
 
-    The same parabola in pipe and channel: shear stress grows linearly from the middle in both.
+    Pipe and channel share this parabola, because in both the shear stress grows linearly from the middle. Raises
+    :class:`SceneError` for places outside the bulk.
     """
     r = np.abs(np.asarray(radius, float))
     inner = line.radius - line.slip_thickness
@@ -225,8 +243,11 @@ def velocity(concrete: Concrete, line: Line, state: Steady, radius: Sequence[flo
 
 
 def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:
-    """Kaplan's two regimes (Kaplan, de Larrard & Sedran 2005): slip alone while the wall bears less than the yield
-    stress of the bulk, then slip and shear, with x^4 of Buckingham and Reiner's law left out. Round pipe, thin layer.
+    """Return the steady state of Kaplan's two-regime model of a round pipe with a thin slip layer.
+
+    While the wall bears less than the bulk's yield stress, the concrete slips as a plug. Above that it slips and
+    shears; the x^4 term of the Buckingham-Reiner law, with x = yield stress / wall stress, is left out (Kaplan, de
+    Larrard & Sedran 2005).
     """
     between("flow", flow, 0, np.inf, "[m3/s]")
     mean, radius = flow / (np.pi * line.radius**2), line.radius
@@ -237,7 +258,7 @@ def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:
         slip = (mean - drag * concrete.slip_yield + radius / (3 * concrete.viscosity) * concrete.yield_stress) / (
             1 + drag * concrete.slip_viscosity
         )
-        # Between the yield stress and where the linearised bulk begins to flow, slip is all there is.
+        # Just above the yield stress the linearised law gives a negative shear flow. There the concrete only slips.
         if mean > slip:
             stress = concrete.slip_yield + concrete.slip_viscosity * slip
         else:
@@ -250,19 +271,22 @@ def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:
 def slip_constants(
     concrete: Concrete, line: Line, flows: Sequence[float], pressures: Sequence[float]
 ) -> tuple[float, float]:
-    """eta_L [Pa s/m] and tau_L0 [Pa] from flows [m3/s] and pressures [Pa] measured in a round pipe (Eq. 12).
+    """Return eta_L [Pa s/m] and tau_L0 [Pa], fitted to flows [m3/s] and pressures [Pa] of a round pipe (Xu, Eq. 12).
 
-    What the bulk's shear gives of each flow is taken off; a straight line goes through the rest. `concrete` gives
-    viscosity, yield stress and density, `line` the layer's thickness; Table 3 follows from the constants of no
-    thickness in this way.
+    The part of each flow that shear of the bulk contributes is subtracted; a straight line of wall stress over slip
+    velocity is fitted to the rest. `concrete` supplies viscosity, yield stress and density, `line` the layer's
+    thickness. The paper's Table 3 follows in this way from the constants of zero thickness. Raises :class:`SceneError`
+    for fewer than two different flows.
     """
     found = _slip_line(concrete, line, flows, pressures)
     return found.slope, found.offset
 
 
 def measured_layer(concrete: Concrete, line: Line, flows: Sequence[float], pressures: Sequence[float]) -> StraightLine:
-    """The same with standard errors, for a layer that there can be. Raises :class:`SceneError` for points that ask for
-    another.
+    """Return the line of :func:`slip_constants` with its standard errors.
+
+    Raises :class:`SceneError` if the points imply an impossible layer: a viscosity that is not positive or a negative
+    yield stress.
     """
     found = _slip_line(concrete, line, flows, pressures)
     if found.slope <= 0 or found.offset < 0:
@@ -275,7 +299,7 @@ def measured_layer(concrete: Concrete, line: Line, flows: Sequence[float], press
 
 
 def _slip_line(concrete: Concrete, line: Line, flows: Sequence[float], pressures: Sequence[float]) -> StraightLine:
-    """Stress of the wall over slip velocity."""
+    """Fit a straight line of wall stress [Pa] over slip velocity [m/s] to measured flows and pressures."""
     q, p = np.asarray(flows, float), np.asarray(pressures, float)
     if q.shape != p.shape or q.ndim != 1 or len(q) < 2 or np.ptp(q) == 0:
         refuse("flows", q.tolist(), "must be two or more different flows, with a pressure for each")
@@ -286,9 +310,10 @@ def _slip_line(concrete: Concrete, line: Line, flows: Sequence[float], pressures
 
 
 def table(concrete: Concrete, line: Line, flows: Sequence[float] = (), pressures: Sequence[float] = ()) -> str:
-    """Pressure and slip velocity at given flows, or flow at given pressures, by every form and by Kaplan; text.
+    """Return a text table of pressure and slip velocity at `flows` [m3/s], or of the flow at `pressures` [Pa].
 
-    A form in which a pressure moves nothing says so in its line; :class:`SceneError` where none flows.
+    Each form of the theory has a row; at given flows Kaplan's model has one more. A form in which the pressure moves
+    nothing says so in its row. Raises :class:`SceneError` if nothing flows in any form.
     """
     lines = [
         f"{concrete.name}: density {concrete.density:g} kg/m3, viscosity {concrete.viscosity:g} Pa s, yield stress "

@@ -1,8 +1,9 @@
-"""Steady flow through a pipe whose aggregate has left the wall, or gathered there: a Bingham fluid of two zones.
+"""Steady pipe flow of concrete whose share of aggregate differs between the axis and the wall.
 
-Each zone, the inner and the outer half of the radius, is the concrete as it would be with the zone's own share of
-aggregate (:func:`~warpcrete.theory.suspension.thickening`); the slip layer is what it was. Between zones shear stress
-and velocity are continuous, so what they shear adds up in closed form.
+The concrete is a Bingham fluid of two zones, the inner and the outer half of the radius. Each zone has the viscosity
+and yield stress of the concrete with the zone's own share of aggregate
+(:func:`~warpcrete.theory.suspension.thickening`); the slip layer is unchanged. Shear stress and velocity are continuous
+between the zones, so their contributions to the flow add up in closed form.
 """
 
 from __future__ import annotations
@@ -17,21 +18,23 @@ from .pipe import Concrete, Line, Steady
 from .suspension import SUSPENSIONS, thickening
 
 STEPS = 200
-"""Bisections: until there is no number between."""
+"""Maximum number of bisections; the search ends earlier when no number lies between its bounds."""
 
 
 @dataclass(frozen=True)
 class Segregated:
-    """Concrete in a pipe, its aggregate not as much at the wall as about the axis."""
+    """Concrete in a pipe whose aggregate is unevenly shared between the region at the wall and that about the axis."""
 
     concrete: Concrete
-    """Where the aggregate is even."""
+    """Concrete with its aggregate evenly distributed."""
     line: Line
     fraction: float
-    """Of the volume, that is aggregate."""
+    """Volume fraction of aggregate."""
     index: float
-    """Share of aggregate in the outer half of the radius less that in the inner half, over the mean: what runs tell as
-    `segregation`."""
+    """Segregation index: share in the outer half of the radius minus share in the inner half, over the mean share.
+
+    Simulation runs report this index as `segregation`.
+    """
 
     def __post_init__(self) -> None:
         densest = SUSPENSIONS["spheres"][1]
@@ -48,12 +51,12 @@ class Segregated:
 
     @property
     def shares(self) -> tuple[float, float]:
-        """Of aggregate in the inner and the outer half of the radius; a quarter of the section is in the inner."""
+        """Shares of aggregate in the inner and outer half of the radius; the inner half has a quarter of the area."""
         return self.fraction * (1 - 0.75 * self.index), self.fraction * (1 + 0.25 * self.index)
 
     @property
     def zones(self) -> tuple[Concrete, Concrete]:
-        """The concrete of the inner and of the outer half."""
+        """Concretes of the inner and the outer half of the radius."""
         even = thickening(self.fraction, *SUSPENSIONS["spheres"])
         found = []
         for share in self.shares:
@@ -63,7 +66,7 @@ class Segregated:
         return found[0], found[1]
 
     def of_stress(self, stress: float) -> Steady:
-        """The state in which the wall bears `stress` [Pa]."""
+        """Return the steady state at a wall `stress` [Pa]."""
         between("stress", stress, 0, np.inf, "[Pa]")
         concrete, line = self.concrete, self.line
         slip = max(stress - concrete.slip_yield, 0.0) / concrete.slip_viscosity
@@ -72,7 +75,8 @@ class Segregated:
         for zone, low, high in zip(self.zones, (0.0, border), (border, edge), strict=True):
             begin = max(low, line.radius * zone.yield_stress / stress) if stress > 0 else high
             if begin < high:
-                # The integral of pi r^2 times the shear rate, (stress r / R - yield stress) / viscosity.
+                # The flow by shear is the integral of pi r^2 times the shear rate. The shear rate is
+                # (stress r / R - yield stress) / viscosity.
                 rise = stress / line.radius * (high**4 - begin**4) / 4 - zone.yield_stress * (high**3 - begin**3) / 3
                 flow += np.pi / zone.viscosity * rise
                 plug = min(plug, begin)
@@ -81,7 +85,7 @@ class Segregated:
         return Steady("pipe", float(flow), pressure, stress, slip, min(plug, edge))
 
     def steady(self, flow: float) -> Steady:
-        """The state at a flow [m3/s]; its pressure is what a pump must give."""
+        """Return the steady state at a volume `flow` [m3/s]; its pressure is what a pump must deliver."""
         between("flow", flow, 0, np.inf, "[m3/s]")
         low, high = 0.0, 1.0
         while self.of_stress(high).flow <= flow:
@@ -99,7 +103,7 @@ class Segregated:
 def segregation_table(
     concrete: Concrete, line: Line, fraction: float, indices: Sequence[float], flows: Sequence[float]
 ) -> str:
-    """What a pump must give at `flows` [m3/s] where a `fraction` of aggregate is apart by `indices`; text."""
+    """Return a text table of pump pressures by flow [m3/s] and segregation index, for one `fraction` of aggregate."""
     lines = [
         f"fraction of aggregate {fraction:g}; segregation is the fraction in the outer half of the radius minus that "
         "in the inner half, over the mean",

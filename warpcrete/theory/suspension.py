@@ -1,4 +1,4 @@
-"""Coarse aggregate in mortar: what the one makes of the other, and what is left of a concrete without it."""
+"""Coarse aggregate in mortar: how it thickens the mortar, and which mortar a given concrete contains."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from ..core.errors import between, one_of
 from .pipe import Concrete
 
 SUSPENSIONS = {"spheres": (2.5, 0.60), "discs": (2.0, 0.82)}
-"""Intrinsic viscosity and densest random packing of rigid inclusions: in three dimensions, and in two."""
+"""Intrinsic viscosity and densest random packing of rigid inclusions: spheres in three dimensions, discs in two."""
 
 
 def thickening(fraction: float, intrinsic: float, densest: float) -> tuple[float, float]:
-    """How many times the viscosity and the yield stress of a mortar its mix has with a `fraction` of coarse aggregate.
+    """Return the factors by which a volume `fraction` of coarse aggregate raises a mortar's viscosity and yield stress.
 
-    Krieger & Dougherty for the viscosity, f = (1 - fraction / densest)^(-intrinsic densest), and Chateau, Ovarlez &
-    Trung (2008) for the yield stress, the root of (1 - fraction) f.
+    The viscosity factor is Krieger & Dougherty's, f = (1 - fraction / densest)^(-intrinsic densest), with the intrinsic
+    viscosity and the densest packing. The yield stress factor is sqrt((1 - fraction) f) (Chateau, Ovarlez & Trung
+    2008).
     """
     between("aggregate fraction", fraction, 0, np.nextafter(densest, 0), "", "use less than the densest packing")
     factor = (1 - fraction / densest) ** (-intrinsic * densest)
@@ -23,10 +24,11 @@ def thickening(fraction: float, intrinsic: float, densest: float) -> tuple[float
 
 
 def mortar_of(concrete: Concrete, fraction: float, density: float, inclusions: str = "spheres") -> Concrete:
-    """Mortar whose mix with a `fraction` of coarse aggregate of `density` gives `concrete`, by :func:`thickening`;
-    `inclusions` names the constants in :data:`SUSPENSIONS`.
+    """Return the mortar that becomes `concrete` when a volume `fraction` of coarse aggregate is added.
 
-    An assumption: Xu, Li & Jiang 2021 measured their mortars and do not print them.
+    The relation is :func:`thickening` with the constants of `inclusions` in :data:`SUSPENSIONS`; `density` is that of
+    the aggregate [kg/m3]. The relation is an assumption: Xu, Li & Jiang 2021 measured their mortars but do not print
+    the values.
     """
     one_of("inclusions", inclusions, SUSPENSIONS)
     viscosity, yield_stress = thickening(fraction, *SUSPENSIONS[inclusions])

@@ -1,11 +1,13 @@
 """Closed forms and estimates of standard tests: slump, spread, L-box, V-funnel.
 
-A long heap rests where the weight of its slope is borne by the plate (Roussel & Coussot 2005), and sooner, by the next
-order of shallow theory, as it resists its stretch too (in a plane Dubash, Balmforth, Slim & Cochard 2009; about an axis
-here); a tall one where each layer has grown wide enough to bear what is above it (Murata 1984; for cones Schowalter &
-Christensen 1998). Murata's concrete yields where the largest shear stress is the yield stress, half of what presses
-(Tresca); a Bingham fluid in three dimensions does where the invariant of all stresses is (von Mises), at the root of a
-third of it.
+A long heap comes to rest where the yield stress on the plate balances the outward pressure of its slope (Roussel &
+Coussot 2005). The next order of shallow theory adds the heap's resistance to being stretched, so the heap stops earlier
+(Dubash, Balmforth, Slim & Cochard 2009 in a plane; here also about an axis). A tall heap rests where each layer has
+grown wide enough to bear the weight above it (Murata 1984; for cones Schowalter & Christensen 1998).
+
+Murata's concrete yields where the largest shear stress, half of the vertical pressure, reaches the yield stress
+(Tresca). A Bingham fluid in three dimensions yields by the invariant of all stresses (von Mises), which is where the
+pressure over the square root of 3 reaches the yield stress.
 """
 
 from __future__ import annotations
@@ -16,39 +18,43 @@ from collections.abc import Callable
 import numpy as np
 
 LAYERS = 4000
-"""Into which a cone is cut for the sum over its height."""
+"""Number of slices in sums over the height of a cone or the radius of a heap."""
 SLICES, SLICES_FUNNEL, SPEEDS = 400, 60, 120
-"""Into which a box is cut along its length, and a funnel along its height; speeds that are tried for each level."""
+"""Slices of a box along its length, slices of a funnel along its height, and outlet speeds tried for each level."""
 
 
 def cone_volume(top: float, base: float, height: float) -> float:
-    """Of a truncated cone of these radii [m3]."""
+    """Return the volume [m3] of a truncated cone with radii `top` and `base` and a `height` [m]."""
     return math.pi * height / 3 * (top * top + top * base + base * base)
 
 
 def long_heap_spread(volume: float, yield_stress: float, density: float, gravity: float = 9.81) -> float:
-    """Diameter of a heap much wider than high [m]: tau = 225 rho g V^2 / (128 pi^2 R^5) (Roussel & Coussot 2005)."""
+    """Return the diameter [m] of a heap at rest that is much wider than high (Roussel & Coussot 2005).
+
+    The radius R follows from tau = 225 rho g V^2 / (128 pi^2 R^5), with the yield stress tau.
+    """
     return 2 * (225 * density * gravity * volume**2 / (128 * math.pi**2 * yield_stress)) ** 0.2
 
 
 HEAPS = {"plane": math.pi / 2, "axial": math.sqrt(3) * math.pi / 4}
-"""What resists the stretch of a heap that has just stopped, over yield stress and depth: normal stress along the slope
-less that across, on top of what weight makes of both, summed over the depth.
+"""Resistance of a heap to being stretched, in units of yield stress times depth, for the forms "plane" and "axial".
 
-Shear takes tau (1 - z / h) at the height z, the stretch what is left of the yield stress, the root of tau^2 - shear^2,
-whose mean over the depth is pi / 4 tau: twice that in a plane, where the normal stresses are s and -s; the root of 3 of
-it about the axis, where a heap that keeps its shape has s along the radius and around, -2 s upwards, and
-3 s^2 + shear^2 = tau^2.
+The resistance is the normal stress along the slope minus that across it, beyond what the weight causes, integrated over
+the depth. At height z, shear uses tau (1 - z / h) of the yield stress tau. The stretch takes the rest,
+sqrt(tau^2 - shear^2), whose mean over the depth is (pi / 4) tau. In a plane the normal stresses are s and -s, which
+doubles this mean. About an axis, a heap that keeps its shape has the stress s along the radius and around it, and -2 s
+upwards, with 3 s^2 + shear^2 = tau^2; this multiplies the mean by sqrt(3).
 """
 
 
 def heap_depth(
     inward: np.ndarray, yield_stress: float, density: float, gravity: float = 9.81, form: str = "axial"
 ) -> np.ndarray:
-    """Depth of a heap at rest at a distance inward from its front [m]: rho g h^2 / 2 = tau (inward + HEAPS h).
+    """Return the depth [m] of a heap at rest at distances `inward` from its front [m].
 
-    Weight presses outward, the plate holds with tau over the distance, the stretch with HEAPS tau on the section. The
-    long heap is that without the last. `form` is "plane" or "axial".
+    The depth h follows from rho g h^2 / 2 = tau (inward + HEAPS h). Weight presses outward, the plate holds back with
+    tau over the distance, and the stretch resists with HEAPS tau on the section. The long heap lacks the last term.
+    `form` is "plane" or "axial".
     """
     bears = yield_stress / (density * gravity)
     front = HEAPS[form] * bears
@@ -58,9 +64,10 @@ def heap_depth(
 def heap_at_rest(
     volume: float, yield_stress: float, density: float, gravity: float = 9.81, form: str = "axial"
 ) -> tuple[float, float]:
-    """Reach from the middle and depth there [m] of a wide heap that resists its stretch, inertia aside.
+    """Return the radius or half-width [m] and the central depth [m] of a wide heap that resists being stretched.
 
-    `volume` of the whole about an axis [m3], of one half by the metre in a plane [m2]. For heaps wider than high.
+    `volume` is that of the whole heap about an axis [m3], or of one half per metre of depth in a plane [m2]. The theory
+    leaves out inertia and holds for heaps wider than high.
     """
     widest = 1.0
     while heap_volume(widest, yield_stress, density, gravity, form) < volume:
@@ -70,15 +77,17 @@ def heap_at_rest(
 
 
 def heap_volume(reach: float, yield_stress: float, density: float, gravity: float = 9.81, form: str = "axial") -> float:
-    """What :func:`heap_at_rest` holds that reaches so far [m3, or m2 of one half in a plane]."""
+    """Return the volume of a heap at rest of radius `reach` [m]: all of it [m3], or one half in a plane [m2]."""
     place = (np.arange(LAYERS) + 0.5) * reach / LAYERS
     depth = heap_depth(reach - place, yield_stress, density, gravity, form)
     return float(np.sum(depth * (2 * math.pi * place if form == "axial" else 1.0)) * reach / LAYERS)
 
 
 def viscous_front(volume: float, viscosity: float, density: float, time: float, gravity: float = 9.81) -> float:
-    """How far a fluid without yield stress has come on a plate it sticks to [m], long after `volume` [m2] was let go:
-    1.411 (g V^3 / (3 nu))^(1/5) t^(1/5) (Huppert 1982), in a plane, to one side.
+    """Return how far a viscous fluid without yield stress has spread on a plate to one side [m] (Huppert 1982).
+
+    The solution for long times in a plane is 1.411 (g V^3 / (3 nu))^(1/5) t^(1/5), with the `volume` V released to this
+    side per metre of depth [m2] and the `time` t since then [s]. The fluid sticks to the plate.
     """
     return 1.411 * (density * gravity * volume**3 * time / (3 * viscosity)) ** 0.2
 
@@ -87,33 +96,35 @@ def tall_cone_slump(
     top: float, base: float, height: float, yield_stress: float, density: float, gravity: float = 9.81,
     bears: float = math.sqrt(3),
 ) -> float:  # fmt: skip
-    """Fall of the top of a truncated cone [m], each layer of which widens until it bears what is above it.
+    """Return the fall of the top of a truncated cone [m], each layer of which widens until it bears the weight above.
 
-    A layer bears a pressure of `bears` yield stresses: the root of 3 by von Mises, 2 by Tresca as Murata 1984 has it.
+    A layer bears a pressure of `bears` yield stresses: the square root of 3 by von Mises, 2 by Tresca as in Murata
+    (1984).
     """
     depth = (np.arange(LAYERS) + 0.5) * height / LAYERS
     radius = top + (base - top) * depth / height
     area = math.pi * radius**2
     load = density * gravity * math.pi * depth / 3 * (top * top + top * radius + radius * radius)
-    stays = np.minimum(1.0, bears * yield_stress * area / load)  # of the layer's height
+    stays = np.minimum(1.0, bears * yield_stress * area / load)  # fraction of the layer's height that remains
     return float(np.sum(1 - stays) * height / LAYERS)
 
 
 def box_at_rest(
     volume: float, length: float, width: float, yield_stress: float, density: float, gravity: float = 9.81
 ) -> tuple[float, float, float]:
-    """Depths at both ends of a box whose floor and sides concrete sticks to, and how far it has come [m].
+    """Return the depths of concrete at rest at both ends of a box [m], and how far it has flowed along the box [m].
 
-    What comes in at one end without inertia rests where floor and sides bear its slope: h' = tau (b + 2 h) / (rho g b
-    h), integrated from the far end, or from the front where it does not come so far (Nguyen, Roussel & Coussot 2006).
+    The concrete enters at one end without inertia and sticks to floor and sides. It rests where these bear its slope:
+    h' = tau (b + 2 h) / (rho g b h) (Nguyen, Roussel & Coussot 2006). The equation is integrated from the far end, or
+    from the front if the concrete does not reach the far end.
     """
     pull = yield_stress / (density * gravity)
 
     def filled(far: float, reach: float) -> tuple[float, float]:
-        """Volume, and depth at the near end."""
+        """Return the volume [m3] and the depth at the near end [m]."""
         step, depth, sum = reach / SLICES, far, 0.0
         for _ in range(SLICES):
-            # In h squared, whose slope is finite at a front.
+            # Integrate the square of the depth: its slope stays finite at a front, where the depth is zero.
             middle = math.sqrt(depth * depth + pull * step * (width + 2 * depth) / width)
             after = math.sqrt(depth * depth + 2 * pull * step * (width + 2 * middle) / width)
             sum += 0.5 * (depth + after) * step * width
@@ -130,7 +141,7 @@ def box_at_rest(
 
 
 def root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Where a function that grows is none."""
+    """Return the zero of an increasing function between `low` and `high`, by bisection."""
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if function(middle) < 0 else (low, middle)
@@ -138,8 +149,10 @@ def root(function: Callable[[float], float], low: float, high: float) -> float:
 
 
 def duct_constants(aspect: float) -> tuple[float, float]:
-    """Constants a and b of a rectangular duct of sides in this ratio, 0 to 1, between those of Kozicki, Chou & Tiu
-    1966: a and b of a slot are 1/2 and 1.
+    """Return the shape constants a and b of a rectangular duct (Kozicki, Chou & Tiu 1966).
+
+    `aspect` is the short side over the long one, 0 to 1. Values between the tabulated ratios are interpolated. A slot
+    has a = 1/2 and b = 1.
     """
     ratio = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0)
     a, b = (0.5, 0.4132, 0.3212, 0.2440, 0.2178, 0.2121), (1.0, 0.9085, 0.8182, 0.7278, 0.6831, 0.6771)
@@ -149,10 +162,11 @@ def duct_constants(aspect: float) -> tuple[float, float]:
 def duct_stress(
     speed: np.ndarray, wide: np.ndarray, deep: float, viscosity: float, yield_stress: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean stress of the walls of a rectangular duct at a mean speed [Pa], and hydraulic radius [m], shape as `wide`.
+    """Return the mean wall stress [Pa] of rectangular ducts at mean speeds [m/s], and their hydraulic radii [m].
 
-    2 v / R = tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a + b))), q = tau0 / tau: Bingham's law in Kozicki,
-    Chou & Tiu's form, which is exact in slots and pipes.
+    `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side. Bingham's law in the form of
+    Kozicki, Chou & Tiu, which is exact in slots and pipes, reads 2 v / R = tau / mu (1 / (a + b) - q / b + a q^(1 +
+    b/a) / (b (a + b))), with q = tau0 / tau.
     """
     radius = wide * deep / (2 * (wide + deep))
     a, b = np.array([duct_constants(min(w, deep) / max(w, deep)) for w in wide]).T
@@ -170,11 +184,12 @@ def funnel_time(
     half_widths: tuple[float, float], heights: tuple[float, float], depth: float, viscosity: float, yield_stress: float,
     density: float, gravity: float = 9.81,
 ) -> float:  # fmt: skip
-    """Time in which a funnel empties [s]: its slices as ducts one below the other, and the jet's inertia; infinite if
-    the yield stress holds it.
+    """Estimate the time in which a V-funnel empties [s]; infinite if the yield stress holds the concrete back.
 
-    `half_widths` at the outlet and at the brim, `heights` of the straight outlet and of the whole [m]. An estimate:
-    stretch in the taper is left out, and the last of it, which the slices would hold, is told of its fall from above.
+    The funnel is a stack of slices, each treated as a duct, with the inertia of the jet at the outlet. `half_widths`
+    are those at the outlet and at the brim, `heights` those of the straight outlet and of the whole funnel [m]. The
+    extensional flow in the taper is left out. The sum ends when the level reaches the straight outlet, because the
+    slices would hold back the last concrete, which in fact is already falling.
     """
     narrow, brim = half_widths
     throat, whole = heights
@@ -183,7 +198,8 @@ def funnel_time(
     step, outlet = whole / SLICES_FUNNEL, 2 * narrow * depth
     area = wide * depth
     speeds = np.geomspace(1e-6, math.sqrt(2 * gravity * whole), SPEEDS)
-    # What is left of the weight above the outlet, for each speed there and each level of the concrete.
+    # Weight above the outlet that friction and inertia leave over, for each outlet speed and each level of the
+    # concrete.
     left = []
     for speed in speeds:
         stress, radius = duct_stress(speed * outlet / area, wide, depth, viscosity, yield_stress)

@@ -1,7 +1,7 @@
-"""Verification: our answers beside published or closed-form ones, with the tolerance that the measured error justifies.
+"""Verification: results of the simulators compared with published results and closed-form solutions.
 
-`run_cases` gives rows, `table` and `figure` show them; `warpcrete verify` does both. Tests run the same cases on
-every device and in both precisions.
+`run_cases` runs the cases and returns rows of results, which `table` and `figure` show. The command `warpcrete verify`
+does both. The tolerances follow from measured errors. Tests run the same cases on every device and in both precisions.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ __all__ = ["Case", "Row", "cases", "run_cases", "summary", "table"]
 
 
 def cases() -> list[Case]:
-    """All cases, in the order of the table."""
+    """Return all cases in the order of the table."""
     modules = (impacts, contacts, bonds, clumps, assemblies, stability, flows, starting, vessels, spreading)
     return [case for module in modules for case in module.CASES]
 
@@ -25,7 +25,7 @@ def cases() -> list[Case]:
 def run_cases(
     chosen: list[Case], device: str, precision: str, *, slow: bool = True
 ) -> Iterator[tuple[Case, list[Row]]]:
-    """Run cases one after the other; one that breaks off gives a row that fails."""
+    """Run cases one after the other; a case that raises an error yields a single row, which fails."""
     for case in chosen:
         if slow or not case.slow:
             try:
@@ -36,7 +36,7 @@ def run_cases(
 
 
 def table(results: list[tuple[Case, list[Row]]]) -> str:
-    """Markdown table of all rows."""
+    """Return a Markdown table of all rows."""
     lines = [
         "| case | quantity | computed | expected | error | tolerance | | source of the expected value |",
         "|---|---|---|---|---|---|---|---|",
@@ -55,7 +55,7 @@ def table(results: list[tuple[Case, list[Row]]]) -> str:
 
 
 def summary(results: list[tuple[Case, list[Row]]]) -> str:
-    """Markdown table with one line a case: the figure that comes nearest to its tolerance."""
+    """Return a Markdown table with one line per case, which shows the row whose error is closest to its tolerance."""
     lines = [
         "| case | figures | largest error | its tolerance | source of the expected values |",
         "|---|---|---|---|---|",

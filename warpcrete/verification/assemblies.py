@@ -1,4 +1,4 @@
-"""Many bodies: momentum and angular momentum, energy books of a pumping run, Janssen's silo, the angle of repose."""
+"""Verification with many bodies: conserved momenta, energy balance, Janssen's silo, and angle of repose."""
 
 from __future__ import annotations
 
@@ -22,7 +22,10 @@ UP = (0.0, 0.0, 1.0)
 
 
 def cloud(device, precision) -> list[Row]:
-    """A thousand clumps, spinning, fly into each other without gravity or walls; nothing may appear or vanish."""
+    """Check that momentum and angular momentum are conserved while a thousand spinning clumps collide.
+
+    The clumps fly towards each other without gravity or walls.
+    """
     random = np.random.default_rng(7)
     count = 1000
     grid = np.stack(np.meshgrid(*[np.arange(10.0)] * 3, indexing="ij"), -1).reshape(-1, 3) - 4.5
@@ -81,7 +84,10 @@ def _momenta(state):
 
 
 def pumping(device, precision) -> list[Row]:
-    """A bonded column pushed up a pipe by a piston against a loaded plate: stored and lost energy is work done."""
+    """Check the energy balance of a pumping run: the work done equals the stored energy plus the dissipated energy.
+
+    A piston pushes a column of bonded bodies up a pipe against a loaded plate.
+    """
     axis = Axis((0, 0, 0), UP, (Line(0.4),))
     radius, length = 0.035, 0.1
     area = math.pi * radius**2
@@ -97,7 +103,7 @@ def pumping(device, precision) -> list[Row]:
             PipeWall(name="pipe", axis=axis, radius=radius),
         ),
         contact=Contact(friction=0.3, shear_damping_ratio=0.1),
-        # Strong enough to store energy worth booking, weak enough to break.
+        # The bonds are strong enough to store a noticeable energy, and weak enough to break.
         bonds=Bonds(effective_modulus=5e4, tensile_strength=800.0, cohesion=400.0),
     )  # fmt: skip
     errors, steps = [], []
@@ -117,10 +123,11 @@ def pumping(device, precision) -> list[Row]:
 
 
 def janssen(device, precision) -> list[Row]:
-    """A silo of spheres whose floor sinks slowly, so that the wall's friction is mobilised; loads by Janssen.
+    """Compare the load on the floor of a silo of spheres with Janssen's theory.
 
-    Vertical equilibrium with wall friction mu and the measured ratio K of wall to vertical stress gives a load
-    m_s g (1 - exp(-m/m_s)) on the floor, m_s = rho_b pi R^3 / (2 mu K).
+    The floor sinks slowly, so that the friction of the wall is fully mobilised. Vertical equilibrium with wall friction
+    mu and the measured ratio K of wall stress to vertical stress gives a load of m_s g (1 - exp(-m/m_s)) on the floor,
+    where m is the mass of the spheres and m_s = rho_b pi R^3 / (2 mu K).
     """
     radius, height, friction = 0.03, 0.15, 0.4
     axis = Axis((0, 0, 0), UP, (Line(0.5),))
@@ -133,7 +140,7 @@ def janssen(device, precision) -> list[Row]:
                       motion=Prescribed(velocity=(0, 0, -8e-3), ramp_time=0.05)),
             PipeWall(name="pipe", axis=axis, radius=radius),
         ),
-        # A shear dashpot in slip would carry load beyond Coulomb's.
+        # With a shear dashpot that acts in slip, the wall could carry more than the Coulomb limit.
         contact=Contact(effective_modulus=3e5, friction=friction, shear_damping_ratio=0.3, dashpot="slip-cut"),
     )  # fmt: skip
     gauge = _WallGauge(radius)
@@ -146,7 +153,7 @@ def janssen(device, precision) -> list[Row]:
     top = float(np.sort(run.bodies.position[:, 2])[-30:].mean())
     bottom = float(np.sort(run.bodies.position[:, 2])[:30].mean())
     filled = top - bottom
-    # K is the mean stress on the wall over the mean vertical stress, that of Janssen's profile with these loads.
+    # K is the mean stress on the wall over the mean vertical stress, which follows from Janssen's profile.
     wall = normal / (2 * math.pi * radius * filled)
     area = math.pi * radius**2
     mean_vertical = _mean_vertical(weight, floor, area)
@@ -161,8 +168,8 @@ def janssen(device, precision) -> list[Row]:
 
 
 def _mean_vertical(weight: float, floor: float, area: float) -> float:
-    """Mean over the height of the vertical stress of Janssen's profile with these loads at its ends [Pa]."""
-    # F(m) = m_s (1 - exp(-m/m_s)) with F(W) = floor: find m_s, then average F.
+    """Return the height average of the vertical stress in Janssen's profile [Pa], from weight and floor load [N]."""
+    # Janssen's profile is F(m) = m_s (1 - exp(-m/m_s)). Find m_s from F(weight) = floor, then average F.
     low, high = 1e-3 * weight, 1e3 * weight
     limit = low
     for _ in range(200):
@@ -175,7 +182,7 @@ def _mean_vertical(weight: float, floor: float, area: float) -> float:
 
 
 class _WallGauge(Recorder):
-    """Sum of normal forces on a vertical pipe [N] at every sample, from the overlaps."""
+    """Recorder of the sum of normal forces on a vertical pipe [N], computed from the overlaps at every sample."""
 
     def __init__(self, radius: float) -> None:
         self.radius = radius
@@ -189,7 +196,7 @@ class _WallGauge(Recorder):
 
 
 def repose(device, precision) -> list[Row]:
-    """Columns of spheres collapse on a rough floor; the slope of the heap grows with friction."""
+    """Check that heaps of spheres, which collapse on a rough floor, are steeper with higher friction."""
     angles = []
     values = (0.05, 0.2, 0.6)
     rough = Contact(effective_modulus=1e5, friction=1.0, shear_damping_ratio=0.3, dashpot="slip-cut")
@@ -213,7 +220,10 @@ def repose(device, precision) -> list[Row]:
 
 
 def _slope(position: np.ndarray, volume: float) -> float:
-    """Angle [degrees] of the cone with the heap's bulk volume [m3] and mean height: z = h/4, V = pi R^2 h/3."""
+    """Return the slope [degrees] of the cone that has the heap's bulk volume [m3] and mean height.
+
+    A cone of height h and radius R has a mean height of h/4 and a volume of pi R^2 h/3.
+    """
     height = 4 * float(position[:, 2].mean())
     return float(np.degrees(np.arctan(height / math.sqrt(3 * volume / (math.pi * height)))))
 

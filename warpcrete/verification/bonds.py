@@ -1,4 +1,4 @@
-"""Bonded chains against beam theory, torsional oscillation, and breakage at the predicted load."""
+"""Verification of bonds: chains against beam theory, torsional oscillation, and the load at which a bond breaks."""
 
 from __future__ import annotations
 
@@ -19,14 +19,20 @@ HEAVY = 1e15
 
 
 def stiffnesses(bonds: Bonds) -> tuple[float, float, float, float]:
-    """Normal, shear [N/m], bending and torsion [N m] stiffness of a bond of two spheres (Zhan et al. 2019, Eq. 10)."""
+    """Return the stiffnesses of a bond between two spheres (Zhan et al. 2019, Eq. 10).
+
+    They are the normal and shear stiffness [N/m] and the bending and torsional stiffness [N m].
+    """
     normal = bonds.effective_modulus / LENGTH * math.pi * RADIUS**2
     bending = normal * RADIUS**2 / 4
     return normal, normal / bonds.stiffness_ratio, bending, 2 * bending / bonds.stiffness_ratio
 
 
 def cantilever(device, precision) -> list[Row]:
-    """Six spheres in a row, the first too heavy to move, a force on the last; static equilibrium."""
+    """Compare the static deflection of a bonded chain of six spheres with exact and with Timoshenko beam theory.
+
+    The first sphere is too heavy to move, and a force acts on the last.
+    """
     bonds = Bonds(effective_modulus=1e6, tensile_strength=1e12, cohesion=1e12, gap=10 * GAP)
     normal, shear, bending, _ = stiffnesses(bonds)
     count, pull, push = 6, 1.0, 0.01
@@ -66,13 +72,16 @@ def cantilever(device, precision) -> list[Row]:
             exact = joints * force / shear + force * LENGTH**2 / bending * levers
             beam = force * (joints * LENGTH) ** 3 / (3 * bending * LENGTH) + joints * force / shear
             rows.append(Row("deflection of the tip, exact for a chain", tip[2], exact, 2e-4, "m"))
-            # A chain of five joints bends 1 % less than a beam.
+            # A chain with five joints deflects 1 % less than a continuous beam.
             rows.append(Row("deflection of the tip, Timoshenko beam", tip[2], beam, 1.1e-2, "m"))
     return rows
 
 
 def torsion(device, precision) -> list[Row]:
-    """A sphere bonded to one too heavy to turn swings about the bond's axis, and across it."""
+    """Compare the torsional oscillation of a sphere with the exact solution.
+
+    The sphere is bonded to another sphere that is too heavy to rotate, and oscillates about the bond's axis.
+    """
     bonds = Bonds(effective_modulus=1e5, tensile_strength=1e12, cohesion=1e12, gap=10 * GAP)
     twisting = stiffnesses(bonds)[3]
     inertia = 0.4 * MASS * RADIUS**2
@@ -105,7 +114,10 @@ def _pair(bonds, *, spins=None, velocities=None, densities=(HEAVY, HEAVY), dt=1e
 
 
 def breakage(device, precision) -> list[Row]:
-    """Two heavy bonded spheres are moved apart, sheared, bent and twisted slowly; the load at which the bond breaks."""
+    """Compare the load at which a bond breaks with its strength, in tension, shear, bending and torsion.
+
+    Two heavy bonded spheres move slowly relative to each other.
+    """
     strength, cohesion, angle = 1e4, 6e3, 30.0
     area = math.pi * RADIUS**2
     section = area * RADIUS / 4
@@ -119,7 +131,7 @@ def breakage(device, precision) -> list[Row]:
         "shear under tension": (dict(velocities=[[0, 0, 0], [0.3 * speed, speed, 0]]), 1, "force", 0.0, 1),
     }
     for label, (motion, component, kind, expected, flag) in loads.items():
-        # Turning bodies also shear: a bond without shear stiffness keeps bending alone.
+        # A rotating body also shears the bond. With almost no shear stiffness, the bond is loaded in bending only.
         ratio = 1e6 if label == "bending" else 2.0
         bonds = Bonds(
             effective_modulus=3e7,
@@ -133,7 +145,7 @@ def breakage(device, precision) -> list[Row]:
         step = {"tension": normal * speed, "shear": shear * speed, "bending": bending * rate,
                 "torsion": twisting * rate, "shear under tension": shear * speed}[label]  # fmt: skip
         if label == "shear under tension":
-            # c - sigma tan(phi) falls while tau grows: both in proportion to the travel.
+            # The shear strength c - sigma tan(phi) decreases and tau increases, both in proportion to the travel.
             slope = 0.3 * normal / shear * math.tan(math.radians(angle))
             expected = cohesion * area / (1 + slope)
         dt = 5e-4 * expected / step
@@ -146,7 +158,8 @@ def breakage(device, precision) -> list[Row]:
             if stepper.state.spheres.broken.numpy().sum(0)[flag]:
                 break
             last = abs(float(stepper.state.pairs.load.numpy()[0, place]))
-        # Within one step's growth of the load, which is 5e-4 of it; where steps and load commensurate, exactly.
+        # The load grows by 5e-4 of its final value per step, which limits the accuracy. In double precision, loads
+        # other than shear reach the strength exactly at the end of a step, and the error is smaller.
         sheared = label.startswith("shear") or precision == "float32"
         rows.append(
             Row(

@@ -1,4 +1,4 @@
-"""What a case of the verification is: rows of numbers, ours beside the expected ones."""
+"""Classes of the verification: a case consists of rows, each of which compares a result with its expected value."""
 
 from __future__ import annotations
 
@@ -16,48 +16,48 @@ from ..dem.stepper import Stepper
 
 @dataclass(frozen=True)
 class Row:
-    """One quantity: ours beside the expected one."""
+    """A computed quantity and its expected value."""
 
     quantity: str
     ours: float
     expected: float
     tolerance: float
-    """Allowed |ours - expected|, relative to |expected| or, with `scale`, to that."""
+    """Allowed error |ours - expected|, relative to `scale` if it is given, otherwise relative to |expected|."""
     unit: str = "1"
     scale: float | None = None
     at_least: bool = False
-    """Only less than expected is an error."""
+    """True if only a result below the expected value counts as an error."""
 
     @property
     def error(self) -> float:
-        """|ours - expected| over |expected| or `scale`."""
+        """Return the relative error: |ours - expected| over `scale`, or over |expected| without a scale."""
         if self.at_least and self.ours >= self.expected:
             return 0.0
         return abs(self.ours - self.expected) / (abs(self.expected) if self.scale is None else self.scale)
 
     @property
     def passed(self) -> bool:
-        """Whether the error is within the tolerance; NaN is not."""
+        """Return whether the error is within the tolerance; NaN never is."""
         return self.error <= self.tolerance
 
 
 @dataclass(frozen=True)
 class Case:
-    """A named set of rows."""
+    """A verification case, which computes a set of rows."""
 
     name: str
     source: str
-    """Where the expected answer comes from."""
+    """Source of the expected values."""
     run: Callable[[str, str], list[Row]]
-    """(device, precision) -> rows."""
+    """Function of (device, precision) that runs the case and returns its rows."""
     group: str
     slow: bool = False
     curves: dict[str, Any] = field(default_factory=dict)
-    """What the figure draws, filled by `run`."""
+    """Curves for the figure, filled in by `run`."""
 
 
 def start(scene: Scene, device: str, precision: str) -> Stepper:
-    """A stepper for a scene whose bodies are placed one by one."""
+    """Return a stepper for a scene whose bodies are placed one by one."""
     model = build_model(scene, find_device(device), precision)
     stepper = Stepper(model, State(model, placed_bodies(scene)), scene.time_step)
     stepper.choose_dt()

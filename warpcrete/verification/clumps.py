@@ -1,4 +1,4 @@
-"""Mass properties of clumps against exact union volumes, and free tumbling of a triaxial body."""
+"""Verification of clumps: mass properties against exact integrals, and free tumbling of a triaxial body."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from .case import Case, Row, start
 
 
 def union_properties(device, precision) -> list[Row]:
-    """Spheres in a row overlap in lenses: volume, centroid and moments by quadrature along the row."""
-    del device, precision  # computed on the host
+    """Compare volume and moments of inertia of overlapping spheres in a row with numerical quadrature."""
+    del device, precision  # The mass properties are computed on the host in double precision.
     rows = []
     for label, centres, radii in (
         ("two equal spheres", [0.0, 1.0], [1.0, 1.0]),
@@ -22,13 +22,13 @@ def union_properties(device, precision) -> list[Row]:
     ):
         x = np.linspace(-1.2, 3.4, 2_000_001)
         inside = [np.maximum(r**2 - (x - c) ** 2, 0.0) for c, r in zip(centres, radii, strict=True)]
-        square = np.max(inside, axis=0)  # of the union's profile
+        square = np.max(inside, axis=0)  # Square of the union's radius at each position along the row.
         volume = np.trapezoid(math.pi * square, x)
         centre = np.trapezoid(math.pi * square * x, x) / volume
         along = np.trapezoid(math.pi / 2 * square**2, x)
         across = np.trapezoid(math.pi / 4 * square**2 + math.pi * square * (x - centre) ** 2, x)
         template = clump(label, np.array([[c, 0.0, 0.0] for c in centres]), np.array(radii))
-        # Templates are scaled to the unit of the sphere of equal volume: undo it.
+        # Templates are scaled such that the sphere of equal volume has a diameter of 1. Undo this scaling.
         size = (6 * volume / math.pi) ** (1 / 3)
         ours = np.sort(template.inertia) * volume * size**2
         rows += [
@@ -40,20 +40,24 @@ def union_properties(device, precision) -> list[Row]:
 
 
 def tumbling(device, precision) -> list[Row]:
-    """A body with three different moments tumbles freely for 1e5 steps: energy, momentum and period of the spin."""
+    """Check energy, angular momentum and period of a freely tumbling body over 1e5 steps.
+
+    The body has three different principal moments of inertia. The exact period contains Jacobi's elliptic functions.
+    """
     shape = max(reference(), key=lambda t: float(np.diff(np.sort(t.inertia)).min()))
     density, size, rate = 2500.0, 0.02, 50.0
     mass = density * math.pi / 6 * size**3
     inertia = shape.inertia * mass * size**2
     order = np.argsort(inertia)
     local = np.zeros(3)
-    local[order] = rate * np.array([0.15, 1.0, 0.2])  # near the unstable axis: the hardest case
+    local[order] = rate * np.array([0.15, 1.0, 0.2])  # Rotation near the unstable axis is the hardest case.
     dt = 2e-4
     scene = Scene(
         name="tumble", duration=1.0, gravity=(0, 0, 0), time_step=TimeStep(fixed=dt, safety=4.0),
         bodies=(Bodies(positions=[[0.0, 0, 0]], sizes=size, template=shape, density=density, spins=local[None]),),
     )  # fmt: skip
     stepper = start(scene, device, precision)
+    # Landau & Lifshitz, Mechanics, section 37: the period of the free rotation is 4 K(m) times a time scale.
     small, middle, large = inertia[order]
     momentum = inertia * local
     energy = 0.5 * float(momentum @ local)
@@ -101,7 +105,7 @@ def _inverse_rotated(q: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _elliptic_k(parameter: float) -> float:
-    """Complete elliptic integral K(m) by the arithmetic-geometric mean."""
+    """Return the complete elliptic integral K(m), by the arithmetic-geometric mean."""
     a, b = 1.0, math.sqrt(1 - parameter)
     while abs(a - b) > 1e-15 * a:
         a, b = 0.5 * (a + b), math.sqrt(a * b)

@@ -1,4 +1,4 @@
-"""One contact at a time: damped oscillator, rolling and sliding, stick-slip, meshes across faces, edges and corners."""
+"""Verification of single contacts: damped oscillator, rolling and sliding, stick-slip, and contact with meshes."""
 
 from __future__ import annotations
 
@@ -15,12 +15,15 @@ from .case import Case, Row, start
 
 RADIUS, DENSITY, MODULUS = 0.01, 2500.0, 1e5
 MASS = DENSITY * 4 / 3 * math.pi * RADIUS**3
-STIFFNESS = MODULUS * math.pi * RADIUS  # of a sphere on a wall
+STIFFNESS = MODULUS * math.pi * RADIUS  # Normal stiffness of a sphere's contact with a wall [N/m].
 FLOOR = PlaneWall(name="floor", point=(0, 0, 0), normal=(0, 0, 1))
 
 
 def sphere_on_floor(contact, height=RADIUS, **changes) -> Scene:
-    """One sphere above a floor; `changes` of the scene, of its body with a leading `body_`."""
+    """Return a scene of one sphere above a floor.
+
+    `changes` replace arguments of the scene, or arguments of the sphere's body if their name starts with `body_`.
+    """
     body = dict(positions=[[0.0, 0.0, height]], sizes=2 * RADIUS, density=DENSITY)
     body |= {name[5:]: changes.pop(name) for name in list(changes) if name.startswith("body_")}
     return Scene(
@@ -29,7 +32,10 @@ def sphere_on_floor(contact, height=RADIUS, **changes) -> Scene:
 
 
 def oscillator(device, precision) -> list[Row]:
-    """A sphere released on a floor under gravity: a damped oscillator while it never lifts off."""
+    """Compare a sphere that oscillates on a floor under gravity with the exact damped oscillator.
+
+    The sphere is released so gently that it never lifts off.
+    """
     rows = []
     omega = math.sqrt(STIFFNESS / MASS)
     rest = 9.81 / omega**2
@@ -52,7 +58,8 @@ def oscillator(device, precision) -> list[Row]:
                 worst = max(worst, abs(overlap - exact))
             errors.append(worst / rest)
         OSCILLATOR.curves[f"damping ratio {beta:g}"] = (end / np.array([100, 200, 400]) * omega, np.array(errors))
-        # Single precision resolves the height to 1e-9 m, 6e-5 of the rest overlap: the finest step then shows that.
+        # Single precision resolves the height to 1e-9 m, which is 6e-5 of the rest overlap. With the finest step this
+        # rounding error is visible.
         floor = 4e-4 if precision == "float32" else 0.0
         allowed = {0.0: 6e-4, 0.3: 5e-3}[beta] + floor
         rows.append(
@@ -65,13 +72,18 @@ def oscillator(device, precision) -> list[Row]:
             )
         )
         order = math.log2(errors[0] / errors[1])
-        # Leapfrog is of second order; a dashpot on the velocity of half a step ago makes it first order.
+        # The leapfrog method is of second order. A dashpot that uses the velocity of half a step ago reduces it to
+        # first order.
         rows.append(Row(f"order of convergence in dt, damping ratio {beta:g}", order, 2.0 if beta == 0 else 1.0, 0.12))
     return rows
 
 
 def rolling(device, precision) -> list[Row]:
-    """A sphere on an incline: rolls without slip below tan(theta) = 7/2 mu, slides and spins up above."""
+    """Compare the accelerations of a sphere on an incline with rigid-body mechanics.
+
+    The sphere rolls without slip if tan(theta) is below 7/2 mu. On a steeper incline it slides, and friction spins it
+    up.
+    """
     rows = []
     friction, g = 0.2, 9.81
     tolerance = 1e-3 if precision == "float32" else 1e-10
@@ -121,10 +133,11 @@ def _speed_and_spin(stepper) -> tuple[float, float]:
 
 
 def stick_slip(device, precision) -> list[Row]:
-    """A sled pressed on a moving floor and held by a spring: sticks, then jerks along.
+    """Compare the stick-slip motion of a sled with the exact solution.
 
-    Sled mass m, spring k, floor speed V, friction mu N: the spring's force first grows as k V t, and from mu N on
-    as mu N + V sqrt(k m) sin(omega t); the sled's speed seen from the floor touches zero once a period.
+    The sled has mass m. It is pressed with force N on a floor that moves at speed V, and it is held by a spring of
+    stiffness k. While the sled sticks, the spring's force grows as k V t. From mu N on, it is
+    mu N + V sqrt(k m) sin(omega t), and the speed of the sled relative to the floor is zero once per period.
     """
     friction, press, speed, modulus = 0.4, 0.5, 0.05, 1e6
     side = 1.2 * RADIUS
@@ -133,7 +146,7 @@ def stick_slip(device, precision) -> list[Row]:
     size = RADIUS / shape.radii[0]
     contact = Contact(effective_modulus=modulus, friction=friction, shear_damping_ratio=0.3, dashpot="slip-cut")
     smooth = replace(contact, friction=0.0, normal_damping_ratio=0.0, shear_damping_ratio=0.0)
-    small = 0.5 * RADIUS  # the anchor, too heavy to move, clear of both plates
+    small = 0.5 * RADIUS  # Radius of the anchor, a sphere that is too heavy to move and touches neither plate.
     spring = Bonds(effective_modulus=1e4, tensile_strength=1e12, cohesion=1e12, gap=2e-5)
     depth = press / 5 / (modulus * math.pi * RADIUS)
     nose = np.array([shape.offsets[:, 0].max() * size + RADIUS + small + 1e-5, 0, 0])
@@ -174,9 +187,10 @@ def stick_slip(device, precision) -> list[Row]:
 
 
 def meshes(device, precision) -> list[Row]:
-    """A sphere too heavy to be pushed glides over a box of triangles: the force is k times the exact overlap.
+    """Compare the force of a triangle mesh on a gliding sphere with the stiffness times the exact overlap.
 
-    Over the faces of its finely triangulated lid, over a convex edge, and over a corner.
+    A sphere, too heavy to be pushed away, glides over the finely triangulated side of a box, over a convex edge, and
+    over a corner.
     """
     box, faces = _box(0.05, 5)
     contact = Contact(effective_modulus=MODULUS, friction=0.0, normal_damping_ratio=0.0)
@@ -210,7 +224,7 @@ def meshes(device, precision) -> list[Row]:
 
 
 def _box(half: float, cells: int) -> tuple[np.ndarray, np.ndarray]:
-    """Closed surface of a cube, every side of `cells` x `cells` pairs of triangles."""
+    """Return vertices and faces of a closed cube, with `cells` x `cells` pairs of triangles on each side."""
     import trimesh
 
     line = np.linspace(-half, half, cells + 1)

@@ -1,6 +1,8 @@
-"""Scenes at the edge of what makes sense: each stays within bounds or stops with an error that says why.
+"""Robustness of discrete element scenes with extreme parameters.
 
-A cup of spheres of two sizes; its floor, the piston, comes up with full speed at once, a loaded plate lies on top.
+Each scene must either stay within bounds or stop with an error message that gives the reason. The basic scene is a cup
+with spheres of two sizes. Its floor is a piston that moves upwards at full speed from the start, and a loaded plate
+lies on top of the spheres.
 """
 
 from __future__ import annotations
@@ -22,29 +24,33 @@ from ..geometry.axis import Axis, Line
 from ..geometry.walls import Driven, PipeWall, PlaneWall, Prescribed
 
 STEPS = 2000
-ENERGY = 0.1  # of the energy in play that may appear in a run that counts as stable
+ENERGY = 0.1  # Largest energy gain without work, over the energy in play, in a run that counts as stable.
 RADIUS = 0.03
 AXIS = Axis((0, 0, -1.0), (0, 0, 1), (Line(4.0),))
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one scene."""
+    """Result of running one scene with extreme parameters."""
 
     name: str
     stopped: str
-    """The error's message; empty if the run went to its end."""
+    """Message of the error that stopped the run; empty if the run was completed."""
     deepest: float
-    """Largest overlap over the one that swallows a sphere."""
+    """Largest overlap, over the overlap at which a sphere lies completely inside its partner."""
     growth: float
-    """Energy that appeared without work, over the energy in play as the watch counts it."""
+    """Energy gained without work, over the energy in play, as determined by the stability watch."""
     steps: int
     must: str = ""
-    """What the scene must do in this precision: `run`, or stop for a reason (a pattern); empty if either is right."""
+    """Required result in this precision: `run`, or a pattern for the reason to stop; empty if both are acceptable."""
 
     @property
     def acceptable(self) -> bool:
-        """Within bounds, or stopped with time, body, quantity and cures named; and what it must do, if anything."""
+        """Return whether the result is acceptable.
+
+        A completed run must be within bounds. The message of a stopped run must name time, body, quantity and cures.
+        The result must also agree with `must`.
+        """
         if self.stopped:
             named = all(word in self.stopped for word in ("t = ", "body ", "usual cures: "))
             return named and bool(re.search(self.must, self.stopped.split("usual cures")[0]))
@@ -54,7 +60,7 @@ class Outcome:
 def cup(*, modulus=1e6, ratio=2.0, density=2500.0, velocity=0.3, gravity=9.81, restitution=0.5, friction=0.3,
         load=1e3, dt_fraction=0.8, bonds: Bonds | None = None, hydration: Hydration | None = None, count=80,
         origin=(0.0, 0.0, 0.0), **changes) -> Scene:  # fmt: skip
-    """The scene; `ratio` is that of the two sizes, `load` the pressure on the plate [Pa]."""
+    """Return the scene of a cup of spheres; `ratio` relates the two sizes, `load` is the pressure on the plate [Pa]."""
     random = np.random.default_rng(0)
     large = 0.012
     layer = 1.04 * large
@@ -88,7 +94,7 @@ def cup(*, modulus=1e6, ratio=2.0, density=2500.0, velocity=0.3, gravity=9.81, r
 
 
 def outcome(name: str, scene: Scene, device: str, precision: str, steps: int = STEPS) -> Outcome:
-    """Run `steps` steps under the watch."""
+    """Run a scene for a number of steps under the stability watch, and return its result."""
     simulation = ElementSimulation(scene, device=device, precision=precision)
     stopped = ""
     try:
@@ -111,7 +117,7 @@ def outcome(name: str, scene: Scene, device: str, precision: str, steps: int = S
     return Outcome(name, stopped, deepest, growth, taken, must(name, precision))
 
 
-# Why a scene must stop; `float32:` only in single precision.
+# Scenes that must stop, with a pattern for the reason. The prefix `float32:` limits this to single precision.
 MUST_STOP = {
     "time step 3 of the estimate": "speed|energy|radius",
     "modulus 10000": "overlap",
@@ -124,7 +130,7 @@ EITHER = ("friction 10", "time step 2 of the estimate")
 
 
 def must(name: str, precision: str) -> str:
-    """What a scene must do: `run`, a word of the reason for which it stops, or nothing; corners may do either."""
+    """Return what a scene must do: `run`, or a pattern for the reason to stop; empty if both are acceptable."""
     if name.startswith("corner") or name in EITHER:
         return ""
     only, _, reason = MUST_STOP.get(name, "run").rpartition(":")
@@ -143,7 +149,10 @@ AXES: dict[str, tuple[float, float]] = {
 
 
 def scenes(large: bool = False) -> Iterator[tuple[str, Callable[[], Scene], int]]:
-    """Name, scene and steps of every case: single extremes, all corners of the axes, and special ones."""
+    """Yield name, scene and number of steps of every case.
+
+    The cases are extremes of single parameters, all corners of the parameter space `AXES`, and some special scenes.
+    """
     yield "all parameters at their middle", cup, STEPS
     for fraction in (0.01, 0.1, 0.5, 1.0, 1.2, 1.5, 2.0, 3.0):
         yield f"time step {fraction:g} of the estimate", lambda fraction=fraction: cup(dt_fraction=fraction), STEPS
@@ -169,7 +178,7 @@ def scenes(large: bool = False) -> Iterator[tuple[str, Callable[[], Scene], int]
 
 
 def _moved(scene: Scene, count: int) -> Scene:
-    """The first `count` bodies moved into the next one's place."""
+    """Return the scene with its first `count` bodies moved to the position of the body that follows them."""
     bodies = scene.bodies[0]
     places = bodies.positions.copy()
     places[:count] = places[min(count, len(places) - 1)]
@@ -177,7 +186,7 @@ def _moved(scene: Scene, count: int) -> Scene:
 
 
 def _blocked() -> Scene:
-    """Ten spheres in a row, in a pipe hardly wider than they are."""
+    """Return a scene of ten spheres in a row, in a pipe that is hardly wider than the spheres."""
     size = 2 * RADIUS / 1.005
     z = (np.arange(10) + 0.5) * size
     base = cup()
@@ -200,12 +209,12 @@ def _million() -> Scene:
 
 
 def matrix(device: str, precision: str, *, large: bool = False) -> list[Outcome]:
-    """Run every scene."""
+    """Run all scenes with extreme parameters and return the results."""
     return [outcome(name, make(), device, precision, steps) for name, make, steps in scenes(large)]
 
 
 def table(outcomes: list[Outcome]) -> str:
-    """Markdown table; the corners, which are many, are summed up in one line for each way they ended."""
+    """Return a Markdown table of results; the many corner cases are summarised with one line per kind of result."""
     lines = ["| scene | deepest overlap | unexplained energy | outcome |", "|---|---|---|---|"]
     corners = [o for o in outcomes if o.name.startswith("corner")]
     for o in outcomes:

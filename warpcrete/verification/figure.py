@@ -1,4 +1,4 @@
-"""One figure of the verification: errors over tolerances, two published curves, the limit of stability."""
+"""Figure of the verification: errors of all cases, two published curves, and stability limits of contact laws."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from .case import Case, Row
 
 
 def draw(results: list[tuple[Case, list[Row]]]):
-    """Matplotlib figure of what the cases left in their `curves`."""
+    """Return a Matplotlib figure of the rows and of the `curves` that the cases have stored."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12.5, 9), layout="constrained")

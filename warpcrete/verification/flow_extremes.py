@@ -1,7 +1,8 @@
-"""Flows at the edge of what makes sense: each stays within bounds, or is refused or stopped, with the reason told.
+"""Robustness of flows with extreme parameters.
 
-A column of the paper's concrete no. 1 in a channel or a tube, ten particles across; one thing at a time at its
-extremes, then many at once.
+Each flow must stay within bounds, be refused before it starts, or stop with an error message that gives the reason. The
+basic flow is a column of concrete no. 1 of Xu, Li & Jiang 2021 in a channel or a tube, ten particles across. First
+single parameters take extreme values, then several at once.
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ from ..theory.pipe import CONCRETES, Concrete
 FEW, STEPS, LONG = 10, 100, 2000
 SAMPLES = 20
 BALANCE, VOLUME, SPEED, CLOSEST = 0.2, 0.015, 4.0, 0.3
-"""What counts as within bounds: of the piston's force that nothing bears, after the first tenth of the steps; of the
-volume that is lost or won; fastest particle over the fastest of theory; nearest two particles over their spacing."""
+"""Bounds of acceptable flows: largest unbalanced part of the piston's force after the first tenth of the steps, largest
+change of the volume, largest speed over the theoretical maximum, and smallest distance of two particles over their
+spacing."""
 PAPER = CONCRETES["no1"]
 ACROSS = 10
 
@@ -33,24 +35,28 @@ Case = tuple[str, Callable[[], FluidScene], int]
 
 @dataclass(frozen=True)
 class FlowOutcome:
-    """What became of one flow."""
+    """Result of running one flow with extreme parameters."""
 
     name: str
     stopped: str
-    """The error's message; empty if the flow went to its end."""
+    """Message of the error that stopped the flow; empty if the flow was completed."""
     refused: bool
-    """Before it began."""
+    """True if the scene was refused before the flow started."""
     balance: float
     volume: float
     speed: float
     closest: float
     steps: int
     must: str = ""
-    """What the flow must do: `run`, or stop for a reason (part of the message); empty if either is right."""
+    """Required result: `run`, or part of the message with which the flow must stop; empty if both are acceptable."""
 
     @property
     def acceptable(self) -> bool:
-        """Within bounds; or stopped with time, quantity and cures named, or refused with the field; as it must."""
+        """Return whether the result is acceptable.
+
+        A completed flow must be within bounds. The message of a stopped flow must name time, quantity and cures, and
+        that of a refused scene the field. The result must also agree with `must`.
+        """
         if self.stopped:
             words = (" = ", ": ") if self.refused else ("t = ", "usual cure")
             return self.must != "run" and all(word in self.stopped for word in words) and self.must in self.stopped
@@ -62,7 +68,11 @@ def column(
     dimensions: int = 2, *, diameter: float = 0.1, spacing: float | None = None, length: float | None = None,
     flow: float = 1.5e-3, time_step: float = 5e-4, gravity: float = 9.81, aggregates: float = 0.0, **concrete: float,
 ) -> FluidScene:  # fmt: skip
-    """The scene; `aggregates` is a fraction of the volume, `concrete` replaces constants of the paper's no. 1."""
+    """Return the scene of a column of concrete.
+
+    `aggregates` is the volume fraction of coarse aggregate. `concrete` replaces constants of concrete no. 1 of Xu, Li &
+    Jiang 2021.
+    """
     constants = {name: getattr(PAPER, name) for name in
                  ("density", "viscosity", "yield_stress", "slip_viscosity", "slip_yield")}  # fmt: skip
     mixed = Concrete(name="own", **{**constants, **concrete})
@@ -76,7 +86,7 @@ def column(
 
 
 def outcome(name: str, make: Callable[[], FluidScene], device: str, precision: str, steps: int = STEPS) -> FlowOutcome:
-    """Run `steps` steps under the watch."""
+    """Run a flow for a number of steps under the stability watch, and return its result."""
     stopped, refused = "", False
     top = math.nan
     rows: list[dict[str, float]] = []
@@ -105,7 +115,7 @@ def outcome(name: str, make: Callable[[], FluidScene], device: str, precision: s
 
 
 def _closest(simulation: FluidSimulation) -> float:
-    """Distance of the nearest two particles, over their spacing."""
+    """Return the distance of the two nearest particles over the initial spacing."""
     x = simulation.state.particles.position.numpy().astype(float)
     order = np.argsort(x[:, -1], kind="stable")
     x, reach = x[order], simulation.state.layout.spacing
@@ -131,7 +141,7 @@ MUST: dict[str, str] = {
         ("a concrete that shears, for 1 s", ""),
     )
 }
-"""Flows that are not held to run: part of the message with which they must stop; empty where either is right."""
+"""Flows that need not run, with part of the message with which they must stop; empty if both are acceptable."""
 AXES: dict[str, tuple[float, float]] = {
     "viscosity": (0.1, 1e5),
     "yield_stress": (0.0, 1e4),
@@ -141,17 +151,17 @@ AXES: dict[str, tuple[float, float]] = {
     "flow": (1e-6, 1e-1),
     "gravity": (0.0, 981.0),
 }
-"""Of which all corners are run, too."""
+"""Extreme values of each parameter; all corners of this parameter space are run, too."""
 
 
 def scenes() -> Iterator[Case]:
-    """Name, scene and steps of every case: single extremes, special ones, corners."""
+    """Yield name, scene and number of steps of every case: single extremes, special flows, and corners of `AXES`."""
     for d in (2, 3):
         yield from _singles(f"{d}D: ", d)
     for corner in itertools.product(*AXES.values()):
         label = ", ".join(f"{name} {value:g}" for name, value in zip(AXES, corner))
         values: dict[str, Any] = dict(zip(AXES, corner))
-        # The piston may pass half a spacing a step.
+        # A scene is refused if the piston moves by more than half a spacing per step.
         step = min(5e-4, 0.3 * 0.01 * math.pi * 0.05**2 / values["flow"])
         yield f"corner: {label}", lambda values=values, step=step: column(2, time_step=step, **values), STEPS
 
@@ -190,12 +200,12 @@ def _singles(prefix: str, d: int) -> Iterator[Case]:
 
 
 def matrix(device: str, precision: str) -> list[FlowOutcome]:
-    """Run every flow."""
+    """Run all flows with extreme parameters and return the results."""
     return [outcome(name, make, device, precision, steps) for name, make, steps in scenes()]
 
 
 def table(outcomes: list[FlowOutcome]) -> str:
-    """Markdown table; corners are summed up in one line for each way they ended."""
+    """Return a Markdown table of results; the corner cases are summarised with one line per kind of result."""
     lines = ["| flow | unbalanced | volume | fastest over theory | nearest | outcome |", "|---|---|---|---|---|---|"]
     corners = [o for o in outcomes if o.name.startswith("corner")]
     for o in outcomes:

@@ -1,4 +1,4 @@
-"""Impact tests 1 to 8 of Chung & Ooi, Granular Matter 13 (2011) 643-656, by the Hertz-Mindlin law."""
+"""Verification by the impact tests 1 to 8 of Chung & Ooi, Granular Matter 13 (2011) 643-656, with Hertz-Mindlin."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from .case import Case, Row, start
 NO_GRAVITY = (0.0, 0.0, 0.0)
 SOURCE = "Chung & Ooi 2011"
 
-# Test 4, aluminium oxide, digitised from the published curves: incident angle [degrees], tangential restitution,
-# final angular velocity [rad/s], rebound angle of the contact patch [degrees].
+# Published curves of test 4 (aluminium oxide), digitised. The columns are incident angle [degrees], tangential
+# restitution, final angular velocity [rad/s], and rebound angle of the contact patch [degrees].
 TEST_4 = np.array([
     [5, 0.948, -19.3, 3.76], [10, 0.687, -213.0, -1.56], [15, 0.624, -377.8, -5.54], [20, 0.616, -510.6, -7.54],
     [25, 0.634, -599.4, -7.54], [30, 0.684, -616.5, -3.55], [35, 0.737, -582.3, 3.43], [40, 0.781, -544.8, 11.57],
     [50, 0.845, -457.0, 29.35], [60, 0.893, -357.5, 47.79], [70, 0.932, -246.2, 64.58], [80, 0.966, -126.3, 78.70],
     [85, 0.983, -63.1, 84.52],
 ])  # fmt: skip
-# Test 5, steel: normalised incident angle 2 v_t / (mu (1 + e) v_n) with normalised rebound surface velocity, and
-# again with normalised rebound angular velocity.
+# Published curves of test 5 (steel), digitised. The first column is the normalised incident angle
+# 2 v_t / (mu (1 + e) v_n). The second is the normalised rebound velocity, of the surface or in rotation.
 TEST_5_SURFACE = np.array([
     [0.066, -0.08], [0.332, -0.28], [0.671, -0.493], [1.009, -0.747], [1.335, -1.0], [1.662, -1.267], [2.0, -1.533],
     [2.350, -1.813], [2.991, -2.44], [3.341, -2.693], [4.006, -2.787], [4.997, -2.0], [6.0, -1.013], [9.988, 3.013],
@@ -38,10 +38,10 @@ TEST_5_SPIN = np.array([
 
 
 def spheres_on_a_plane(law, radius, density, velocities, spins, device, precision, steps_per_contact=400):
-    """Spheres in a row hit a plane, each on its own. Returns final velocities, spins, and the stepper."""
+    """Let spheres hit a plane, each on its own, and return their final velocities and spins."""
     velocities = np.asarray(velocities, dtype=float)
     count = len(velocities)
-    # Just touching: in single precision a centre far from the origin would lose digits of the overlap.
+    # The spheres just touch the plane, because in single precision a centre far from it has less accurate overlaps.
     positions = np.stack([np.zeros(count), (np.arange(count) - count / 2) * 4 * radius, np.full(count, radius)], 1)
     dt = _duration(law, radius, density, np.abs(velocities[:, 2]).max()) / steps_per_contact
     scene = Scene(
@@ -61,14 +61,14 @@ def spheres_on_a_plane(law, radius, density, velocities, spins, device, precisio
 
 
 def _duration(law: HertzMindlin, radius: float, density: float, speed: float) -> float:
-    """Of an elastic Hertz impact on a plane [s]."""
+    """Return the duration of an elastic Hertz impact of a sphere on a plane [s]."""
     mass = density * 4 / 3 * math.pi * radius**3
     depth = (15 * mass * speed**2 / (16 * math.sqrt(radius) * law.effective_modulus)) ** 0.4
     return 2.9432 * depth / speed
 
 
 def elastic(device, precision) -> list[Row]:
-    """Tests 1 and 2: peak force, overlap and duration of elastic normal impacts."""
+    """Compare peak force, peak overlap and duration of elastic normal impacts with tests 1 and 2."""
     rows = []
     glass = HertzMindlin.of(48e9, 0.2, friction=0.35, restitution=1.0)
     alloy = HertzMindlin.of(70e9, 0.3, rigid_partner=True, friction=0.0, restitution=1.0)
@@ -77,7 +77,7 @@ def elastic(device, precision) -> list[Row]:
         ("2, aluminium sphere on a plane", alloy, 0.1, 2699.0, 0.2, True, 11.37e3, 49.7e-6, 731e-6),
     ):
         found = _peak(law, radius, density, speed, plane, device, precision)
-        # Published figures have three to four digits; single precision resolves the overlap to some 1e-4 of itself.
+        # The published values have three to four digits, and single precision resolves the overlap to about 1e-4.
         rows += [
             Row(f"test {name}: peak force", found[0], force, 2e-3, "N"),
             Row(f"test {name}: peak overlap", found[1], overlap, 2e-3, "m"),
@@ -121,7 +121,7 @@ def _peak(law, radius, density, speed, plane, device, precision):
 
 
 def restitution(device, precision) -> list[Row]:
-    """Test 3: rebound over impact speed, both laws."""
+    """Compare the rebound speed over the impact speed with the coefficient of restitution, for both laws (test 3)."""
     rows = []
     wanted = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
     for name in ("Hertz-Mindlin", "linear"):
@@ -137,7 +137,7 @@ def restitution(device, precision) -> list[Row]:
         error = np.abs(np.array(ours) - wanted)
         worst = 1 + int(np.argmax(error[1:]))
         rows.append(Row(f"test 3, {name}: e = {wanted[worst]:.1f}, the worst of 5", ours[worst], wanted[worst], 2e-3))
-        # e = 0 takes for ever: what is left after three durations of an elastic impact.
+        # With e = 0 the rebound takes for ever. The row shows the velocity after three durations of an elastic impact.
         rows.append(Row(f"test 3, {name}: e = 0", ours[0], 0.0, 1e-2, scale=1.0))
     return rows
 
@@ -157,7 +157,7 @@ def _linear_rebound(law: Contact, device, precision) -> float:
 
 
 def oblique(device, precision) -> list[Row]:
-    """Test 4: oblique impacts of aluminium oxide at one speed; against the published curves."""
+    """Compare oblique impacts of aluminium oxide at constant speed with the published curves (test 4)."""
     radius, speed = 2.5e-3, 3.9
     law = HertzMindlin.of(380e9, 0.23, rigid_partner=True, friction=0.092, restitution=0.98)
     angle = np.radians(TEST_4[:, 0])
@@ -168,7 +168,7 @@ def oblique(device, precision) -> list[Row]:
     rebound = np.degrees(np.arctan2(velocity[:, 0] - radius * spin[:, 1], velocity[:, 2]))
     OBLIQUE.curves.update(angle=TEST_4[:, 0], tangential=tangential, spin=turning, rebound=rebound)
     rows = []
-    steep = TEST_4[:, 0] < 15  # sticking impacts, in which the way the shear spring unloads counts most
+    steep = TEST_4[:, 0] < 15  # Sticking impacts depend most on how the shear spring is unloaded.
     for name, ours, published, allowed_steep, allowed in (
         ("tangential restitution", tangential, TEST_4[:, 1], 0.1, 0.012),
         ("rebound angle", rebound, TEST_4[:, 3], 0.02, 0.015),
@@ -182,15 +182,16 @@ def oblique(device, precision) -> list[Row]:
             place = np.flatnonzero(which)[np.argmax(np.abs(ours - published)[which])]
             label = f"test 4: {name}, worst {where}"
             rows.append(Row(label, float(ours[place]), float(published[place]), tolerance, unit, scale))
-    # Each relative to its own value. At 5 degrees hardly anything turns: that spin is the small difference of the
-    # tangential restitution from 1, which is compared above.
+    # These errors are relative to each value. An impact at 5 degrees causes hardly any spin. The spin then equals a
+    # small difference between the tangential restitution and 1, and the restitution is compared above.
     for which, where, tolerance in ((TEST_4[:, 0] == 10, "at 10 degrees", 0.1), (~steep, "from 15 degrees on", 0.03)):
         label = f"test 4: final angular velocity {where}"
         rows.append(_worst(label, turning[which], TEST_4[which, 2], tolerance, "rad/s"))
-    # What friction takes of the motion along the plane it gives to the spin. The overlap shortens its lever, by 0.3 %.
+    # The tangential impulse of friction changes velocity and spin in a fixed ratio. The overlap shortens the lever arm
+    # by 0.3 %.
     exact = -2.5 * (velocities[:, 0] - velocity[:, 0]) / radius
     rows.append(_worst("test 4: final angular velocity by what friction takes, exact", turning, exact, 4e-3, "rad/s"))
-    # Beyond the angle of full slip the answer is closed: v_t' = v_t - mu (1 + e) v_n.
+    # Above the angle of full slip there is a closed form, v_t' = v_t - mu (1 + e) v_n.
     slip = TEST_4[:, 0] >= 50
     exact = 1 - 0.092 * 1.98 / np.tan(angle[slip])
     worst = int(np.argmax(np.abs(tangential[slip] - exact)))
@@ -199,10 +200,11 @@ def oblique(device, precision) -> list[Row]:
 
 
 def normalised(device, precision) -> list[Row]:
-    """Test 5: steel at one normal speed; against the published normalised curves.
+    """Compare impacts of steel at constant normal speed with the published normalised curves (test 5).
 
-    The published curve is that of a tangent stiffness half of a rigid plane's, with a shear force that holds while
-    the normal load falls; so that is what it is compared with. What is closed-form holds for any.
+    The published curves belong to a tangential stiffness of half that of a rigid plane, and to a shear force that stays
+    constant while the normal load decreases. The same settings are used here. The closed form for full slip holds for
+    all settings.
     """
     radius, normal, friction = 0.01, 5.0, 0.3
     unit = friction * normal
@@ -226,21 +228,24 @@ def normalised(device, precision) -> list[Row]:
         exact = published[slip, 0] - 7 if name.startswith("surface") else np.full(int(slip.sum()), -5.0)
         rows.append(
             _worst(f"test 5: rebound {name} in full slip, rigid plane", found[1][slip], exact, 1.2e-2, "1")
-        )  # overlap shortens the lever
+        )  # The overlap shortens the lever arm, which explains the larger tolerance.
     return rows
 
 
 def spinning(device, precision) -> list[Row]:
-    """Tests 6 to 8: spinning spheres hit a plane, an equal sphere, a large heavy one; full slip has a closed form."""
+    """Compare impacts of spinning spheres with the closed form for full slip (tests 6 to 8).
+
+    The spheres hit a plane, an equal sphere, and a large heavy sphere.
+    """
     radius, normal, friction, e = 0.1, 0.2, 0.4, 0.5
-    rates = np.array([8.0, 12.0, 24.0])  # full slip starts at 7/2 mu (1 + e) v_n / R = 4.2 rad/s
+    rates = np.array([8.0, 12.0, 24.0])  # Full slip starts at a spin of 7/2 mu (1 + e) v_n / R = 4.2 rad/s.
     rows = []
     law = HertzMindlin.of(70e9, 0.33, rigid_partner=True, friction=friction, restitution=e)
     velocities = np.tile([0.0, 0.0, -normal], (len(rates), 1))
     spins = np.stack([0 * rates, -rates, 0 * rates], 1)
     velocity, spin = spheres_on_a_plane(law, radius, 2700.0, velocities, spins, device, precision)
     impulse = friction * (1 + e) * normal
-    # The lever ends at the plane, 0.05 % of the radius inside the sphere.
+    # The lever arm ends at the plane, which lies inside the sphere by 0.05 % of the radius.
     rows.append(_worst("test 6, on a plane: tangential velocity", -velocity[:, 0], np.full(3, impulse), 3e-3, "m/s"))
     rows.append(
         _worst(

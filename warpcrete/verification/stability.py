@@ -1,4 +1,7 @@
-"""Where a run really breaks: energy growth against the time step over the estimate, for every contact law."""
+"""Verification of the stable time step: energy growth with time steps below and above the estimate.
+
+All contact laws are tested, with spheres, clumps and bonds.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,7 @@ LAWS: dict[str, ContactLaw] = {
 
 
 def dense_block(law: ContactLaw, shape: ClumpTemplate, device, precision) -> tuple[Scene, BodyTable]:
-    """About 120 bodies squeezed into a short pipe by a tenth of a radius."""
+    """Return scene and bodies of a dense packing of about 120 bodies, squeezed into a pipe by a tenth of a radius."""
     fill = Fill(
         container=PipeContainer(AXIS, 0.025, 0.05), sizes=Uniform(8e-3, 12e-3), solid_fraction=0.66, templates=(shape,)
     )
@@ -50,9 +53,9 @@ def dense_block(law: ContactLaw, shape: ClumpTemplate, device, precision) -> tup
 
 
 def growth(scene: Scene, table, fraction: float, device, precision, bonds: Bonds | None = None) -> float:
-    """Largest energy in the last fifth of STEPS steps over that in the first; infinite once it bursts.
+    """Return the largest energy in the last fifth of STEPS steps over that in the first fifth; infinite if it diverges.
 
-    Near the limit the energy of a stable leapfrog swings, but it does not grow.
+    Near the stability limit, the energy of a stable leapfrog integration oscillates, but it does not grow.
     """
     model = build_model(scene, find_device(device), precision)
     stepper = Stepper(model, State(model, table), TimeStep(safety=10.0))
@@ -81,14 +84,14 @@ def _energy(model, state) -> float:
 
 
 def shake(table: BodyTable, seed: int = 5) -> None:
-    """Give the bodies random velocities: the modes that break first need a seed."""
+    """Give the bodies random velocities, which excite the modes that become unstable first."""
     random = np.random.default_rng(seed)
     table.velocity = random.normal(scale=0.05, size=table.velocity.shape)
     table.spin = random.normal(scale=10.0, size=table.spin.shape)
 
 
 def bonded_pair() -> Scene:
-    """Two bonded spheres that roll on each other to and fro: shear and rotation swing together, the stiffest mode."""
+    """Return a scene of two bonded spheres that oscillate in the stiffest mode, which couples shear and rotation."""
     bonds = Bonds(effective_modulus=1e5, stiffness_ratio=0.5, tensile_strength=1e12, cohesion=1e12, gap=1e-6)
     return Scene(
         name="pair", duration=1.0, gravity=(0, 0, 0), contact=LAWS["linear"], bonds=bonds,
@@ -97,7 +100,11 @@ def bonded_pair() -> Scene:
 
 
 def limits(device, precision) -> list[Row]:
-    """For every law and shape: the largest tried fraction of the estimate at which no energy appears."""
+    """Find the largest time step, as a multiple of the estimated stable step, at which the energy does not grow.
+
+    Several fractions of the estimate are tried for every contact law and shape of bodies. The estimate must be safe for
+    all of them.
+    """
     pair = bonded_pair()
     block_bonds = Bonds(effective_modulus=1e5, tensile_strength=1e12, cohesion=1e12, gap=1e-3)
     blocks = [(f"{name}, spheres", law, sphere(), None) for name, law in LAWS.items()] + [
@@ -119,7 +126,7 @@ def limits(device, precision) -> list[Row]:
         stable = curve < 2.0
         first = len(FRACTIONS) if stable.all() else int(np.argmin(stable))
         limit = FRACTIONS[first - 1] if first else 0.0
-        # The estimate must be safe, 1 or more; how much it leaves is told, not asked for.
+        # The limit must be at least 1, so that the estimate is safe. A larger limit is reported but not required.
         rows.append(Row(f"{label}: stable up to this fraction of the estimate", limit, 1.0, 0.0, at_least=True))
     return rows
 

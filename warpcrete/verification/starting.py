@@ -1,4 +1,4 @@
-"""Concrete at rest in a pipe that a force sets in motion, against finite volumes in one dimension."""
+"""Verification of pipe flows that a force starts from rest, against a one-dimensional finite volume solution."""
 
 from __future__ import annotations
 
@@ -16,28 +16,33 @@ from ..theory.pipe import Concrete
 from .case import Case, Row
 
 FINER = 4
-"""Cells of the solution in one dimension in one of the grid's."""
+"""Number of cells of the one-dimensional solution per cell of the grid."""
 SAMPLES = 40
-"""Times at which both are compared."""
+"""Number of times at which both solutions are compared."""
 BEGUN = (
-    # Bingham number, layer [Pa s/m], error of a step, time by which the flow is all but steady [s].
+    # Columns: Bingham number, viscous constant of the slip layer [Pa s/m], allowed error of a step, and time at which
+    # the flow is almost steady [s].
     (0.0, 1e6, 1e-4, 0.4), (0.0, 4e3, 1e-4, 0.4), (1.0, 1e6, 3e-6, 0.2), (10.0, 1e6, 1e-6, 0.04),
 )  # fmt: skip
-"""Viscosity is that of the step before, half the way to what it has become: a yield stress wants shorter steps."""
+"""Flows that are compared. A step uses the mean of the previous and the present viscosity, so flows with a yield stress
+need shorter steps."""
 LONGEST = 2e-3
-"""Step [s]."""
+"""Longest time step on the grid [s]."""
 EXACT = 5e-4
-"""Steps of the solution in one dimension over the time that is looked at."""
+"""Time step of the one-dimensional solution over the simulated time."""
 
 
 def apparent(concrete: Concrete, regularisation: float, rate: np.ndarray) -> np.ndarray:
-    """Viscosity at rates of shear [Pa s] (Xu, Li & Jiang 2021, Eq. 15)."""
+    """Return the apparent viscosity at given shear rates [Pa s] (Xu, Li & Jiang 2021, Eq. 15)."""
     bent = np.maximum(regularisation * np.abs(rate), 1e-12)
     return concrete.viscosity + concrete.yield_stress * regularisation * -np.expm1(-bent) / bent
 
 
 def profiles(scene: FluidScene, force: float, cells: int, times: np.ndarray, step: float) -> np.ndarray:
-    """Velocity across half a pipe that a force per volume drives from rest, shape (times, cells) [m/s]."""
+    """Return velocity profiles of a pipe flow that a force per volume drives from rest [m/s], shape (times, cells).
+
+    The cells divide the radius of the pipe, or half the width of the channel.
+    """
     concrete, axial = scene.concrete, scene.dimensions == 3
     h = scene.radius / cells
     sides = np.arange(cells + 1) * h
@@ -47,9 +52,10 @@ def profiles(scene: FluidScene, force: float, cells: int, times: np.ndarray, ste
     velocity, slip, found = np.zeros(cells), 0.0, []
     for n in range(round(times[-1] / step)):
         start = velocity
+        # The viscosity depends on the velocity, so each implicit step needs some fixed-point iterations.
         for _ in range(6):
             c = apparent(concrete, scene.regularisation, np.diff(velocity) / h) * area[1:-1] / h
-            # Half a cell of shear, and the layer, one behind the other.
+            # The shear across half a cell and the slip layer act in series.
             half = 2 * float(apparent(concrete, scene.regularisation, np.array(2 * (velocity[-1] - slip) / h))) / h
             layer = concrete.slip_viscosity
             ease, fixed = half * layer / (half + layer), half * concrete.slip_yield / (half + layer)
@@ -68,7 +74,10 @@ def profiles(scene: FluidScene, force: float, cells: int, times: np.ndarray, ste
 def worst(
     dimensions: int, number: float, layer: float, longest: float, error: float, end: float, device: str, precision: str
 ) -> tuple[float, float]:  # fmt: skip
-    """Largest errors at any time, over the mean velocity of the steady flow: of the profile, rms; of any cell."""
+    """Return the largest rms error of the velocity profile and the largest error in any cell, at any time.
+
+    Errors are relative to the mean velocity of the steady flow.
+    """
     speed, viscosity, radius = 0.19, 20.0, 0.05
     given = FlowParameters(
         concrete="own", density=2400.0, viscosity=viscosity, yield_stress=number * viscosity * speed / radius,
@@ -82,7 +91,7 @@ def worst(
     times = np.linspace(0, end, SAMPLES + 1)[1:]
     across = layout.cells[0] if dimensions == 3 else layout.cells[0] // 2
     exact = profiles(scene, force, across * FINER, times, EXACT * end).reshape(SAMPLES, across, FINER)
-    # Cells of a pipe are rings, and what a grid has are means over them.
+    # Cells of a pipe are rings, and the grid's velocities are means over these rings.
     weight = (np.arange(across * FINER) + 0.5).reshape(across, FINER) if dimensions == 3 else np.ones((across, FINER))
     exact = (exact * weight).sum(-1) / weight.sum(-1)
     rms, largest = 0.0, 0.0
@@ -96,13 +105,14 @@ def worst(
 
 
 def start(device: str, precision: str) -> list[Row]:
-    """Channel and tube, that concrete sticks to or slips on, without and with a yield stress."""
+    """Compare flows that start from rest, in channel and tube, with stick or slip, with and without a yield stress."""
     found = []
     for dimensions, form in ((2, "channel"), (3, "tube")):
         for number, layer, error, end in BEGUN:
             rms, largest = worst(dimensions, number, layer, LONGEST, error, end, device, precision)
             name = f"{form}, Bn {number:g}" + (", slips" if layer < 1e6 else "")
-            # Measured: 0.11 to 0.38 and 0.15 to 0.7 % without yield stress, 0.8 and 1.4 % with (on the tube's axis).
+            # Measured errors of both rows: 0.11 to 0.38 % and 0.15 to 0.7 % without a yield stress, and 0.8 % and 1.4 %
+            # with a yield stress (on the axis of the tube).
             found += [
                 Row(f"{name}: profile, largest rms error", rms, 0.0, 0.01, scale=1.0),
                 Row(f"{name}: largest error of any cell", largest, 0.0, 0.015, scale=1.0),

@@ -1,4 +1,4 @@
-"""Flows in vessels whose walls pass through the cells of a grid, against closed forms."""
+"""Verification of flows in vessels whose walls pass through cells of the grid (cut cells), against closed forms."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from .case import Case, Row
 
 PASTE = Concrete(density=2000.0, viscosity=20.0, yield_stress=0.0, slip_viscosity=STICKS, slip_yield=0.0)
 INNER, OUTER, TURNS = 0.05, 0.1, 1.0
-"""Radii of two cylinders [m], and how fast the inner one turns [rad/s]."""
+"""Radii of the inner and outer cylinder [m], and angular velocity of the inner one [rad/s]."""
 RADIUS, SPEED = 0.05, 0.19
-"""Of a round pipe [m], and its mean velocity [m/s]."""
+"""Radius of the round pipe [m], and mean velocity of its flow [m/s]."""
 
 
 @dataclass(frozen=True)
 class _Paste:
-    """Numbers of a flow that a grid needs."""
+    """Parameters of a flow on a grid."""
 
     concrete: Concrete
     time_step: float
@@ -41,7 +41,7 @@ class _Paste:
 
 
 def _filled(room: Room, walls: list[tuple[Distance, int]], abreast: int) -> dict:
-    """Arguments of a layout whose room is full wherever no wall is."""
+    """Return the arguments of a layout in which concrete fills all of the room that is not wall."""
     geometry, nearest = geometry_of(room, walls), nearest_wall(room, walls)
     places, mass = fill_cells(room, abreast, lambda points: nearest(points)[0] > 0)
     return {
@@ -53,8 +53,9 @@ def _filled(room: Room, walls: list[tuple[Distance, int]], abreast: int) -> dict
 def between_cylinders(
     device: str, precision: str, cells: int, layers: tuple[float, float] = (STICKS, STICKS)
 ) -> GridFlow:
-    """Paste between a cylinder that turns and one that does not, on a grid in a plane that knows nothing of them;
-    `layers` are the viscosities of their slip layers [Pa s/m].
+    """Return the flow of paste between a rotating inner cylinder and an outer cylinder at rest, on a Cartesian grid.
+
+    `layers` are the viscous constants of the slip layers on the inner and the outer cylinder [Pa s/m].
     """
     h = 0.22 / cells
     room = Room((cells, cells), (h, h), (-0.1069, -0.1083), ((WALL, WALL), (WALL, WALL)))
@@ -74,9 +75,10 @@ def between_cylinders(
 
 
 def couette_error(flow: GridFlow, layers: tuple[float, float] = (STICKS, STICKS)) -> float:
-    """Root mean square of the velocity's error over the speed of the inner wall.
+    """Return the rms error of the velocity between the cylinders, over the speed of the inner wall.
 
-    u = a r + b / r, whose shear stress 2 mu b / r^2 each layer bears: it slips by that over its viscosity.
+    The exact velocity is u = a r + b / r. Its shear stress 2 mu b / r^2 acts on each slip layer and, divided by the
+    layer's viscous constant, gives its slip velocity.
     """
     slips = [2 * PASTE.viscosity / (radius**2 * layer) for radius, layer in zip((INNER, OUTER), layers)]
     a, b = np.linalg.solve([[INNER, 1 / INNER + slips[0]], [OUTER, 1 / OUTER - slips[1]]], [TURNS * INNER, 0.0])
@@ -93,9 +95,9 @@ def couette_error(flow: GridFlow, layers: tuple[float, float] = (STICKS, STICKS)
 
 
 def cylinders(device: str, precision: str) -> list[Row]:
-    """Velocity between cylinders of which the inner one turns, on ever finer grids."""
+    """Compare the flow between a rotating and a fixed cylinder with the closed form, on three grids."""
     found = []
-    # Measured: 0.93, 0.31 and 0.12 %.
+    # Measured errors: 0.93, 0.31 and 0.12 %.
     for cells, allowed in ((22, 0.011), (44, 0.004), (88, 0.0015)):
         flow = between_cylinders(device, precision, cells)
         flow.take(200)
@@ -105,9 +107,9 @@ def cylinders(device: str, precision: str) -> list[Row]:
 
 
 def cylinders_with_layers(device: str, precision: str) -> list[Row]:
-    """The same with slip layers, which carry a half and more of the inner wall's speed."""
+    """Compare the flow between two cylinders with the closed form, if slip layers take half or more of the speed."""
     found = []
-    # Measured: 0.40, 0.20; 0.37, 0.36; 0.77, 1.02 %.
+    # Measured errors on the two grids: 0.40 and 0.20 %, 0.37 and 0.36 %, 0.77 and 1.02 %.
     for layers, allowed in (((400.0, STICKS), 0.005), ((200.0, 200.0), 0.005), ((STICKS, 200.0), 0.012)):
         for cells in (22, 44):
             flow = between_cylinders(device, precision, cells, layers)
@@ -120,7 +122,10 @@ def cylinders_with_layers(device: str, precision: str) -> list[Row]:
 
 
 def round_pipe(device: str, precision: str, cells: int, yield_stress: float) -> GridFlow:
-    """A periodic round pipe off the middle of a grid in space that has so many cells across, a tenth more than it."""
+    """Return the flow in a periodic round pipe, on a grid in space with `cells` cells across.
+
+    The grid is a tenth wider than the pipe, and the pipe's axis lies off the centre of the grid.
+    """
     h = 2.2 * RADIUS / cells
     room = Room((cells, cells, 2), (h,) * 3, (-1.1 * RADIUS + 0.13 * h, -1.1 * RADIUS - 0.21 * h, 0.0),
                 ((WALL, WALL), (WALL, WALL), (BARE, BARE)))  # fmt: skip
@@ -135,7 +140,8 @@ def round_pipe(device: str, precision: str, cells: int, yield_stress: float) -> 
 
 
 def pipe_gradient(yield_stress: float) -> float:
-    """Pressure per length of that pipe by Buckingham and Reiner [Pa/m]."""
+    """Return the pressure gradient of the round pipe according to Buckingham and Reiner [Pa/m]."""
+    # Find the wall stress by bisection, such that the mean velocity of the law equals SPEED.
     low, high = yield_stress, 1e5
     for _ in range(100):
         stress = 0.5 * (low + high)
@@ -146,9 +152,12 @@ def pipe_gradient(yield_stress: float) -> float:
 
 
 def pipe_in_space(device: str, precision: str) -> list[Row]:
-    """Pressure per length of a round pipe that concrete sticks to, Bingham numbers of 0 to 10, on 20 cells across."""
+    """Compare the pressure gradient in a round pipe without slip with theory, for Bingham numbers of 0, 1 and 10.
+
+    The pipe has 20 cells across.
+    """
     found = []
-    # Measured: -0.66, -0.49 and -0.71 %.
+    # Measured errors: -0.66, -0.49 and -0.71 %.
     for number in (0.0, 1.0, 10.0):
         yield_stress = number * PASTE.viscosity * SPEED / RADIUS
         flow = round_pipe(device, precision, 22, yield_stress)
@@ -159,7 +168,7 @@ def pipe_in_space(device: str, precision: str) -> list[Row]:
 
 
 def tilted_vessel(**given) -> FreeScene:
-    """A vessel of two slanted sides that no line of the grid knows, full to 0.2 m."""
+    """Return the scene of a vessel with two slanted sides that cross the grid's cells, filled up to 0.2 m."""
     left = ((-0.5, -0.5), (0.6, -0.5), (0.17, 0.013), (0.03, 0.5), (-0.5, 0.5))
     right = ((0.17, 0.013), (0.6, -0.5), (0.6, 0.5), (0.37, 0.5))
     return FreeScene(**{
@@ -170,7 +179,7 @@ def tilted_vessel(**given) -> FreeScene:
 
 
 def rest(device: str, precision: str) -> list[Row]:
-    """A Newtonian fluid at rest in a vessel of slanted sides, in a plane and in space."""
+    """Compare a Newtonian fluid at rest in a vessel with slanted sides with hydrostatics, in a plane and in space."""
     found = []
     for depth, name in ((0.0, "plane"), (0.05, "space")):
         simulation = FreeSimulation(tilted_vessel(depth=depth), device=device, precision=precision)
@@ -181,11 +190,12 @@ def rest(device: str, precision: str) -> list[Row]:
         exact = np.broadcast_to(
             (2000 * 9.81 * (0.2 - place)).reshape(-1, *[1] * (pressure.ndim - 1)), pressure.shape
         )  # fmt: skip
-        # Where little of a cell is open its pressure is the rim's.
+        # Cells of which only a small part is open are left out: their pressure is not that of the cell's centre.
         full = (state.cells("fill") == 1) & (exact > 2000 * 9.81 * 0.02) & (state.cells("room") > 0.25)
         off = float(np.abs(pressure - exact)[full].max())
         found += [
-            # Measured: 5e-4 and 1.5e-3; 0.06 and 0.17 mm/s; 0.09 and 0.14 %.
+            # Measured errors in the plane and in space: pressure 5e-4 and 1.5e-3, speed 0.06 and 0.17 mm/s, volume 0.09
+            # and 0.14 %.
             Row(f"{name}: pressure, largest error over that at the bottom", off / exact.max(), 0.0, 2e-3, scale=1.0),
             Row(f"{name}: speed, mean", float(run.series["mean_speed"][-1]), 0.0, 2e-4, "m/s", scale=1.0),
             Row(f"{name}: volume", 1 + run.result["volume_error"], 1.0, 2e-3),

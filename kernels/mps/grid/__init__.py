@@ -1,1 +1,1 @@
-"""Warp kernels of flows whose equations are solved on a grid."""
+"""Warp kernels of flows that are solved on a grid, with particles that carry the fluid through it."""

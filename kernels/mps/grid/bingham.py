@@ -1,7 +1,8 @@
 """The regularised Bingham law (Xu, Li & Jiang 2021, Eq. 15), and its means over cells in which the stress varies.
 
-Where stress changes in a straight line, as it does across a pipe, velocities that are means over cells follow from
-integrals of the law. So a wall layer or the edge of a plug thinner than a cell are as exact as the stress is.
+The stress varies linearly across a pipe. The mean velocity of a cell is therefore an integral of the shear rate over
+the stress, which has a closed form here. A sheared layer at the wall, or the edge of a plug, may thus be thinner than a
+cell and is still computed as accurately as the stress.
 """
 
 import functools
@@ -14,26 +15,30 @@ from .cells import cells_struct
 
 @functools.cache
 def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
-    """`apparent` viscosity of a rate; `rate_of` a stress, in straight lines, its `rate_slope`, its integral `once` and
-    `twice`."""
+    """Build the functions of the law: viscosity as a function of the rate, and rate as a function of the stress.
+
+    `apparent` follows the regularised law. `rate_of` replaces its inverse by two straight lines, one below and one
+    above the yield stress; `rate_slope` is its derivative, and `once` and `twice` are its first and second integrals.
+    """
     Cells = cells_struct(scalar, dimensions)
 
     @wp.func
     def apparent(g: Cells, rate: scalar) -> scalar:
-        """Stress over rate [Pa s]."""
+        """Return the apparent viscosity at a shear rate, which is stress over rate [Pa s]."""
         bent = g.regularisation * rate
         if bent > scalar(1.0e-3):
             return g.viscosity + g.yield_stress * (scalar(1.0) - wp.exp(-bent)) / rate
+        # Use the series for small rates, where the fraction loses digits.
         return g.viscosity + g.yield_stress * g.regularisation * (scalar(1.0) - scalar(0.5) * bent)
 
     @wp.func
     def unyielded(g: Cells) -> scalar:
-        """Viscosity below the yield stress [Pa s]."""
+        """Return the viscosity below the yield stress [Pa s]."""
         return g.viscosity + g.yield_stress * g.regularisation
 
     @wp.func
     def rate_of(g: Cells, stress: scalar) -> scalar:
-        """Rate of shear at a stress of 0 or more, in two straight lines."""
+        """Return the shear rate [1/s] at a nonnegative stress, on two straight lines that meet at the yield stress."""
         return wp.max(stress - g.yield_stress, scalar(0.0)) / g.viscosity + (
             wp.min(stress, g.yield_stress) / unyielded(g)
         )
@@ -46,7 +51,7 @@ def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def once(g: Cells, stress: scalar) -> scalar:
-        """Integral of that rate from no stress on."""
+        """Return the integral of `rate_of` from 0 to a nonnegative stress."""
         over = wp.max(stress - g.yield_stress, scalar(0.0))
         below = wp.min(stress, g.yield_stress)
         return scalar(0.5) * (over * over / g.viscosity + below * below / unyielded(g)) + (
@@ -55,7 +60,7 @@ def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def twice(g: Cells, stress: scalar) -> scalar:
-        """Integral of the integral, of either sign as the stress."""
+        """Return the second integral of `rate_of` from 0 to the stress, with the sign of the stress."""
         size = wp.abs(stress)
         over = wp.max(size - g.yield_stress, scalar(0.0))
         below = wp.min(size, g.yield_stress)
@@ -71,7 +76,11 @@ def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
 
 @functools.cache
 def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
-    """`apparent` viscosity of a rate, `apparent_at_edge` where a plug may end, and `at_wall`."""
+    """Build the functions of the law on a grid.
+
+    `apparent` is the viscosity at a shear rate, `apparent_at_edge` the viscosity at a corner near which a plug may end,
+    and `at_wall` the stress of a wall on the cell beside it.
+    """
     Cells = cells_struct(scalar, dimensions)
     f = rate_functions(scalar, dimensions)
     apparent, unyielded, rate_of, rate_slope, once, twice = (
@@ -80,17 +89,20 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def apparent_at_edge(g: Cells, rate: scalar, change: scalar) -> scalar:
-        """Viscosity at a corner, for the `rate` between the means of two cells over which stress changes by `change`.
+        """Return the viscosity at the corner between two cells, corrected if a plug ends within these cells.
 
-        Where the plug ends within them that rate, a mean itself, is more than the rate at the corner.
+        `rate` is the difference of the cells' mean velocities over their distance. `change` is the change of the stress
+        over one cell. If a plug ends within the cells, `rate` is larger than the shear rate at the corner itself.
         """
         viscosity = apparent(g, rate)
-        # Where there is no edge, the stress of the two lines that are integrated.
+        # This is the stress at the corner if no plug ends within the cells, according to the two straight lines.
         most = wp.min(rate * unyielded(g), g.yield_stress + g.viscosity * (rate - g.yield_stress / unyielded(g)))
         if most + change <= g.yield_stress or most - change >= g.yield_stress or change <= scalar(0.01) * most:
             return viscosity
         low = scalar(0.0)
         high = most
+        # Find the corner's stress by bisection. The mean of the shear rate over both cells, weighted by the distance
+        # from the corner, is (F(s + d) - 2 F(s) + F(s - d)) / d^2 with F = `twice`, s = `middle`, d = `change`.
         for _ in range(20):
             middle = scalar(0.5) * (low + high)
             mean = twice(g, middle + change) - scalar(2.0) * twice(g, middle) + twice(g, middle - change)
@@ -102,14 +114,18 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def beside_wall(g: Cells, stress: scalar, inner: scalar, width: scalar):
-        """Mean velocity of a cell beside a wall over that at the wall, and its growth with the wall's `stress`.
+        """Return the mean velocity of a wall cell minus the velocity at the wall, and this difference's derivative.
 
-        Stress falls in a straight line to `inner` on the cell's other side.
+        The derivative is with respect to `stress`, the stress at the wall. The stress falls linearly from there to
+        `inner` on the cell's opposite side.
         """
+        # With a linear stress, the velocity where the stress is tau is u = width / change * (F1(stress) - F1(tau)),
+        # where F1 = `once`. The mean of u over the cell follows with the integral of F1, which is `twice`.
         change = stress - inner
         if change > scalar(0.05) * stress:
             part = (change * once(g, stress) - (twice(g, stress) - twice(g, inner))) / (change * change)
             return width * part, width / change * (rate_of(g, stress) - scalar(2.0) * part)
+        # If the stress hardly varies, the closed form loses digits, and Simpson's rule is accurate.
         middle = scalar(0.5) * (stress + inner)
         mean = rate_of(g, stress) / scalar(6.0) + rate_of(g, middle) / scalar(3.0)
         return width * mean, width / scalar(6.0) * (rate_slope(g, stress) + rate_slope(g, middle))
@@ -118,11 +134,13 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
     def at_wall(
         g: Cells, speed: scalar, inner: scalar, width: scalar, ring: scalar, slip_viscosity: scalar, slip_yield: scalar
     ):  # fmt: skip
-        """Stress of a wall on the cell beside it, whose mean `speed` along it this is, its growth with that, and the
-        slip velocity (Xu, Li & Jiang 2021, Eq. 8); `ring` is by how much a ring's mean is less than a plane's.
+        """Return a wall's stress on the cell beside it, its derivative with respect to `speed`, and the slip velocity.
 
-        Newton's steps come from above, where what is solved is convex.
+        `speed` is the cell's mean velocity along the wall. It is the sum of the slip velocity (Xu, Li & Jiang 2021, Eq.
+        8) and the mean velocity due to shear within the cell; `ring` corrects the latter for cells that are rings about
+        an axis. Newton's method solves for the stress. It starts above the solution, where the function is convex.
         """
+        # Start from an upper bound of the stress: all of the speed is slip, or (with a margin) all of it is shear.
         sheared = scalar(3.0) * (g.yield_stress + scalar(4.0) * g.viscosity * speed / width)
         stress = wp.min(slip_yield + slip_viscosity * speed, sheared)
         growth = scalar(1.0)

@@ -1,4 +1,4 @@
-"""Which particles are in which cell, and what a gate has opened."""
+"""Kernels that sort particles into cells, and the kernel that opens a gate."""
 
 import functools
 from types import SimpleNamespace
@@ -11,9 +11,10 @@ from .cells import NOW, Kind, cells_struct, grid_functions, grid_structs
 
 @functools.cache
 def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
-    """Kernels `clear`, `tally`, `allot`, `sort` and `order`: which particles are in which cell.
+    """Build the kernels `clear`, `tally`, `allot`, `sort` and `order`, which sort particles into cells in this order.
 
-    A cell takes as much of one list as it has particles; where its part begins is as it happens, and matters nothing.
+    All cells share one list, in which each cell reserves as many places as it has particles. The order of the cells in
+    the list differs from run to run, but results do not depend on it.
     """
     dims = of.dimensions
     Cells = cells_struct(scalar, dims)
@@ -23,14 +24,14 @@ def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def clear(mesh: Mesh):
-        """A task a slot: no particles."""
+        """Set the particle counts of all cells to zero, with one task per cell."""
         mesh.count[wp.tid()] = 0
         if wp.tid() == 0:
             mesh.listed[0] = 0
 
     @wp.kernel(enable_backward=False, module="unique")
     def tally(g: Cells, flags: wp.array(dtype=wp.int32), particles: Particles, mesh: Mesh):
-        """A task a particle: its cell, and how many are there already."""
+        """Find the cell of each particle and count the particles of each cell, with one task per particle."""
         if flags[HALTED] != 0:
             return
         p = wp.tid()
@@ -42,7 +43,7 @@ def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def allot(flags: wp.array(dtype=wp.int32), mesh: Mesh):
-        """A task a slot: where the cell's particles begin."""
+        """Reserve places in the list for the particles of each cell, with one task per cell."""
         if flags[HALTED] != 0:
             return
         c = wp.tid()
@@ -51,7 +52,7 @@ def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def sort(flags: wp.array(dtype=wp.int32), mesh: Mesh):
-        """A task a particle: into its cell's part of the list."""
+        """Write each particle into the list at the places of its cell, with one task per particle."""
         if flags[HALTED] != 0:
             return
         p = wp.tid()
@@ -61,7 +62,7 @@ def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def order(flags: wp.array(dtype=wp.int32), mesh: Mesh):
-        """A task a slot: particles of a cell in the order of their numbers, for equal sums."""
+        """Sort the particles of each cell by their numbers, so that sums are reproducible, with one task per cell."""
         if flags[HALTED] != 0:
             return
         c = wp.tid()
@@ -79,7 +80,10 @@ def bin_kernels(scalar, of: Kind) -> SimpleNamespace:
 
 @functools.cache
 def lift_kernel(scalar, of: Kind):
-    """What a gate shuts opens when its time has come; a task a slot. `after` is the geometry without the gate."""
+    """Build the kernel that opens a gate when its time has come, with one task per cell.
+
+    It replaces the geometry of the cells at the gate by `after`, the geometry without the gate.
+    """
     dims, places, quarters = of.dimensions, 2**of.dimensions, 4 * of.pairs
     structs = grid_structs(scalar, dims)
     Mesh, Geometry = structs.Mesh, structs.Geometry

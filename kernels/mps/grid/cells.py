@@ -1,16 +1,18 @@
-"""Numbers, arrays and small functions of a grid: in a plane, about an axis, or in space.
+"""Parameters, arrays and small functions of a staggered grid: in a plane, about an axis, or in space.
 
-Cells are counted from the lowest one, (0, 0) or (0, 0, 0), the last coordinate up or along; a frame of one cell lies
-around them. Cells, faces and edges share one numbering: face c of axis a is the side of cell c that looks down that
-axis (its row is c + a slots), edge c of the pair of axes a and b the lowest of its cell's that runs along neither (row
-c + (a + b - 1) slots; in a plane, the lower left corner). Velocities are those of the room. Volumes and areas are those
-of a metre's depth, or of a radian.
+Cells are counted from the lowest cell, (0, 0) or (0, 0, 0); the last coordinate runs upwards or along the pipe. A frame
+one cell wide surrounds the grid, and `slots` is the number of cells including this frame. Cells, faces and edges share
+one numbering. Face c of axis a is the lower side of cell c along that axis; its row is c + a * slots. Edge c of the
+pair of axes a and b is the lowest edge of cell c that is parallel to neither axis; its row is c + (a + b - 1) * slots.
+In a plane an edge is a corner, and edge c is the lower left corner of cell c. Velocities are relative to the room.
+Volumes and areas are per metre of depth in a plane, and per radian about an axis.
 
-Walls are sides of cells, or (`Kind.cut`) pass through them: then a face has its distance from the nearest wall and an
-open part, a cell and an edge the part that there is room in. What flows in and out of a cell does so through the open
-parts, as in Ng, Min & Gibou (2009). Shear and stretch count by what is open of edges and cells, as in Batty & Bridson
-(2008); faces within walls that these need are unknown too, and the wall rubs on the velocity where it is, between such
-a face and the next.
+Walls coincide with sides of cells or, if `Kind.cut` is true, pass through cells (cut cells). Then each face stores its
+distance from the nearest wall and the open part of its area, and cells and edges store the part of their volume that is
+not wall. Concrete flows in and out of a cell through the open parts of its faces (Ng, Min & Gibou 2009). Shear and
+stretch are weighted with the open volumes of edges and cells (Batty & Bridson 2008). They also need velocities of some
+faces inside walls. These ghost faces are unknowns too. The friction of the wall acts on the velocity at the wall
+itself, which is interpolated between a ghost face and the next face in the concrete.
 """
 
 import functools
@@ -22,170 +24,172 @@ import warp as wp
 from ...common.types import types
 from ..structs import mps_types
 
-OPEN = wp.constant(0)  # of `solid`: a cell that concrete may fill; above it, number of the wall that fills it
-SMOOTH = wp.constant(2)  # wall that nothing rubs on: an axis, a plane of symmetry
-GATE = wp.constant(3)  # wall that opens
-# Kinds of faces.
-AIR = wp.constant(0)  # no concrete on either side
-LIQUID = wp.constant(1)  # concrete on one side or both, which flows through it: unknown
-FIXED = wp.constant(2)  # side of a wall, which has its velocity across it
-INSIDE = wp.constant(3)  # within walls
-ROUGH = wp.constant(4)  # wall that concrete sticks to; those above have velocities
-GHOST = wp.constant(4)  # within a wall, of a cell or an edge that is not
-# Slots of `drive`.
-FORCE = wp.constant(0)  # per volume that the next step begins with [N/m3]
-ACTED = wp.constant(1)  # per volume that acted in this step [N/m3]
-PUSH = wp.constant(2)  # velocity that all faces along the pipe are given at the end of this step [m/s]
+OPEN = wp.constant(0)  # Value of `solid` for a cell that concrete may fill; other values are the number of a wall.
+SMOOTH = wp.constant(2)  # Number of the frictionless wall, which is an axis or a plane of symmetry.
+GATE = wp.constant(3)  # Number of the wall that opens at a given time.
+# The following constants are kinds of faces, except ROUGH, which is the number of a wall.
+AIR = wp.constant(0)  # Face without concrete on either side.
+LIQUID = wp.constant(1)  # Face with concrete on at least one side, which can flow through it; its velocity is unknown.
+FIXED = wp.constant(2)  # Face that is the side of a wall; its velocity is the wall's velocity across the face.
+INSIDE = wp.constant(3)  # Face inside a wall.
+ROUGH = wp.constant(4)  # Number of the wall that concrete sticks to; walls with higher numbers move.
+GHOST = wp.constant(4)  # Face inside a wall whose velocity enters the shear or stretch of the concrete beside it.
+# Slots of the array `drive`, which holds the force that drives the flow of a periodic pipe.
+FORCE = wp.constant(0)  # Driving force per volume at the start of the next step [N/m3].
+ACTED = wp.constant(1)  # Driving force per volume that acted in this step [N/m3].
+PUSH = wp.constant(2)  # Velocity that is added to all faces along the pipe at the end of this step [m/s].
 DRIVE = 3
-# Slots of `clock`.
-DT = wp.constant(0)  # step [s]
-NOW = wp.constant(1)  # time [s]
-UNTIL = wp.constant(2)  # time to stop at [s]
-WANTED = wp.constant(3)  # step that is wanted; one that ends at a time may be shorter [s]
-SPEED = wp.constant(4)  # of the concrete, rms [m/s]
-SWIFT = wp.constant(5)  # cells that the fastest passes in a second [1/s]
-BEFORE = wp.constant(6)  # SPEED of the step before [m/s]
-RATE = wp.constant(7)  # at which it grew then [m/s2]
-LAST = wp.constant(8)  # step before [s]
+# Slots of the array `clock`, which holds the time and the step control.
+DT = wp.constant(0)  # Time step [s].
+NOW = wp.constant(1)  # Present time [s].
+UNTIL = wp.constant(2)  # Time at which the flow must stop [s].
+WANTED = wp.constant(3)  # Time step that accuracy allows [s]; a step that ends at a given time may be shorter.
+SPEED = wp.constant(4)  # Root mean square speed of the concrete [m/s].
+SWIFT = wp.constant(5)  # Number of cells that the fastest concrete crosses per second [1/s].
+BEFORE = wp.constant(6)  # Value of SPEED in the previous step [m/s].
+RATE = wp.constant(7)  # Rate of change of SPEED in the previous step [m/s2].
+LAST = wp.constant(8)  # Previous time step [s].
 CLOCK = 9
 
 
 class Kind(NamedTuple):
-    """What a grid's kernels are made for."""
+    """Properties of a grid for which its kernels are specialised."""
 
     dimensions: int = 2
     axial: bool = False
-    """About an axis, which is the left side."""
+    """True for a grid about an axis of symmetry, which is its left side."""
     periodic: bool = False
-    """Goes on below as it ends above, and is full; else there is a free surface."""
+    """True if the grid repeats itself along the last axis and is full of concrete; otherwise surfaces may be free."""
     cut: bool = False
-    """Walls pass through cells."""
+    """True if walls may pass through cells (cut cells)."""
     thixotropic: bool = False
-    """Concrete of a periodic pipe has gained structure that flow breaks."""
+    """True if the concrete of a periodic pipe has gained structure at rest, which flow breaks down."""
 
     @property
     def pairs(self) -> int:
-        """Of axes."""
+        """Return the number of pairs of axes."""
         return 1 if self.dimensions == 2 else 3
 
     @property
     def velocity_neighbours(self) -> int:
-        """Faces that one may be coupled with."""
+        """Return the maximum number of faces with which a face is coupled by viscosity."""
         return 2 + 6 * (self.dimensions - 1)
 
     @property
     def pressure_neighbours(self) -> int:
-        """Cells that one may be coupled with."""
+        """Return the maximum number of cells with which a cell is coupled by the pressure."""
         return 2 * self.dimensions
 
 
 @functools.cache
 def cells_struct(scalar, dimensions: int):
-    """Numbers of a grid and of the flow on it."""
+    """Build the struct with the parameters of a grid and of the flow on it."""
     t = mps_types(scalar, dimensions)
 
     @wp.struct
     class Cells:
-        n: t.whole  # cells along each axis
-        slots: wp.int32  # of those and their frame
-        width: t.vec  # of a cell [m]
-        origin: t.vec  # lowest corner [m]
-        frame: scalar  # velocity along the last axis of the grid, and of the mean of a periodic pipe [m/s]
-        gravity: t.vec  # acceleration [m/s2]
-        density: scalar  # [kg/m3]
-        viscosity: scalar  # plastic [Pa s]
-        yield_stress: scalar  # [Pa]
-        regularisation: scalar  # beta [s]
-        volume: scalar  # of the mean particle
-        inflow: t.vec  # velocity with which particles come in again that have left [m/s]
-        resistance: wp.float64  # growth of the wall's force per volume with the mean velocity [kg/m3/s]
+        n: t.whole  # Number of cells along each axis.
+        slots: wp.int32  # Number of cells including the frame around the grid.
+        width: t.vec  # Width of a cell along each axis [m].
+        origin: t.vec  # Position of the grid's lowest corner [m].
+        frame: scalar  # Velocity of the grid along its last axis, and mean velocity in a periodic pipe [m/s].
+        gravity: t.vec  # Gravitational acceleration [m/s2].
+        density: scalar  # Density of the concrete [kg/m3].
+        viscosity: scalar  # Plastic viscosity of the Bingham law [Pa s].
+        yield_stress: scalar  # Yield stress of the Bingham law [Pa].
+        regularisation: scalar  # Regularisation time beta of the Bingham law [s].
+        volume: scalar  # Volume of the mean particle, per metre of depth or per radian in two dimensions.
+        inflow: t.vec  # Velocity of particles that re-enter the grid after they have left it [m/s].
+        resistance: wp.float64  # Derivative of the wall force per volume with respect to the mean velocity [kg/m3/s].
 
     return Cells
 
 
 @functools.cache
 def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
-    """Structs `Particles`, `Mesh` (what lies on the grid), `Geometry` (where walls are) and `Walls`."""
+    """Build the structs `Particles`, `Mesh` (arrays on the grid), `Geometry` (position of walls) and `Walls`."""
     t = mps_types(scalar, dimensions)
     vec3 = types(scalar).vec3
 
     @wp.struct
     class Particles:
-        position: wp.array(dtype=t.vec)  # [m], shape (n,) as the rest
-        velocity: wp.array(dtype=t.vec)  # [m/s]
-        gradient: wp.array(dtype=t.mat)  # of the velocity [1/s]
-        pressure: wp.array(dtype=scalar)  # [Pa]
-        mass: wp.array(dtype=scalar)  # over that of the mean particle; 0 of one that has left
+        position: wp.array(dtype=t.vec)  # Position of each particle [m], shape (n,).
+        velocity: wp.array(dtype=t.vec)  # Velocity of each particle [m/s], shape (n,).
+        gradient: wp.array(dtype=t.mat)  # Velocity gradient at each particle [1/s], shape (n,).
+        pressure: wp.array(dtype=scalar)  # Pressure at each particle [Pa], shape (n,).
+        mass: wp.array(dtype=scalar)  # Mass over that of the mean particle; 0 if the particle has left the grid.
 
     @wp.struct
     class Mesh:
-        solid: wp.array(dtype=wp.int32)  # OPEN or number of the wall, shape (slots,) as the next
-        liquid: wp.array(dtype=wp.int32)  # 1 where there is concrete
-        crowd: wp.array(dtype=scalar)  # of particles around a cell's middle, over as many as fill it
-        fill: wp.array(dtype=scalar)  # part of the cell's room that concrete fills
-        count: wp.array(dtype=wp.int32)  # particles in a cell
-        begin: wp.array(dtype=wp.int32)  # where they are in `bin`
-        listed: wp.array(dtype=wp.int32)  # particles that cells have room for in it so far, shape (1,)
-        home: wp.array(dtype=wp.int32)  # cell of a particle, or -1, shape (n,) as the next
-        place: wp.array(dtype=wp.int32)  # of a particle among those of its cell
-        bin: wp.array(dtype=wp.int32)  # particles of a cell, then those of another
-        kind: wp.array(dtype=wp.int32)  # of a face, shape (axes * slots,) as the next
-        velocity: wp.array(dtype=scalar)  # across a face [m/s]
-        start: wp.array(dtype=scalar)  # that velocity before forces act [m/s]
-        volume: wp.array(dtype=scalar)  # of concrete that a face stands for
-        rubbed: wp.array(dtype=scalar)  # area of a pipe's walls along that volume
-        traction: wp.array(dtype=scalar)  # stress of those walls, of the sign of the velocity [Pa]
-        growth: wp.array(dtype=scalar)  # of that with the face's velocity [Pa s/m]
-        slip: wp.array(dtype=scalar)  # velocity at those walls, of the face without any [m/s]
-        grip: wp.array(dtype=scalar)  # force of a wall between a face and the next along an axis over the velocity at
-        # the wall, shape (axes^2 * slots,) as the next: faces of the first axis and their next along each
-        pull: wp.array(dtype=scalar)  # that force at the known velocity
-        lean: wp.array(dtype=scalar)  # share of the next face in that velocity, the rest is the face's own
-        shift: wp.array(dtype=scalar)  # velocity that moves particles off crowds [m/s]
-        pressure: wp.array(dtype=scalar)  # in the cells [Pa], shape (slots,) as the next
-        increment: wp.array(dtype=scalar)  # of the pressure in this step [Pa]
-        potential: wp.array(dtype=scalar)  # whose slope moves particles off crowds, as a pressure would [Pa]
-        in_cell: wp.array(dtype=scalar)  # apparent viscosity [Pa s]
-        in_corner: wp.array(dtype=scalar)  # likewise, at an edge, shape (pairs * slots,) as the next
-        stress: wp.array(
-            dtype=scalar
-        )  # shear stress at a pipe's corner in the step before, or of its wall [Pa], (slots,)
-        strain: wp.array(dtype=scalar)  # square of a cell's rate of shear [1/s2], shape (slots,)
-        besides: wp.array(dtype=scalar)  # square of a cell's rate of shear without that of the pair [1/s2]
-        gained: wp.array(dtype=scalar)  # by a cell's yield stress at rest [Pa], shape (slots,), or none
-        layer: wp.array(dtype=scalar)  # likewise by a wall's along a face, shape (axes * slots,), or none
-        drive: wp.array(dtype=wp.float64)  # of a periodic pipe, slots above, shape (DRIVE,)
-        clock: wp.array(dtype=wp.float64)  # slots above, shape (CLOCK,)
+        solid: wp.array(dtype=wp.int32)  # Number of the wall that fills each cell, or OPEN, shape (slots,).
+        liquid: wp.array(dtype=wp.int32)  # 1 for cells with concrete that can flow, else 0, shape (slots,).
+        crowd: wp.array(dtype=scalar)  # Density of particles at a cell's centre, 1 if they fill it, shape (slots,).
+        fill: wp.array(dtype=scalar)  # Part of a cell's open volume that concrete fills, shape (slots,).
+        count: wp.array(dtype=wp.int32)  # Number of particles in each cell, shape (slots,).
+        begin: wp.array(dtype=wp.int32)  # Index of each cell's first particle in `bin`, shape (slots,).
+        listed: wp.array(dtype=wp.int32)  # Number of places of `bin` that cells have reserved so far, shape (1,).
+        home: wp.array(dtype=wp.int32)  # Cell of each particle, -1 if it has left the grid, shape (n,).
+        place: wp.array(dtype=wp.int32)  # Number of each particle among those of its cell, shape (n,).
+        bin: wp.array(dtype=wp.int32)  # Particles sorted by cell, shape (n,).
+        kind: wp.array(dtype=wp.int32)  # Kind of each face, such as LIQUID, shape (axes * slots,).
+        velocity: wp.array(dtype=scalar)  # Velocity across each face [m/s], shape (axes * slots,).
+        start: wp.array(dtype=scalar)  # Velocity across each face before the forces of the step act [m/s].
+        volume: wp.array(dtype=scalar)  # Volume of concrete that belongs to each face, shape (axes * slots,).
+        rubbed: wp.array(dtype=scalar)  # Area of a pipe's walls along the volume of each face.
+        traction: wp.array(dtype=scalar)  # Shear stress of a pipe's walls, with the sign of the velocity [Pa].
+        growth: wp.array(dtype=scalar)  # Derivative of `traction` with respect to the velocity of the face [Pa s/m].
+        slip: wp.array(dtype=scalar)  # Velocity of concrete at a pipe's wall; without a wall, that of the face [m/s].
+        # Walls in cut cells: force of a wall between a face and the next face along an axis, over the velocity at the
+        # wall. Shape (axes^2 * slots,), ordered by the face's axis, then by the axis along which the next face lies.
+        grip: wp.array(dtype=scalar)
+        pull: wp.array(dtype=scalar)  # Force of a wall in a cut cell at the known velocity, shaped as `grip`.
+        lean: wp.array(dtype=scalar)  # Weight of the next face in the velocity at a cut cell's wall, shaped as `grip`.
+        shift: wp.array(dtype=scalar)  # Velocity that moves particles out of crowded regions [m/s], one per face.
+        pressure: wp.array(dtype=scalar)  # Pressure in each cell [Pa], shape (slots,).
+        increment: wp.array(dtype=scalar)  # Change of the pressure in this step [Pa], shape (slots,).
+        potential: wp.array(dtype=scalar)  # Pressure-like field that moves particles out of crowded regions [Pa].
+        in_cell: wp.array(dtype=scalar)  # Apparent viscosity in each cell [Pa s], shape (slots,).
+        in_corner: wp.array(dtype=scalar)  # Apparent viscosity at each edge [Pa s], shape (pairs * slots,).
+        stress: wp.array(dtype=scalar)  # Shear stress at corners and walls of a pipe's cells in the previous step [Pa].
+        strain: wp.array(dtype=scalar)  # Square of each cell's shear rate [1/s2], shape (slots,).
+        # Square of each cell's shear rate without the part of one pair of axes [1/s2], shape (pairs * slots,).
+        besides: wp.array(dtype=scalar)
+        gained: wp.array(dtype=scalar)  # Yield stress gained at rest in each cell [Pa], shape (slots,), or empty.
+        layer: wp.array(dtype=scalar)  # Yield stress that the slip layer gained at rest [Pa], one per face, or empty.
+        drive: wp.array(dtype=wp.float64)  # Driving force of a periodic pipe in slots FORCE to PUSH, shape (DRIVE,).
+        clock: wp.array(dtype=wp.float64)  # Time and step control in the slots DT to LAST, shape (CLOCK,).
 
     @wp.struct
     class Geometry:
-        depth: wp.array(dtype=scalar)  # distance from the nearest wall, negative in it, of two places of a cell along
-        # each axis, a quarter and three quarters on [m], shape (slots * 2^axes,), the first axis fastest
-        room: wp.array(dtype=scalar)  # part of a cell that is not wall, shape (slots,)
-        nook: wp.array(dtype=scalar)  # likewise, of the quarters of a cell around its edges of each pair, shape
-        # (slots * pairs * 4,), the pair's first axis fastest
-        hold: wp.array(dtype=scalar)  # volume of what is open around its middle, weighted as particles are, (slots,)
-        opens: wp.array(dtype=scalar)  # when what is shut here opens [s], shape (slots,); no rows where nothing does
-        inlet: wp.array(dtype=t.vec)  # places at which particles come in that have left [m], shape (n,); n may be 0
-        gap: wp.array(dtype=scalar)  # distance of a face's middle from the nearest wall [m], shape (axes * slots,) as
-        part: wp.array(dtype=scalar)  # of a face that is open
-        shut: wp.array(dtype=wp.int32)  # kind of a face that is not
-        surface: wp.array(dtype=wp.int32)  # number of the nearest wall
+        # Distance from the nearest wall, negative inside it [m], at 2^axes points of each cell: a quarter and three
+        # quarters of the cell along each axis. Shape (slots * 2^axes,), in which the first axis varies fastest.
+        depth: wp.array(dtype=scalar)
+        room: wp.array(dtype=scalar)  # Part of each cell's volume that is not wall, shape (slots,).
+        # Part of each quarter of a cell that is not wall; for each pair of axes the quarters adjoin the four edges.
+        # Shape (slots * pairs * 4,), in which the pair's first axis varies fastest.
+        nook: wp.array(dtype=scalar)
+        hold: wp.array(dtype=scalar)  # Open volume around a cell's centre, weighted as particles are, shape (slots,).
+        opens: wp.array(dtype=scalar)  # Time at which the gate in a cell opens [s], shape (slots,); empty without gate.
+        inlet: wp.array(dtype=t.vec)  # Positions at which particles that have left re-enter [m]; may be empty.
+        gap: wp.array(dtype=scalar)  # Distance of each face's centre from the nearest wall [m], shape (axes * slots,).
+        part: wp.array(dtype=scalar)  # Open part of each face's area, shape (axes * slots,).
+        shut: wp.array(dtype=wp.int32)  # Kind of each face that is closed, FIXED or INSIDE, shape (axes * slots,).
+        surface: wp.array(dtype=wp.int32)  # Number of the wall nearest to each face, shape (axes * slots,).
 
     @wp.struct
     class Walls:
-        velocity: wp.array(dtype=t.vec)  # [m/s], rows by the wall's number, none in row 0, as the next
-        spin: wp.array(dtype=vec3)  # about `pivot` [rad/s]; in a plane, the middle one counts
-        pivot: wp.array(dtype=t.vec)  # [m]
-        slip_viscosity: wp.array(dtype=scalar)  # of the slip layer [Pa s/m]; below 0: smooth
-        slip_yield: wp.array(dtype=scalar)  # [Pa]
+        velocity: wp.array(dtype=t.vec)  # Velocity of each wall [m/s], indexed by its number; row 0 is unused.
+        spin: wp.array(dtype=vec3)  # Angular velocity of each wall about `pivot` [rad/s]; about y in a plane.
+        pivot: wp.array(dtype=t.vec)  # Point about which each wall rotates [m].
+        slip_viscosity: wp.array(dtype=scalar)  # Viscous constant of a wall's slip layer [Pa s/m]; < 0 if frictionless.
+        slip_yield: wp.array(dtype=scalar)  # Yield stress of a wall's slip layer [Pa].
 
     return SimpleNamespace(Particles=Particles, Mesh=Mesh, Geometry=Geometry, Walls=Walls)
 
 
 @functools.cache
 def place_functions(scalar, of: Kind) -> SimpleNamespace:
-    """Numbers, places and weights of cells, faces and edges."""
+    """Build functions for numbers, positions, areas and volumes of cells, faces and edges."""
     dims, last = of.dimensions, of.dimensions - 1
     t = mps_types(scalar, dims)
     whole, vec = t.whole, t.vec
@@ -193,7 +197,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def at(g: Cells, c: whole) -> wp.int32:
-        """Number of a cell, edge or face of axis 0."""
+        """Return the number of the cell with the indices `c`, which is also that of its edge and of its first face."""
         k = c[last]
         if wp.static(of.periodic):
             k = (k + g.n[last]) % g.n[last]
@@ -204,7 +208,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def cell(g: Cells, number: wp.int32) -> whole:
-        """Where a cell, edge or face of axis 0 is."""
+        """Return the indices of the cell with the given number; this is the inverse of `at`."""
         across = g.n[0] + 2
         if wp.static(of.dimensions == 2):
             return whole(number % across - 1, number / across - 1)
@@ -215,13 +219,13 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def moved(c: whole, axis: wp.int32, by: wp.int32) -> whole:
-        """So many cells on along an axis."""
+        """Return the indices `c`, moved along an axis by a number of cells."""
         c[axis] = c[axis] + by
         return c
 
     @wp.func
     def on_grid(g: Cells, c: whole) -> wp.bool:
-        """May there be a face or an edge?"""
+        """Return whether a face or an edge with the indices `c` exists; a periodic grid has one layer less of them."""
         found = c[last] >= 0 and c[last] <= g.n[last] - wp.static(1 if of.periodic else 0)
         for b in range(last):
             if c[b] < 0 or c[b] > g.n[b]:
@@ -230,7 +234,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def reached(g: Cells, c: whole) -> wp.bool:
-        """Likewise; a periodic grid goes on."""
+        """Return whether a face or an edge with the indices `c` exists, where a periodic grid continues without end."""
         found = wp.bool(True)
         for b in range(wp.static(last if of.periodic else dims)):
             if c[b] < 0 or c[b] > g.n[b]:
@@ -239,7 +243,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def in_grid(g: Cells, c: whole) -> wp.bool:
-        """Is the cell none of the frame's?"""
+        """Return whether the cell lies inside the grid, rather than in its frame."""
         found = wp.bool(True)
         for b in range(dims):
             if c[b] < 0 or c[b] >= g.n[b]:
@@ -248,7 +252,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def face_middle(g: Cells, c: whole, axis: wp.int32) -> vec:
-        """[m]"""
+        """Return the position of a face's centre [m]."""
         x = vec()
         for b in range(dims):
             x[b] = g.origin[b] + (scalar(c[b]) + wp.where(b == axis, scalar(0.0), scalar(0.5))) * g.width[b]
@@ -256,21 +260,21 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def side_weight(g: Cells, c: whole) -> scalar:
-        """Radius of a side; 1 in a plane."""
+        """Return the radius of a cell's inner side about the axis of symmetry [m], or 1 without such an axis."""
         if wp.static(of.axial):
             return scalar(c[0]) * g.width[0]
         return scalar(1.0)
 
     @wp.func
     def cell_weight(g: Cells, c: whole) -> scalar:
-        """Radius of a cell's middle; 1 in a plane."""
+        """Return the radius of a cell's centre about the axis of symmetry [m], or 1 without such an axis."""
         if wp.static(of.axial):
             return (scalar(c[0]) + scalar(0.5)) * g.width[0]
         return scalar(1.0)
 
     @wp.func
     def block(g: Cells) -> scalar:
-        """Volume of a cell, but for its weight."""
+        """Return the product of a cell's widths, which times `cell_weight` is its volume."""
         if wp.static(of.dimensions == 2):
             return g.width[0] * g.width[1]
         else:
@@ -286,7 +290,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def cell_of(g: Cells, x: vec) -> wp.int32:
-        """Cell at a place, or the nearest."""
+        """Return the number of the cell that contains `x`, or of the nearest cell."""
         c = whole()
         for b in range(dims):
             c[b] = wp.clamp(wp.int32(wp.floor((x[b] - g.origin[b]) / g.width[b])), 0, g.n[b] - 1)
@@ -301,7 +305,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
 @functools.cache
 def grid_functions(scalar, of: Kind) -> SimpleNamespace:
-    """Those of places, and rates of shear."""
+    """Build all functions of `place_functions`, and functions for open areas, shear rates and wall velocities."""
     dims = of.dimensions
     t = mps_types(scalar, dims)
     whole, vec = t.whole, t.vec
@@ -316,26 +320,26 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def open_area(g: Cells, geometry: Geometry, c: whole, axis: wp.int32) -> scalar:
-        """Of a face that concrete flows through."""
+        """Return the area of a face through which concrete can flow."""
         if wp.static(of.cut):
             return places.face_area(g, c, axis) * geometry.part[at(g, c) + axis * g.slots]
         return places.face_area(g, c, axis)
 
     @wp.func
     def unknown(kind: wp.int32) -> wp.bool:
-        """Do viscosity and walls change the face's velocity?"""
+        """Return whether the velocity of a face is an unknown of the viscous solve."""
         if wp.static(of.cut):
             return wp.where(kind == LIQUID, True, kind == GHOST)
         return kind == LIQUID
 
     @wp.func
     def sheared(kind: wp.int32) -> wp.bool:
-        """Has a face a velocity whose change beside it is a shear or a stretch?"""
+        """Return whether a face has a velocity that counts in rates of shear and stretch."""
         return unknown(kind) or kind == FIXED
 
     @wp.func
     def wetness(g: Cells, mesh: Mesh, geometry: Geometry, c: whole, pair: wp.int32) -> scalar:
-        """Part of what lies around an edge that concrete fills."""
+        """Return the part of the volume around an edge that concrete fills."""
         a = wp.where(pair == 2, 1, 0)
         b = wp.where(pair == 0, 1, 2)
         sum = scalar(0.0)
@@ -349,7 +353,7 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def shear(g: Cells, mesh: Mesh, geometry: Geometry, c: whole, pair: wp.int32):
-        """Rate of shear at an edge, and the volume of concrete that it stands for; none in the air."""
+        """Return the shear rate at an edge [1/s] and the volume of concrete that belongs to it; both 0 in the air."""
         a = wp.where(pair == 2, 1, 0)
         b = wp.where(pair == 0, 1, 2)
         here, left, below = at(g, c), at(g, moved(c, a, -1)), at(g, moved(c, b, -1))
@@ -364,7 +368,10 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def stretch(g: Cells, mesh: Mesh, c: whole) -> vec3:
-        """Rates of stretch of a cell: across, along (or in depth), around the axis (or along)."""
+        """Return the stretch rates of a cell along its axes [1/s].
+
+        With an axis of symmetry the third component is the stretch rate in the circumferential direction.
+        """
         rates = vec3()
         here = at(g, c)
         for axis in range(dims):
@@ -389,7 +396,7 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def wall_speed(walls: Walls, wall: wp.int32, x: vec, axis: wp.int32) -> scalar:
-        """Of a point of a wall [m/s]."""
+        """Return the velocity component of a wall at the point `x` along an axis [m/s]."""
         d = x - walls.pivot[wall]
         w = walls.spin[wall]
         if wp.static(of.dimensions == 2):

@@ -1,4 +1,4 @@
-"""How full cells are, by the particles around their middles."""
+"""Fill fractions of cells, computed from the density of particles around the cells' centres."""
 
 import functools
 from types import SimpleNamespace
@@ -10,13 +10,17 @@ from ..structs import mps_types
 from .cells import OPEN, Kind, cells_struct, grid_functions, grid_structs
 
 WET = wp.constant(0.02)
-"""Part of a cell that is concrete's from which on it flows there: if less did, surfaces at rest on the cells' sides
-would stir (1 mm/s in a fluid of 10 Pa s)."""
+"""Fill fraction of a cell above which its concrete can flow. With a smaller value, free surfaces at rest that coincide
+with the sides of cells would not stay at rest (1 mm/s in a fluid of 10 Pa s)."""
 
 
 @functools.cache
 def level_functions(scalar, of: Kind) -> SimpleNamespace:
-    """What a crowd says of a cell: `level` and `lies`, `film` which of both; what counts `behind` a cell's side."""
+    """Build functions that convert the density of particles at a cell's centre (`crowd`) to the cell's fill fraction.
+
+    `level` does so at a free surface, and `lies` for a film of concrete that lies on a wall. `film` decides between
+    them. `behind` corrects the density beside walls.
+    """
     dims = of.dimensions
     Cells = cells_struct(scalar, dims)
     Mesh = grid_structs(scalar, dims).Mesh
@@ -27,19 +31,31 @@ def level_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def level(crowd: scalar) -> scalar:
-        """How high a flat surface stands in a cell whose middle has such a crowd around it; 0 and 1 are its faces."""
+        """Return the height of a flat free surface in a cell, from 0 at the bottom to 1 at the top.
+
+        `crowd` is the density of particles at the cell's centre, weighted linearly with the distance from it.
+        """
+        # With a linear weight of the particles, a surface at height h < 1/2, below the centre, gives a density of
+        # (h + 1/2)^2 / 2, and a surface above the centre gives 1 - (3/2 - h)^2 / 2. Solve for h.
         if crowd < scalar(0.5):
             return wp.sqrt(scalar(2.0) * crowd) - scalar(0.5)
         return scalar(1.5) - wp.sqrt(wp.max(scalar(2.0) * (scalar(1.0) - crowd), scalar(0.0)))
 
     @wp.func
     def lies(crowd: scalar) -> scalar:
-        """The same of concrete that lies on a wall: what is below the middle counts in full."""
+        """Return the height of a free surface of concrete that lies on a wall, from 0 at the wall to 1 at the top.
+
+        Up to half the cell's height it equals the density of particles at the cell's centre.
+        """
         return wp.where(crowd < scalar(0.5), crowd, level(crowd))
 
     @wp.func
     def film(mesh: Mesh, g: Cells, c: whole) -> wp.bool:
-        """Is there a wall on one side of a cell, no particle on the other, and no deep concrete beside it?"""
+        """Return whether the concrete in a cell is a thin film on a wall.
+
+        This is so if there is a wall on one side of the cell, no particle in the cell on the opposite side, and no
+        neighbouring cell with more than twice as many particles.
+        """
         own = mesh.count[f.at(g, c)]
         found = wp.bool(False)
         for n in range(2 * dims):
@@ -53,8 +69,11 @@ def level_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def behind(g: Cells, mesh: Mesh, c: whole, d: vec) -> scalar:
-        """What cells that are wall have of a particle of this cell: it counts here, or what lies on a wall would weigh
-        half."""
+        """Return the share of a particle's weight that would fall on neighbouring wall cells.
+
+        This share counts for the particle's own cell. Otherwise concrete that lies on a wall would have only half its
+        weight.
+        """
         sum = scalar(0.0)
         for n in range(1, corners):
             o = c
@@ -77,10 +96,10 @@ def level_functions(scalar, of: Kind) -> SimpleNamespace:
 
 @functools.cache
 def fill_kernel(scalar, of: Kind):
-    """How much of each cell concrete fills; a task a slot.
+    """Build the kernel that computes the fill fraction of each cell, with one task per cell.
 
-    By the particles around its middle: of a flat surface along the grid it is as high as that, and how particles lie
-    within the concrete does not matter.
+    The fill fraction follows from the density of particles around the cell's centre. It is exact for a flat free
+    surface parallel to the cells' sides, and it does not depend on how the particles inside the concrete are arranged.
     """
     dims = of.dimensions
     Cells = cells_struct(scalar, dims)

@@ -1,7 +1,8 @@
-"""Forces on the faces of a grid, and the matrix of their implicit change.
+"""Viscous forces, pressure and weight on the faces of a grid, and the matrix of their implicit change.
 
-Stretch in cells and shear at edges are what moves each face: forces are derivatives of one dissipation, so that what a
-face loses its neighbours win, whatever the viscosity does between them.
+The viscous forces result from stretch in cells and shear at edges. They are derivatives of a single dissipation
+function. The matrix is therefore symmetric, and every force has its reaction on the neighbouring faces, however the
+viscosity varies in space.
 """
 
 import functools
@@ -16,22 +17,27 @@ from .cells import DT, FORCE, LIQUID, Kind, cells_struct, grid_functions, grid_s
 from .structure import grown_function
 
 STIFFENING = wp.constant(2.0)
-"""Of a viscosity's way in logarithms, under a free surface, what a step goes where concrete stays below yielding."""
+"""Factor on the change of the logarithm of a viscosity in a step, for unyielded concrete in flows with a free
+surface; 1 would be the whole change."""
 
 
 @functools.cache
 def relaxing_function(scalar, of: Kind):
-    """`relaxed`: a viscosity on its way from that of the step before to that of the rate now."""
+    """Build `relaxed`, which moves a viscosity from its previous value towards the value at the present rate."""
     Cells = cells_struct(scalar, of.dimensions)
     law = bingham_functions(scalar, of.dimensions)
 
     @wp.func
     def relaxed(g: Cells, before: scalar, now: scalar, rate: scalar) -> scalar:
-        """Half the way in logarithms: with the whole of it plugs thinner than a cell short of a pipe's wall swing.
+        """Return a viscosity between the previous value `before` and the value `now` at the present shear rate.
 
-        Where there may be a surface concrete stops and starts: a rate below the yield stress shrinks by the stress over
-        it a step only, and so goes further than the whole way, lest concrete rest the later the longer steps are; what
-        yields goes the whole way.
+        Normally this is the geometric mean of both. With `now` itself, a plug that ends less than a cell from the wall
+        of a pipe would oscillate.
+
+        Flows that may have a free surface also stop and start. In such flows, concrete that yields gets the value
+        `now`. In concrete below the yield stress, a step can reduce the shear rate only by the ratio of stress to yield
+        stress, so that concrete would come to rest the later, the longer the time steps are. Its viscosity is therefore
+        extrapolated to ``before * (now / before) ** STIFFENING``.
         """
         if before > scalar(0.0):
             if wp.static(not of.periodic):
@@ -48,7 +54,11 @@ def relaxing_function(scalar, of: Kind):
 
 @functools.cache
 def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
-    """Kernels `rates` and `viscosity`: apparent viscosity of cells, then of edges, each for the whole rate of shear."""
+    """Build the kernels `rates` and `viscosity`, which compute the apparent viscosity of cells and then of edges.
+
+    Both use the magnitude of the whole strain rate tensor. Components that are defined elsewhere on the staggered grid
+    are averaged over the four nearest places.
+    """
     dims, pairs = of.dimensions, of.pairs
     Cells = cells_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
@@ -69,8 +79,10 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def change(g: Cells, mesh: Mesh, c: whole, axis: wp.int32) -> scalar:
-        """Of a plane's shear stress at a corner over a cell, smoothed aside: what swings between cells must not feed
-        it."""
+        """Return the change of the shear stress at a corner over one cell along an axis, in two dimensions.
+
+        The stress is smoothed across that axis, so that oscillations from cell to cell do not amplify themselves.
+        """
         sum = scalar(0.0)
         for n in range(3):
             beside = f.moved(c, 1 - axis, n - 1)
@@ -80,7 +92,7 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def around(g: Cells, mesh: Mesh, geometry: Geometry, c: whole, pair: wp.int32) -> scalar:
-        """Mean square of the rates at a cell's four edges of a pair, those that there are."""
+        """Return the mean square of the shear rates at a cell's edges in concrete, for one pair of axes [1/s2]."""
         sum = scalar(0.0)
         count = scalar(0.0)
         for n in range(4):
@@ -143,7 +155,8 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
                 if wp.static(of.thixotropic):
                     own = grown(g, gained / wp.max(count, scalar(1.0)))
                 total = wp.sqrt(rate * rate + sum / wp.max(count, scalar(1.0)))
-                # Beside a free surface stress varies both ways, and by what particles happen to do.
+                # The correction for the edge of a plug is used in full pipes only. Beside a free surface the stress
+                # varies along both axes, and it contains noise from the particles.
                 most = scalar(0.0)
                 if wp.static(of.periodic and not of.cut):
                     most = wp.max(change(g, mesh, c, 1), change(g, mesh, c, 0))
@@ -154,8 +167,10 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
 
 @functools.cache
 def rubbing_function(scalar, of: Kind):
-    """What a wall between a face and its next does to it: force, its growth with the face's velocity, coefficient of
-    the next.
+    """Build `rubbed`, the friction of a wall that passes between a face and the next face along an axis.
+
+    It returns the force that slows the face, the derivative of that force with respect to the face's velocity, and the
+    matrix coefficient of the next face.
     """
     dims = of.dimensions
     Cells = cells_struct(scalar, dims)
@@ -185,7 +200,7 @@ def rubbing_function(scalar, of: Kind):
 
 @functools.cache
 def entering_function(scalar, serial: bool, of: Kind):
-    """One more neighbour in a row of the matrix, if it is unknown; entries that there are then."""
+    """Build `put`, which adds a neighbour to a matrix row if it is unknown, and returns the new number of entries."""
     Mesh = grid_structs(scalar, of.dimensions).Mesh
     Matrix = array_structs(scalar, 2).Matrix
     f = grid_functions(scalar, of)
@@ -207,7 +222,10 @@ def entering_function(scalar, serial: bool, of: Kind):
 
 @functools.cache
 def momentum_kernel(scalar, serial: bool, of: Kind):
-    """Forces on the faces at the known velocities, and rows of the matrix of their implicit change."""
+    """Build the kernel that computes forces on faces at the known velocities, and the matrix of their implicit change.
+
+    The matrix has a row for each face. The kernel runs with one task per cell.
+    """
     dims = of.dimensions
     Cells = cells_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
@@ -232,7 +250,8 @@ def momentum_kernel(scalar, serial: bool, of: Kind):
             if within:
                 edge_rate, edge_volume = f.shear(g, mesh, geometry, c, 0)
                 if edge_volume > scalar(0.0):
-                    # Half the way: what takes this stress into account is of the next step, and would swing.
+                    # Store the mean of old and new stress. It affects the viscosity of the next step only, and with
+                    # the new stress alone the flow would oscillate from step to step.
                     mesh.stress[number] = scalar(0.5) * (mesh.stress[number] + edge_rate * mesh.in_corner[number])
         for axis in range(dims):
             r = number + axis * g.slots
@@ -240,7 +259,7 @@ def momentum_kernel(scalar, serial: bool, of: Kind):
             diagonal = scalar(0.0)
             force = scalar(0.0)
             kind = mesh.kind[r]
-            # Those within a wall along the frame are a cell outside.
+            # Ghost faces inside a wall at the grid's boundary lie one cell outside the grid.
             unknown = (within or wp.static(of.cut)) and f.unknown(kind)
             if unknown:
                 volume = mesh.volume[r]
@@ -264,7 +283,7 @@ def momentum_kernel(scalar, serial: bool, of: Kind):
                             diagonal += grows
                             other = coupled
                         if b == axis:
-                            # Stretch of the cell on this side.
+                            # Force due to the stretch of the cell on this side of the face.
                             along = g.width[axis]
                             cell = f.moved(c, axis, side - 1)
                             o = f.at(g, cell)
@@ -289,7 +308,7 @@ def momentum_kernel(scalar, serial: bool, of: Kind):
                                         own += both * half * half
                                 diagonal += own
                         elif wp.static(not of.cut) or f.reached(g, f.moved(c, b, side)):
-                            # Shear of the edge at this end.
+                            # Force due to the shear at the edge on this side of the face.
                             across = g.width[b]
                             edge = f.moved(c, b, side)
                             pair = axis + b - 1

@@ -1,7 +1,8 @@
-"""How long the steps of a flow on a grid are: by what a step errs, and by how far concrete goes in it.
+"""Adaptive time steps of a flow on a grid, limited by the error of a step and by the distance that concrete moves.
 
-Backward Euler errs by half a step times the change of the acceleration from a step to the next. Here that is the
-change of the flow's rms speed: of one face it would be the noise of particles, which no shorter step makes less.
+The error of a step of the backward Euler method is half the step times the change of the acceleration between two
+steps. Here the acceleration is that of the root mean square speed of the flow. The acceleration at a single face would
+contain the noise of the particles, which a shorter step does not reduce.
 """
 
 import functools
@@ -29,36 +30,39 @@ from .cells import (
 )
 
 COURANT = wp.constant(wp.float64(1.0))
-"""Cells that the fastest concrete passes in a step, at most."""
+"""Maximum number of cells that the fastest concrete crosses in a step (Courant number)."""
 LONGER, SHORTER = wp.constant(wp.float64(1.25)), wp.constant(wp.float64(0.2))
-"""What a step may be of the one that was wanted before, and of the one before."""
+"""Maximum ratio of a step to the step wanted before, and minimum ratio of a step to the previous step."""
 SAFETY = wp.constant(wp.float64(0.9))
 LEAST = wp.constant(wp.float64(1.0e-4))
-"""Shortest step over the longest."""
+"""Ratio of the shortest to the longest time step."""
 
 
 @wp.struct
 class Pace:
-    """What the length of steps goes by."""
+    """Parameters of the step control."""
 
-    longest: wp.float64  # step [s]
-    error: wp.float64  # that a step may make, over the rms speed; 0: all steps are the longest
-    floor: wp.float64  # of that speed [m/s]
-    viscous: wp.float64  # residual of the viscosity's solve that is small enough for the longest step
-    pressure: wp.float64  # likewise, of the pressure's
-    crowding: wp.float64  # and of the one that moves particles apart
+    longest: wp.float64  # Longest time step [s].
+    error: wp.float64  # Allowed error of a step over the rms speed; 0 means that all steps are the longest.
+    floor: wp.float64  # Lower limit of the rms speed with which errors are compared [m/s].
+    viscous: wp.float64  # Residual norm at which the viscous solve stops, for the longest time step.
+    pressure: wp.float64  # Residual norm at which the pressure solve stops, for the longest time step.
+    crowding: wp.float64  # Residual norm at which the solve that disperses particles stops, for the longest time step.
 
 
 @functools.cache
 def speed_kernels(scalar, of: Kind) -> SimpleNamespace:
-    """Kernels `speeds`, or `sums` and `speeds_of_sums` on a GPU: how fast concrete goes."""
+    """Build the kernels that measure the speed of the concrete.
+
+    They are `speeds` for a CPU, and `sums` followed by `speeds_of_sums` for a GPU.
+    """
     dims = of.dimensions
     Cells = cells_struct(scalar, dims)
     Mesh = grid_structs(scalar, dims).Mesh
 
     @wp.func
     def swift(g: Cells, mesh: Mesh, r: wp.int32) -> wp.float64:
-        """Cells that a face's concrete passes in a second."""
+        """Return the number of cells that the concrete at a face crosses per second."""
         axis = r / g.slots
         speed = mesh.velocity[r]
         if wp.static(of.periodic):
@@ -68,7 +72,7 @@ def speed_kernels(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def speeds(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
-        """One task."""
+        """Compute the rms speed and the largest number of cells crossed per second, in one task."""
         if flags[HALTED] != 0:
             return
         square = wp.float64(0.0)
@@ -85,7 +89,7 @@ def speed_kernels(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def sums(g: Cells, blocks: wp.int32, mesh: Mesh, partial: wp.array(dtype=wp.float64)):
-        """Whole blocks; a thread a face."""
+        """Compute partial sums and maxima of the speeds of all faces, in whole blocks with one thread per face."""
         r = wp.tid()
         square = wp.float64(0.0)
         volume = wp.float64(0.0)
@@ -107,7 +111,7 @@ def speed_kernels(scalar, of: Kind) -> SimpleNamespace:
     def speeds_of_sums(
         blocks: wp.int32, flags: wp.array(dtype=wp.int32), partial: wp.array(dtype=wp.float64), mesh: Mesh
     ):
-        """One block."""
+        """Combine the results of `sums` into the rms speed and the largest number of cells crossed, in one block."""
         thread = wp.tid()
         square = total(thread, partial, 0, blocks)
         volume = total(thread, partial, blocks, blocks)
@@ -125,7 +129,7 @@ def speed_kernels(scalar, of: Kind) -> SimpleNamespace:
 
 @functools.cache
 def clock_kernels(scalar, of: Kind) -> SimpleNamespace:
-    """Kernels `tick` at the end of a step, and `begin` where a flow sets out."""
+    """Build the kernels `begin`, which sets a goal for the flow, and `tick`, which ends each step."""
     Mesh = grid_structs(scalar, of.dimensions).Mesh
 
     @wp.func
@@ -133,7 +137,10 @@ def clock_kernels(scalar, of: Kind) -> SimpleNamespace:
         pace: Pace, clock: wp.array(dtype=wp.float64), viscous: wp.array(dtype=wp.float64),
         pressure: wp.array(dtype=wp.float64), crowding: wp.array(dtype=wp.float64),
     ):  # fmt: skip
-        """The next step: as long as is wanted, or an equal part of what is left; residuals go with one over it."""
+        """Set the next time step, and the residual norms at which the solves stop, which depend on the step.
+
+        If less than four wanted steps are left before the end time, the time left is divided into equal steps.
+        """
         left = clock[UNTIL] - clock[NOW]
         dt = clock[WANTED]
         if left < wp.float64(4.0) * dt:
@@ -145,11 +152,14 @@ def clock_kernels(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def wanted(pace: Pace, clock: wp.array(dtype=wp.float64), first: wp.bool) -> wp.float64:
-        """Length of the next step, by what this one did."""
+        """Return the wanted length of the next step [s], from the error and the speed of this step."""
         dt = clock[DT]
-        longest = LONGER * clock[WANTED]  # which this step may be shorter than, as it ends when it had to
+        # The growth is limited relative to the wanted step, because this step may have been shortened to end at a
+        # given time.
+        longest = LONGER * clock[WANTED]
         longer = longest
         if not first:
+            # The error is proportional to the square of the step, so the allowed step follows from a square root.
             error = wp.float64(0.5) * wp.abs(clock[SPEED] - clock[BEFORE] - clock[RATE] * dt)
             allowed = pace.error * wp.max(clock[SPEED], pace.floor)
             factor = wp.max(SAFETY * wp.sqrt(allowed / wp.max(error, wp.float64(1.0e-30))), SHORTER)
@@ -165,7 +175,7 @@ def clock_kernels(scalar, of: Kind) -> SimpleNamespace:
         viscous_least: wp.array(dtype=wp.float64), pressure_least: wp.array(dtype=wp.float64),
         crowding_least: wp.array(dtype=wp.float64),
     ):  # fmt: skip
-        """One thread: the step is complete."""
+        """Complete the step in one thread: advance the clock, choose the next step, and halt at the goal."""
         if flags[HALTED] != 0:
             return
         first = flags[STEPS] == 0
@@ -192,7 +202,7 @@ def clock_kernels(scalar, of: Kind) -> SimpleNamespace:
         viscous_least: wp.array(dtype=wp.float64), pressure_least: wp.array(dtype=wp.float64),
         crowding_least: wp.array(dtype=wp.float64),
     ):  # fmt: skip
-        """One thread: on to a time, or to a number of steps."""
+        """Set the time or the step count at which the flow must halt, and let it continue, in one thread."""
         if flags[FAILED] != 0:
             return
         flags[GOAL] = goal

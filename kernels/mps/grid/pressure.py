@@ -1,4 +1,4 @@
-"""Projection of a grid's velocities onto those without divergence, and what drives a periodic pipe."""
+"""Projection of a grid's velocities onto a divergence-free field, and the force that drives a periodic pipe."""
 
 import functools
 from types import SimpleNamespace
@@ -11,12 +11,15 @@ from ..structs import array_structs, mps_types, row_place
 from .cells import ACTED, DT, FORCE, LIQUID, OPEN, PUSH, ROUGH, Kind, cells_struct, grid_functions, grid_structs
 
 CORRECTED = 0.1
-"""Part of what is too much or too little in a cell that a step takes away."""
+"""Share of a cell's excess or lack of particles that one step corrects."""
 
 
 @functools.cache
 def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
-    """Kernels `divergence` before the solve, `project` after it, a task a slot each."""
+    """Build the kernels `divergence` and `project`, which run before and after the pressure solve.
+
+    Both run with one task per cell.
+    """
     dims = of.dimensions
     Cells = cells_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
@@ -31,7 +34,7 @@ def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
         g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, walls: Walls, mesh: Mesh, matrix: Matrix,
         projection: Solve,
     ):  # fmt: skip
-        """Volume that flows into a cell, and its row of the matrix of the pressure's increment."""
+        """Compute the net volume flow into each cell, and the cell's row of the matrix for the pressure increment."""
         if flags[HALTED] != 0:
             return
         number = wp.tid()
@@ -50,7 +53,7 @@ def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
                     flux = area * mesh.velocity[r]
                     if wp.static(of.cut):
                         wall = geometry.surface[r]
-                        if wall > ROUGH:  # what goes with a wall flows through the rest of the face
+                        if wall > ROUGH:  # A moving wall displaces volume through the closed part of the face.
                             x = f.face_middle(g, face, axis)
                             flux += (f.face_area(g, face, axis) - area) * f.wall_speed(walls, wall, x, axis)
                     into += wp.where(side == 0, flux, -flux)
@@ -70,7 +73,7 @@ def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def project(g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh):
-        """Velocities without divergence; the pressure of this step."""
+        """Subtract the gradient of the pressure increment from the velocities, and update the pressure."""
         if flags[HALTED] != 0:
             return
         number = wp.tid()
@@ -80,7 +83,8 @@ def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
         for axis in range(dims):
             r = number + axis * g.slots
             kind = mesh.kind[r]
-            if wp.static(not of.cut) and kind == LIQUID:  # what walls did bear in the end
+            # Update the stress of the walls to the velocity after the viscous solve.
+            if wp.static(not of.cut) and kind == LIQUID:
                 mesh.traction[r] = mesh.traction[r] + mesh.growth[r] * (mesh.velocity[r] - mesh.start[r])
             if kind == LIQUID:
                 rise = mesh.increment[number] - mesh.increment[f.at(g, f.moved(c, axis, -1))]
@@ -95,10 +99,12 @@ def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
 
 @functools.cache
 def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
-    """Kernels `source` and `disperse`, before and after a solve with the matrix of the pressure, a task a slot each.
+    """Build the kernels `source` and `disperse`, which correct the density of particles.
 
-    Particles drift together and apart, as no divergence in the cells does not keep them; a part of what is too much or
-    too little is taken away by a displacement that no velocity feels.
+    Particles slowly accumulate in some places and become sparse in others, because divergence-free velocities in the
+    cells do not prevent it. A share of the excess or lack is corrected by a displacement that does not change
+    velocities. It follows from a solve with the matrix of the pressure, before and after which the kernels run. Each
+    kernel has one task per cell.
     """
     dims = of.dimensions
     Cells = cells_struct(scalar, dims)
@@ -110,7 +116,10 @@ def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def missing(g: Cells, mesh: Mesh, c: whole) -> scalar:
-        """What a crowd lacks of 1 because cells around are not full, if these are filled evenly."""
+        """Return by how much a cell's particle density is below 1 because the cells around it are not full.
+
+        The cells around are taken to be filled evenly.
+        """
         sum = scalar(0.0)
         for n in range(wp.static(3**dims)):
             o = whole()
@@ -120,6 +129,7 @@ def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
                 by = rest % 3 - 1
                 rest = rest / 3
                 o[b] = c[b] + by
+                # The linear weight of particles has 3/4 of its integral in the cell, 1/8 in each neighbour on an axis.
                 part *= wp.where(by == 0, scalar(0.75), scalar(0.125))
             near = f.at(g, o)
             if mesh.solid[near] == OPEN:
@@ -138,7 +148,8 @@ def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
         if mesh.liquid[number] != 0:
             excess = mesh.crowd[number] - scalar(1.0)
             if excess < scalar(0.0):
-                # Less than full may be the surface's right: so much as its cells, evenly filled, would leave here.
+                # Near a free surface a lack of particles is normal. Only the part that exceeds the lack due to partly
+                # filled cells is corrected.
                 excess = wp.where(mesh.fill[number] < scalar(1.0), scalar(0.0), excess + missing(g, mesh, c))
                 excess = wp.min(excess, scalar(0.0))
             excess = wp.clamp(excess, scalar(-0.1), scalar(0.1))
@@ -167,10 +178,11 @@ def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
 
 @functools.cache
 def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
-    """Kernels that hold the mean velocity along a periodic pipe: `lacking`, or `sums` and `lacking_of_sums`; `shove`.
+    """Build the kernels that keep the mean velocity along a periodic pipe constant.
 
-    All faces are given what the mean lacks, which is a uniform force; the next step begins with that force, and with
-    what the wall will answer.
+    `lacking` (on a GPU `sums` and `lacking_of_sums`) computes the difference between the wanted and the present mean
+    velocity. `shove` adds this difference to all faces, which is equivalent to a uniform force. The next step starts
+    with a driving force increased by this force and by the resulting increase of wall friction.
     """
     Cells = cells_struct(scalar, dimensions)
     Mesh = grid_structs(scalar, dimensions).Mesh
@@ -185,7 +197,7 @@ def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def lacking(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
-        """One task."""
+        """Compute the missing mean velocity and the driving force, in one task."""
         if flags[HALTED] != 0:
             return
         sum = wp.float64(0.0)
@@ -198,7 +210,7 @@ def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def sums(g: Cells, blocks: wp.int32, mesh: Mesh, partial: wp.array(dtype=wp.float64)):
-        """Whole blocks."""
+        """Compute partial sums of volume and volume flow along the pipe, in whole blocks with one thread per face."""
         c = wp.tid()
         own = wp.float64(0.0)
         volume = wp.float64(0.0)
@@ -214,7 +226,7 @@ def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
     def lacking_of_sums(
         g: Cells, blocks: wp.int32, flags: wp.array(dtype=wp.int32), partial: wp.array(dtype=wp.float64), mesh: Mesh
     ):
-        """One block."""
+        """Compute the missing mean velocity and the driving force from the partial sums, in one block."""
         c = wp.tid()
         sum = total(c, partial, 0, blocks)
         whole = total(c, partial, blocks, blocks)
@@ -223,7 +235,7 @@ def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def shove(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
-        """A task a slot."""
+        """Add the missing mean velocity to all faces along the pipe, with one task per cell."""
         if flags[HALTED] != 0:
             return
         r = wp.tid() + (dimensions - 1) * g.slots

@@ -1,8 +1,8 @@
-"""Structure that concrete gained at rest, on a grid: what it adds to yield stresses, and how flow breaks it.
+"""Thixotropy on a grid: the yield stress that concrete gained at rest, and how flow breaks this structure down.
 
-Roussel 2006: stress gained G falls as dG/dt = -alpha G rate while concrete is sheared; what it wins again meanwhile is
-left out. The layer on a wall is sheared by its slip alone. Structure lies on the grid: in a pipe that is the same all
-along, what goes with the flow changes nothing.
+The gained yield stress G decays as dG/dt = -alpha G rate while concrete is sheared (Roussel 2006); the recovery during
+shear is neglected. The slip layer on a wall is sheared by its slip velocity only. The structure is stored on the grid
+and not carried with the flow, which makes no difference in a pipe whose state is the same all along its axis.
 """
 
 import functools
@@ -15,7 +15,7 @@ from .cells import DT, LIQUID, Kind, cells_struct, grid_functions, grid_structs
 
 @functools.cache
 def grown_function(scalar, dimensions: int):
-    """`grown`: numbers of a grid whose concrete bears more."""
+    """Build `grown`, which returns a copy of the grid's parameters with the yield stress raised by `gained`."""
     Cells = cells_struct(scalar, dimensions)
 
     @wp.func
@@ -29,7 +29,10 @@ def grown_function(scalar, dimensions: int):
 
 @functools.cache
 def break_kernel(scalar, of: Kind):
-    """One thread a cell: what a step leaves of the structure there, and in the layer along its faces."""
+    """Build the kernel that breaks down the structure of each cell, and of the slip layer along its faces, in a step.
+
+    It runs with one thread per cell.
+    """
     Cells = cells_struct(scalar, of.dimensions)
     structs = grid_structs(scalar, of.dimensions)
     Mesh, Walls = structs.Mesh, structs.Walls

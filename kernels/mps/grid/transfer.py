@@ -1,4 +1,8 @@
-"""Between particles and grid: affine particle-in-cell (Jiang et al. 2015), which keeps linear flows as they are."""
+"""Transfer of velocities between particles and grid.
+
+The method is affine particle-in-cell (Jiang et al. 2015), in which each particle carries a velocity and its gradient.
+It transfers linear velocity fields without error.
+"""
 
 import functools
 from types import SimpleNamespace
@@ -24,15 +28,18 @@ from .cells import (
 )
 
 CLEAR = wp.constant(0.02)
-"""Distance from a wall, over a cell's width, that particles keep."""
+"""Minimum distance of particles from a wall, over the width of a cell."""
 
 LIGHT = wp.constant(0.1)
-"""Inertia of a face within a wall over that of one without."""
+"""Inertia of a ghost face inside a wall, over the inertia of a full face in the concrete."""
 
 
 @functools.cache
 def gather_kernel(scalar, of: Kind):
-    """Kinds and volumes of the faces, and the velocities that particles bring to them; a task a slot."""
+    """Build the kernel that determines kind and volume of each face and the velocity that particles bring to it.
+
+    It runs with one task per cell.
+    """
     dims, last = of.dimensions, of.dimensions - 1
     t = mps_types(scalar, dims)
     whole = t.whole
@@ -44,7 +51,7 @@ def gather_kernel(scalar, of: Kind):
 
     @wp.func
     def kind_of(g: Cells, mesh: Mesh, geometry: Geometry, a: wp.int32, b: wp.int32, r: wp.int32, axis: wp.int32):
-        """Kind of the face between two cells."""
+        """Return the kind of the face between two cells."""
         wet = mesh.liquid[a] != 0 or mesh.liquid[b] != 0
         if wp.static(of.cut):
             if geometry.part[r] == scalar(0.0):
@@ -58,7 +65,7 @@ def gather_kernel(scalar, of: Kind):
 
     @wp.func
     def needed(g: Cells, mesh: Mesh, geometry: Geometry, c: whole, axis: wp.int32) -> wp.bool:
-        """Is there concrete in a cell on either side of a face, or at an edge?"""
+        """Return whether there is concrete in a cell on either side of a face, or at one of its edges."""
         low = f.at(g, f.moved(c, axis, -1))
         if mesh.solid[f.at(g, c)] == SMOOTH or mesh.solid[low] == SMOOTH:
             return False
@@ -73,7 +80,7 @@ def gather_kernel(scalar, of: Kind):
 
     @wp.func
     def brought(g: Cells, particles: Particles, mesh: Mesh, c: whole, axis: wp.int32, before: scalar) -> scalar:
-        """Velocity that particles bring to a face; as `before` where there are none."""
+        """Return the velocity that the particles around a face bring to it, or `before` if there are none."""
         place = f.face_middle(g, c, axis)
         total = scalar(0.0)
         sum = scalar(0.0)
@@ -152,10 +159,11 @@ def gather_kernel(scalar, of: Kind):
 
 @functools.cache
 def extend_kernel(scalar, of: Kind):
-    """Velocities of faces in the air and within walls, from those beside them, for particles there; a task a slot.
+    """Build the kernel that extends velocities to faces in the air and inside walls, from the faces beside them.
 
-    Beside a pipe's wall the velocity goes on in a straight line through that at the wall; within walls that pass
-    through cells faces that matter have one of their own.
+    Particles near a free surface or a wall interpolate between these faces. Behind a pipe's wall the velocity is
+    continued linearly through its value at the wall. In cut cells, ghost faces have velocities of their own. The kernel
+    runs with one task per cell and extends the velocities by one cell per launch.
     """
     dims = of.dimensions
     Cells = cells_struct(scalar, dims)
@@ -194,7 +202,7 @@ def extend_kernel(scalar, of: Kind):
                                 count += scalar(1.0)
                         elif mesh.kind[o] == LIQUID:
                             beside = mesh.velocity[o]
-                            # A face on the frame's far side has no cell before it, and is in no wall.
+                            # A face at the lower end of the frame has no cell before it, so it is not inside a wall.
                             if mesh.kind[r] == INSIDE and c[axis] >= 0 and along != axis and wp.static(not of.cut):
                                 beside = scalar(2.0) * mesh.slip[o] - beside
                             sum += beside
@@ -205,14 +213,17 @@ def extend_kernel(scalar, of: Kind):
             after[r] = value
             known_after[r] = good
             if final != 0 and good != 0 and mesh.kind[r] == AIR:
-                mesh.velocity[r] = value  # for concrete that comes there before its particles do
+                mesh.velocity[r] = value  # Concrete can reach a face before its particles bring a velocity.
 
     return extend
 
 
 @functools.cache
 def sampling_functions(scalar, of: Kind) -> SimpleNamespace:
-    """What a place has of fields on the grid, linear between points along each axis: `carry` and `clearance`."""
+    """Build functions that interpolate fields of the grid linearly at a position.
+
+    `carry` interpolates velocities, and `clearance` interpolates the distance from the nearest wall.
+    """
     dims, last = of.dimensions, of.dimensions - 1
     t = mps_types(scalar, dims)
     vec, mat, whole = t.vec, t.mat, t.whole
@@ -223,7 +234,7 @@ def sampling_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def corner(g: Cells, base: whole, s: vec, n: wp.int32):
-        """One of the points around a place: where it is, its weight, and the slopes of that."""
+        """Return the indices of one grid point around a position, its weight, and the gradient of the weight."""
         c = whole()
         part = vec()
         sign = vec()
@@ -247,7 +258,7 @@ def sampling_functions(scalar, of: Kind) -> SimpleNamespace:
     def sample(
         g: Cells, velocity: wp.array(dtype=scalar), good: wp.array(dtype=wp.int32), x: vec, axis: wp.int32
     ):  # fmt: skip
-        """A component of the velocity, its slopes, and the weight of the faces that have one."""
+        """Return a velocity component at a position, its gradient, and the total weight of faces with a velocity."""
         base = whole()
         s = vec()
         for b in range(dims):
@@ -278,7 +289,7 @@ def sampling_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def carry(g: Cells, velocity: wp.array(dtype=scalar), good: wp.array(dtype=wp.int32), x: vec):
-        """Velocity, its gradient, and the weight of the faces that have one; that is 0 in the air."""
+        """Return the velocity at a position, its gradient, and the total weight of faces with a velocity (0 in air)."""
         here = vec()
         slopes = mat()
         total = scalar(0.0)
@@ -291,7 +302,10 @@ def sampling_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def clearance(g: Cells, geometry: Geometry, x: vec):
-        """Distance from the nearest wall, and its slopes; of places half a cell apart, for walls hardly thicker."""
+        """Return the distance of a position from the nearest wall [m] and the gradient of this distance.
+
+        The distances are stored at points half a cell apart, to resolve walls that are hardly thicker than that.
+        """
         base = whole()
         s = vec()
         for b in range(dims):
@@ -305,7 +319,7 @@ def sampling_functions(scalar, of: Kind) -> SimpleNamespace:
             c = whole()
             which = wp.int32(0)
             for b in range(dims):
-                # Halves are counted from the frame, so that none is negative.
+                # Count half cells from the frame, because integer division would round negative numbers upwards.
                 c[b] = (half[b] + 2) / 2 - 1
                 which += (half[b] - 2 * c[b]) * (1 << b)
             depth = geometry.depth[f.at(g, c) * corners + which]
@@ -318,7 +332,10 @@ def sampling_functions(scalar, of: Kind) -> SimpleNamespace:
 
 @functools.cache
 def advect_kernel(scalar, of: Kind):
-    """Particles take the velocity around them and go with that of half a step later; a task a particle."""
+    """Build the kernel that gives particles the velocity of the grid and moves them, with one task per particle.
+
+    A particle moves with the velocity at its position half a step later (midpoint rule).
+    """
     dims, last = of.dimensions, of.dimensions - 1
     t = mps_types(scalar, dims)
     vec, mat, whole = t.vec, t.mat, t.whole
@@ -331,7 +348,7 @@ def advect_kernel(scalar, of: Kind):
 
     @wp.func
     def leaves(g: Cells, mesh: Mesh, x: vec) -> wp.bool:
-        """Has a place come through an open side of the grid?"""
+        """Return whether a position lies outside the grid, beyond an open side."""
         c = whole()
         outside = wp.bool(False)
         for b in range(dims):
@@ -356,9 +373,9 @@ def advect_kernel(scalar, of: Kind):
         dt = scalar(mesh.clock[DT])
         here, slope, total = carry(g, velocity, good, x)
         if wp.static(not of.periodic):
-            if total == scalar(0.0):  # alone in the air
+            if total == scalar(0.0):  # A particle alone in the air falls freely.
                 here = particles.velocity[p] + dt * g.gravity
-        # What the velocity at this place was, if the one around the particle only went on.
+        # Estimate the velocity at this position in the previous step, from the particle's velocity and its gradient.
         before = particles.velocity[p]
         before += scalar(mesh.clock[LAST]) * (particles.gradient[p] * before)
         particles.velocity[p] = here
@@ -372,14 +389,14 @@ def advect_kernel(scalar, of: Kind):
                 there = here
         after = x + dt * (there - moving)
         if wp.static(not of.periodic):
-            after -= scalar(0.5) * dt * (here - before)  # it is the velocity of half the step that it goes with
+            after -= scalar(0.5) * dt * (here - before)  # Move with the mean of the old and the new velocity.
             aside, _bent, _known = carry(g, mesh.shift, good, x)
             after += dt * aside
         if wp.static(of.periodic):
             length = scalar(g.n[last]) * g.width[last]
             after[last] = after[last] - length * wp.floor(after[last] / length)
         if wp.static(of.cut):
-            # Rounding and the curvature of a path may lead into a wall.
+            # Rounding and the curvature of its path may lead a particle into a wall, so push it out again.
             for _ in range(2):
                 gap, outward = clearance(g, geometry, after)
                 steep = wp.length(outward)
@@ -389,7 +406,7 @@ def advect_kernel(scalar, of: Kind):
         if wp.static(of.cut and not of.periodic):
             gone = leaves(g, mesh, after)
         if gone and geometry.inlet.shape[0] > 0:
-            # Some place or other, so that they spread over it.
+            # Choose a pseudo-random position of the inlet, so that particles spread over it.
             turn = wp.uint32(p) * wp.uint32(7919) + wp.uint32(flags[STEPS]) * wp.uint32(104729)
             place = wp.int32(turn % wp.uint32(geometry.inlet.shape[0]))
             particles.velocity[p] = g.inflow

@@ -1,4 +1,4 @@
-"""What walls do to the faces along them: their stress, its growth with the velocity, and how concrete slips."""
+"""Friction of walls on the faces along them: shear stress, its derivative with respect to velocity, and slip."""
 
 import functools
 
@@ -19,12 +19,13 @@ from .cells import (
 from .structure import grown_function
 
 STICKY = wp.constant(20.0)
-"""What holds concrete on a wall that it does not slip on, over what its shear across a cell does."""
+"""Maximum stiffness of a slip layer on which concrete sticks, over the stiffness of the concrete's shear across a
+cell."""
 
 
 @functools.cache
 def side_kernel(scalar, of: Kind):
-    """Stress of walls that are sides of a pipe's cells on the faces along them."""
+    """Build the kernel that computes the stress of a pipe's walls (sides of cells) on the faces along them."""
     Cells = cells_struct(scalar, 2)
     structs = grid_structs(scalar, 2)
     Mesh, Walls = structs.Mesh, structs.Walls
@@ -58,14 +59,16 @@ def side_kernel(scalar, of: Kind):
                             still = walls.velocity[wall][axis]
                             relative = mesh.velocity[r] - still
                             way = wp.where(relative < scalar(0.0), scalar(-1.0), scalar(1.0))
-                            # A wall to the left or below slows what goes along it by a shear of the same sign.
+                            # At a wall on the left or below, the shear stress has the sign of the relative velocity;
+                            # at a wall on the right or above, it has the opposite sign.
                             turn = way * wp.where(side == 0, scalar(1.0), scalar(-1.0))
                             width = g.width[1 - axis]
                             ring = scalar(1.0)
                             at_wall = f.moved(c, 1 - axis, side)
                             if wp.static(of.axial):
                                 if axis == 1:
-                                    # More of a ring's area lies on its outer side.
+                                    # A ring about the axis has more of its area on the outer side, which changes the
+                                    # mean velocity of the cell.
                                     outer = wp.where(side == 1, scalar(1.0), scalar(-1.0))
                                     radius = f.side_weight(g, at_wall)
                                     ring -= outer * width / (scalar(6.0) * radius - outer * scalar(3.0) * width)
@@ -90,7 +93,10 @@ def side_kernel(scalar, of: Kind):
 
 @functools.cache
 def wall_kernel(scalar, of: Kind):
-    """How walls that pass through cells rub on the velocity between a face without them and one within."""
+    """Build the kernel that computes the friction of walls which pass through cells (cut cells).
+
+    The friction acts on the velocity at the wall, interpolated between a face outside the wall and one inside it.
+    """
     dims, last = of.dimensions, of.dimensions - 1
     Cells = cells_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
@@ -100,7 +106,7 @@ def wall_kernel(scalar, of: Kind):
 
     @wp.func
     def aside(g: Cells, mesh: Mesh, c: whole, axis: wp.int32, other: wp.int32) -> scalar:
-        """Velocity along another axis at the middle of a face, of the faces around that have one."""
+        """Return the velocity along another axis at a face's centre, the mean of the surrounding faces in concrete."""
         sum = scalar(0.0)
         count = scalar(0.0)
         for n in range(4):
@@ -114,7 +120,7 @@ def wall_kernel(scalar, of: Kind):
 
     @wp.func
     def weight(g: Cells, c: whole, axis: wp.int32, b: wp.int32) -> scalar:
-        """Radius of what is between a face and the next; 1 in a plane."""
+        """Return the radius of the point between a face and the next face [m], or 1 without an axis of symmetry."""
         if axis == b:
             return f.cell_weight(g, c)
         if axis == 0:
@@ -123,7 +129,7 @@ def wall_kernel(scalar, of: Kind):
 
     @wp.func
     def thickest(mesh: Mesh, a: wp.int32, b: wp.int32) -> scalar:
-        """Viscosity of the stiffer of two cells, where there is concrete."""
+        """Return the larger viscosity of two cells, ignoring cells without concrete [Pa s]."""
         most = scalar(0.0)
         if mesh.liquid[a] != 0:
             most = mesh.in_cell[a]
@@ -158,7 +164,7 @@ def wall_kernel(scalar, of: Kind):
                             low = f.at(g, f.moved(out, axis, -1))
                             wall = geometry.surface[own + axis * g.slots]
                             if walls.slip_viscosity[wall] >= scalar(0.0):
-                                # The wall's normal has this share along the axis.
+                                # This is the component of the wall's unit normal along axis b.
                                 share = wp.min(wp.abs(near - far) / g.width[b], scalar(1.0))
                                 area = share * weight(g, c, axis, b) * f.block(g) / g.width[b]
                                 area *= scalar(0.5) * (mesh.fill[own] + mesh.fill[low])
@@ -177,7 +183,9 @@ def wall_kernel(scalar, of: Kind):
                                 hold = walls.slip_yield[wall] / wp.max(speed, scalar(1.0e-12))
                                 hold += walls.slip_viscosity[wall]
                                 if hold > stiff:
-                                    # What holds is a spring of some length, half of which is taken off the concrete's.
+                                    # The concrete sticks, and the layer has the limited stiffness of a film of finite
+                                    # thickness. Half of this thickness is subtracted from the distance over which the
+                                    # concrete is sheared: the velocity is taken that far inside the concrete.
                                     hold = stiff
                                     spring = scalar(0.5) * g.width[b] / scalar(STICKY)
                                     spring = wp.min(spring, scalar(0.5) * wp.max(near, far))

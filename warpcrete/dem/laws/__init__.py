@@ -1,6 +1,6 @@
-"""Contact laws: one file each, with the parameters of a pair of materials and what a device computes from them.
+"""Contact laws, one file each: parameters for a pair of materials, and the functions that a device computes from them.
 
-Another law is another such file, anywhere: a class like those here, given to a scene as `contact` or in `contacts`.
+A user can write another law anywhere, as a class like those here, and pass it to a scene as `contact` or in `contacts`.
 """
 
 from .base import ContactLaw, damping_ratio

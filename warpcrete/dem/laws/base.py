@@ -1,4 +1,4 @@
-"""What a contact law is: parameters that check themselves, the same on the device, and functions of them there."""
+"""Base class of contact laws: validated parameters, the same parameters on the device, and device functions of them."""
 
 import functools
 import math
@@ -19,7 +19,7 @@ RESISTANCES = ("friction", "rolling_friction", "yield_stress", "viscosity", "pla
 
 @dataclass(frozen=True)
 class OnDevice:
-    """Rule of a field that a device has under another name, as a function of its value."""
+    """Rule for a field that has another `name` on the device, where the function `of` converts its value."""
 
     name: str
     of: Callable[[Any], Any] = lambda value: value
@@ -27,34 +27,37 @@ class OnDevice:
 
 @dataclass(frozen=True, kw_only=True)
 class ContactLaw(Declared, ABC):
-    """Base of all laws: frozen parameters of one pair of materials, annotated fields in SI units.
+    """Base class of all contact laws: frozen parameters of one pair of materials, annotated fields in SI units.
 
-    A field is there on the device under the same name: numbers as they are, words as their place among the choices,
-    a law as its own parameters; :class:`OnDevice` says otherwise.
+    Every field exists on the device under the same name. Numbers keep their value, words become their index among the
+    choices, and a nested law becomes the struct of its parameters. :class:`OnDevice` declares exceptions.
     """
 
     rolls: ClassVar[bool] = False
-    """Contacts resist rolling; without that neither its memory nor its code is there."""
+    """True if contacts resist rolling; otherwise memory and code for rolling moments are left out."""
 
     @classmethod
     @abstractmethod
     def device_functions(cls, scalar: Any, parameters: Any) -> dict[str, Callable]:
-        """Warp functions of `p`, the struct `parameters`, and a `Touch` of `kernels/dem/contact_law.py`:
+        """Return the Warp functions of the law.
+
+        Their arguments are `p`, the struct `parameters`, and `touch`, a `Touch` of `kernels/dem/contact_law.py`:
 
         - `force(p, touch, history, dt)`: force on body a [N], the contact's new history (a vector in the contact
           plane, for springs the shear force), and the energy lost in the step [J];
-        - `stiffness(p, touch)`: k_n, k_s [N/m] and dashpots c_n, c_s [N s/m] as they are, or soon will be, at the
-          touch's closing speed, for the stable time step;
+        - `stiffness(p, touch)`: k_n, k_s [N/m] and dashpots c_n, c_s [N s/m] for the stable time step, as they are or
+          soon will be at the closing speed of the touch;
         - `energy(p, touch, history)`: elastic energy [J].
 
-        A law that `rolls` has two more:
+        A law that `rolls` has two more functions:
 
-        - `moment(p, touch, turning, history, dt)`: of the spin of body b seen from a [rad/s] and a history of its own,
-          the moment on a [N m], the new history, the moment of springs, and the energy lost in the step [J];
-        - `moment_energy(p, touch, history)`: elastic energy of that [J].
+        - `moment(p, touch, turning, history, dt)`: from the spin of body b relative to a [rad/s] and a separate
+          history, the moment on a [N m], the new history (the moment of the spring), and the energy lost in the
+          step [J];
+        - `moment_energy(p, touch, history)`: elastic energy of that spring [J].
 
-        A CPU evaluates `force` and `moment` of several contacts at once as long as no branch in them assigns a vector
-        or returns: let branches choose a number, and multiply by it.
+        A CPU evaluates `force` and `moment` of several contacts at once in vector lanes. This works only if no branch
+        assigns a vector or returns: a branch should choose a number, which the code then multiplies by.
         """
 
     @property
@@ -65,21 +68,21 @@ class ContactLaw(Declared, ABC):
     @property
     @abstractmethod
     def has_history(self) -> bool:
-        """Whether a contact must remember its shear; without that its memory is not allotted."""
+        """True if contacts must remember their shear; otherwise no memory is allocated for contact history."""
 
     @property
     def has_shear(self) -> bool:
-        """Whether a contact can bear a force in its plane; without that single spheres are not turned."""
+        """True if a contact transmits shear forces; if none does, the rotation of single spheres is not computed."""
         return self.has_history
 
     @abstractmethod
     def frictionless(self) -> "ContactLaw":
-        """The law for packing: without friction, and damped."""
+        """Return the law for packing: without friction, and with damping."""
 
     def gripped(self, grip: float) -> "ContactLaw":
         """Return the law for a wall that resists sliding and rolling `grip` times as much as the bodies do.
 
-        Fields named as in RESISTANCES are multiplied, those of laws inside this one as well.
+        The fields named in RESISTANCES are multiplied by `grip`, also in nested laws.
         """
         changes: dict[str, Any] = {}
         for name in declared_fields(type(self)):
@@ -92,11 +95,11 @@ class ContactLaw(Declared, ABC):
 
     @classmethod
     def functions(cls, scalar: Any) -> SimpleNamespace:
-        """The struct `Parameters`, and `force`, `stiffness` and `energy`, in one precision."""
+        """Return the struct `Parameters` and the device functions of the law, in one precision."""
         return _functions(cls, scalar)
 
     def row(self) -> dict[str, Any]:
-        """Values of the fields of `Parameters`."""
+        """Return the device values of the parameters, by the names of the fields of `Parameters`."""
         values = {}
         for name, field in declared_fields(type(self)).items():
             value = getattr(self, name)
@@ -128,9 +131,9 @@ def _device_type(field: Field, scalar: Any) -> Any:
 
 
 def damping_ratio(restitution: float) -> float:
-    """Critical damping ratio that gives a restitution coefficient in 0..1.
+    """Return the ratio to critical damping that gives a coefficient of restitution between 0 and 1.
 
-    Exact for the linear and the Hertz-Mindlin law with a dashpot that may pull: -ln e / sqrt(ln^2 e + pi^2).
+    It is exact for the linear and the Hertz-Mindlin law with a dashpot that may pull: -ln e / sqrt(ln^2 e + pi^2).
     """
     between("restitution", restitution, 0, 1)
     if restitution == 0:

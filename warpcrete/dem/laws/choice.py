@@ -1,4 +1,4 @@
-"""A scene's choice of another contact law than its own: one of the package's by a short name, or a user's."""
+"""Choice of a contact law in place of a scene's own: a law of this package by a short name, or a user's class."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -18,13 +18,17 @@ SHORT = ByName({
     "plastic": PlasticMortar, "rolling": RollingResistance,
 })  # fmt: skip
 OWN_LAW = Needs("contact", lambda law: law is None, "is left out (its parameters are contact_NAME)")
-"""Rule of the parameters of a scene's own law."""
+"""Rule for the parameters of a scene's own law: they apply only if no other law is given as `contact`."""
 OWN_WALL_LAW = Needs("wall_contact", lambda law: law is None, "is left out (its parameters are wall_contact_NAME)")
+"""Rule for the parameters of a scene's own wall law: they apply only if no law is given as `wall_contact`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LawChoice:
-    """Contact law."""
+    """Contact law.
+
+    Parameter that replaces the scene's own law of all contacts.
+    """
 
     contact: Annotated[
         ContactLaw | None,
@@ -36,7 +40,10 @@ class LawChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class WallLawChoice:
-    """Contact law."""
+    """Contact law.
+
+    Parameter that replaces the law of contacts with pipe and piston.
+    """
 
     wall_contact: Annotated[
         ContactLaw | None, "Law of the contacts with pipe and piston only, chosen as contact; default: the law in "

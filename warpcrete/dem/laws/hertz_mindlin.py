@@ -1,9 +1,10 @@
 # pyright: reportInvalidTypeForm=false
 """Hertz-Mindlin contact: Hertz' normal force, Mindlin's tangent stiffness without micro-slip, Coulomb slider.
 
-Dashpots after Tsuji et al. 1992 in the form of Antypov & Elliott 2011, whose restitution coefficient does not
-depend on speed. Shear force is incremental; when the normal load falls it either falls with the tangent stiffness
-(`rescale`; Thornton et al. 2013), which never creates energy, or holds, as in the simplest codes.
+The dashpots follow Tsuji et al. 1992 in the form of Antypov & Elliott 2011, so that the coefficient of restitution does
+not depend on speed. The shear force is incremental. While the normal load falls, the shear force can fall with the
+tangent stiffness (`rescale`; Thornton et al. 2013), which never creates energy, or stay as it is (`hold`), as in the
+simplest codes.
 """
 
 from dataclasses import dataclass, replace
@@ -40,7 +41,7 @@ class HertzMindlin(ContactLaw):
     def of(
         cls, young_modulus: float, poisson_ratio: float, *, rigid_partner: bool = False, **others: Any
     ) -> "HertzMindlin":
-        """Contact of two bodies of one material, or of one with a rigid partner. Young's modulus in Pa."""
+        """Return the contact of two bodies of one material, or with a rigid partner, from Young's modulus [Pa]."""
         positive("young_modulus", young_modulus, "Pa")
         between("poisson_ratio", poisson_ratio, 0, 0.5)
         bodies = 1 if rigid_partner else 2
@@ -61,7 +62,7 @@ class HertzMindlin(ContactLaw):
 
     @property
     def has_shear(self) -> bool:
-        return True  # its shear dashpot has no coefficient of its own
+        return True  # the shear dashpot acts even without friction
 
     def frictionless(self) -> "HertzMindlin":
         return replace(self, friction=0.0, restitution=min(self.restitution, 0.2))
@@ -77,7 +78,7 @@ class HertzMindlin(ContactLaw):
 
         @wp.func
         def stiffness(p: Parameters, touch: Touch):
-            # At the deepest point of an impact with the present closing speed and overlap.
+            # Use the largest overlap of an impact that begins with the current overlap and closing speed.
             zero = scalar(0.0)
             root = wp.sqrt(touch.reduced_radius)
             overlap = wp.max(-touch.gap, zero)
@@ -114,8 +115,8 @@ class HertzMindlin(ContactLaw):
             kept = scalar(1.0)
             released = zero
             if before > zero and overlap > zero:
-                # What the spring held less what it holds with the new stiffness: the same force on a stiffer one
-                # when loading, a force that falls with the stiffness when unloading.
+                # Energy that the spring loses because its stiffness follows the overlap. While loading, the force
+                # stays and the spring gets stiffer. While unloading with `rescale`, the force falls with the stiffness.
                 ratio = wp.sqrt(overlap / before)
                 stored = scalar(0.5) * wp.length_sq(history) / ks
                 released = stored * (ratio - scalar(1.0))

@@ -12,13 +12,13 @@ from ...kernels.common.types import types
 from ...kernels.dem.contact_law import contact_functions
 from .base import ContactLaw, OnDevice
 
-# Bit 0 of the place of a mode forbids a tensile normal total, bit 1 cuts the shear dashpot in slip (Eq. 8).
+# In the index of a mode, bit 0 forbids a tensile total normal force, and bit 1 drops the shear dashpot in slip (Eq. 8).
 DASHPOTS = ("full", "no-tension", "slip-cut", "both")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contact(ContactLaw):
-    """Linear contact between two materials: spring, Coulomb slider, dashpots of critical ratio; the default law."""
+    """Linear contact between two materials: springs, Coulomb slider and dashpots; the default law."""
 
     effective_modulus: Annotated[
         float,

@@ -1,13 +1,15 @@
 # pyright: reportInvalidTypeForm=false
 """Aggregates in a shell of Bingham mortar: a hard core in a soft shell (idea: Remond & Pizette 2014).
 
-A sphere's radius includes its shell. Where only shells overlap, mortar transmits a weak spring, a yield stress
-and viscous drag; once the cores meet, the stiff spring of the aggregates joins. All mortar stresses act on
-A = pi r^2 over the thickness h of the two shells: normal k A E_m/h with drag 3 mu A/h (Trouton's ratio), shear
-yield tau_0 A and drag mu A/h. What shears also pulls and bends: a disc of radius r between two spheres that part
-yields at the root of 3 times tau_0 (von Mises), and one that is bent at a moment of 4/3 r^3 of that stress; its
-elastic and viscous moments are those of a disc, r^2/4 of its normal ones. Without pull and moment no heap stands, as
-spheres roll on each other and off each other.
+A sphere's radius includes its shell. Where only shells overlap, the mortar transmits a weak spring force, a yield
+stress and a viscous drag. Once the cores meet, the stiff spring of the aggregates acts as well. All mortar stresses act
+on A = pi r^2 over the thickness h of the two shells: normal spring A E_m/h with drag 3 mu A/h (Trouton's ratio), shear
+yield tau_0 A and drag mu A/h.
+
+Mortar that resists shear also resists pull and bending. A disc of radius r between two separating spheres yields at
+sqrt(3) tau_0 (von Mises), and a bent disc yields at a moment of 4/3 r^3 times that stress. Its elastic and viscous
+moments are r^2/4 times the normal stiffness and drag. Without pull and moment no heap would stand, because spheres
+would roll on each other and separate.
 """
 
 import math
@@ -26,7 +28,7 @@ from .base import ContactLaw, OnDevice
 
 @dataclass(frozen=True, kw_only=True)
 class BinghamMortar(ContactLaw):
-    """Shell over a part of the centres' distance; core k_n = A E*/L; slider mu N_core + A tau_0."""
+    """Hard cores with soft shells: core stiffness A E*/L, shear slider with limit mu N_core + A tau_0."""
 
     called = "mortar"
 
@@ -59,7 +61,7 @@ class BinghamMortar(ContactLaw):
 
     @property
     def has_shear(self) -> bool:
-        return True  # mortar drags
+        return True  # the mortar's viscous drag acts in shear
 
     def frictionless(self) -> "BinghamMortar":
         return replace(self, friction=0.0, yield_stress=0.0, bending=0.0)
@@ -76,14 +78,14 @@ class BinghamMortar(ContactLaw):
 
         @wp.func
         def stiffness(p: Parameters, touch: Touch):
-            # As if the cores touched: they may do so within the steps until the next estimate.
+            # Assume that the cores touch, since they may do so before the next estimate of the stable step.
             core = p.effective_modulus * area(touch) / touch.length
             kn = shell_stiffness(p, touch) + core
             drag = shell_drag(p, touch)
             cn = scalar(2.0) * p.normal_damping_ratio * wp.sqrt(touch.mass * core) + scalar(3.0) * drag
             ks, cs = kn * p.shear_to_normal, drag
             if p.bending > scalar(0.0):
-                # A moment k_r of a turn is no more than a force k_r / r^2 at the end of a radius.
+                # For stability, a rotational stiffness k_r acts like a shear stiffness of at most k_r / r^2.
                 kr, cr = bending(p, touch)
                 square = touch.smaller_radius * touch.smaller_radius
                 ks += kr / square
@@ -131,8 +133,10 @@ class BinghamMortar(ContactLaw):
 
 
 def shell_functions(scalar: Any, parameters: Any) -> SimpleNamespace:
-    """Of laws with shells, whose parameters are like :class:`BinghamMortar`'s: `area`, `shell_stiffness`, `shell_drag`,
-    `bending`, `core_overlap`, `moment`, `moment_energy`."""
+    """Return device functions for laws with shells, whose parameters are like those of :class:`BinghamMortar`.
+
+    They are `area`, `shell_stiffness`, `shell_drag`, `bending`, `core_overlap`, `moment` and `moment_energy`.
+    """
     t = types(scalar)
     f = contact_functions(scalar)
     Touch, plane_spring, spring_energy = f.Touch, f.plane_spring, f.spring_energy
@@ -152,7 +156,7 @@ def shell_functions(scalar: Any, parameters: Any) -> SimpleNamespace:
 
     @wp.func
     def bending(p: Parameters, touch: Touch):
-        """Spring [N m/rad] and dashpot [N m s/rad] of a disc that is bent."""
+        """Return the spring [N m/rad] and the dashpot [N m s/rad] of a disc that is bent."""
         square = scalar(0.25) * touch.smaller_radius * touch.smaller_radius
         return square * shell_stiffness(p, touch), scalar(3.0) * square * shell_drag(p, touch)
 

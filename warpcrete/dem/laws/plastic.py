@@ -1,12 +1,14 @@
 # pyright: reportInvalidTypeForm=false
-"""Shells of a perfectly plastic mortar: one slider for all of a contact's motion, along its normal and across.
+"""Perfectly plastic mortar shells: one slider for all relative motion of a contact, along its normal and across it.
 
-Between hard cores with soft shells, as :class:`BinghamMortar` has them, a spring that carries any relative motion of
-the two surfaces grows up to a force F and then slips; a drag resists the whole velocity. Contacts in all directions n
-that follow a rate of strain D lose F |D n| each: in simple shear the mean of |D n| is pi/8 of the rate, in uniaxial
-extension 0.69 of it, so that both ask for the F of von Mises' rule within 1.5 %; the squares, for the drag, are one to
-three, Trouton's ratio. Shells also pull, with a constant force `tension` tau A, which keeps a heap together; moments
-they bear only where `bending` is not 0.
+Spheres have hard cores with soft shells, as in :class:`BinghamMortar`. A spring follows any relative motion of the two
+surfaces. Its force grows up to a limit F, then it slips. A drag resists the whole relative velocity.
+
+Contacts in all directions n that follow a rate of strain D dissipate F |D n| each. The mean of |D n| is pi/8 of the
+rate in simple shear and 0.69 of the rate in uniaxial extension, so one F satisfies von Mises' rule for both within
+1.5 %. The means of the squares, which belong to the drag, are as one to three, which is Trouton's ratio. Shells also
+pull with a constant force `tension` tau_0 A, which keeps a heap together. They transmit moments only if `bending` is
+not 0.
 """
 
 import math
@@ -22,14 +24,14 @@ from .base import ContactLaw
 from .mortar import BinghamMortar, shell_functions
 
 ROLLS_NOT = 4 / math.sqrt(3) / math.pi
-"""Moment of a disc of mortar on the plate over tau A r, as :class:`BinghamMortar` has it everywhere."""
+"""Moment limit over tau_0 A r of contacts with a gripping wall: that of a mortar disc, as in :class:`BinghamMortar`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlasticMortar(BinghamMortar):
-    """Shells as of the base, whose slider mu N_core + A tau_0 and drag mu A/h are for motion in any direction.
+    """Shells as in the base class, whose slider of limit mu N_core + A tau_0 and drag mu A/h act in every direction.
 
-    The history is that spring's force on the first body [N], which turns with the pair.
+    The history is the spring's force on the first body [N], which rotates with the pair.
     """
 
     called = "plastic"
@@ -38,7 +40,7 @@ class PlasticMortar(BinghamMortar):
     bending: Annotated[float, "Largest moment of a shell over tau_0 A r; 0: spheres roll freely", Within(0)] = 0.0
 
     def gripped(self, grip: float) -> ContactLaw:
-        return replace(super().gripped(grip), bending=ROLLS_NOT)  # a lone sphere would roll away
+        return replace(super().gripped(grip), bending=ROLLS_NOT)  # otherwise a lone sphere would roll away on the wall
 
     @classmethod
     def device_functions(cls, scalar: Any, parameters: Any) -> dict[str, Any]:
@@ -63,13 +65,13 @@ class PlasticMortar(BinghamMortar):
 
         @wp.func
         def stiffness(p: Parameters, touch: Touch):
-            # As if the cores touched: they may do so within the steps until the next estimate.
+            # Assume that the cores touch, since they may do so before the next estimate of the stable step.
             slider, drag = slider_stiffness(p, touch), shell_drag(p, touch)
             kn = shell_stiffness(p, touch) + core_stiffness(p, touch) + slider
             cn = core_dashpot(p, touch) + drag
             ks, cs = slider, drag
             if p.bending > scalar(0.0):
-                # A moment k_r of a turn is no more than a force k_r / r^2 at the end of a radius.
+                # For stability, a rotational stiffness k_r acts like a shear stiffness of at most k_r / r^2.
                 kr, cr = bending(p, touch)
                 square = touch.smaller_radius * touch.smaller_radius
                 ks += kr / square
@@ -86,7 +88,7 @@ class PlasticMortar(BinghamMortar):
 
         @wp.func
         def turned(touch: Touch, v: t.vec3):
-            """A force that turns with the pair, as long as it was."""
+            """Return a force that has rotated with the pair and kept its length."""
             square = wp.length_sq(v)
             after = v + wp.cross(touch.tilt + touch.twist * touch.normal, v)
             longer = scalar(1.0)

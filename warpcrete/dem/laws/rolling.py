@@ -1,11 +1,12 @@
 # pyright: reportInvalidTypeForm=false
-"""Linear contact that resists rolling: an elastic-plastic spring with dashpot, model C of Ai, Chen, Rotter & Ooi 2011.
+"""Linear contact with rolling resistance: elastic-plastic spring with dashpot, model C of Ai, Chen, Rotter & Ooi 2011.
 
-The spring grows with the relative turn of the two bodies about axes in the contact plane, up to mu_r R N, where it
-slips; R is R1 R2 / (R1 + R2), against a wall the radius, N the force of the normal spring. Its stiffness is k_s R^2
-(Iwashita & Oda 1998). The dashpot is a part of the critical one and acts while the spring does not slip. Other than in
-the paper, both together give no more than the limit: else a sphere that meets a floor while it turns is braked by the
-dashpot in its first step by much more than friction could. Turning about the normal, twist, is free, as in the paper.
+The spring's moment grows with the relative rotation of the two bodies about axes in the contact plane, up to mu_r R N,
+where it slips. Here R = R1 R2 / (R1 + R2), or the radius against a wall, and N is the force of the normal spring. The
+spring's stiffness is k_s R^2 (Iwashita & Oda 1998). The dashpot is a fraction of the critical one and acts while the
+spring does not slip. Unlike in the paper, the sum of both is limited to mu_r R N: otherwise, when a spinning sphere
+meets a floor, the dashpot would brake it in the first step by much more than friction could. Rotation about the normal
+(twist) is free, as in the paper.
 """
 
 from dataclasses import dataclass, field
@@ -22,7 +23,7 @@ from .linear import Contact
 
 @dataclass(frozen=True, kw_only=True)
 class RollingResistance(ContactLaw):
-    """The linear law, and a moment up to mu_r R N against rolling."""
+    """Linear law, with a moment up to mu_r R N against rolling."""
 
     called = "rolling"
 
@@ -60,10 +61,10 @@ class RollingResistance(ContactLaw):
 
         @wp.func
         def rolling_stiffness(p: Parameters, touch: Touch):
-            """Of the spring [N m/rad] and the dashpot [N m s/rad].
+            """Return the stiffness [N m/rad] and the dashpot [N m s/rad] of the rolling spring.
 
-            Critical is what damps two spheres that roll in place: 7/5 m r^2 with the mass that both have together; the
-            smaller of two unequal ones decides.
+            The critical dashpot is that of two spheres rolling in place, with inertia 7/5 m r^2, the reduced mass m
+            and the smaller radius r.
             """
             k = linear_stiffness(p.contact, touch)
             kr = k[1] * touch.reduced_radius * touch.reduced_radius
@@ -72,7 +73,7 @@ class RollingResistance(ContactLaw):
 
         @wp.func
         def stiffness(p: Parameters, touch: Touch):
-            # A moment k_r of a turn is no more than a force k_r / r^2 at the end of a radius.
+            # For stability, a rotational stiffness k_r acts like a shear stiffness of at most k_r / r^2.
             k = linear_stiffness(p.contact, touch)
             if p.rolling_friction > scalar(0.0):
                 kr, cr = rolling_stiffness(p, touch)

@@ -1,1 +1,1 @@
-"""Concrete with a free surface: standard tests as flows on a grid."""
+"""Standard tests of fresh concrete with a free surface, as flows on a grid."""

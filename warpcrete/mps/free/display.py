@@ -1,4 +1,4 @@
-"""Concrete with a free surface as recorders draw it: a section, the half of the heap behind it, the mould."""
+"""Display of free-surface flows for recorders: a section, the half of the heap behind it, and the mould."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from ..grid.geometry import MIRROR, WALL
 from .scene import Points
 
 SECTION, BEHIND = 4000, 8000
-"""Particles that are drawn of a section, and of the half behind it, at most."""
+"""Maximum number of particles drawn in a section, and in the half behind it."""
 OURS = (215, 95, 30)
 PLATE = (150, 150, 150, 255)
 SHOWN = 0.1
-"""Depth that a plane is drawn with [m]."""
+"""Depth with which a flow in a plane is drawn [m]."""
 FASTEST = 5.0
-"""Rate of shear at the scale's upper end [1/s]."""
+"""Shear rate at the upper end of the colour scale [1/s]."""
 
 
 class FreeDisplay(Display):
-    """Particles by rate of shear, by speed, or by pressure. About an axis, one stands for a ring; beside planes of
-    symmetry, for those beyond them too.
+    """Display of a free-surface flow: particles coloured by shear rate, by speed or by pressure.
+
+    About an axis a particle stands for a ring. At a plane of symmetry the mirror image is drawn as well.
     """
 
     colourings: ClassVar = ("shear", "speed", "pressure")
@@ -41,7 +42,7 @@ class FreeDisplay(Display):
 
     @property
     def _mirrored(self) -> list[tuple[float, float]]:
-        """Signs of the first two coordinates of what is drawn of a room in space: of itself, and of its images."""
+        """Signs of x and y for each image that is drawn of a room in space, the original included."""
         sides = self.simulation.scene.sides
         if not self._solid:
             return [(1.0, 1.0)]
@@ -51,7 +52,7 @@ class FreeDisplay(Display):
 
     @cached_property
     def _chosen(self) -> tuple[np.ndarray, np.ndarray]:
-        """Which particles are drawn, and the angle from the section at which [rad]."""
+        """Indices of the particles that are drawn, and the angle about the axis at which each is drawn [rad]."""
         count = self.simulation.state.count
         most = (SECTION + BEHIND) // len(self._mirrored) if self._solid else SECTION
         section = np.arange(0, count, max(1, -(-count // most)))
@@ -65,7 +66,7 @@ class FreeDisplay(Display):
         return particles, np.concatenate(angles)
 
     def radii(self) -> np.ndarray:
-        """Half a particle's distance in the section, half a cell's behind it [m]."""
+        """Return the radii of drawn particles [m]: half a particle distance in the section, half a cell behind it."""
         layout, (_, angles) = self.simulation.state.layout, self._chosen
         if self._solid:
             fewer = (len(layout.fluid) / len(angles)) ** (1 / 3)
@@ -76,19 +77,19 @@ class FreeDisplay(Display):
         return size.astype(np.float32)
 
     def centres(self) -> np.ndarray:
-        """Particles in the room [m], shape (n, 3): z up, the section in the plane of x and z."""
+        """Return the positions of drawn particles [m], shape (n, 3): z is up, the section lies in the plane y = 0."""
         x = self.read("particles.position").astype(float)
         particles, angles = self._chosen
         x = x[particles]
         if self._solid:
-            # What has left lies below the room, where nobody looks.
+            # Particles that have left are moved below the room, out of sight.
             gone = self.read("particles.mass")[particles] == 0
             x[gone] = [0.0, 0.0, -0.5]
             return np.concatenate([x * [a, b, 1.0] for a, b in self._mirrored])
         return np.stack([x[:, 0] * np.cos(angles), x[:, 0] * np.sin(angles), x[:, 1]], 1)
 
     def scale(self) -> tuple[str, float, float]:
-        """What colours show, with its lowest and highest value."""
+        """Return label, lowest and highest value of what the colours show."""
         scene = self.simulation.scene
         height = float(np.max(np.array(scene.outline)[:, 1]))
         if self.colouring == "pressure":
@@ -98,14 +99,14 @@ class FreeDisplay(Display):
         return "rate of shear [1/s]", 0.0, FASTEST
 
     def fields(self) -> dict[str, np.ndarray]:
-        """Speed [m/s] and pressure [Pa]."""
+        """Return speed [m/s] and pressure [Pa] of the drawn particles."""
         copies = len(self._mirrored) if self._solid else 1
         speed = np.linalg.norm(self.read("particles.velocity").astype(float), axis=1)
         found = {"speed": speed, "pressure": self.read("particles.pressure").astype(float)}
         return {name: np.tile(values[self._chosen[0]], copies) for name, values in found.items()}
 
     def colours(self) -> np.ndarray:
-        """RGB bytes of all that is drawn, shape (n, 3)."""
+        """Return RGB bytes of all drawn particles, shape (n, 3)."""
         found = self._chosen[0]
         if self.colouring == "pressure":
             values = self.read("particles.pressure").astype(float) / 1e3
@@ -119,7 +120,7 @@ class FreeDisplay(Display):
         return np.tile(on_palette(values[found], upper, lower), (copies, 1))
 
     def plots(self) -> tuple[Plot, ...]:
-        """How wide and how high the concrete is."""
+        """Return curves of the concrete's width, height and speed over time, or for a funnel of what remains in it."""
         word = "spread" if self._axial else "position of the front"
         if self.simulation.scene.test == "funnel":
             return (
@@ -138,11 +139,11 @@ class FreeDisplay(Display):
 
     @property
     def cut(self) -> float | None:
-        """A section is drawn already, but of a room in space."""
+        """Coordinate y [m] of the cutting plane of a room in space; None for others, whose section is open already."""
         return super().cut if self._solid else None
 
     def walls(self) -> list[DrawnWall]:
-        """The plate, and the mould or gate, which moves."""
+        """Return the plate, the walls, and the mould or gate, which moves, as drawn walls."""
         scene, found = self.simulation.scene, []
         below = -0.005
         if self._axial:
@@ -174,20 +175,20 @@ class FreeDisplay(Display):
         return found
 
     def _cropped(self, points: Points) -> np.ndarray:
-        """A closed polygon's corners within the room [m]."""
+        """Return the corners of a closed polygon, limited to the room [m]."""
         scene = self.simulation.scene
         corners = np.array([*points, points[0]])
         return np.clip(corners, [0.0, 0.0], [scene.width, scene.height])
 
     def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
-        """Position [m] (3,) and orientation of a drawn wall now."""
+        """Return the current position [m], shape (3,), and orientation of a drawn wall, a quaternion (x, y, z, w)."""
         lift = 0.0
         if self.walls()[number].moves:
             lift = self.simulation.scene.lift_speed * self.time
         return np.array([0.0, 0.0, lift]), np.array([0.0, 0.0, 0.0, 1.0])
 
     def bounds(self) -> np.ndarray:
-        """Lowest and highest corner of what there is to see, shape (2, 3) [m]."""
+        """Return the lowest and highest corner of all that is drawn [m], shape (2, 3)."""
         scene = self.simulation.scene
         height = float(np.max(np.array(scene.outline)[:, 1]))
         left = -0.8 * scene.width if self._axial else 0.0
@@ -199,7 +200,7 @@ class FreeDisplay(Display):
 
 
 def _revolved(name: str, line: np.ndarray, colour: Colour, moves: bool, facets: int = 48) -> DrawnWall:
-    """A line of radius and height [m], turned about the axis."""
+    """Return the surface that a line of radii and heights [m] sweeps about the axis."""
     angle = 2 * np.pi * np.arange(facets) / facets
     ring = np.stack([np.cos(angle), np.sin(angle)], 1)
     vertices = np.concatenate([np.column_stack([r * ring, np.full(facets, z)]) for r, z in line])
@@ -212,7 +213,7 @@ def _revolved(name: str, line: np.ndarray, colour: Colour, moves: bool, facets: 
 
 
 def _drawn_out(name: str, line: np.ndarray, colour: Colour, moves: bool, low: float, high: float) -> DrawnWall:
-    """A line across and up [m], from one depth to another [m]."""
+    """Return the surface that a line in the plane of x and z [m] sweeps from one depth to another [m]."""
     vertices = np.array([(x, y, z) for x, z in line for y in (low, high)])
     faces = [
         f for k in range(len(line) - 1) for f in ((2 * k, 2 * k + 1, 2 * k + 2), (2 * k + 1, 2 * k + 3, 2 * k + 2))

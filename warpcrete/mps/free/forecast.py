@@ -1,4 +1,4 @@
-"""What a flow with a free surface will take: a coarser one tells how long it flows, the first steps what they cost."""
+"""Forecast of a free-surface flow: a coarser copy gives the time until it rests, the first steps give their cost."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from .scene import FreeScene
 from .simulation import FreeSimulation
 
 LONGER = 1.2
-"""Time in which a funnel empties over its estimate, which leaves out the stretch in the taper; measured 1.0 to 1.3."""
+"""Ratio of a funnel's emptying time to its estimate, which ignores stretching in the taper; measured 1.0 to 1.3."""
 COARSE = 12
-"""Cells over the concrete's height at the start, of the coarser flow."""
+"""Number of cells over the concrete's initial height in the coarser copy."""
 
 
 def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
-    """Forecast of a run; `device` as Warp's, `probe` times a frame of recordings."""
+    """Return the forecast of a run on a Warp `device`; `probe` times one frame of the recordings."""
 
     def begun() -> FreeSimulation:
         simulation = FreeSimulation(scene, device=str(device), precision=precision)
         simulation.prepare()
         return simulation
 
-    loading = begun()  # kernels are loaded now, and no part of a time any more
+    loading = begun()  # loads the kernels, so that later timings exclude the loading
     loading.flow.take(TAKEN)
     loading.release()
     duration, mean, remarks = _course(scene, str(device), precision)
@@ -73,8 +73,8 @@ def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None,
 
 
 def _course(scene: FreeScene, device: str, precision: str) -> tuple[float, float, list[str]]:
-    """Simulated time until the concrete rests or a funnel is empty [s], the mean step until then [s], and remarks."""
-    # Where nothing better is known: a cell's way at the speed of a fall by the concrete's height.
+    """Return the simulated time until rest or until a funnel is empty [s], the mean time step [s], and remarks."""
+    # The default estimate of the step is the time in which concrete crosses one cell after a fall by its own height.
     swift = scene.spacing / math.sqrt(2 * scene.gravity * scene.extent[1, 1])
     mean = min(scene.time_step, swift) if scene.step_error else scene.time_step
     if scene.test == "funnel":
@@ -83,7 +83,7 @@ def _course(scene: FreeScene, device: str, precision: str) -> tuple[float, float
             return scene.duration, mean, ["the yield stress may hold the concrete in the funnel"]
         return min(LONGER * estimate, scene.duration), mean, []
     if scene.depth:
-        # A coarser copy would not see what concrete has to pass.
+        # A coarser copy would not resolve the obstacles that the concrete must pass.
         return (
             scene.duration,
             mean,
@@ -104,7 +104,7 @@ def _course(scene: FreeScene, device: str, precision: str) -> tuple[float, float
         simulation.release()
     reached = float(run.result["simulated_time"]["value"])
     if scene.step_error:
-        # The finer one errs as this one does, but passes its cells sooner.
+        # The finer flow has the same error in a step, but its concrete crosses the smaller cells in less time.
         passed = np.diff(run.series["time"]) * run.series["fastest"][1:] / scene.spacing
         mean = reached / float(np.maximum(np.diff(run.series["steps"]), passed).sum())
     return reached, mean, [] if run.result["at_rest"] else [f"the concrete is not at rest within {reached:g} s"]

@@ -1,4 +1,4 @@
-"""What a flow with a free surface may trade accuracy for time by."""
+"""Knobs by which a free-surface flow trades accuracy for run time."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from .scene import FreeConcrete
 def free_knobs(
     given: FreeConcrete, spacing: float, fall: float, coarsest: float, factors: Iterable[float], power: float
 ) -> Iterator[Knob]:
-    """Cells of `spacing` [m] times `factors`, no coarser than `coarsest` [m], and in equal steps none that concrete
-    which has fallen by `fall` [m] would pass in one; length of steps, regularisation, precision. Time goes with the
-    spacing's `power`.
+    """Yield the knobs of a free-surface flow: cell width, time step or its error, regularisation and precision.
+
+    Cells are `spacing` [m] times `factors` wide, at most `coarsest` [m]. With equal steps a cell must be wider than the
+    distance that concrete passes in a step after a fall by `fall` [m]. Run time goes with the `power` of the spacing.
     """
     finest = 0.0 if given.step_error else given.time_step * math.sqrt(2 * given.gravity * fall)
     yield scaled("spacing", "spacing", spacing, [f for f in factors if finest < f * spacing <= coarsest], power, "m")

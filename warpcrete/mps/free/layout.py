@@ -1,4 +1,4 @@
-"""Cells of a vessel, and the concrete in it at the start."""
+"""Layout of a vessel on a grid: its cells, its walls, and the concrete in it at the start."""
 
 from __future__ import annotations
 
@@ -27,19 +27,23 @@ from ..grid.state import STICKS
 from .scene import SIDES, FreeScene
 
 ABREAST = {2: 3, 3: 2}
-"""Particles of a cell along each axis, by their number: a surface needs more than a pipe does."""
+"""Number of particles per cell along each axis, by number of axes; a free surface needs more than a pipe does."""
 THREE = 0.125, 0.5, 0.875
-"""Where three particles lie along a cell: so, what they weigh around its middle and its neighbours' is what it is."""
+"""Positions of three particles along a cell, in cell widths.
+
+There their hat-function weights add up to those of an evenly filled cell: 0.75 about its own middle and 0.125 about the
+middle of each neighbour.
+"""
 FINE = {2: 8, 3: 4}
-"""Places of a cell along each axis by which its part of the concrete is found."""
+"""Number of sample points of a cell along each axis for the fraction that concrete fills."""
 HEAVIEST = 3.0
-"""Mass of a particle over that of a whole one, at most."""
+"""Maximum mass of a particle, relative to a whole particle; the minimum is the inverse."""
 NEVER = 1e30
-"""When nothing opens [s]."""
+"""Opening time of cells that never open [s]."""
 
 
 def free_cells(scene: FreeScene) -> tuple[int, ...]:
-    """Cells along each axis."""
+    """Return the numbers of cells along each axis."""
     nx = max(4, round(scene.width / scene.spacing))
     h = scene.width / nx
     deep = (max(2, round(scene.depth / h)),) if scene.depth else ()
@@ -47,7 +51,7 @@ def free_cells(scene: FreeScene) -> tuple[int, ...]:
 
 
 def free_layout(scene: FreeScene) -> GridLayout:
-    """A vessel: walls, a gate where something is lifted, air above and around."""
+    """Return the layout of a vessel: walls, a gate if there is one, concrete, and air above and around it."""
     cells = free_cells(scene)
     axes = len(cells)
     extent = (scene.width, *((scene.depth,) if scene.depth else ()), scene.height)
@@ -97,15 +101,16 @@ def free_layout(scene: FreeScene) -> GridLayout:
 
 
 def fill_cells(room: Room, abreast: int, concrete: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Particles where there is concrete, shape (n, axes) [m], and their masses over a whole one's: those of a cell have
-    what there is of it.
+    """Return positions of particles in the concrete [m], shape (n, axes), and masses relative to a whole particle.
+
+    The particles of a cell together have the mass of the concrete in the cell.
     """
     axes = len(room.cells)
     each = _within(room, abreast)
     there = concrete(each.reshape(-1, axes)).reshape(each.shape[:-1])
     count = there.sum(-1)
     part = count / abreast**axes
-    # Cells that an edge may pass, and those beside them, looked at more closely.
+    # Cells that the edge of the concrete may cross, and their neighbours, are sampled more finely.
     edge = (part > 0) & (part < 1)
     for axis in range(axes):
         step = np.diff((part > 0).astype(int), axis=axis) != 0
@@ -122,7 +127,7 @@ def fill_cells(room: Room, abreast: int, concrete: Callable[[np.ndarray], np.nda
 
 
 def _within(room: Room, abreast: int, chosen: np.ndarray | None = None) -> np.ndarray:
-    """Places spread over each cell, or over `chosen` ones; shape (cells..., places, axes) [m]."""
+    """Return points spread over each cell, or over the `chosen` cells, shape (cells..., points, axes) [m]."""
     axes = len(room.cells)
     if chosen is None:
         chosen = np.moveaxis(np.indices(room.cells), 0, -1)
@@ -132,14 +137,14 @@ def _within(room: Room, abreast: int, chosen: np.ndarray | None = None) -> np.nd
 
 
 def _sides(scene: FreeScene, axes: int) -> tuple[tuple[str, str], ...]:
-    """Of the room, along each of its axes."""
+    """Return the kinds of the sides of the room along each of its axes."""
     usual = {"left": MIRROR if scene.axial else WALL, "top": BARE} | dict(scene.sides)
     pairs = SIDES if axes == 3 else (SIDES[0], SIDES[2])
     return tuple((usual.get(lower, WALL), usual.get(upper, WALL)) for lower, upper in pairs)
 
 
 def _differ(one: Geometry, two: Geometry) -> np.ndarray:
-    """Cells of which something is not the same, shape as `solid`."""
+    """Return a mask of the cells in which two geometries differ, shape as `solid`."""
     faces = (one.part != two.part) | (one.gap != two.gap) | (one.shut != two.shut) | (one.surface != two.surface)
     return (
         faces.any(0)

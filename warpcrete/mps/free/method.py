@@ -1,4 +1,4 @@
-"""Flows with a free surface, as the rest of the program sees them."""
+"""Registration of free-surface flows with the rest of the program."""
 
 from ...core.method import Method
 from ..stepping import run_abreast

@@ -1,4 +1,4 @@
-"""Pictures of flows with a free surface, by Matplotlib."""
+"""Matplotlib figures of free-surface flows."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .scene import FreeScene
 
 
 def plot_free(run: Run) -> Any:
-    """Figure of the shape at the end, beside the mould's, and of spread and height over time."""
+    """Return a figure of the final shape with the mould's outline, and of spread and height over time."""
     from matplotlib.figure import Figure
 
     scene = run.scene
@@ -51,7 +51,7 @@ def plot_free(run: Run) -> Any:
 
 
 def _curves(scene: FreeScene) -> list[tuple[str, float, str]]:
-    """Columns that are drawn over time, with factor and label."""
+    """Return the columns of the series that are drawn over time, each with a factor and a label."""
     if scene.test == "funnel":
         return [("inside", 1e2, "remaining")]
     if scene.test == "lbox":
@@ -61,5 +61,5 @@ def _curves(scene: FreeScene) -> list[tuple[str, float, str]]:
 
 
 def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
-    """The picture of a run folder, if there is more than the start."""
+    """Return the figure of a run folder, or None if the run has only its initial row."""
     return plot_free(run) if "surface" in run.result else None

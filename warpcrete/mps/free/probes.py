@@ -1,4 +1,4 @@
-"""What is measured of concrete with a free surface."""
+"""Measurements of concrete with a free surface."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from ..grid.flow import GridFlow
 
 HALF = 0.5
-"""Part of a cell that must be full for its velocity to count."""
+"""Minimum filled fraction of a cell whose velocity counts."""
 UNITS = {
     "time": "s",
     "top": "m",
@@ -21,18 +21,18 @@ UNITS = {
     "time_step": "s",
     "steps": "1",
 }
-"""Of the columns of a row."""
+"""Units of the columns of the time series."""
 MORE = {
     "funnel": {"screen": "1"},
     "lbox": {"near_depth": "m", "far_depth": "m", "front": "m"},
 }
-"""Columns that a test has besides, with their units."""
+"""Units of the additional columns of each test."""
 FAR_END = 0.05
-"""Length of a box over which the depth at its far end is a mean [m]."""
+"""Length at the far end of an L-box over which the depth is averaged [m]."""
 
 
 def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
-    """Middles of the columns of cells [m], and the concrete's height over each, its mean over any depth [m]."""
+    """Return the middles of the cell columns [m] and the concrete's height in each [m], averaged over the depth."""
     layout = flow.state.layout
     across = layout.left + (np.arange(layout.cells[0]) + 0.5) * layout.spacing
     full = (flow.state.cells("fill") * flow.state.cells("room")).sum(0) * layout.step
@@ -40,8 +40,9 @@ def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
 
 
 def bases(flow: GridFlow) -> np.ndarray:
-    """Where the concrete over each column of cells begins [m], 0 where there is none; what is wall in a wet cell counts
-    as below the concrete.
+    """Return the height at which the concrete in each column of cells begins [m], 0 where there is none.
+
+    The part of a partly filled cell that is wall counts as lying below the concrete.
     """
     step, room = flow.state.layout.step, flow.state.cells("room")
     full = flow.state.cells("fill") * room
@@ -52,7 +53,7 @@ def bases(flow: GridFlow) -> np.ndarray:
 
 
 def reach(flow: GridFlow) -> float:
-    """How far the concrete has come from the axis or the left side, wherever it is widest [m]."""
+    """Return how far the concrete reaches from the axis or the left side [m], at the height where it is widest."""
     layout, fill = flow.state.layout, flow.state.cells("fill")
     if not layout.axial:
         return float((fill.sum(-1) * layout.spacing).max())
@@ -61,7 +62,7 @@ def reach(flow: GridFlow) -> float:
 
 
 def volume(flow: GridFlow) -> float:
-    """Of the concrete that the cells hold, of a metre's depth, of a radian or in all."""
+    """Return the volume of the concrete in the cells [m3], in a plane per metre of depth, about an axis per radian."""
     layout = flow.state.layout
     full = flow.state.cells("fill") * flow.state.cells("room")
     if layout.axial:
@@ -70,7 +71,10 @@ def volume(flow: GridFlow) -> float:
 
 
 def speeds(flow: GridFlow) -> np.ndarray:
-    """Of cells that are mostly full [m/s]: a little concrete in a cell of air falls, and says nothing of the rest."""
+    """Return the speeds in cells that are mostly full [m/s].
+
+    A little concrete in a cell of air falls freely and says nothing about the flow.
+    """
     state, inner = flow.state, slice(1, -1)
     velocity, axes = state.faces("velocity"), flow.state.layout.axes
     square = np.zeros(())
@@ -82,22 +86,23 @@ def speeds(flow: GridFlow) -> np.ndarray:
 
 
 def screen(flow: GridFlow) -> float:
-    """How full the fullest cell is of those in the middle of a funnel, from the outlet to the brim: below a half, light
-    is seen through it.
+    """Return the filled fraction of the fullest cell in the middle of a funnel, from the outlet to the brim.
+
+    Below a half, light is seen through the funnel.
     """
     fill = flow.state.cells("fill")
     return float(fill.reshape(fill.shape[0], -1)[:, 0].max())
 
 
 def box_depths(flow: GridFlow) -> dict[str, float]:
-    """Depth just behind the gate and at the far end of an L-box, and how far the front has come from the gate [m]."""
+    """Return depths behind the gate and at the far end of an L-box, and the front's distance from the gate [m]."""
     across, height = surface(flow)
     scene, half = flow.scene, 0.5 * flow.state.layout.spacing
     gate = scene.dimensions["column_width"]
     behind = (across < gate) & (across > 0.5 * gate)
     came = across[height > half]
     return {
-        # What clings to the walls of the column is no depth.
+        # The median ignores concrete that clings to the walls of the column.
         "near_depth": float(np.median(height[behind])),
         "far_depth": float(np.median(height[across > scene.width - FAR_END])),
         "front": max(float(came.max(initial=0.0)) + half - gate, 0.0),
@@ -105,9 +110,9 @@ def box_depths(flow: GridFlow) -> dict[str, float]:
 
 
 def measured(flow: GridFlow, whole: float) -> dict[str, float]:
-    """A row of the series; `whole` is the concrete's volume at the start, of a metre's depth, of a radian or in all.
+    """Return a row of the series; `whole` is the initial volume of the concrete, as :func:`volume` gives it.
 
-    Volume is lost or won by the surface; what has left through an open side is neither.
+    The volume error is what the surface loses or gains. Concrete that has left through an open side is not an error.
     """
     state, layout = flow.state, flow.state.layout
     if not flow.steps:

@@ -1,4 +1,4 @@
-"""The numbers that a standard test comes to, as its standard calls them."""
+"""Result quantities of standard tests, under the names of their standards."""
 
 from __future__ import annotations
 
@@ -18,52 +18,52 @@ from ..quantities import largest
 from .scene import FreeScene, Points
 
 T500 = 0.5
-"""Spread whose time is told [m] (EN 12350-8)."""
+"""Spread at which T500 is measured [m] (EN 12350-8)."""
 SAMPLES = 30
-"""Points along each axis at which walls in space are looked for."""
+"""Number of sample points along each axis for the part of the concrete's initial space that walls occupy."""
 LIGHT = 0.5
-"""How full a funnel's middle is at most when light is seen through it."""
+"""Filled fraction of a funnel's middle below which light is seen through the funnel."""
 
 
 @dataclass(frozen=True)
 class Known:
-    """What there is to know of a test when its quantities are worked out."""
+    """Scene, series and volume from which the quantities of a test are computed."""
 
     scene: FreeScene
     series: dict[str, np.ndarray]
-    """Two rows or more."""
+    """Columns of the time series, with two rows or more."""
     volume: float
-    """Of the concrete, of a radian or a metre's depth."""
+    """Initial volume of the concrete [m3], in a plane per metre of depth and about an axis per radian."""
 
     @property
     def is_slump(self) -> bool:
-        """A cone on a plate."""
+        """True for a slump test: a cone on a plate."""
         return self.scene.test == "slump"
 
     @property
     def is_funnel(self) -> bool:
-        """A V-funnel."""
+        """True for a V-funnel test."""
         return self.scene.test == "funnel"
 
     @property
     def is_box(self) -> bool:
-        """An L-box."""
+        """True for an L-box test."""
         return self.scene.test == "lbox"
 
     @property
     def cone(self) -> tuple[float, float, float]:
-        """Radii at top and base, and height [m]."""
+        """Top radius, base radius and height of the slump cone [m]."""
         corners = np.array(self.scene.outline)
         height = float(corners[:, 1].max())
         top = float(corners[corners[:, 1] == height, 0].max())
         return top, float(corners[:, 0].max()), height
 
     def last(self, name: str) -> float:
-        """Of a column."""
+        """Return the last value of a column."""
         return float(self.series[name][-1])
 
     def when(self, name: str, value: float, falls: bool = False) -> float | None:
-        """When a column first passes a value [s]; None if it does not."""
+        """Return the time at which a column first passes a value [s], or None if it never does."""
         time, column = self.series["time"], self.series[name]
         if falls:
             column, value = -column, -value
@@ -95,7 +95,7 @@ def _spread_of_theory(k: Known) -> float | None:
 
 
 def _heap(k: Known) -> tuple[float, float] | None:
-    """Reach and depth of a heap that resists its stretch; None where it would not be wider than high."""
+    """Return radius and depth of a heap that resists being stretched [m]; None unless it is wider than high."""
     concrete = k.scene.concrete
     if not k.is_slump or concrete.yield_stress == 0:
         return None
@@ -115,7 +115,7 @@ def _slump_of_heap(k: Known) -> float | None:
 
 
 def funnel_estimate(scene: FreeScene) -> float | None:
-    """Time in which a funnel's scene empties by closed forms [s]; None where the yield stress holds it."""
+    """Return the time in which a funnel empties by closed forms [s]; None if the yield stress holds the concrete."""
     size, concrete = scene.dimensions, scene.concrete
     halves = (size["outlet_width"] / 2, size["top_width"] / 2)
     heights = (size["outlet_height"], size["outlet_height"] + size["cone_height"])
@@ -185,7 +185,7 @@ QUANTITIES = (
 
 
 def report(run: Run) -> Iterator[tuple[str, str]]:
-    """Lines about a run besides its quantities."""
+    """Yield lines of the report that go beyond the quantities: published values, and a flow that is not at rest."""
     for name, value in run.scene.published.items():
         if name in run.result:
             yield f"{name}, Xu", f"{1e3 * value:.0f} mm printed (Xu, Li & Jiang 2021)"
@@ -194,7 +194,10 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
 
 
 def expected(scene: FreeScene) -> dict[str, float]:
-    """What closed forms say of a test; of a slump that of a heap where it is wider than high, else of a tall cone."""
+    """Return the quantities of a test by closed forms.
+
+    The slump is that of a heap if the heap is wider than high, else that of a tall cone.
+    """
     known = Known(scene, {}, start_volume(scene))
     closed = {each.name: each.of(known) for each in QUANTITIES if each.name.endswith(("_theory", "_heap"))}
     found = {
@@ -207,14 +210,17 @@ def expected(scene: FreeScene) -> dict[str, float]:
 
 
 def start_volume(scene: FreeScene) -> float:
-    """Return the volume of the concrete before the test, of a radian, a metre's depth or the depth of the room [m3]."""
+    """Return the initial volume of the concrete [m3].
+
+    About an axis the volume is that per radian, in a plane that per metre of depth, in space the whole.
+    """
     held = (*scene.blocks, scene.gate) if scene.gate else scene.blocks
     area = section_area(scene.outline, held, width=scene.width, height=scene.height, axial=scene.axial)
     return area * (scene.depth or 1.0) * _free_part(scene, held)
 
 
 def _free_part(scene: FreeScene, held: Sequence[Points]) -> float:
-    """Return the part of the concrete's place that walls in space leave free."""
+    """Return the fraction of the concrete's initial space that three-dimensional walls leave free."""
     if not scene.walls:
         return 1.0
     (left, low), (right, high) = scene.extent

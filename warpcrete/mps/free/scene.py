@@ -1,4 +1,4 @@
-"""Scenes with a free surface: concrete that a gate holds back, or nothing, in a vessel of cells."""
+"""Scenes of concrete with a free surface in a vessel, which a gate may hold back at the start."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from ..scene import STEP_ERROR, check_interval
 
 TESTS = ("slump", "funnel", "lbox", "none")
 SIDES = (("left", "right"), ("front", "back"), ("bottom", "top"))
-"""Of the room, along each axis."""
+"""Names of the lower and upper sides of the room along each axis."""
 NEEDED = {
     "funnel": ("outlet_width", "top_width", "outlet_height", "cone_height", "breadth"),
     "lbox": ("column_width", "width"),
 }
-"""Dimensions that a test's quantities go by."""
+"""Dimensions of the vessel that the quantities of a test need."""
 NO_LAYER = {"slip_viscosity": 1e8, "slip_yield": 0.0}
 Points = tuple[tuple[float, float], ...]
-"""Corners of a polygon across (radius, or width) and up [m]."""
+"""Corners of a polygon [m], each with its horizontal coordinate (or radius) and its height."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FreeSettings(Declared):
-    """How a flow with a free surface is computed."""
+    """Settings of the simulation of a free-surface flow."""
 
     duration: Annotated[float, "Longest simulated time; the run ends earlier when the concrete rests [s]", Above()] = (
         60.0
@@ -66,51 +66,54 @@ class FreeSettings(Declared):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class FreeScene(Parametrised, FreeSettings):
-    """Concrete in a vessel, about an axis, in a plane or in space; SI units. Polygons are sections: what they are of
-    reaches through the depth.
+    """Concrete in a vessel, about an axis, in a plane or in space; SI units.
+
+    Polygons are sections, which extend through the whole depth of the room.
     """
 
     name: str
     test: str
-    """Whose outcome is measured, of TESTS."""
+    """Test whose outcome is measured, one of TESTS."""
     concrete: Concrete
     axial: bool
-    """About an axis at x = 0; else in a plane, by the metre of depth, or in space."""
+    """True for a flow about the axis x = 0; otherwise it is in a plane, per metre of depth, or in space."""
     width: float
-    """Of the room [m]."""
+    """Width of the simulated room, the box around the vessel [m]."""
     height: float
-    """[m]"""
+    """Height of the simulated room [m]."""
     spacing: float
-    """Of the cells [m]; the nearest is taken that divides the width."""
+    """Wanted width of the cells [m]; the nearest width that divides that of the room is used."""
     outline: Points
-    """Of the concrete at the start, where no wall is."""
+    """Polygon that the concrete fills at the start, except where there are walls."""
     depth: float = 0.0
-    """Of the room [m]; 0: the flow is one in a plane, or about an axis."""
+    """Depth of the room [m]; 0 for a flow in a plane or about an axis."""
     blocks: tuple[Points, ...] = ()
-    """Walls."""
+    """Polygons that are walls."""
     walls: tuple[Wall, ...] = ()
-    """Walls of any shape in space, at rest; a closed mesh has the concrete on the side of `amid`."""
+    """Walls of any shape in space, at rest; concrete is on the side of a closed mesh where the point `amid` lies."""
     amid: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """A point of the room in which concrete may be [m]."""
+    """Point of the room where concrete may be [m]."""
     sides: Mapping[str, str] = field(default_factory=dict)
-    """What sides of the room are, of those in SIDES: "wall", "mirror" (a plane of symmetry) or "open" (whatever comes
-    there is gone). Those that are not named are walls, but for the top, which is open, and an axis.
+    """Kind of each side of the room, by the names in SIDES.
+
+    A side is a "wall", a "mirror" (plane of symmetry) or "open" (concrete that reaches it is gone). Sides that are not
+    named are walls, except for the top, which is open, and for an axis.
     """
     gate: Points = ()
-    """Of what is lifted; none: nothing holds the concrete back."""
+    """Polygon of the gate or mould that is lifted; empty if nothing holds the concrete back."""
     lift_speed: float = 0.0
-    """[m/s]"""
+    """Speed at which the gate is lifted [m/s]."""
     plate_slips: bool = False
-    """On sides of the room the concrete's slip layer acts; else it sticks."""
+    """True if the concrete slips on the sides of the room with its slip layer; otherwise it sticks to them."""
     walls_slip: bool = False
-    """The same of blocks and walls."""
+    """True if the concrete slips on blocks and walls with its slip layer; otherwise it sticks to them."""
     dimensions: Mapping[str, float] = field(default_factory=dict)
-    """Of a test's vessel that its quantities go by [m]."""
+    """Dimensions of the vessel from which the quantities of its test are computed [m]."""
     published: Mapping[str, float] = field(default_factory=dict)
-    """Quantities of the result that somebody printed, in SI units."""
+    """Published values of result quantities, in SI units."""
     remarks: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments that make this scene again through its scene function; empty if it has none."""
+    """Arguments with which the scene's function makes this scene again; empty if there is no such function."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -196,7 +199,7 @@ class FreeScene(Parametrised, FreeSettings):
 
     @property
     def form(self) -> str:
-        """In words."""
+        """Geometry of the flow in words: about an axis, in a plane or in space."""
         return "about an axis" if self.axial else "in space" if self.depth else "in a plane"
 
     def __repr__(self) -> str:
@@ -208,15 +211,15 @@ class FreeScene(Parametrised, FreeSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class FreeConcrete(ConcreteParameters, FreeSettings):
-    """What tests of fresh concrete have in common."""
+    """Parameters that all tests of fresh concrete share."""
 
     def mixed(self, slips: bool) -> Concrete:
-        """The concrete; a slip layer that nothing meets needs no numbers."""
+        """Return the concrete; constants of the slip layer may be missing if the concrete slips on no wall."""
         constants = {name: getattr(self, name) for name in CONSTANTS}
         if not slips and (self.concrete == "own" or is_file(self.concrete)):
             constants |= {name: value for name, value in NO_LAYER.items() if constants[name] is None}
         return concrete_of(self.concrete, self.slip_thickness, **constants)
 
     def settings(self) -> dict[str, Any]:
-        """Arguments of a scene that say how it is computed."""
+        """Return the arguments of a scene that control its simulation."""
         return {f.name: getattr(self, f.name) for f in fields(FreeSettings)}

@@ -1,4 +1,7 @@
-"""Concrete with a free surface, from a scene to a finished run; `core/run_loop.py` has what every run goes through."""
+"""Simulation of concrete with a free surface, from a scene to a finished run.
+
+The module `core/run_loop.py` has the loop common to all runs.
+"""
 
 from __future__ import annotations
 
@@ -22,42 +25,42 @@ from .quantities import LIGHT, QUANTITIES, Known
 from .scene import FreeScene
 
 RESTED = 1.0
-"""Simulated time over which concrete must be slow to be at rest [s]."""
+"""Simulated time over which concrete must stay slow to count as at rest [s]."""
 
 
 class FreeSimulation(FlowRun):
-    """A flow with a free surface; parameters and errors are those of :class:`warpcrete.Simulation`."""
+    """Simulation of a free-surface flow; parameters and errors are those of :class:`warpcrete.Simulation`."""
 
     scene_type = FreeScene
     scene: FreeScene
 
     def set_up(self) -> None:
-        """Nothing is at rest yet."""
+        """Start an empty series of a flow that is not yet at rest."""
         super().set_up()
         self.rests = False
 
     def unit(self, column: str) -> str:
-        """Unit of a column of the series."""
+        """Return the unit of a column of the series."""
         return (UNITS | MORE.get(self.scene.test, {}))[column]
 
     def display(self, colouring: str | None = None) -> FreeDisplay:
-        """What recorders draw."""
+        """Return the display that recorders draw."""
         return FreeDisplay(self, colouring)
 
     def placed(self) -> GridFlow:
-        """The particles and the grid."""
+        """Return the flow at its start, with its particles and its grid."""
         check_memory(free_cells(self.scene), self.device, self.precision)
         layout = free_layout(self.scene)
         self.volume = float(np.sum(layout.mass)) * layout.volume
-        """Of the concrete, of a metre's depth or a radian."""
+        """Initial volume of the concrete [m3], in a plane per metre of depth and about an axis per radian."""
         return GridFlow(GridState(self.scene, layout, self.device, self.precision))
 
     def measured(self) -> dict[str, float]:
-        """A row of the series."""
+        """Measure the flow and return a row of the series."""
         return measured(self.flow, self.volume)
 
     def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if the row shows that the state means nothing any more."""
+        """Raise :class:`InstabilityError` if the row shows that the state is no longer meaningful."""
         at = f"t = {row['time']:.6g} s"
         for name, value in row.items():
             if not math.isfinite(value):
@@ -71,12 +74,12 @@ class FreeSimulation(FlowRun):
 
     @property
     def lifted(self) -> float:
-        """When nothing holds the concrete back any more [s]."""
+        """Time from which on no gate holds the concrete back [s]."""
         scene = self.scene
         return max(y for _, y in scene.gate) / scene.lift_speed if scene.gate else 0.0
 
     def ended_early(self) -> bool:
-        """The concrete rests, or light is seen through a funnel."""
+        """Return whether the concrete is at rest, or light is seen through a funnel."""
         now, row = self._rows[-1]["time"], self._rows[-1]
         if row.get("screen", 1.0) < LIGHT:
             return True
@@ -87,7 +90,7 @@ class FreeSimulation(FlowRun):
         return self.rests
 
     def result(self, finished: bool) -> Run:
-        """The run as it is now, with its quantities."""
+        """Return the run as it is now, with its quantities."""
         scene, flow, rows = self.scene, self.flow, self._rows
         series = self.series()
         layout = flow.state.layout

@@ -1,1 +1,1 @@
-"""Flows whose equations are solved on a grid that particles are carried through."""
+"""Flows whose equations are solved on a grid, through which particles carry the concrete."""

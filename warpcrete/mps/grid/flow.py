@@ -1,9 +1,11 @@
-"""A flow whose equations are solved on a grid that particles are carried through.
+"""Flow on a grid through which particles carry the concrete.
 
-A step: particles bring their velocities to the faces of the cells (affine particle-in-cell); viscosity, walls, pressure
-and weight change these, implicitly; the pressure's increment takes their divergence away; particles take their velocity
-from the grid and go with it. Steps are as long as the flow lets them be. Nothing hangs on how particles lie, so shear
-may last for ever.
+A step has four parts. Particles bring their velocities to the faces of the cells (affine particle-in-cell, Jiang et al.
+2015). An implicit solve changes these velocities by viscosity, walls, pressure and weight. An increment of the pressure
+removes their divergence. Particles take their velocity from the grid and move with it.
+
+The length of steps may adapt to the flow. The equations do not depend on how the particles are arranged, so concrete
+can be sheared without limit.
 """
 
 from __future__ import annotations
@@ -38,37 +40,37 @@ from ..stages import LEAST_PRESSURE, VELOCITY_ERROR
 from ..stepping import Stepping
 from .state import GridState, grid_numbers
 
-HISTORY = 256  # iterations whose residual is kept
-ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # of what flows through a cell's sides
-EXTENDED = 3  # cells from the concrete into air and walls to which velocities are continued
-CROWDING = 0.1, 1e-5  # of the solve that moves particles apart: residual over that at its start, or over a cell's
+HISTORY = 256  # maximum number of iterations whose residuals are kept
+ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # relative rounding error of the flow through a cell's sides
+EXTENDED = 3  # number of cells beyond the concrete, in air and walls, to which velocities are extrapolated
+CROWDING = 0.1, 1e-5  # solve that moves particles apart: tolerances relative to its initial residual and to a full cell
 SLOWEST = 0.05
-"""Speed, over that of flows of its kind, below which a step's error is judged as if it were as fast."""
-FOR_EVER = 2**31 - 1  # steps
+"""Minimum speed, relative to the typical speed of the flow, to which the error of a step is compared."""
+FOR_EVER = 2**31 - 1  # a number of steps that no run reaches
 
 
 @dataclass(frozen=True)
 class System:
-    """Equations of one kind: a row a face, or a row a cell."""
+    """Linear system with a row for each face or for each cell of the grid."""
 
     rows: int
     matrix: Any
-    """A struct `Matrix`."""
+    """Coefficients of the system, a struct `Matrix`."""
     arrays: Any
-    """A struct `Solve` of numbers."""
+    """Working arrays of the solve, a struct `Solve` of numbers."""
     numbers: Any
-    """A struct `Flow`, of which solves read the count."""
+    """Struct `Flow` of constants, of which the solve reads only the number of rows."""
 
 
 class GridFlow(Stepping):
-    """Carries a state forward."""
+    """Flow on a grid, which advances its state in time."""
 
     next_step: float
-    """Length of the next step, unless one must end sooner [s]."""
+    """Length of the next step, unless it must end earlier [s]."""
     threads = 1
-    """That work on it on a CPU."""
+    """Number of CPU threads that work on the flow."""
     rebuilds = 0
-    """Of lists of neighbours, which there are none of."""
+    """Number of rebuilds of neighbour lists; always zero, because a grid needs no lists."""
 
     def __init__(self, state: GridState) -> None:
         scene = state.scene
@@ -83,7 +85,7 @@ class GridFlow(Stepping):
         kind, faces = state.layout.kind, state.layout.axes * state.slots
         self.viscous = self._system(faces, kind.velocity_neighbours)
         self.projection = self._system(state.slots, kind.pressure_neighbours)
-        # The same matrix once more, for what moves particles off crowds; a full pipe has no need of it.
+        # A second system with the pressure matrix moves particles out of crowded regions. A full pipe does without.
         self.dispersion = None if self.full else replace(self.projection, arrays=self._arrays(state.slots))
         self.late = wp.zeros(2, dtype=wp.int32, device=self.device)
         self._idle = wp.zeros(1, dtype=wp.float64, device=self.device)
@@ -96,7 +98,7 @@ class GridFlow(Stepping):
         self._read_clock()
 
     def _paced(self) -> Any:
-        """What the length of steps goes by, and norms of residuals that are small enough."""
+        """Return the struct `Pace` that controls the length of steps, and set the residuals at which solves stop."""
         pace, scene = Pace(), self.scene
         least = CROWDING[1]
         pace.longest, pace.error = scene.time_step, scene.step_error
@@ -112,26 +114,26 @@ class GridFlow(Stepping):
 
     @property
     def viscous_least(self) -> wp.array:
-        """Norm of the viscosity's residual that is small enough, shape (1,); so the next two."""
+        """Norm of the residual at which the viscosity solve stops, shape (1,)."""
         return self.viscous.arrays.least
 
     @property
     def pressure_least(self) -> wp.array:
-        """Of the pressure's."""
+        """Norm of the residual at which the pressure solve stops, shape (1,)."""
         return self.projection.arrays.least
 
     @property
     def crowding_least(self) -> wp.array:
-        """Of what moves particles apart; an idle array if nothing does."""
+        """Norm of the residual at which the solve that moves particles apart stops, shape (1,)."""
         return self._idle if self.dispersion is None else self.dispersion.arrays.least
 
     @property
     def adaptive(self) -> bool:
-        """Steps are as long as the flow lets them be."""
+        """True if the length of steps adapts to the flow."""
         return self.scene.step_error > 0
 
     def aim(self, until: float = math.inf, steps: int | None = None) -> None:
-        """Say where to go: to `until` [s], to the step that ends nearest if all are equal, or to so many steps."""
+        """Set the goal: a time `until` [s] (with equal steps, the step that ends nearest) or a number of steps."""
         super().aim(until, steps)
         self._until = math.inf
         if steps is None and self.adaptive:
@@ -140,7 +142,7 @@ class GridFlow(Stepping):
         self._begun = False
 
     def launch(self) -> None:
-        """Go some of the way; a GPU takes the steps, on the stream that it is given now, while Python goes on."""
+        """Launch some steps towards the goal; a GPU takes them on its current stream while Python goes on."""
         if not self._begun:
             launch(
                 self._clock.begin, 1, self.device, until=min(self._until, 1e300), goal=self._goal, pace=self.pace,
@@ -152,12 +154,12 @@ class GridFlow(Stepping):
 
     @property
     def arrived(self) -> bool:
-        """It is where it was to go."""
+        """True when the flow has reached its goal."""
         return self._arrived
 
     @property
     def _left(self) -> int:
-        """Steps that it will take if none gets shorter; some may be too many, and do nothing."""
+        """Number of steps to the goal if no step gets shorter; surplus steps do nothing."""
         if not self.adaptive:
             return self._goal - self.steps
         by_time = min((self._until - self.time) / self.next_step, FOR_EVER)
@@ -178,7 +180,7 @@ class GridFlow(Stepping):
         matrix.near_capacity = near
         for name in structs.Matrix.vars:
             if name not in ("near_capacity", "bound", "grains", "coarse"):
-                # What would bind rows of vectors to walls has none here.
+                # Only particle flows bind velocities to walls through drag and position; here both arrays stay zero.
                 size = {"near": rows * near, "coefficient": rows * near, "drag": rows, "position": rows}
                 setattr(matrix, name, self._zeros(structs.Matrix, name, size.get(name, rows)))
         numbers = flow_struct(self.scalar)()
@@ -186,7 +188,7 @@ class GridFlow(Stepping):
         return System(rows, matrix, self._arrays(rows), numbers)
 
     def _arrays(self, rows: int) -> Any:
-        """Working arrays of a solve."""
+        """Return the working arrays of a solve with this number of rows."""
         structs = array_structs(self.scalar, 2)
         solve = structs.NumberSolve()
         sizes = {
@@ -207,12 +209,12 @@ class GridFlow(Stepping):
 
     @property
     def counts(self) -> dict[str, int]:
-        """Of what it consists of."""
+        """Numbers of particles and of cells."""
         return {"particles": self.count, "cells": math.prod(self.state.layout.cells)}
 
     @property
     def holdings(self) -> dict[str, Any]:
-        """What holds its memory, by part."""
+        """Objects that hold the flow's memory, by the name of their part."""
         systems = self._systems.values()
         return {
             "particles": self.particles, "grid": self.mesh, "walls": [self.geometry, self.state.opened],
@@ -221,11 +223,11 @@ class GridFlow(Stepping):
 
     @property
     def _systems(self) -> dict[int, System]:
-        """By what they solve for."""
+        """Linear systems of velocity, pressure and crowding, by what they solve for."""
         found = {VISCOSITY: self.viscous, PRESSURE: self.projection}
         return found if self.dispersion is None else found | {DENSITY: self.dispersion}
 
-    # Stages.
+    # The following methods return the stages of a step and the state for checkpoints.
 
     @property
     def step(self) -> Step:
@@ -235,13 +237,21 @@ class GridFlow(Stepping):
         return self._step
 
     def stage(self, kernel: Any, dim: int, *, block: int | None = None, **named: Any) -> Stage:
-        """A launch of a kernel; parameters that are not `named` are the attributes of the same names."""
+        """Return a stage that launches `kernel`; parameters not in `named` come from attributes of the same names."""
         for name in parameter_names(kernel):
             if name not in named:
                 named[name] = getattr(self, name)
         return Stage(kernel, dim, named, self.device, block=block)
 
     def _stages(self) -> list[Any]:
+        """Return all stages of one step in their order.
+
+        1. Sort particles into cells, find how full the cells are, and gather velocities on the faces.
+        2. Compute shear rates, apparent viscosities and wall friction, and solve for the velocities.
+        3. Solve for the pressure increment, and remove the divergence of the velocities.
+        4. Adapt the driving force, measure the speed, break the structure, and move crowded particles apart.
+        5. Extrapolate the velocities beyond the concrete, move the particles, and advance the clock.
+        """
         slots, serial = self.state.slots, not self.parallel
         layout = self.state.layout
         kind, scalar = layout.kind, self.scalar
@@ -281,7 +291,7 @@ class GridFlow(Stepping):
         ]  # fmt: skip
 
     def _broken(self) -> list[Stage]:
-        """What flow leaves of the structure."""
+        """Return the stage in which shear and slip break the structure that the concrete gained at rest."""
         scene = self.scene
         return [
             self.stage(
@@ -292,30 +302,33 @@ class GridFlow(Stepping):
 
     @property
     def _force(self) -> float:
-        """Norm of the forces on all faces that change velocities by the usual speed within the longest step."""
+        """Norm of the forces on all faces that change velocities by the typical speed within the longest step."""
         scene = self.scene
         return scene.concrete.density / scene.time_step * self._volume * self.state.layout.speed * self._size
 
     @property
     def _rounding(self) -> float:
-        """Norm of what rounding leaves of the divergence, below which no solve comes."""
+        """Norm of the rounding error of the divergence, below which no solve can get."""
         part = ROUNDING["float64" if self.scalar is wp.float64 else "float32"]
         return part * self._force / min(self.state.layout.room.width)
 
     @property
     def _volume(self) -> float:
-        """Of a cell, of a metre's depth or a radian."""
+        """Volume of a cell [m3], in a plane per metre of depth and about an axis per radian."""
         layout = self.state.layout
         return math.prod(layout.room.width) * (layout.length if layout.axial else 1.0)
 
     @property
     def _size(self) -> float:
-        """Norm of as many ones as there are particles' cells."""
+        """Norm of a vector of ones with a row for each initially full cell, which turns an rms value into a norm."""
         layout = self.state.layout
         return math.sqrt(max(self.count * (layout.mark_spacing / layout.spacing) ** layout.axes, 1.0))
 
     def _extend(self, kernel: Any) -> list[Stage]:
-        """Velocities beyond the concrete, a cell further in each; they end in the first arrays."""
+        """Return stages that extrapolate velocities beyond the concrete, each by one cell.
+
+        The last stage writes the first of the two arrays.
+        """
         found = []
         for turn in range(EXTENDED):
             to = (EXTENDED - 1 - turn) % 2
@@ -329,7 +342,7 @@ class GridFlow(Stepping):
         return found
 
     def _disperse(self) -> list[Any]:
-        """Particles that crowd are moved apart, with the matrix of the pressure."""
+        """Return stages that move crowded particles apart, by a solve with the matrix of the pressure."""
         kernels, slots = crowd_kernels(self.scalar, self.state.layout.kind), self.state.slots
         assert self.dispersion is not None
         return [
@@ -339,7 +352,7 @@ class GridFlow(Stepping):
         ]
 
     def _speeds(self) -> list[Stage]:
-        """How fast the concrete goes."""
+        """Return stages that measure the speed of the concrete, from which the length of the next step follows."""
         kernels = speed_kernels(self.scalar, self.state.layout.kind)
         if not self.parallel:
             return [self.stage(kernels.speeds, 1)]
@@ -350,7 +363,7 @@ class GridFlow(Stepping):
         ]
 
     def _drive(self) -> list[Stage]:
-        """The force that holds the mean velocity."""
+        """Return stages that apply the driving force which keeps the mean velocity of a periodic pipe constant."""
         kernels, slots = drive_kernels(self.scalar, self.state.layout.axes), self.state.slots
         shove = self.stage(kernels.shove, slots)
         if not self.parallel:
@@ -363,8 +376,11 @@ class GridFlow(Stepping):
         ]
 
     def _solve(self, system: System, what: int, x: wp.array, tolerance: float) -> list[Any]:
-        """Conjugate gradients down to `tolerance` of the residual at the start, or to the norm that is small enough;
-        adds to `x`."""
+        """Return the stage of a conjugate-gradient solve that adds its solution to `x`.
+
+        The solve stops when the residual is below `tolerance` times the initial one, or below the norm stored in the
+        system.
+        """
         kind = self.scalar, 2, False
         named = {
             "flow": system.numbers, "what": what, "tolerance": tolerance,
@@ -380,19 +396,19 @@ class GridFlow(Stepping):
         return [Stage(kernel, tasks, {name: named[name] for name in parameter_names(kernel)}, self.device, block=block)]
 
     def solves(self) -> dict[int, Any]:
-        """Working arrays of its solves, by what they solve for."""
+        """Return the working arrays of the linear systems, by what they solve for."""
         return {what: system.arrays for what, system in self._systems.items()}
 
     def state_arrays(self) -> dict[str, np.ndarray]:
-        """Arrays that the next step depends on."""
+        """Return the arrays that the next step depends on."""
         return self.state.state_dict()
 
     def state_dict(self) -> dict[str, Any]:
-        """All that the next step depends on."""
+        """Return everything that the next step depends on."""
         return {"arrays": self.state_arrays(), "numbers": {"steps": self.steps}}
 
     def load_state_dict(self, found: dict[str, Any]) -> None:
-        """Go on from a `state_dict`."""
+        """Restore the flow from a `state_dict`."""
         self.state.load_state_dict(found["arrays"])
         self.steps = int(found["numbers"]["steps"])
         self._read_clock()

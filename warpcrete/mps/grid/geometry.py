@@ -1,4 +1,9 @@
-"""Where walls are on a grid: signed distances of polygons and walls in space, and which parts of cells they leave."""
+"""Geometry of walls on a grid: their signed distances, and the open parts of cells, faces and edges that they cut.
+
+Walls may pass through cells (cut cells). The signed distance of the walls at the corners of a cell, interpolated
+linearly, gives the open fraction of its volume and of its faces, through which concrete flows (Ng, Min & Gibou 2009).
+The open fraction around its edges weights the shear there (Batty & Bridson 2008).
+"""
 
 from __future__ import annotations
 
@@ -12,41 +17,50 @@ from ...geometry.walls import MeshWall, PipeWall, PlaneWall
 from ...kernels.mps.grid.cells import FIXED, INSIDE
 
 NONE, PLATE, SMOOTH, GATE, ROUGH = 0, 1, 2, 3, 4
-"""Numbers of walls: of a pipe or a side of a room, of an axis or plane of symmetry that nothing rubs on, of what will
-open, of what concrete sticks to; more for walls that move."""
+"""Wall numbers: NONE stands for an open cell, PLATE for the wall of a pipe or a side of the room.
+
+SMOOTH is an axis or plane of symmetry without friction, GATE a wall that will open, ROUGH a wall that concrete sticks
+to. Larger numbers belong to walls that move.
+"""
 WALL, MIRROR, BARE = "wall", "mirror", "open"
-"""What a side of the room is."""
+"""Kinds of the sides of a room: a wall, a plane of symmetry, or an open side."""
 STICKS = 1e8
-"""Viscosity of a slip layer that hardly slips [Pa s/m]."""
+"""Viscosity of a slip layer on which concrete hardly slips [Pa s/m]."""
 LITTLE = 1e-3
-"""Part of the quarter of a cell that is open in some corner, at least."""
+"""Minimum open fraction of a quarter of a cell that has an open corner."""
 LEAST = 0.01
-"""Part of a cell or face that counts as open."""
+"""Fraction above which a cell or a face counts as open."""
 ALIGNED, OFF = 0.999, 0.01
-"""Cosine between a wall's normal and an axis above which a face is a side of that wall, and how far off it may be, over
-a cell's width."""
+"""Limits for a face that is a side of an aligned wall.
+
+ALIGNED is the minimum cosine between the wall's normal and the axis, OFF the maximum distance from the wall in cell
+widths.
+"""
 FINE = {2: 8, 3: 4}
-"""Places of a cell along each axis by which what is open around it is weighed; even, so that flat walls are exact."""
+"""Number of sample points of a cell along each axis for its open volume; even, so that flat walls are exact."""
 LINES = 8
-"""Across a face or cell, along which its open part is found."""
+"""Number of lines across a face or cell along which its open part is integrated."""
 PAIRS = (0, 1), (0, 2), (1, 2)
-"""Of axes."""
+"""Pairs of axes, each of which spans a plane of shear."""
 
 Distance = Callable[[np.ndarray], np.ndarray]
-"""Of points, shape (n, axes) [m]: positive where concrete may be."""
+"""Signed distance from a wall [m] of points, shape (n, axes); positive where concrete may be."""
 
 
 @dataclass(frozen=True)
 class Geometry:
-    """Arrays over a grid and its frame, named and meant as those of the kernels' `Geometry`; shape (axes, *shape) of
-    what faces have, (*shape, 2^axes) of `depth`, `shape` of the rest, the last axis first."""
+    """Open parts of the cells, faces and edges of a grid, named as in the kernels' struct `Geometry`.
+
+    The arrays include the frame of one cell around the grid, with the last axis first. Arrays of faces have the shape
+    (axes, *shape), `depth` has (*shape, 2^axes), and the others `shape`.
+    """
 
     solid: np.ndarray
-    """NONE, or number of the wall that fills a cell."""
+    """Number of the wall that fills a cell, NONE for an open cell."""
     depth: np.ndarray
     room: np.ndarray
     nook: np.ndarray
-    """Shape (*shape, pairs of axes, 4)."""
+    """Open fractions of the quarters of each cell around its edges, shape (*shape, pairs of axes, 4)."""
     hold: np.ndarray
     gap: np.ndarray
     part: np.ndarray
@@ -56,18 +70,21 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Room:
-    """A box of cells."""
+    """Box of cells that the concrete may flow in."""
 
     cells: tuple[int, ...]
     width: tuple[float, ...]
-    """Of a cell along each axis [m]."""
+    """Width of a cell along each axis [m]."""
     origin: tuple[float, ...]
-    """Lowest corner [m]."""
+    """Lowest corner of the box [m]."""
     sides: tuple[tuple[str, str], ...]
-    """Lower and upper along each axis: WALL, MIRROR or BARE."""
+    """Kinds of the lower and the upper side along each axis: WALL, MIRROR or BARE."""
 
     def places(self, shift: Sequence[float], more: int = 0) -> np.ndarray:
-        """Of cells and frame, `shift` of a cell from its lowest corner; shape (cells + 2 + more, axes) [m]."""
+        """Return a point [m] in each cell and frame cell, `shift` cell widths from the cell's lowest corner.
+
+        The shape is (cells + 2 + more, axes), with `more` additional points along each axis.
+        """
         along = [
             o + (np.arange(-1, n + 1 + more) + s) * h
             for o, n, h, s in zip(self.origin, self.cells, self.width, shift, strict=True)
@@ -76,11 +93,16 @@ class Room:
 
 
 def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool = False) -> Geometry:
-    """What walls leave of a room; `walls` with their numbers. Sides that are walls are those of number PLATE."""
+    """Return the open parts of cells, faces and edges that walls leave of a box of cells.
+
+    `walls` are pairs of a distance function and a wall number. Sides of the room that are walls have the number PLATE.
+    If `axial`, the room is a section whose volumes are weighted by the radius.
+    """
     axes, nearest = len(room.cells), nearest_wall(room, walls)
     far = 2.0 * float(np.max(np.array(room.cells) * room.width))
     depth, number = nearest(room.places([0.5] * axes))
-    # Sides of the room lie along cells: in distances between corners they would round off what meets them aslant.
+    # The sides of the room run along cell sides. Including them in the distances at corners would round off every wall
+    # that meets them at an angle.
     corners = np.minimum(nearest_wall(room, walls, sides=False)(room.places([0.0] * axes, 1))[0], far)
     mirror, beyond, index = np.zeros(depth.shape, bool), np.zeros(depth.shape, bool), np.indices(depth.shape)
     for axis, (lower, upper) in enumerate(room.sides):
@@ -101,7 +123,7 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
         share = _open(_corners(lowest, others), axes - 1)
         below = np.roll(solid, 1, axis)
         closed = (share < LEAST) | (solid != NONE) | (below != NONE)
-        # What a wall across the axis stops; a wall aslant has no velocity of its own across a face.
+        # Only a wall square to the axis fixes the velocity across a face; an inclined wall leaves it free.
         slope = np.abs(depth - np.roll(depth, 1, axis)) / room.width[axis]
         beside = (solid == SMOOTH) ^ (below == SMOOTH)
         on_it = np.abs(distance) < OFF * room.width[axis]
@@ -121,10 +143,10 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
 
 
 def _quarters(corners: np.ndarray) -> np.ndarray:
-    """Open part of the quarters of each cell around its edges of each pair of axes; shape (pairs, 4, cells...)."""
+    """Return the open fractions of the quarters of each cell around its edges, shape (pairs, 4, cells...)."""
     axes, half = corners.ndim, corners
     for axis in range(axes):
-        # Values at the ends and in the middle of cells: two halves of each follow one another.
+        # Insert values at the middle of cells, so that the two halves of each cell follow one another.
         half = np.moveaxis(half, axis, -1)
         middle = np.stack([half[..., :-1], 0.5 * (half[..., :-1] + half[..., 1:])], -1)
         half = np.concatenate([middle.reshape(*half.shape[:-1], -1), half[..., -1:]], -1)
@@ -133,7 +155,7 @@ def _quarters(corners: np.ndarray) -> np.ndarray:
     inner = tuple(range(-axes, 0))
     low, high = ends.min(inner), ends.max(inner)
     part, cut = np.where(low > 0, 1.0, 0.0), (low <= 0) & (high > 0)
-    # However little is open: the face behind it is needed, or the wall would have nothing to rub on.
+    # An almost closed quarter keeps a small open fraction, so that the face on which the wall's friction acts exists.
     part[cut] = np.maximum(_open(ends[cut], axes), LITTLE)
     found = []
     for first, second in PAIRS[:1] if axes == 2 else PAIRS:
@@ -152,8 +174,9 @@ def _quarters(corners: np.ndarray) -> np.ndarray:
 def nearest_wall(
     room: Room, walls: Sequence[tuple[Distance, int]], sides: bool = True
 ) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Function of points, shape (..., axes) [m]: distance from the nearest wall, `sides` of the room among them or
-    not, and its number.
+    """Return a function that gives distance and number of the wall nearest to points, shape (..., axes) [m].
+
+    The function includes the `sides` of the room that are walls, or leaves them out.
     """
     everything = [*walls, *(_sides(room) if sides else ())]
 
@@ -169,7 +192,7 @@ def nearest_wall(
 
 
 def _first_fastest(axes: int) -> list[int]:
-    """Numbers that `ndindex` gives the corners of a cell, in an order in which the first axis varies fastest."""
+    """Return the corners of a cell, as numbered by `ndindex`, in an order in which the first axis varies fastest."""
     return [int("".join(reversed(f"{n:0{axes}b}")), 2) for n in range(2**axes)]
 
 
@@ -178,7 +201,7 @@ def _last_first(array: np.ndarray) -> np.ndarray:
 
 
 def _sides(room: Room) -> list[tuple[Distance, int]]:
-    """Sides of a room that are walls."""
+    """Return distance functions and numbers of the sides of a room that are walls."""
 
     def plane(axis: int, place: float, sign: float) -> Distance:
         return lambda x: sign * (x[:, axis] - place)
@@ -193,15 +216,17 @@ def _sides(room: Room) -> list[tuple[Distance, int]]:
 
 
 def _hold(room: Room, corners: np.ndarray, shut: np.ndarray, wall: np.ndarray, axial: bool) -> np.ndarray:
-    """Volume of what is open around the middle of each cell, weighted as particles there are (`fill`): what cells that
-    are `wall` would have of it is their neighbours'.
+    """Return the open volume around the middle of each cell, weighted as the kernel `fill` weights particles.
+
+    The weight is a hat function that reaches to the middles of the neighbouring cells. The share that would belong to a
+    cell that is `wall` counts for the cell in which the volume lies.
     """
     axes = len(room.cells)
     fine = FINE[axes]
     inner = (np.arange(fine) + 0.5) / fine
     values = corners
     for axis in range(axes):
-        # Values between corners: a cell's places follow one another.
+        # Interpolate between corners; the sample points of one cell follow one another.
         values = np.moveaxis(values, axis, -1)
         low, high = values[..., :-1, None], values[..., 1:, None]
         values = np.moveaxis((low + inner * (high - low)).reshape(*values.shape[:-1], -1), -1, axis)
@@ -225,14 +250,17 @@ def _hold(room: Room, corners: np.ndarray, shut: np.ndarray, wall: np.ndarray, a
 
 
 def _behind(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
-    """What cells that are wall would have of what is open in each cell, `found` at `fine` places along each axis."""
+    """Return the share of each cell's open volume that hat functions assign to neighbouring wall cells.
+
+    `found` holds the weights of `fine` sample points along each axis of each cell; `wall` marks the wall cells.
+    """
     axes, half = wall.ndim, fine // 2
     shape = [n for length in wall.shape for n in (length, fine)]
     inner = found.reshape(shape).transpose(*range(0, 2 * axes, 2), *range(1, 2 * axes, 2))
-    away = (np.arange(half) + 0.5) / fine  # from the middle of a cell, over its width
+    away = (np.arange(half) + 0.5) / fine  # distance from the middle of a cell, in cell widths
     sum = np.zeros(wall.shape)
     for side in np.ndindex((2,) * axes):
-        # Of the places on these sides of the middle, from it outward.
+        # Select the sample points on this side of the middle along each axis, from the middle outward.
         rays = tuple(slice(half, None) if upper else slice(half - 1, None, -1) for upper in side)
         part = inner[(..., *rays)]
         for beyond in list(np.ndindex((2,) * axes))[1:]:
@@ -245,7 +273,7 @@ def _behind(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
 
 
 def _corners(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
-    """Values at the lower and upper ends of cells along some axes, which come last, two each."""
+    """Return the values at the lower and upper ends of cells along some axes, as new last axes of length two."""
     for axis in axes:
         count = values.shape[axis]
         values = np.stack([np.take(values, range(count - 1), axis), np.take(values, range(1, count), axis)], -1)
@@ -253,7 +281,7 @@ def _corners(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
 
 
 def _open(corners: np.ndarray, ends: int) -> np.ndarray:
-    """Part that is open, of values linear between corners along the last `ends` axes."""
+    """Return the fraction where values, linear between corners along the last `ends` axes, are positive."""
     if ends == 1:
         a, b = corners[..., 0], corners[..., 1]
         high, low = np.maximum(a, b), np.minimum(a, b)
@@ -268,8 +296,9 @@ def _open(corners: np.ndarray, ends: int) -> np.ndarray:
 
 
 def wall_distance(wall: PlaneWall | PipeWall | MeshWall, within: np.ndarray) -> Distance:
-    """Distance from a wall in space. Concrete is on the side of a mesh, which must be closed, where `within` is, a
-    point amid the concrete [m], shape (3,).
+    """Return the distance function of a wall in space.
+
+    A mesh must be closed; concrete is on the side of the mesh where the point `within` lies [m], shape (3,).
     """
     if isinstance(wall, PlaneWall):
         point, normal = np.array(wall.point), np.array(wall.normal)
@@ -284,7 +313,7 @@ def wall_distance(wall: PlaneWall | PipeWall | MeshWall, within: np.ndarray) -> 
 
 
 def polygon_distance(corners: Sequence[tuple[float, float]], axes: tuple[int, int] = (0, -1)) -> Distance:
-    """Distance from a polygon that is a wall, or what it sweeps along the axis that is not among `axes`."""
+    """Return the distance function of a polygon that is a wall and extends along any axis that is not among `axes`."""
     a = np.array(corners, float)
     b = np.roll(a, -1, 0)
 
@@ -295,7 +324,8 @@ def polygon_distance(corners: Sequence[tuple[float, float]], axes: tuple[int, in
             along = two - one
             part = np.clip((x - one) @ along / max(float(along @ along), 1e-300), 0.0, 1.0)
             nearest = np.minimum(nearest, np.linalg.norm(x - one - part[:, None] * along, axis=1))
-            # A ray to the right crosses sides that end above and below it.
+            # A point is inside if a ray to the right crosses an odd number of sides. A side is crossed if one of its
+            # ends lies above the ray and the other below.
             crosses = (one[1] > x[:, 1]) != (two[1] > x[:, 1])
             rise = along[1] if along[1] else 1.0
             inside ^= crosses & (x[:, 0] < one[0] + (x[:, 1] - one[1]) * along[0] / rise)

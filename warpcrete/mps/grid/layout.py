@@ -1,4 +1,4 @@
-"""Cells of a grid, what fills them at the start, and the walls around."""
+"""Layout of a grid at the start: its cells, the walls around them, and the concrete in them."""
 
 from __future__ import annotations
 
@@ -13,76 +13,79 @@ from ..scene import FluidScene
 from .geometry import BARE, MIRROR, PLATE, SMOOTH, STICKS, WALL, Geometry, Room
 
 ABREAST = 2
-"""Particles of a cell across it, and as many along it, in a pipe."""
+"""Number of particles per cell along each axis in a pipe."""
 
 
 @dataclass(frozen=True)
 class GridLayout:
-    """A grid at the start."""
+    """Grid, walls and particles of a flow at the start."""
 
     kind: Kind
     room: Room
     solid: np.ndarray
-    """Number of the wall that fills a cell, NONE in the open, frame included, the last axis first."""
+    """Wall number of each cell and of the frame of cells around the grid, NONE for open cells; last axis first."""
     fluid: np.ndarray
-    """Particles, shape (n, axes) [m]."""
+    """Positions of the particles [m], shape (n, axes)."""
     mass: np.ndarray
-    """Of each over the mean, shape (n,)."""
+    """Mass of each particle, relative to the mean mass, shape (n,)."""
     mark_spacing: float
     """Distance of particles [m]."""
     slip: tuple[float, float]
-    """Viscosity [Pa s/m] and yield stress [Pa] of the layer on walls."""
+    """Viscosity [Pa s/m] and yield stress [Pa] of the slip layer on walls."""
     speed: float
-    """That flows of this kind have [m/s]: what errors of solves are judged by."""
+    """Typical speed of the flow [m/s], by which errors of the solves are judged."""
     length: float
-    """Over which it changes [m]."""
+    """Length over which the velocity typically varies [m]."""
     frame: float = 0.0
-    """Velocity of the grid along the last axis [m/s]; mean velocity of a periodic pipe."""
+    """Velocity of the grid along its last axis [m/s]; it equals the mean velocity of a periodic pipe."""
     drive: float = 0.0
-    """Force per volume at the start [N/m3]."""
+    """Driving force per volume at the start [N/m3]."""
     held: bool = True
-    """In a periodic pipe that force changes so that the mean velocity stays that of the frame; else it stays."""
+    """True if the driving force of a periodic pipe adapts to keep the mean velocity; False if the force is constant."""
     resistance: float = 0.0
-    """By how much a periodic pipe's wall answers a faster mean [kg/m3/s]."""
+    """Increase of the wall force per volume of a periodic pipe with the mean velocity [kg/m3/s]."""
     geometry: Geometry | None = None
-    """Of walls that cut cells."""
+    """Geometry of walls that cut cells; None if walls are sides of cells."""
     opened: Geometry | None = None
-    """The same, once what opens has opened."""
+    """Geometry of the walls after the gate has opened; None without a gate."""
     opens: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    """When each cell takes what is in `opened` [s], shape as `solid`; empty where nothing opens."""
+    """Time at which each cell takes its geometry from `opened` [s], shape as `solid`; empty if nothing opens."""
     full: bool = False
-    """To the brim, and for ever: there is no surface, though it is not periodic."""
+    """True if concrete fills the room at all times, so that there is no free surface even if it is not periodic."""
     rough: tuple[float, float] = (STICKS, 0.0)
-    """As `slip`, of walls of the number ROUGH: concrete sticks to them unless told otherwise."""
+    """Viscosity [Pa s/m] and yield stress [Pa] of the layer on walls of number ROUGH; by default concrete sticks."""
     weightless: bool = False
-    """Weight is left out: where there is no surface, all that it does is to press."""
+    """True if weight is left out; without a free surface it would only add hydrostatic pressure."""
     motions: tuple[Motion, ...] = ()
-    """Of walls with the numbers after ROUGH."""
+    """Motions of the walls whose numbers follow ROUGH."""
     inlet: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    """Places at which particles come in again that have left, shape (n, axes) [m]; none: they are gone for good."""
+    """Positions at which particles that have left the grid enter again [m], shape (n, axes).
+
+    If the array is empty, particles that have left are gone for good.
+    """
     gained: float = 0.0
-    """By yield stresses of bulk and slip layer, at rest before the start [Pa]."""
+    """Increase of the yield stresses of bulk and slip layer during a rest before the start [Pa]."""
     inflow: tuple[float, ...] | None = None
-    """Their velocity then [m/s]."""
+    """Velocity of particles that enter again [m/s]."""
 
     @property
     def cells(self) -> tuple[int, ...]:
-        """Along each axis."""
+        """Numbers of cells along each axis."""
         return self.room.cells
 
     @property
     def axes(self) -> int:
-        """2 or 3."""
+        """Number of axes, 2 or 3."""
         return len(self.room.cells)
 
     @property
     def axial(self) -> bool:
-        """About an axis, which is the left side."""
+        """True for a flow about an axis, which is the left side of the grid."""
         return self.kind.axial
 
     @property
     def periodic(self) -> bool:
-        """Goes on below as it ends above; else there is a free surface."""
+        """True if the upper and lower ends of the grid are periodic boundaries."""
         return self.kind.periodic
 
     @property
@@ -97,49 +100,52 @@ class GridLayout:
 
     @property
     def left(self) -> float:
-        """Place of the left side [m]."""
+        """Coordinate of the left side [m]."""
         return self.room.origin[0]
 
     @property
     def height(self) -> float:
-        """Of the grid [m]."""
+        """Height of the grid [m]."""
         return self.cells[-1] * self.step
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of arrays over the cells, frame included, the last axis first."""
+        """Shape of arrays over the cells and their frame, last axis first."""
         return tuple(n + 2 for n in reversed(self.cells))
 
     @property
     def volume(self) -> float:
-        """Of the mean particle; in a plane of a metre's depth, about an axis of a radian."""
+        """Volume of the mean particle [m3], in a plane per metre of depth and about an axis per radian."""
         radius = float(self.fluid[:, 0].mean()) if self.axial else 1.0
         return radius * float(np.prod([self.mark_spacing * h / self.spacing for h in self.room.width]))
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Of a wall along itself: a rigid body's."""
+    """Rigid-body velocity that a wall imposes on the concrete; the wall keeps its place on the grid."""
 
     velocity: tuple[float, ...]
-    """[m/s]"""
+    """Velocity of the wall [m/s]."""
     spin: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """[rad/s]; in a plane, whose second axis is the third of space, the middle one counts."""
+    """Angular velocity of the wall [rad/s]; in a plane, whose axes are x and z of space, only the middle one counts."""
     pivot: tuple[float, ...] | None = None
-    """Point that the spin is about [m]; none: the origin."""
+    """Point about which the wall spins [m]; None for the origin."""
     smooth: bool = False
-    """Nothing rubs on it; else concrete sticks to it."""
+    """True if the wall has no friction; otherwise concrete sticks to it."""
 
 
 def pipe_cells(scene: FluidScene) -> tuple[int, int]:
-    """Cells across and along, of the width nearest to the wanted spacing that divides a channel, or a tube's radius."""
+    """Return the numbers of cells across and along a pipe.
+
+    The cells have the width nearest to the wanted spacing that divides a channel's width or a tube's radius.
+    """
     across = scene.radius if scene.dimensions == 3 else 2 * scene.radius
     nx = max(2, round(across / scene.spacing))
     return nx, max(2, round(scene.length * nx / across))
 
 
 def pipe_layout(scene: FluidScene) -> GridLayout:
-    """A periodic pipe: cells from wall to wall, or from the axis to the wall."""
+    """Return the layout of a periodic pipe, with cells from wall to wall or from the axis to the wall."""
     axial = scene.dimensions == 3
     nx, nz = pipe_cells(scene)
     dx, dz = (scene.radius if axial else 2 * scene.radius) / nx, scene.length / nz
@@ -168,7 +174,10 @@ def pipe_layout(scene: FluidScene) -> GridLayout:
 
 
 def _resistance(scene: FluidScene) -> float:
-    """By how much the wall's force per volume grows with the mean velocity in the steady state [kg/m3/s]."""
+    """Return the increase of the wall's force per volume with the mean velocity in the steady state [kg/m3/s].
+
+    The driving force of a periodic pipe uses this slope to anticipate how the wall answers a change of velocity.
+    """
     little, flow = 1e-3, math.pi * scene.radius**2 * scene.velocity
     now, more = (steady(scene.concrete, scene.line, flow * (1 + part), scene.form) for part in (0.0, little))
     return (more.pressure - now.pressure) / (scene.length * little * scene.velocity)

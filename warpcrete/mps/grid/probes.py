@@ -1,4 +1,4 @@
-"""What is measured in a flow on a grid, under the names that flows of particles have it."""
+"""Measurements of a flow on a grid, under the same names as those of particle flows."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from .flow import GridFlow
 from .layout import GridLayout
 
 FINE = 40
-"""Places in a cell over which theory's velocity is averaged."""
+"""Number of points per cell over which theory's velocity is averaged."""
 
 
 def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str, float]:
-    """A row of the series; `before` is the row before, for what changes in between. Of a channel, momentum is that of a
-    metre's depth.
+    """Return a row of the series; the change of momentum is taken from `before`, the previous row.
 
-    A periodic pipe's pressure is the force that drives it, weight included, over its length.
+    The momentum of a channel is that of a metre of depth. The pressure of a periodic pipe is the force per volume that
+    drives it, weight included, times its length.
     """
     scene, state, layout = flow.scene, flow.state, flow.state.layout
     drive = state.mesh.drive.numpy()
@@ -33,15 +33,16 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
     kind = state.faces("kind")[1] == int(LIQUID)
     mass = scene.concrete.density * area * layout.height
     momentum = mass * scene.velocity
-    if flow.steps:  # before, nothing lies on the grid
+    if flow.steps:  # before the first step the grid holds no velocities
         momentum = scene.concrete.density * float(np.sum(volume * along, where=kind))
-    # The wall's faces: a channel's first and last column of cells, a tube's last one.
+    # The faces along the wall belong to the first and last cells across a channel, or to the last cell of a tube.
     beside = [-2] if layout.axial else [1, -2]
     stress, at_wall = (float(np.mean(state.faces(name)[1][1:-1, beside])) for name in ("traction", "slip"))
     force = gradient * layout.height * area
     change = 0.0
     if before is not None and flow.time > before["time"]:
         change = (momentum - before["momentum"]) / (flow.time - before["time"])
+    # The driving force must equal weight, wall drag and the rate of change of momentum.
     residual = force - mass * scene.gravity - stress * wet - change
     radius, mean = profile(flow)
     weight = radius if layout.axial else np.ones_like(radius)
@@ -68,7 +69,7 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
 
 
 def _structure(flow: GridFlow, beside: list[int]) -> dict[str, float]:
-    """Means of what the layer and the concrete beside it still have of what they gained at rest [Pa]."""
+    """Return the mean yield stresses [Pa] that the slip layer and the concrete next to it still have from the rest."""
     if not flow.state.layout.kind.thixotropic:
         return {}
     layer, bulk = flow.state.faces("layer")[1], flow.state.faces("gained")[0]
@@ -76,14 +77,18 @@ def _structure(flow: GridFlow, beside: list[int]) -> dict[str, float]:
 
 
 def _within(layout: GridLayout, places: np.ndarray, scene: FluidScene) -> float:
-    """Concrete in a window that falls smoothly across the section: as much as at the start, unless some goes astray."""
+    """Return the mass of concrete in a window whose weight falls smoothly from the middle to the wall.
+
+    The mass stays as at the start unless particles go astray.
+    """
     part = (np.abs(places[:, 0]) / scene.radius) ** (2 if layout.axial else 1)
     return window(part, layout.mass)
 
 
 def profile(flow: GridFlow, height: float | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Distance from the axis or middle [m] and mean velocity over a cell [m/s], in that order, at a `height` [m] or
-    amid the stretch.
+    """Return distances from the axis or middle [m], in rising order, and the mean velocity of the cell at each [m/s].
+
+    By default the profile is that at mid-height of the stretch, else at `height` [m].
     """
     layout = flow.state.layout
     height = 0.5 * layout.height if height is None else height
@@ -94,7 +99,7 @@ def profile(flow: GridFlow, height: float | None = None) -> tuple[np.ndarray, np
 
 
 def theory_profile(scene: FluidScene, layout: GridLayout) -> np.ndarray:
-    """Theory's velocity in the order of `profile`, over each cell's section as the grid's are [m/s]."""
+    """Return theory's velocity [m/s], averaged over the section of each cell, in the order of `profile`."""
     nx = layout.cells[0]
     across = np.abs(layout.left + (np.arange(nx * FINE) + 0.5) * layout.spacing / FINE).reshape(nx, FINE)
     weight = across if layout.axial else np.ones_like(across)

@@ -1,4 +1,4 @@
-"""State of a flow on a grid: its particles, and what lies on the grid."""
+"""State of a flow on a grid: its particles, and arrays on cells, faces and edges."""
 
 from __future__ import annotations
 
@@ -17,40 +17,42 @@ from .layout import GridLayout
 
 PARTICLE_ARRAYS = ("position", "velocity", "gradient", "pressure", "mass")
 MESH_ARRAYS = ("solid", "velocity", "pressure", "in_cell", "in_corner", "stress", "drive", "clock")
-"""What the next step depends on."""
+"""Names of the arrays of particles and of the mesh that the next step depends on."""
 STRUCTURE = ("gained", "layer")
-"""Besides, where concrete has gained some at rest."""
+"""Names of further mesh arrays that the next step depends on if the concrete gained structure at rest."""
 FACES = ("kind", "velocity", "start", "volume", "rubbed", "traction", "growth", "slip", "shift")
-"""Arrays that have a row for each face; those of EDGES one for each edge, of LISTS one for each particle, the rest
-one for each cell."""
+"""Names of mesh arrays by their rows: FACES have one for each face, EDGES for each edge, LISTS for each particle.
+
+All other mesh arrays have a row for each cell.
+"""
 EDGES = ("in_corner", "besides")
 LISTS = ("home", "place", "bin")
 SLOT_BYTES = {2: 4 * 265, 3: 4 * 525}
-"""Of a cell with its faces, its rows of the systems and its particles, in single precision, by the number of axes."""
+"""Memory of a cell with its faces, system rows and particles [bytes], in single precision, by number of axes."""
 
 FIRST = 0.01
-"""First step over the longest, where steps are as long as the flow lets them be."""
+"""Length of the first step, relative to the longest one, if steps adapt to the flow."""
 
 
 class GridState:
-    """Everything that changes in a flow on a grid.
+    """State of a flow on a grid: all arrays that change in a run.
 
-    `scene` has the concrete, gravity, time step and regularisation. Arrays, with meaning, unit and shape, are those of
-    the structs in `kernels/mps/grid/cells.py`.
+    `scene` supplies concrete, gravity, time step and regularisation. The structs in `kernels/mps/grid/cells.py` give
+    meaning, unit and shape of the arrays.
     """
 
     flags: wp.array
-    """Slots of `kernels/common/control.py`, shape (FLAGS,)."""
+    """Control flags with the slots of `kernels/common/control.py`, shape (FLAGS,)."""
     particles: Any
-    """A struct `Particles`."""
+    """Arrays of the particles, a struct `Particles`."""
     mesh: Any
-    """A struct `Mesh`."""
+    """Arrays on cells, faces and edges, a struct `Mesh`."""
     geometry: Any
-    """A struct `Geometry`; `opened` is another."""
+    """Current geometry of the walls, a struct `Geometry`; the attribute `opened` has that behind an opened gate."""
     walls: Any
-    """A struct `Walls`."""
+    """Motions and slip layers of the walls, a struct `Walls`."""
     grains = None
-    """Coarse aggregate: there is none on a grid."""
+    """Coarse aggregate; always None on a grid."""
 
     def __init__(self, scene: Any, layout: GridLayout, device: Any, precision: str) -> None:
         self.scene, self.layout, self.device, self.scalar = scene, layout, device, scalar_of(precision)
@@ -69,7 +71,7 @@ class GridState:
         drive[int(FORCE)] = layout.drive
         clock = np.zeros(CLOCK)
         clock[[int(DT), int(WANTED)]] = scene.time_step * (FIRST if scene.step_error else 1.0)
-        full = np.zeros(self.shape, np.int32)  # what is full stays so
+        full = np.zeros(self.shape, np.int32)  # cells of a full pipe stay full
         if layout.periodic or layout.full:
             inner = (slice(1, -1),) * layout.axes
             full[inner] = layout.solid[inner] == NONE
@@ -108,7 +110,7 @@ class GridState:
         )
 
     def _rows(self, name: str) -> int:
-        """Of an array of the grid."""
+        """Return the number of rows of a mesh array."""
         if name in LISTS:
             return self.count
         if name == "listed":
@@ -124,14 +126,14 @@ class GridState:
         return many.get(name, 1) * self.slots
 
     def _geometry(self, found: Geometry | None) -> Any:
-        """A struct `Geometry`; without arrays where walls are sides of cells."""
+        """Return a struct `Geometry`; its arrays are empty if walls are sides of cells."""
         own = {"opens": self.layout.opens.ravel(), "inlet": self.layout.inlet.reshape(-1, self.layout.axes)}
         names = [name for name in self.structs.Geometry.vars if name not in own]
         given = {name: 0 if found is None else getattr(found, name).ravel() for name in names}
         return self._filled(self.structs.Geometry, **given, **own)
 
     def _filled(self, struct: Any, **arrays: Any) -> Any:
-        """A struct of arrays: of host data, or of zeros."""
+        """Return a struct of arrays: copies of host data, or zeros where a size is given."""
         made = struct()
         for name, value in arrays.items():
             dtype = struct.vars[name].type.dtype
@@ -145,25 +147,26 @@ class GridState:
         return self.layout.mark_spacing
 
     def faces(self, name: str) -> np.ndarray:
-        """An array of the mesh that has rows for faces, shape (axes, *shape), in double precision."""
+        """Return a mesh array with rows for faces, shape (axes, *shape), in double precision."""
         return getattr(self.mesh, name).numpy().astype(float).reshape(-1, *self.shape)
 
     def cells(self, name: str) -> np.ndarray:
-        """An array of the mesh or the geometry that has a row for each cell, without the frame, the last axis first, in
-        double precision.
+        """Return an array of the mesh or geometry with a row for each cell, in double precision.
+
+        The frame around the grid is left out, and the last axis comes first.
         """
         of = self.mesh if name in self.structs.Mesh.vars else self.geometry
         whole = getattr(of, name).numpy().astype(float).reshape(self.shape)
         return whole[(slice(1, -1),) * self.layout.axes]
 
     def state_dict(self) -> dict[str, np.ndarray]:
-        """Arrays that the next step depends on."""
+        """Return the arrays that the next step depends on."""
         found = {name: getattr(self.particles, name).numpy() for name in PARTICLE_ARRAYS}
         found |= {f"mesh_{name}": getattr(self.mesh, name).numpy() for name in self.mesh_arrays}
         return found | {"flags": self.flags.numpy()}
 
     def load_state_dict(self, found: dict[str, np.ndarray]) -> None:
-        """Go on from a `state_dict`."""
+        """Restore the state from a `state_dict`."""
         for name in PARTICLE_ARRAYS:
             getattr(self.particles, name).assign(found[name])
         for name in self.mesh_arrays:
@@ -172,7 +175,7 @@ class GridState:
 
 
 def check_memory(cells: tuple[int, ...], device: Any, precision: str) -> None:
-    """Raise :class:`CapacityError` if a grid of so many cells will not fit."""
+    """Raise :class:`CapacityError` if a grid with these numbers of cells does not fit in memory."""
     slots = math.prod(n + 2 for n in cells)
     needed = slots * SLOT_BYTES[len(cells)] * wp.types.type_size_in_bytes(scalar_of(precision)) / 4
     free = memory_free(device)
@@ -184,7 +187,7 @@ def check_memory(cells: tuple[int, ...], device: Any, precision: str) -> None:
 
 
 def grid_numbers(state: GridState) -> Any:
-    """Struct of a grid's numbers for the kernels."""
+    """Return the struct of constants of a grid for the kernels."""
     scene, layout, concrete = state.scene, state.layout, state.scene.concrete
     g = cells_struct(state.scalar, layout.axes)()
     down = [0.0] * (layout.axes - 1) + [0.0 if layout.weightless else -scene.gravity]

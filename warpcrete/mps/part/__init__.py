@@ -1,1 +1,1 @@
-"""Concrete that fills a part of a line: a straight, a bend, a reducer, or a bore from a mesh, as a flow on a grid."""
+"""Flow of concrete through a part of a pump line (straight, bend, reducer, or bore from a mesh), on a grid."""

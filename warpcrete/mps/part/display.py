@@ -1,4 +1,4 @@
-"""A part of a line as recorders draw it: particles of the concrete, the wall as glass."""
+"""Display of a part of a line for recorders: particles of the concrete and a transparent wall."""
 
 from __future__ import annotations
 
@@ -15,14 +15,17 @@ from .probes import loss_along
 from .scene import PartScene
 
 MOST = 12000
-"""Particles that are drawn."""
+"""Maximum number of particles that are drawn."""
 SIDES, RINGS = 48, 60
-"""Of round walls as they are drawn, around and along."""
+"""Numbers of facets around and of rings along a drawn round wall."""
 OURS, OTHER_LINE, THEORY = (215, 95, 30), (90, 120, 170), (150, 150, 150)
 
 
 class PartDisplay(Display):
-    """Particles by speed, by pressure or by rate of shear; where half a part is computed, both are drawn."""
+    """Display of a part: particles coloured by speed, by pressure or by shear rate.
+
+    If only half a part is simulated, its mirror image is drawn as well.
+    """
 
     colourings: ClassVar = ("speed", "pressure", "shear")
     noun: ClassVar = "concrete"
@@ -41,19 +44,19 @@ class PartDisplay(Display):
         return np.arange(0, count, max(1, -(-count * len(self._images) // MOST)))
 
     def radii(self) -> np.ndarray:
-        """So that few particles fill the part as well as many [m]."""
+        """Return the radii of drawn particles [m], larger if fewer are drawn, so that they always fill the part."""
         state, chosen = self.simulation.state, self._chosen
         fewer = (state.count / len(chosen)) ** (1 / 3)
         return np.full(len(chosen) * len(self._images), 0.45 * state.mark_spacing * fewer, np.float32)
 
     def centres(self) -> np.ndarray:
-        """Particles in the room [m], shape (n, 3)."""
+        """Return the positions of drawn particles [m], shape (n, 3)."""
         x = self.read("particles.position").astype(float)[self._chosen]
         frame = Frame(self._scene)
         return np.concatenate([frame.outward(x * [1.0, sign, 1.0]) for sign in self._images])
 
     def scale(self) -> tuple[str, float, float]:
-        """What colours show, with its lowest and highest value."""
+        """Return label, lowest and highest value of what the colours show."""
         scene = self._scene
         if self.colouring == "pressure":
             return "friction ahead [kPa]", 0.0, 1.2e-3 * scene.friction(0.0, scene.axis.length)
@@ -61,13 +64,13 @@ class PartDisplay(Display):
         return ("speed [m/s]", 0.0, fastest) if self.colouring == "speed" else ("rate of shear [1/s]", 0.0, 5.0)
 
     def fields(self) -> dict[str, np.ndarray]:
-        """Speed [m/s] and the friction that is ahead [Pa]."""
+        """Return speed [m/s] and pressure, weight left out [Pa], of the drawn particles."""
         speed = np.linalg.norm(self.read("particles.velocity").astype(float), axis=1)
         found = {"speed": speed, "pressure": self.read("particles.pressure").astype(float)}
         return {name: np.tile(values[self._chosen], len(self._images)) for name, values in found.items()}
 
     def colours(self) -> np.ndarray:
-        """RGB bytes of all that is drawn, shape (n, 3)."""
+        """Return RGB bytes of all drawn particles, shape (n, 3)."""
         if self.colouring == "pressure":
             values = self.read("particles.pressure").astype(float) / 1e3
         elif self.colouring == "speed":
@@ -79,7 +82,7 @@ class PartDisplay(Display):
         return np.tile(on_palette(values[self._chosen], upper, lower), (len(self._images), 1))
 
     def plots(self) -> tuple[Plot, ...]:
-        """Pressure, and what the stretches lose."""
+        """Return curves over time of the pressure and of the friction in both straight stretches."""
         return (
             Plot("pressure", "Pressure", (
                 Curve("pressure", "at the start [kPa]", lambda row: 1e-3 * row["pressure"], OURS),
@@ -91,17 +94,17 @@ class PartDisplay(Display):
         )  # fmt: skip
 
     def profiles(self) -> tuple[Profile, ...]:
-        """Pressure along the axis, beside that of straight pipes by theory."""
+        """Return the pressure along the axis, with that of straight pipes by theory."""
         return (Profile("pressure", "Pressure [kPa] over the position along the axis [m]", (
             Points("this run", self._pressures, OURS), Points("theory", self._expected, THEORY),
         )),)  # fmt: skip
 
     def _ahead(self) -> tuple[np.ndarray, np.ndarray]:
-        """Arc lengths [m] and the friction ahead there [Pa]."""
+        """Return arc lengths [m] and the frictional loss that is still to come downstream of each [Pa]."""
         return self.once("friction ahead", lambda: loss_along(self.simulation.flow))
 
     def _pressures(self) -> tuple[np.ndarray, np.ndarray]:
-        """Arc lengths [m] and the mean pressure of each section, with the concrete's weight [kPa]."""
+        """Return arc lengths [m] and the mean pressure of each section, weight included [kPa]."""
         place, friction = self._ahead()
         return place, (friction + self._scene.weight(place)) / 1e3
 
@@ -111,13 +114,13 @@ class PartDisplay(Display):
 
     @cached_property
     def _friction(self) -> tuple[np.ndarray, np.ndarray]:
-        """Arc lengths [m] and the friction ahead there by theory [Pa]."""
+        """Arc lengths [m] and the frictional loss downstream of each by theory [Pa]."""
         end = self._scene.axis.length
         s = np.linspace(0, end, RINGS)
         return s, np.array([self._scene.friction(each, end) for each in s[:-1]] + [0.0])
 
     def walls(self) -> list[DrawnWall]:
-        """Return the wall of the bore."""
+        """Return the wall of the bore as a drawn wall."""
         scene, inner = self._scene, self._scene.inner
         if inner is not None:
             drawn = [(inner.vertices, inner.faces)]
@@ -136,7 +139,7 @@ class PartDisplay(Display):
         return [DrawnWall("wall", vertices, faces, False, GLASS)]
 
     def bounds(self) -> np.ndarray:
-        """Lowest and highest corner of what there is to see, shape (2, 3) [m]."""
+        """Return the lowest and highest corner of all that is drawn [m], shape (2, 3)."""
         scene = self._scene
         points, _ = scene.axis.at(np.linspace(0, scene.axis.length, 50))
         return np.stack([points.min(0) - scene.widest, points.max(0) + scene.widest])

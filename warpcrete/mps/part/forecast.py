@@ -1,4 +1,4 @@
-"""What a flow through a part will take: the first steps tell what one costs, a coarser flow how long it is unsteady."""
+"""Forecast of a flow through a part: a coarser copy gives the time until it is steady, the first steps their cost."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from .simulation import PartSimulation
 
 
 def forecast(scene: PartScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
-    """Forecast of a run; `device` as Warp's, `probe` times a frame of recordings."""
+    """Return the forecast of a run on a Warp `device`; `probe` times one frame of the recordings."""
 
     def begun() -> PartSimulation:
         simulation = PartSimulation(scene, device=str(device), precision=precision)
         simulation.prepare()
         return simulation
 
-    loading = begun()  # kernels are loaded now, and no part of a time any more
+    loading = begun()  # loads the kernels, so that later timings exclude the loading
     loading.flow.take(TAKEN)
     loading.release()
     duration, remarks = _duration(scene, str(device), precision)
@@ -62,7 +62,7 @@ def forecast(scene: PartScene, device: Any, precision: str, threads: int | None,
 
 
 def _duration(scene: PartScene, device: str, precision: str) -> tuple[float, list[str]]:
-    """Simulated time until the flow is steady [s], by a coarser copy, and remarks."""
+    """Return the simulated time until the flow is steady [s], by a coarser copy, and remarks."""
     narrow = 2 * scene.narrowest
     simulation = None
     try:

@@ -1,7 +1,7 @@
-"""Cells around a part, its walls, and the concrete in it at the start.
+"""Layout of a part of a line on a grid: its cells, its walls, and the concrete in it at the start.
 
-The grid's last axis is the way that concrete leaves along, through an open side; it enters through a plane across the
-axis, which goes with it. What has left comes in again.
+The last axis of the grid is the direction in which concrete leaves, through an open side. Concrete enters through a
+plane across the pipe's axis, a wall that has the velocity of the flow. Particles that have left enter there again.
 """
 
 from __future__ import annotations
@@ -17,18 +17,22 @@ from ..grid.layout import GridLayout, Motion
 from .scene import PartScene
 
 INLET = ROUGH + 1
-"""Number of the plane that concrete enters through."""
+"""Wall number of the plane through which concrete enters."""
 BEHIND, BESIDE = 2, 1.5
-"""Cells of the room around the bore; how far the inlet's plane reaches, over the radius, and as many cells."""
+"""Number of cells of the room around the bore (BEHIND), and radius of the inlet plane in bore radii (BESIDE).
+
+The inlet plane extends BEHIND cells beyond that radius.
+"""
 ABREAST = 2
-"""Particles of a cell along each axis."""
+"""Number of particles per cell along each axis."""
 PLACES, A_RADIUS = 200, 8
-"""Along the axis, at which the room that it needs is looked for: at least, and along a radius of the bore."""
+"""Minimum number of points along the axis from which a part's extent is found, and points per radius of the bore."""
 
 
 class Frame:
-    """The grid's axes in the scene's room: the last is the way out, the first lies in the plane of its bends, if they
-    have one.
+    """Axes of the grid in the space of the scene.
+
+    The last axis is the direction of the outlet. The first lies in the plane of the bends, if they have a common plane.
     """
 
     def __init__(self, scene: PartScene) -> None:
@@ -41,27 +45,27 @@ class Frame:
             across = across - (across @ out) * out
         across = across / np.linalg.norm(across)
         self.axes = np.stack([across, np.cross(out, across), out])
-        """Rows are the grid's axes, shape (3, 3)."""
+        """Axes of the grid as rows, shape (3, 3)."""
 
     def inward(self, x: np.ndarray) -> np.ndarray:
-        """Places of the room on the grid, whose origin is the axis's end; shape (n, 3)."""
+        """Convert points of the scene to grid coordinates, whose origin is the end of the pipe's axis; shape (n, 3)."""
         return (x - self.end) @ self.axes.T
 
     def outward(self, x: np.ndarray) -> np.ndarray:
-        """And back."""
+        """Convert points from grid coordinates to coordinates of the scene, shape (n, 3)."""
         return x @ self.axes + self.end
 
 
 def part_room(scene: PartScene) -> Room:
-    """Cells around the part."""
+    """Return the box of cells around the part."""
     frame, size = Frame(scene), scene.radius
     h = size / max(3, round(size / scene.spacing))
     wide = scene.widest
-    # As many as a turn needs that is the farthest the line goes, however long it is.
+    # A long part needs more points, so that every bend is sampled where it reaches farthest.
     count = max(PLACES, math.ceil(A_RADIUS * scene.axis.length / size))
     points, tangents = scene.axis.at(np.linspace(0, scene.axis.length, count))
     places = frame.inward(points)
-    # A section reaches as far along an axis as it is not square to it.
+    # Along a grid axis a round section reaches its radius times the sine of the angle between tangent and grid axis.
     reach = wide * np.sqrt(np.maximum(1 - (tangents @ frame.axes.T) ** 2, 0.0))
     low, high = (places - reach).min(0) - BEHIND * h, (places + reach).max(0) + BEHIND * h
     if scene.is_half:
@@ -75,13 +79,13 @@ def part_room(scene: PartScene) -> Room:
 
 
 def bore_distance(scene: PartScene) -> Distance:
-    """Distance of places on the grid from the wall of the bore [m]."""
+    """Return a function that gives the distance of grid points from the wall of the bore [m]."""
     frame, axis = Frame(scene), scene.axis
     if scene.inner is not None:
         inner = scene.inner
         return lambda x: inner.distance(frame.outward(x))
     places, radii = np.array(scene.bores.places), np.array(scene.bores.radii)
-    # Across a cone's wall is less far than across its axis.
+    # In a cone the distance to the wall is the gap, measured square to the axis, times the cosine of the slope.
     lean = np.concatenate([[1.0], np.sqrt(1 + (np.diff(radii) / np.diff(places)) ** 2), [1.0]])
 
     def distance(x: np.ndarray) -> np.ndarray:
@@ -93,8 +97,9 @@ def bore_distance(scene: PartScene) -> Distance:
 
 
 def inlet_distance(scene: PartScene) -> Distance:
-    """Distance of places on the grid from the plane that concrete enters through [m]; far from the pipe there is
-    none.
+    """Return a function that gives the distance of grid points from the plane through which concrete enters [m].
+
+    Far from the pipe the distance is large, because the plane does not extend there.
     """
     frame = Frame(scene)
     start, tangent = (a[0] for a in scene.axis.at(0.0))
@@ -110,7 +115,7 @@ def inlet_distance(scene: PartScene) -> Distance:
 
 
 def part_layout(scene: PartScene) -> GridLayout:
-    """The part, full of concrete at rest."""
+    """Return the layout of the part, full of concrete at rest."""
     room, frame = part_room(scene), Frame(scene)
     inlet = inlet_distance(scene)
     walls = [(bore_distance(scene), PLATE), (inlet, INLET)]
@@ -147,7 +152,10 @@ def part_layout(scene: PartScene) -> GridLayout:
 
 
 def _area(geometry, room: Room, way: np.ndarray) -> float:
-    """Of the plane, square to `way`, as the cells see it: flow in over the plane's speed [m2]."""
+    """Return the area of the inlet plane as the cells represent it [m2]: the inflow divided by the plane's speed.
+
+    The unit vector `way` is the plane's normal.
+    """
     liquid = np.zeros(geometry.solid.shape, bool)
     inner = (slice(1, -1),) * 3
     liquid[inner] = geometry.solid[inner] == 0
@@ -155,14 +163,15 @@ def _area(geometry, room: Room, way: np.ndarray) -> float:
     for axis in range(3):
         area = room.width[0] ** 2
         shut = np.where(geometry.surface[axis] == INLET, 1 - geometry.part[axis], 0.0) * area * way[axis]
-        above = np.roll(liquid, 1, 2 - axis)  # arrays have the last axis first
+        above = np.roll(liquid, 1, 2 - axis)  # the arrays have their last axis first
         total += float(np.sum(shut * liquid) - np.sum(shut * above))
     return total
 
 
 def stations(scene: PartScene, room: Room, chosen: np.ndarray) -> np.ndarray:
-    """Arc length of the middle of each of some cells [m]; `chosen` says which, shape as the state's cells, the last
-    axis first.
+    """Return the arc length of the middle of each chosen cell [m].
+
+    `chosen` is a mask with the shape of the state's cells, last axis first.
     """
     cells = np.argwhere(chosen)[:, ::-1]
     return scene.axis.along(Frame(scene).outward(np.array(room.origin) + (cells + 0.5) * np.array(room.width)))

@@ -1,4 +1,4 @@
-"""Flows through parts of a line, as the rest of the program sees them."""
+"""Registration of flows through parts of a line with the rest of the program."""
 
 from ...core.method import Method
 from ..stepping import run_abreast

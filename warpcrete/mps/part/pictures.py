@@ -1,4 +1,4 @@
-"""Pictures of flows through parts, by Matplotlib."""
+"""Matplotlib figures of flows through parts of a line."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from .scene import PartScene
 
 
 def plot_part(run: Run) -> Any:
-    """Figure of the friction that is still ahead along the part, beside straight pipes by theory, and of the pressure
-    over time.
+    """Return a figure of the frictional pressure along the part and of the pressure over time.
+
+    The frictional pressure at a place is the loss still to come downstream; that of straight pipes by theory is drawn
+    for comparison.
     """
     from matplotlib.figure import Figure
 
@@ -38,7 +40,7 @@ def plot_part(run: Run) -> Any:
 
 
 def _shaded(scene: PartScene) -> Iterator[tuple[str, float, float]]:
-    """What is no straight pipe, with a name for all of it, and where it begins and ends."""
+    """Yield name, begin and end of each stretch that is not straight pipe; only the first has a (legend) name."""
     odd = [section for section in scene.sections if not section.straight]
     if not odd and scene.middle[1] > scene.middle[0]:
         yield "other bore", *scene.middle
@@ -48,5 +50,5 @@ def _shaded(scene: PartScene) -> Iterator[tuple[str, float, float]]:
 
 
 def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
-    """The picture of a run folder, if there is more than the start."""
+    """Return the figure of a run folder, or None if the run has only its initial row."""
     return plot_part(run) if "profile" in run.result else None

@@ -1,4 +1,4 @@
-"""What is measured of concrete that flows through a part."""
+"""Measurements of concrete that flows through a part of a line."""
 
 from __future__ import annotations
 
@@ -23,14 +23,17 @@ UNITS = {
     "viscosity_iterations": "1",
     "pressure_iterations": "1",
 }
-"""Of the columns of a row."""
+"""Units of the columns of the time series."""
 
 FULL = 0.3
-"""Part of a slice's volume that cells must have for it to count."""
+"""Minimum fraction of a slice's volume that its cells must hold for the slice to count."""
 
 
 def loss_along(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
-    """Arc lengths [m] and the friction still ahead there, the mean over each section [Pa]; weight is left out."""
+    """Return arc lengths [m] and the mean pressure without weight of the cross section there [Pa].
+
+    Without weight, the pressure is the frictional loss that is still to come downstream.
+    """
     scene: PartScene = flow.scene
     layout = flow.state.layout
     h, liquid = layout.spacing, flow.state.cells("liquid") > 0
@@ -46,8 +49,10 @@ def loss_along(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
 
 
 def straight_lines(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pressure at the start and its slope, for each of the straight stretches before and behind the middle: lines
-    through what lies a radius off its ends.
+    """Return straight lines fitted to the pressure in the straight stretches before and behind the middle.
+
+    Each line is its slope [Pa/m] and its value at arc length zero [Pa]. A length of CLEAR radii at both ends of a
+    stretch is left out. A stretch with fewer than three points gives NaN.
     """
     begin, end = scene.middle
     first, last = float(scene.bore(0.0)), float(scene.bore(scene.axis.length))
@@ -62,16 +67,19 @@ def straight_lines(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> tup
 
 
 def stations_of(scene: PartScene, s: np.ndarray, friction: np.ndarray) -> Table:
-    """Pressure along the way, with the concrete's weight, from the friction that is ahead at arc lengths [m], [Pa]."""
+    """Return a table of the bore's radius, the friction ahead and the pressure at arc lengths `s` [m].
+
+    The friction ahead, `friction`, is the frictional loss still to come downstream [Pa]; the pressure includes weight.
+    """
     columns = {"place": s, "radius": scene.bore(s), "friction_ahead": friction, "pressure": friction + scene.weight(s)}
     return Table(columns, {"place": "m", "radius": "m", "friction_ahead": "Pa", "pressure": "Pa"})
 
 
 def losses(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> list[float]:
-    """What each section of a part loses by friction [Pa]: differences of the pressure at its ends.
+    """Return the frictional loss of each section of a part [Pa], the difference of the pressures at its ends.
 
-    There it is by the line through a straight stretch, of what lies a radius off its ends, and where no straight
-    stretch that has a line ends by the mean over the section.
+    At the end of a straight stretch the pressure is that of a straight line, fitted to the stretch without a length of
+    one radius at both ends. Elsewhere, and in stretches too short for a line, it is the mean over the cross section.
     """
     sections = scene.sections
     at = [float(np.interp(place, s, pressure)) for place in (0.0, *(x.end for x in sections))]
@@ -87,7 +95,7 @@ def losses(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> list[float]
 
 
 def _stretches(sections: Sequence[Section]) -> Iterator[tuple[int, int]]:
-    """Numbers of the first and last section of straight ones in a row."""
+    """Yield the numbers of the first and last section of each row of successive straight sections."""
     first = None
     for k, section in enumerate(sections):
         if section.straight and first is None:
@@ -98,7 +106,7 @@ def _stretches(sections: Sequence[Section]) -> Iterator[tuple[int, int]]:
 
 
 def measured(flow: GridFlow) -> dict[str, float]:
-    """A row of the series. `pressure` is that at the start of the part, with the concrete's weight over its rise."""
+    """Return a row of the series; its `pressure` is that at the start of the part, weight included."""
     scene: PartScene = flow.scene
     if not flow.steps:
         return dict.fromkeys(UNITS, 0.0)
@@ -109,7 +117,7 @@ def measured(flow: GridFlow) -> dict[str, float]:
     top = layout.shape[0] - 1
     out = flow.state.faces("velocity")[2][top] * flow.state.faces("volume")[2][top]
     open_side = flow.state.faces("kind")[2][top] == int(LIQUID)
-    # A face of the open side stands for half a cell of concrete.
+    # A face on the open side stands for half a cell of concrete; its area is this volume over half a spacing.
     whole = float(np.sum(out, where=open_side)) / (0.5 * layout.spacing)
     half = 0.5 if scene.is_half else 1.0
     velocity = flow.state.faces("velocity")

@@ -1,4 +1,4 @@
-"""The numbers that a flow through a part comes to."""
+"""Result quantities of a flow through a part of a line."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from .scene import PartScene
 
 @dataclass(frozen=True)
 class Known:
-    """What there is to know of a run when its quantities are worked out."""
+    """Scene and series from which the quantities of a run are computed."""
 
     scene: PartScene
     series: dict[str, np.ndarray]
-    """Two rows or more."""
+    """Columns of the time series, with two rows or more."""
 
     def last(self, name: str) -> float:
-        """Of a column."""
+        """Return the last value of a column."""
         return float(self.series[name][-1])
 
     @property
     def has_middle(self) -> bool:
-        """Is the part more than a straight pipe?"""
+        """True if the part is more than a straight pipe of constant bore."""
         begin, end = self.scene.middle
         return end > begin
 
     @property
     def as_straight(self) -> float:
-        """What theory loses in the middle, were it straight [Pa]."""
+        """Frictional loss that theory gives for the middle of the part if it were straight [Pa]."""
         return self.scene.friction(*self.scene.middle)
 
 
@@ -81,7 +81,7 @@ QUANTITIES = (
 
 
 def report(run: Run) -> Iterator[tuple[str, str]]:
-    """Lines about a run besides its quantities: what each part of a line loses, and what went wrong."""
+    """Yield lines of the report that go beyond the quantities: the loss of each part, and a flow that is not steady."""
     parts = run.result.get("parts", ()) if run.scene.parts else ()
     for count, part in enumerate(parts, 1):
         ours, theory = number(part["loss"]), number(part["loss_theory"])

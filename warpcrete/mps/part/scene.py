@@ -1,4 +1,4 @@
-"""Scenes of a part of a line that concrete fills and flows through at a given rate."""
+"""Scenes of a part of a pump line that concrete fills and flows through at a given rate."""
 
 from __future__ import annotations
 
@@ -22,20 +22,22 @@ from ...theory.pipe import Line as Stretch
 from ..scene import STEP_ERROR, check_interval
 
 FEWEST = 6
-"""Cells across the narrowest bore."""
+"""Minimum number of cells across the narrowest bore."""
 CLEAR, LEFT = 1.0, 4
-"""Length of pipe beside an end or the middle of a part that the measured lines leave out, over the radius there, and
-cells that must be left.
+"""Limits for the straight stretches in which friction is measured.
+
+CLEAR is the length of pipe, in radii, that is left out next to an end or the middle of a part. LEFT is the minimum
+number of cells that must remain.
 """
 ROUND = 0.03
-"""By how much a bore's radius may differ around it for theory to call it round."""
+"""Maximum relative deviation of a bore's radius around the axis for the theory of round pipes to apply."""
 ALONG = 60
-"""Places along the axis in which a mesh's bore is measured."""
+"""Number of points along the axis at which the bore of a mesh is measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PartSettings(Declared):
-    """How a flow through a part is computed."""
+    """Settings of the simulation of a flow through a part."""
 
     duration: Annotated[
         float, "Longest simulated time; the run ends earlier when the pressure is steady [s]", Above()
@@ -63,55 +65,55 @@ class PartSettings(Declared):
 
 @dataclass(frozen=True)
 class Section:
-    """A piece of the way."""
+    """Piece of a part, such as a bend or a taper, between two arc lengths of the axis."""
 
     kind: str
-    """As a line's parts have it, or taper."""
+    """Kind of the piece, such as "straight", "bend" or "taper"."""
     begin: float
-    """Arc length [m]."""
+    """Arc length at which the piece begins [m]."""
     end: float
-    """[m]"""
+    """Arc length at which the piece ends [m]."""
     called: str = ""
-    """What it is; its kind, unless told."""
+    """Description of the piece; empty to use its kind."""
 
     @property
     def straight(self) -> bool:
-        """Is it straight pipe?"""
+        """True for straight pipe."""
         return self.kind == "straight"
 
     @property
     def label(self) -> str:
-        """What it is, in a few words."""
+        """Short description of the piece."""
         return self.called or self.kind
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class PartScene(Parametrised, PartSettings):
-    """Concrete that fills a pipe along an axis and flows through it, in at its start and out at its end; SI units, z
-    up.
-    """
+    """Concrete that fills a pipe along an axis, enters at its start and leaves at its end; SI units, z is up."""
 
     name: str
     concrete: Concrete
     axis: Axis
-    """Its first and last pieces are straight."""
+    """Axis of the pipe; its first and last pieces are straight."""
     bores: Bores
-    """Inner radii of the round pipe along it, which change in straight pieces alone."""
+    """Inner radii of the round pipe along its axis; they change in straight pieces only."""
     flow: float
-    """[m3/s]"""
+    """Volume flow [m3/s]."""
     spacing: float
-    """Wanted width of the cells [m]; the nearest that divides the radius at the start."""
+    """Wanted width of the cells [m]; the nearest width that divides the radius at the start is used."""
     parts: tuple[Section, ...] = ()
-    """Of a line, whose losses are told; empty: as axis and bores have them."""
+    """Parts of a line whose losses are reported; if empty, they follow from axis and bores."""
     wall: MeshWall | None = None
-    """Mesh that stands for the round pipe; what the axis sees of it is the bore (:class:`InnerSurface`)."""
+    """Mesh that replaces the round pipe; the bore is the surface that the axis sees (:class:`InnerSurface`)."""
     insert: tuple[float, float] | None = None
-    """Arc lengths of the ends of a mesh that is shorter than the part [m]: the bore goes on beyond them as it is there.
-    None: the mesh is as long as the part."""
+    """Arc lengths of the ends of a mesh that is shorter than the part [m]; None if it is as long as the part.
+
+    Beyond its ends the bore continues as it is there.
+    """
     published: Mapping[str, float] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments that make this scene again through its scene function; empty if it has none."""
+    """Arguments with which the scene's function makes this scene again; empty if there is no such function."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -148,7 +150,7 @@ class PartScene(Parametrised, PartSettings):
         begin, end = self.middle
         for length, at in ((begin, 0.0), (self.axis.length - end, self.axis.length)):
             wanted = (2 if end > begin else 1) * CLEAR * float(self.bore(at)) + LEFT * self.spacing
-            if length < wanted * (1 - 1e-9):  # lengths are differences
+            if length < wanted * (1 - 1e-9):  # lengths are differences and so carry rounding errors
                 share = "" if end > begin else ", half of the pipe"
                 refuse("straight", length, f"is too short to measure the loss of a straight stretch{share}",
                        f"use {wanted:.3g} m or more")  # fmt: skip
@@ -161,7 +163,7 @@ class PartScene(Parametrised, PartSettings):
         check_interval(self)
 
     def _measured_bores(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return arc lengths and radii of equal area of a mesh's bore [m]."""
+        """Return arc lengths along a mesh's bore [m] and radii of circles of the same area [m]; None without a mesh."""
         object.__setattr__(self, "_inner", None)
         if self.wall is None:
             return None
@@ -185,7 +187,7 @@ class PartScene(Parametrised, PartSettings):
         return getattr(self, "_inner", None)
 
     def bore(self, s: np.ndarray | float) -> np.ndarray:
-        """Radius of the bore at arc lengths [m], by its area where a mesh is not round; shape as `s`."""
+        """Return the bore's radius at arc lengths `s` [m], from its area where a mesh is not round; shape as `s`."""
         measured = getattr(self, "_bores", None)
         if measured is not None:
             return np.asarray(np.interp(s, *measured))
@@ -193,17 +195,17 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def radius(self) -> float:
-        """Inner, of the round pipe at the start [m]."""
+        """Inner radius of the round pipe at the start [m]."""
         return float(self.bores.at(0.0))
 
     @property
     def narrowest(self) -> float:
-        """Least radius of the bore [m]."""
+        """Smallest radius of the bore [m]."""
         return self.bores.smallest if self.wall is None else float(np.min(self.bore(self._along)))
 
     @property
     def widest(self) -> float:
-        """Largest [m]."""
+        """Largest radius of the bore [m]."""
         return self.bores.largest if self.wall is None else float(np.max(self.bore(self._along)))
 
     @property
@@ -212,23 +214,25 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def is_half(self) -> bool:
-        """Is one side of it computed alone, as the other mirrors it?"""
+        """True if only one half of the part is simulated, because the other half mirrors it."""
         return self.wall is None and self.axis.is_plane
 
     @property
     def velocity(self) -> float:
-        """Mean, at the start [m/s]."""
+        """Mean velocity at the start [m/s]."""
         return self.flow / (np.pi * float(self.bore(0.0)) ** 2)
 
     @property
     def is_round(self) -> bool:
-        """Does a round pipe's theory hold for the straight stretches?"""
+        """True if the theory of a round pipe holds for the straight stretches."""
         return getattr(self, "_round", True)
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Arc lengths between which the part is no straight pipe [m]: its bend, its taper, or from one to the other,
-        or where a mesh's bore changes; none: both are the middle.
+        """Arc lengths between which the part is not straight pipe of constant bore [m].
+
+        The range covers bends and tapers from the first to the last, or the stretch where a mesh's bore changes.
+        Without any of these both values are half the length of the part.
         """
         half = 0.5 * self.axis.length
         measured = getattr(self, "_bores", None)
@@ -245,7 +249,7 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def sections(self) -> tuple[Section, ...]:
-        """Its parts in a row, straight or not."""
+        """Pieces of the part in a row, straight or not."""
         if self.parts:
             return self.parts
         found, begin = [], 0.0
@@ -259,7 +263,7 @@ class PartScene(Parametrised, PartSettings):
         return tuple(found)
 
     def _straights(self, begin: float, end: float) -> Iterator[Section]:
-        """Sections of a straight piece of the axis: pipe, and what is none."""
+        """Yield the sections of a straight piece of the axis: straight pipe, tapers, and the bore of a mesh."""
         odd = [("bore", *self.insert)] if self.insert is not None else []
         if self.wall is None:
             places, radii = self.bores.places, self.bores.radii
@@ -276,27 +280,27 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def rise(self) -> float:
-        """Of the whole part [m]."""
+        """Height gained over the whole part [m]."""
         ends, _ = self.axis.at([0.0, self.axis.length])
         return float(ends[1, 2] - ends[0, 2])
 
     def weight(self, s: np.ndarray) -> np.ndarray:
-        """Of the concrete that stands above arc lengths [m], up to the end, shape as `s` [Pa]."""
+        """Return the hydrostatic pressure of the concrete from arc lengths `s` [m] to the end [Pa], shape as `s`."""
         height = self.axis.at(np.append(s, self.axis.length))[0][:, 2]
         return self.concrete.density * self.gravity * (height[-1] - height[:-1])
 
     def theory(self, s: float) -> Steady:
-        """Steady flow through a straight, level metre of the bore there."""
+        """Return the steady flow through one metre of straight, level pipe with the bore at arc length `s` [m]."""
         line = Stretch(radius=float(self.bore(s)), length=1.0, gravity=0.0)
         return steady(self.concrete, line, self.flow)
 
     def friction(self, begin: float, end: float) -> float:
-        """Pressure that theory has lost between two arc lengths, as if each bore were a straight pipe's [Pa]."""
+        """Return the frictional loss between two arc lengths [Pa], by theory for straight pipe of each bore."""
         inner = [place for place in self.bores.places if begin < place < end] if self.wall is None else []
         return sum(self._friction(*stretch) for stretch in pairwise([begin, *inner, end]))
 
     def _friction(self, begin: float, end: float) -> float:
-        """Of a piece whose bore changes evenly, or is measured."""
+        """Return the frictional loss of a piece whose bore changes evenly or is measured [Pa]."""
         edges = np.linspace(begin, end, 41)
         middles = 0.5 * (edges[1:] + edges[:-1])
         if np.ptp(self.bore(edges)) < 1e-9:

@@ -1,4 +1,7 @@
-"""Concrete through a part of a line, from a scene to a finished run; `core/run_loop.py` has what every run shares."""
+"""Simulation of concrete through a part of a line, from a scene to a finished run.
+
+The module `core/run_loop.py` has the loop common to all runs.
+"""
 
 from __future__ import annotations
 
@@ -21,58 +24,58 @@ from .quantities import QUANTITIES, Known
 from .scene import PartScene
 
 SAMPLES = 10
-"""Steps over which the pressure must be still, twice, for the flow to be steady."""
+"""Number of steps over which the pressure must not change, twice in a row, for the flow to be steady."""
 
 
 class PartSimulation(FlowRun):
-    """A flow through a part; parameters and errors are those of :class:`warpcrete.Simulation`."""
+    """Simulation of a flow through a part; parameters and errors are those of :class:`warpcrete.Simulation`."""
 
     scene_type = PartScene
     scene: PartScene
 
     def set_up(self) -> None:
-        """Nothing is steady yet."""
+        """Start an empty series of a flow that is not yet steady."""
         super().set_up()
         self.steady = False
 
     def unit(self, column: str) -> str:
-        """Unit of a column of the series."""
+        """Return the unit of a column of the series."""
         return UNITS[column]
 
     def display(self, colouring: str | None = None) -> PartDisplay:
-        """What recorders draw."""
+        """Return the display that recorders draw."""
         return PartDisplay(self, colouring)
 
     def placed(self) -> GridFlow:
-        """The particles and the grid."""
+        """Return the flow at its start, with its particles and its grid."""
         check_memory(part_room(self.scene).cells, self.device, self.precision)
         return GridFlow(GridState(self.scene, part_layout(self.scene), self.device, self.precision))
 
     def measured(self) -> dict[str, float]:
-        """A row of the series."""
+        """Measure the flow and return a row of the series."""
         return measured(self.flow)
 
     def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if the row shows that the state means nothing any more."""
+        """Raise :class:`InstabilityError` if the row shows that the state is no longer meaningful."""
         for name, value in row.items():
             if not math.isfinite(value):
                 raise InstabilityError(f"t = {row['time']:.6g} s: {name} is not a finite number; use a smaller time "
                                        "step, or longer straight ends")  # fmt: skip
 
     def ended_early(self) -> bool:
-        """What friction takes of the pressure has been still for twice so many steps."""
+        """Return whether the frictional pressure has not changed over two successive periods of `SAMPLES` steps."""
         scene, rows = self.scene, [row for row in self._rows if row["time"] > 0]
         apart = max(1, math.ceil(SAMPLES * scene.time_step / scene.sample_interval - 1e-9))
         if len(rows) <= 2 * apart:
             return False
-        weight = scene.concrete.density * scene.gravity * scene.rise  # which tells nothing of the flow
+        weight = scene.concrete.density * scene.gravity * scene.rise  # hydrostatic part, independent of the flow
         now, before, long_before = (rows[-1 - n * apart]["pressure"] - weight for n in range(3))
         least = scene.steadiness * abs(now)
         self.steady = abs(now - before) < least and abs(before - long_before) < least
         return self.steady
 
     def result(self, finished: bool) -> Run:
-        """The run as it is now, with its quantities."""
+        """Return the run as it is now, with its quantities."""
         scene, flow, rows = self.scene, self.flow, self._rows
         series = self.series()
         layout = flow.state.layout
