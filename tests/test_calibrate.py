@@ -156,7 +156,9 @@ def test_failed_runs_count_as_impossible(tmp_path, monkeypatch):
     monkeypatch.setattr(SEARCH, "run_round", run_round)
     raw = one_pressure()
     found = calibrate(raw, out=tmp_path / "out", device="cpu", repeat=0, trials=12)
-    assert any("trials failed and count as impossible; reason in the first: speed of body 3" in said for said in found.findings)
+    assert any(
+        "trials failed and count as impossible; reason in the first: speed of body 3" in said for said in found.findings
+    )
     assert found.best["slip_viscosity"] < 1300.0
 
 

@@ -212,7 +212,13 @@ class ContactParameters:
     shear_damping: Annotated[
         float, "Damping of the shear dashpot as a fraction of critical damping", Within(0), OWN_LAW
     ] = 0.0
-    dashpot: Annotated[str, "Mode of the dashpots: full, no-tension, slip-cut, both", OneOf(DASHPOTS), OWN_LAW] = "full"
+    dashpot: Annotated[
+        str,
+        "Mode of the dashpots: full, no-tension (the total normal force never pulls), slip-cut (no shear dashpot in "
+        "slip), both",
+        OneOf(DASHPOTS),
+        OWN_LAW,
+    ] = "full"
 
 
 @dataclass(frozen=True, kw_only=True)
