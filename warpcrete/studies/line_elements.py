@@ -399,8 +399,10 @@ def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Map
     laws = [law for each in found.packed for law in each.laws.values()]
     measured, largest = max(law.measured for law in laws), min(law.largest for law in laws)
     if found.pressure > 1.2 * measured:
-        yield (f"friction above {measured / 1e3:.3g} kPa is extrapolated from the measured range"
-               + (f", and constant above {largest / 1e3:.3g} kPa" if found.pressure > largest else ""))  # fmt: skip
+        yield (
+            f"wall friction at pressures above {measured / 1e3:.3g} kPa is extrapolated from lower pressures"
+            + (f", and taken as constant above {largest / 1e3:.3g} kPa" if found.pressure > largest else "")
+        )
 
 
 def lines_of_elements(found: ElementLine, others: Mapping[str, Sequence[float]]) -> list[str]:
