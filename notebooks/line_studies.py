@@ -46,7 +46,7 @@ def main() -> None:
     file.write_text(LINE)
     line = read_line(str(file))
     elements = Elements(shapes=options.shapes, coarse=options.coarse, seeds=options.seeds, stiffer=options.stiffer)
-    print("| concrete | from its parts [kPa] | as one scene | leaves over enters | wall time [s]: parts, one scene |\n"
+    print("| concrete | from its parts [kPa] | as one scene | outflow over inflow | wall time [s]: parts, one scene |\n"
           "|---|---|---|---|---|", flush=True)  # fmt: skip
     for name in options.concretes:
         out, bar = options.out / Path(name).stem, ProgressBar()

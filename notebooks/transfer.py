@@ -34,7 +34,7 @@ DIAMETERS = {"channel": (0.08, 0.1, 0.13), "tube": (0.1, 0.13)}
 def elements(trade: Path, device: str) -> None:
     """Table of plateau and peak, settings for 5 and 2 % against the scene as it is given."""
     module = modules()["pipe"]
-    print("| scene | 5 % wanted: plateau, peak | time over as given | 2 % wanted: plateau, peak |\n|---|---|---|---|")
+    print("| scene | 5 % wanted: plateau, peak | relative time | 2 % wanted: plateau, peak |\n|---|---|---|---|")
     for name, given in ELEMENTS.items():
         plain, own_time = runs(module, given, device)
         cells, kept = [name], []

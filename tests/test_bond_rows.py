@@ -117,11 +117,11 @@ def test_more_bonds_than_can_be_numbered_are_refused(start, monkeypatch):
     scene = two_spheres(gap=1e-7, bonds=strong(), dt=1e-6)
     stepper = start(scene)
     monkeypatch.setattr(bonding, "MOST_ROWS", 0)
-    with pytest.raises(CapacityError, match=r"^bonds = 1: at most 0 can be numbered in one scene"):
+    with pytest.raises(CapacityError, match=r"^bonds = 1: one scene can hold at most 0;"):
         stepper.bond(scene.bonds, 1)
     monkeypatch.setattr(joint, "MOST_ROWS", 4)
     stepper = start(dataclasses.replace(scene, bonds=dataclasses.replace(scene.bonds, healing=True)))
-    with pytest.raises(CapacityError, match=r"^bonds = 1000 listed pairs that may bond: at most 4 in one scene"):
+    with pytest.raises(CapacityError, match=r"^bonds = 1000: too many listed pairs may bond; one scene can hold"):
         stepper.batch.reserve_pairs(np.array([1000]))
 
 
@@ -132,7 +132,7 @@ def test_more_kinds_of_bonds_than_can_be_told_apart_are_refused(device):
     scene = dataclasses.replace(
         scene, group_bonds=groups, bodies=tuple(dataclasses.replace(bodies, group=name) for name in groups)
     )
-    with pytest.raises(SceneError, match=r"^group_bonds = 15: a scene has at most 15 kinds of bonds in all"):
+    with pytest.raises(SceneError, match=r"^group_bonds = 15: must be fewer: a scene has at most 15 kinds"):
         build_model(scene, find_device(device), "float32")
 
 

@@ -120,8 +120,8 @@ def test_wrong_files_are_refused_in_one_line(tmp_path, text, says):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("elements: {friction: 0.1}", "has no section 'flow'"),
-        ("flow: {density: 2300, viscosity: 30}", "needs slip_viscosity, slip_yield, yield_stress"),
+        ("elements: {friction: 0.1}", "must have a section 'flow'"),
+        ("flow: {density: 2300, viscosity: 30}", "has no value for slip_viscosity, slip_yield, yield_stress"),
         ("flow: {density: heavy}", "concrete flow density = 'heavy': must be a number"),
         ("flow: {densty: 2300}", "concrete flow = 'densty': is an unknown parameter"),
     ],

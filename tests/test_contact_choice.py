@@ -95,7 +95,7 @@ def test_vessels_grip_by_what_a_law_has():
     assert layer.gripped(0.5) == LubricationLayer(contact=Contact(friction=0.05), yield_stress=2.0, viscosity=3.0)
     toy = scenes.slump_dem(**TOY)
     assert set(toy.contacts.values()) == {Toy(push=0.25)} and "Toy has no friction" in toy.remarks[0]
-    with pytest.raises(SceneError, match=r"plate_grip = 1\.0: means nothing beside contact Toy"):
+    with pytest.raises(SceneError, match=r"plate_grip = 1\.0: has no effect with contact Toy"):
         scenes.slump_dem(**TOY, plate_grip=1.0)
 
 

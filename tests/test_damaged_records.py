@@ -47,7 +47,7 @@ def test_cases_of_a_record_lie_inside_its_folder(tmp_path, name):
     case = {"name": name, "varied": {}, "parameters": {}}
     record = {"scene": "slump", "command": {}, "device": "cpu", "precision": "float32", "cases": [case]}
     (tmp_path / "study.json").write_text(json.dumps(record))
-    with pytest.raises(RunFolderError, match="is no name of a folder"):
+    with pytest.raises(RunFolderError, match="cannot be the name of a folder"):
         load_study(tmp_path)
 
 

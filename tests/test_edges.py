@@ -181,7 +181,7 @@ def test_pivot_travels_with_a_turning_and_moving_wall(start):
         (lambda: Driven(direction=(0, 0, 1), force=math.nan, mass=1.0), "driving force = nan"),
         (lambda: AxisDrive(group="a", axis=AXIS, force=math.inf), "drive force = inf"),
         (lambda: TimeStep(interval=0), "interval = 0"),
-        (lambda: clumps.clump("none", np.zeros((0, 3)), np.zeros(0)), "needs one sphere"),
+        (lambda: clumps.clump("none", np.zeros((0, 3)), np.zeros(0)), "must contain at least one radius"),
         (lambda: clumps.from_mesh(None, 3), "must be a trimesh.Trimesh or the path"),
     ],
 )

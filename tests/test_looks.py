@@ -343,7 +343,7 @@ def test_usd_has_looks_light_and_words(pumped):
     folder, seen, _ = pumped
     stage = Usd.Stage.Open(str(folder / "scene.usdc"))
     words = stage.GetRootLayer().documentation
-    assert "Metres, Z up" in words and "largest contact force on each [N]" in words
+    assert "Metres, Z up" in words and "largest contact force per aggregate [N]" in words
     assert stage.GetDefaultPrim().GetDocumentation() == words
     looks = {}
     for path in ("/Run/Walls/pipe", "/Run/Walls/piston", "/Run/Aggregates/Prototypes/Template_0/Sphere_0"):

@@ -186,11 +186,13 @@ def test_the_other_direction_may_come_from_a_run():
     assert estimate["other_direction_from"] == "plateau of the horizontal run"
     with pytest.raises(SceneError, match="unit of pipeline_other = 'horizontal'"):
         check_pipeline(straight("horizontal").scene, other, "there")
-    with pytest.raises(RunFolderError, match="pipeline_other = 'there': holds no finished pipe run"):
+    with pytest.raises(RunFolderError, match="pipeline_other = 'there': is not a finished pipe run"):
         check_pipeline(run.scene, {"unit": "horizontal"}, "there")
     with pytest.raises(SceneError, match="unit = 'bend-to-vertical'"):
         check_pipeline(scenes.pipe(unit="D"), None, None)
-    with pytest.raises(SceneError, match=r"travel = 0.02: leaves the pressure no plateau.*0\.375 m or more"):
+    with pytest.raises(
+        SceneError, match=r"travel = 0.02: is too short for a plateau of the pressure.*0\.375 m or more"
+    ):
         check_pipeline(scenes.pipe(travel=0.02), None, None)
     with pytest.raises(SceneError, match="pipeline = 'channel'"):
         check_pipeline(scenes.channel(), None, None)
@@ -260,4 +262,4 @@ def test_a_pressure_cut_within_the_ramp_blames_the_cut():
     """Not the travel, which would have been enough."""
     way = np.linspace(0, 0.1, 41)
     run = SimpleNamespace(scene=PIPE, result=results(known_of(way, 1e4 + way)), series={"travel": way})
-    assert no_plateau(run) == "none: the run was cut before the piston had moved steadily for long enough"
+    assert no_plateau(run) == "none: the run was stopped before the piston had moved steadily for long enough"

@@ -65,7 +65,11 @@ class Batch(JointArrays):
     def __init__(self, models: list[Model], states: list[State], *, threads: int = 1) -> None:
         model = models[0]
         if len({batch_key(m) for m in models}) > 1:
-            refuse("batch", len(models), "scenes of a batch must need the same features")
+            refuse(
+                "batch",
+                len(models),
+                "must contain only scenes that need the same features; run the others in a batch of their own",
+            )
         for s, state in enumerate(states):
             state.taken_into(self, s)
         if parallel(model.device) or len(models) > 1:

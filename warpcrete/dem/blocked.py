@@ -38,7 +38,8 @@ def blocked_words(run: Any) -> str:
              ("at", "from_travel", "pressure", "pressure_before", "solid_fraction", "chains")}  # fmt: skip
     spans = f"{found['chains']:.0f} force chains span" if found["chains"] else "no force chain spans"
     return (
-        f"at {found['at']:.3g} m along the pipe: part of the concrete stands since {found['from_travel']:.3g} m of "
-        f"travel, while the pressure rose from {found['pressure_before'] / 1e3:.3g} to {found['pressure'] / 1e3:.3g} "
-        f"kPa; {spans} the section there, at a solid fraction of {found['solid_fraction']:.2f}"
+        f"at {found['at']:.3g} m along the pipe: part of the concrete has stood still since "
+        f"{found['from_travel']:.3g} m of travel, while the pressure rose from {found['pressure_before'] / 1e3:.3g} "
+        f"to {found['pressure'] / 1e3:.3g} kPa; {spans} the section there, at a solid fraction of "
+        f"{found['solid_fraction']:.2f}"
     )

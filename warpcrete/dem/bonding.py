@@ -80,7 +80,9 @@ def _number(state: State, before: np.ndarray) -> None:
     count = apart * len(place)
     if count > MOST_ROWS:
         state.pairs.bond.assign(before)
-        raise CapacityError(f"bonds = {len(place)}: at most {MOST_ROWS // apart} can be numbered in one scene")
+        raise CapacityError(
+            f"bonds = {len(place)}: one scene can hold at most {MOST_ROWS // apart}; use fewer or larger aggregates"
+        )
     row = apart * np.arange(len(place), dtype=bond.dtype)
     load = np.zeros((count, 8), dtype=state.pairs.load.numpy().dtype)
     kept = before[place] > 0

@@ -101,7 +101,7 @@ def clump(name: str, centres: np.ndarray, radii: np.ndarray) -> ClumpTemplate:
     except (TypeError, ValueError):
         refuse("centres", centres, "must be rows of three numbers, with one radius each")
     if len(radii) == 0:
-        refuse("radii", [], "needs one sphere or more")
+        refuse("radii", [], "must contain at least one radius")
     if centres.shape != (len(radii), 3) or not np.all(np.isfinite(centres)):
         refuse("centres", f"shape {centres.shape}", f"must be finite, shape ({len(radii)}, 3)")
     if not np.all(np.isfinite(radii)) or np.any(radii <= 0):
@@ -183,7 +183,7 @@ def templates(name: str, spheres: int = 10) -> tuple[ClumpTemplate, ...]:
         "shapes",
         name,
         "must be one of " + ", ".join(TEMPLATE_SETS) + ", or the path of a closed mesh",
-        "any factor from 1 to 20 may follow 'shape-'",
+        "use 'shape-' with any factor from 1 to 20",
     )
 
 
@@ -213,7 +213,7 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
     depth = -signed_distance(mesh, points)
     inside = depth > 0
     if inside.sum() < 8:
-        refuse("resolution", resolution, "is too coarse for this mesh", "raise it")
+        refuse("resolution", resolution, "is too coarse for this mesh", "increase it")
     points, depth = points[inside], depth[inside]
     # A point near the surface rarely covers much volume, so the 4,000 deepest points are enough as candidates.
     candidates = np.argsort(-depth)[:4000]
@@ -228,7 +228,7 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
         chosen.append(int(candidates[best]))
         bare &= ~covers[best]
     if len(chosen) < spheres:
-        refuse("spheres", spheres, f"is more than the {len(chosen)} that this mesh needs at resolution {resolution}")
+        refuse("spheres", spheres, f"must be at most {len(chosen)} for this mesh at resolution {resolution}")
     centres, radii = points[chosen], depth[chosen]
     # Bisection finds the growth of all radii at which the union has the volume of the mesh.
     low, high = 0.0, float(mesh.volume) ** (1 / 3)

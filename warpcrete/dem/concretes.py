@@ -40,8 +40,8 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
         section = {**found.elements, **_of_flow(found), **found.mix.elements}
     sized = any(size in values or size in section for size in SIZES)
     if found.flow and not sized and (found.mix is not None or not found.elements):
-        warn(f"concrete {found.name} has no sieve curve: its aggregate has the default sizes of the scene; "
-             "sizes = '4:0,8:0.4,16:1' gives one")  # fmt: skip
+        warn(f"concrete {found.name} has no sieve curve, so its aggregate gets the scene's default sizes; give a "
+             "sieve curve, for example sizes = '4:0,8:0.4,16:1'")  # fmt: skip
     if "density" in values:  # a given density of the aggregates replaces the concrete's bulk density
         section = {key: value for key, value in section.items() if key != "bulk_density"}
     return known_only("elements", section, known, name)
@@ -56,7 +56,12 @@ def _of_flow(found: NamedConcrete) -> dict[str, Any]:
     flow = found.flow
     missing = [name for name in ("density", "slip_viscosity", "slip_yield") if name not in flow]
     if missing:
-        refuse("concrete flow", ", ".join(missing), f"is missing (in {found.name})", "elements need it, or `elements`")
+        refuse(
+            "concrete flow",
+            ", ".join(missing),
+            f"is missing in {found.name}, but discrete elements need it",
+            "add it to the file's section 'flow', or give the section 'elements'",
+        )
     return {
         "bulk_density": flow["density"],
         "wall_friction": 0.0,

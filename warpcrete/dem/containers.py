@@ -171,18 +171,18 @@ class Fill:
         if self.bulk_density is not None:
             positive("bulk_density", self.bulk_density, "kg/m3")
         if (self.solid_fraction is None) == (self.pressure is None):
-            refuse("solid_fraction", self.solid_fraction, "give either a solid fraction or a pressure")
+            refuse("solid_fraction", self.solid_fraction, "must be given, or else a pressure, but not both")
         if self.solid_fraction is not None and not 0.01 <= self.solid_fraction <= 0.8:
             refuse("solid_fraction", self.solid_fraction, "must be in [0.01, 0.8]", "dense mixes pack at 0.55 to 0.7")
         if self.pressure is not None:
             positive("packing pressure", self.pressure, "Pa")
         if not self.templates:
-            refuse("templates", self.templates, "needs one or more")
+            refuse("templates", self.templates, "must contain at least one template")
         given = np.ones(len(self.templates)) if self.fractions is None else np.asarray(self.fractions, float)
         wrong = given.shape != (len(self.templates),) or not np.all(np.isfinite(given)) or np.any(given < 0)
         if wrong or not given.sum() > 0:
-            refuse("fractions", self.fractions, f"must be {len(self.templates)} numbers, 0 or more, not all 0",
-                   "one for each shape")  # fmt: skip
+            refuse("fractions", self.fractions, f"must be {len(self.templates)} numbers of at least 0, not all 0",
+                   "give one fraction for each shape")  # fmt: skip
         object.__setattr__(self, "fractions", tuple((given / given.sum()).tolist()))
         # A long aggregate can lie along the container, so its smallest width decides whether it fits.
         thickest = self.sizes.largest * min(2 * float(t.radii.max()) for t in self.templates)

@@ -92,7 +92,7 @@ class ElementDisplay(Display):
             return "size [mm]", 0.0, 1e3 * self._upper
         if self.colouring == "speed":
             return "speed [cm/s]", 0.0, 100 * self._upper
-        return "largest contact force on each [N]", 0.0, self._upper
+        return "largest contact force per aggregate [N]", 0.0, self._upper
 
     def _sphere_order(self) -> np.ndarray:
         return self.worked_out("order of spheres", lambda: _places_of(self.read("spheres.id")))
@@ -172,7 +172,7 @@ class ElementDisplay(Display):
             found.append(Profile("velocity", title, (Points("aggregates", self._velocities, OURS),)))
         if scene.stations is not None:
             curves = tuple(Points(name, lambda c=column: self._stresses(c), colour) for name, column, colour in ALONG)
-            found.append(Profile("pressure", "Pressure [kPa] over the way along the pipe [m]", curves))
+            found.append(Profile("pressure", "Pressure [kPa] over the position along the pipe [m]", curves))
         return tuple(found)
 
     def _stresses(self, column: str) -> tuple[np.ndarray, np.ndarray]:

@@ -237,7 +237,10 @@ class JointArrays:
             return
         used = [name for name in PAIR_ARRAYS if name in pair_bytes(self.models[0])]
         if self.features.healing and np.any(wanted > MOST_ROWS):
-            raise CapacityError(f"bonds = {wanted.max()} listed pairs that may bond: at most {MOST_ROWS} in one scene")
+            raise CapacityError(
+                f"bonds = {wanted.max()}: too many listed pairs may bond; one scene can hold at most "
+                f"{MOST_ROWS}; use fewer or larger aggregates"
+            )
         before, old = self.links, self.capacity.copy()
         # The results of links take most of the memory. They are rewritten before they are read, so the old ones can go.
         before.pull = None
@@ -274,7 +277,10 @@ class JointArrays:
         # entries.
         most = MAXIMUM_ENTRIES // 2 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES
         if new[-1] > most:
-            raise CapacityError(f"{struct}: {self.sphere_count} spheres need {new[-1]} entries, more than {most}")
+            raise CapacityError(
+                f"{struct}: {self.sphere_count} spheres need {new[-1]} entries, but at most {most} "
+                "are possible; use fewer spheres"
+            )
         for name in names:
             before = getattr(getattr(self, struct), name)
             after = wp.zeros(int(new[-1]), dtype=before.dtype, device=self.device)

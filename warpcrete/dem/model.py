@@ -261,7 +261,11 @@ def _bond_kinds(scene: Scene) -> tuple[Bonds, ...]:
     grown = grown_bonds(scene)
     kinds += [*scene.group_bonds.values(), *([grown] if grown is not None else ())]
     if len(kinds) > MOST_KINDS:
-        refuse("group_bonds", len(scene.group_bonds), f"a scene has at most {MOST_KINDS} kinds of bonds in all")
+        refuse(
+            "group_bonds",
+            len(scene.group_bonds),
+            f"must be fewer: a scene has at most {MOST_KINDS} kinds of bonds in all",
+        )
     return tuple(kinds)
 
 
@@ -271,7 +275,7 @@ def _both_ways(scene: Scene, materials: Sequence[str]) -> dict[tuple[str, str], 
     for (a, b), contact in scene.contacts.items():
         for name in (a, b):
             if name not in materials:
-                refuse("contacts", (a, b), f"name a material that no body or wall has ({', '.join(materials)})")
+                refuse("contacts", (a, b), f"must name materials of bodies or walls ({', '.join(materials)})")
         contacts[a, b] = contacts[b, a] = contact
     return contacts
 
@@ -295,8 +299,8 @@ def _law_table(
         refuse(
             "contacts",
             ", ".join(kinds),
-            f"contacts with {what} must all follow one law",
-            "contacts between bodies may follow another than those with walls",
+            f"must be one type of law for all contacts with {what}",
+            "contacts between bodies may have another type than those with walls",
         )
     law = type(met[0])
     table = [contacts.get((a, b), scene.contact) for a in materials for b in materials] or met

@@ -332,7 +332,10 @@ class NeighborLists:
                 return launches
             room = np.maximum(self._room, wanted + wanted // 4)
             if np.any(wanted < 0) or room.sum() > MAXIMUM_ENTRIES:
-                raise CapacityError(f"neighbour list of {b.sphere_count} spheres has more pairs than 32 bits can count")
+                raise CapacityError(
+                    f"neighbour list of {b.sphere_count} spheres has more pairs than 32 bits can "
+                    "count; use fewer or larger aggregates"
+                )
             self._room = room
             self._found = wp.empty(int(self._room.sum()), dtype=wp.int32, device=b.device)
             self._recorded.clear()
@@ -454,5 +457,8 @@ class NeighborLists:
         found = found.astype(np.int64)
         wanted, longest = found[:-1], int(found[-1])
         if np.any(wanted < 0) or wanted.sum() > MAXIMUM_ENTRIES:
-            raise CapacityError(f"{what} of {self.batch.sphere_count} spheres has more than 2^31 {entries}")
+            raise CapacityError(
+                f"{what} of {self.batch.sphere_count} spheres has more than 2^31 {entries}; use fewer "
+                "or larger aggregates"
+            )
         return wanted, longest

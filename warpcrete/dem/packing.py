@@ -76,7 +76,7 @@ def draw(
     expected = wanted / (np.pi / 6 * float(np.mean(fill.sizes.sample(1000, np.random.default_rng(0)) ** 3)))
     if expected > MOST_BODIES:
         raise CapacityError(
-            f"packing: {container.volume:.3g} m3 would take {expected:.2g} aggregates, more than {MOST_BODIES:.2g}; "
+            f"packing: {container.volume:.3g} m3 would need {expected:.2g} aggregates, more than {MOST_BODIES:.2g}; "
             "choose a smaller container or larger aggregates"
         )
     sizes = np.empty(0)
@@ -304,13 +304,13 @@ class _Growth:
         result.spin = np.zeros_like(result.spin)
         reached = sums.virial / (3 * self.container.volume)
         if pressure is not None and self.container is self.fill.container:
-            found = f"came to {reached:.3g} Pa with sizes changed by a factor of {factor:.3f}"
+            found = f"reached {reached:.3g} Pa with sizes changed by a factor of {factor:.3f}"
             if not 0.8 * pressure < reached < 1.2 * pressure or not 0.93 < factor < 1.07:
                 refuse(
                     "packing pressure",
                     pressure,
-                    f"cannot be met, the packing {found}",
-                    f"choose a solid fraction, or a pressure between 0.001 and 0.1 of the contacts' modulus "
+                    f"cannot be met: the packing {found}",
+                    "give a solid fraction, or a pressure between 0.001 and 0.1 of the contacts' modulus "
                     f"({self.contact.stress_scale:g} Pa)",
                 )
         report = PackingReport(

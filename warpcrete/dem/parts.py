@@ -53,27 +53,45 @@ class CourseParameters:
     Course and dimensions of the pipe: a single part, the bore of a mesh, or a line from a file.
     """
 
-    unit: Annotated[str, "how the pipe goes: straight up or level, with a bend between two straight stretches, or as "
-                    "the bore of the mesh in wall does, between two straight stretches; mesh is the default if there "
-                    "is a wall", OneOf(UNITS), ALONE] = "bend-to-horizontal"  # fmt: skip
-    diameter: Annotated[float, "inner [m]", Above(), ALONE] = 0.1
-    straight: Annotated[float, "length of the stretch before the bend or taper, and of that behind [m]", Above(),
-                        ALONE] = 0.3  # fmt: skip
-    elbow_radius: Annotated[float, "of a bend's centreline [m]", Above(), ALONE] = 0.25
-    angle: Annotated[float, "of a bend [degrees]", Within(5, 135), ALONE] = 90.0
-    outlet_diameter: Annotated[float | None, "to which the pipe narrows or widens: a straight one in its middle, one "
-                               "with a bend a stretch behind it [m]", Above(), ALONE] = None  # fmt: skip
-    taper: Annotated[float, "length of the cone to that diameter [m]", Needs("outlet_diameter", _is_given, "is given"),
-                     Needs("wall", lambda wall: wall is None, "is not given"), Above()] = 0.3  # fmt: skip
-    wall: Annotated[str | None, "mesh file (STL, OBJ ...) whose bore is the part: it begins at the mesh's origin and "
-                    "leads along its x there", ALONE, FileIf(bool)] = None  # fmt: skip
-    wall_scale: Annotated[float, "factor from the unit of the mesh file to metres: 0.001 for mm", OF_MESH,
+    unit: Annotated[
+        str,
+        "Course of the pipe: straight up or level, a bend between two straight stretches, or the "
+        "bore of the mesh in wall between two straight stretches; default with a wall: mesh",
+        OneOf(UNITS),
+        ALONE,
+    ] = "bend-to-horizontal"
+    diameter: Annotated[float, "Inner diameter of the pipe [m]", Above(), ALONE] = 0.1
+    straight: Annotated[
+        float, "Length of the straight stretch before the bend or taper, and of the one behind it [m]", Above(), ALONE
+    ] = 0.3
+    elbow_radius: Annotated[float, "Radius of a bend's centreline [m]", Above(), ALONE] = 0.25
+    angle: Annotated[float, "Angle of a bend [degrees]", Within(5, 135), ALONE] = 90.0
+    outlet_diameter: Annotated[
+        float | None,
+        "Diameter to which the pipe narrows or widens: a straight pipe in its "
+        "middle, one with a bend after a straight stretch behind the bend [m]",
+        Above(),
+        ALONE,
+    ] = None
+    taper: Annotated[
+        float,
+        "Length of the cone to the outlet diameter [m]",
+        Needs("outlet_diameter", _is_given, "is given"),
+        Needs("wall", lambda wall: wall is None, "is not given"),
+        Above(),
+    ] = 0.3
+    wall: Annotated[str | None, "Mesh file (STL, OBJ ...) whose bore is the part; the bore begins at the mesh's "
+                                "origin, along its x axis", ALONE, FileIf(bool)] = None  # fmt: skip
+    wall_scale: Annotated[float, "Factor from the unit of the mesh file to metres: 0.001 for mm", OF_MESH,
                           Above()] = 1.0  # fmt: skip
-    line: Annotated[str | None, "file of a line, or a shipped one's name, whose parts stand for all of these, and its "
-                    "flow and concrete for those that are not given; it must begin and end straight",
+    line: Annotated[str | None, "File or shipped name of a line, whose parts replace all of these parameters; it "
+                                "also sets flow and concrete where they are not given; the line must begin and end "
+                                "straight",
                     FileIf(is_file)] = None  # fmt: skip
-    facets: Annotated[int, "round a pipe with a cone, which is made of triangles", Within(8, 1000)] = FACETS
-    slices: Annotated[float, "per diameter, in which stress, solid fraction and velocity are measured",
+    facets: Annotated[
+        int, "Number of facets around a pipe with a cone, which is made of triangles", Within(8, 1000)
+    ] = FACETS
+    slices: Annotated[float, "Number of slices per diameter in which stress, solid fraction and velocity are measured",
                       Within(0.5, 20)] = 2.0  # fmt: skip
 
 
@@ -84,10 +102,12 @@ class PushParameters:
     Motion of the piston that pushes the concrete.
     """
 
-    flow: Annotated[float, "volume that the piston displaces in the end [m3/s]", Above()] = 1500e-6
-    travel: Annotated[float | None, "of the piston, in pipe ahead of the part; default: two diameters [m]",
+    flow: Annotated[float, "Final volume flow that the piston displaces [m3/s]", Above()] = 1500e-6
+    travel: Annotated[float | None, "Travel of the piston, through a pipe ahead of the part; default: two diameters "
+                                    "[m]",
                       Above()] = None  # fmt: skip
-    ramp: Annotated[float | None, "travel over which its speed rises linearly; default: half of the travel [m]",
+    ramp: Annotated[float | None, "Travel over which the piston's speed rises linearly; default: half of the travel "
+                                  "[m]",
                     Within(0)] = None  # fmt: skip
 
 
@@ -151,7 +171,7 @@ def course_of(given: PartElements) -> Course:
     if line is not None:
         check_straight_ends(line, given.line)
     if given.unit == "mesh" and given.wall is None and line is None:
-        refuse("unit", given.unit, "needs a wall, the path of a mesh file", "give one, or another unit")
+        refuse("unit", given.unit, "needs a mesh file", "set wall to its path, or choose another unit")
     parts = _meshed(given) if given.wall is not None else line
     if parts is None:
         axis, bores, middle = _part(given)
@@ -162,7 +182,7 @@ def course_of(given: PartElements) -> Course:
     travel = 2 * diameter if given.travel is None else given.travel
     ramp = 0.5 * travel if given.ramp is None else given.ramp
     if ramp > travel:
-        refuse("ramp", ramp, f"must not exceed the travel, {travel:g} m", "give a longer travel")
+        refuse("ramp", ramp, f"must not exceed the travel, {travel:g} m", "increase travel, or shorten ramp")
     first = axis.pieces[0]
     assert isinstance(first, Line)
     start = np.array(axis.start) - travel * np.array(axis.tangent)
@@ -198,15 +218,18 @@ def _meshed(given: PartElements) -> PipeLine:
     """Return a level pipe with the bore of a mesh in its middle."""
     assert given.wall is not None
     if given.unit != "mesh":
-        refuse(
-            "wall", given.wall, f"is for unit mesh, not {given.unit}", "leave out the unit, or take a line with a bore"
-        )
+        refuse("wall", given.wall, f"needs unit mesh, not {given.unit}", "leave out unit, or use a line with a bore")
     if given.outlet_diameter is not None:
-        refuse("outlet_diameter", given.outlet_diameter, "is the mesh's own where there is a wall", "leave it out")
+        refuse(
+            "outlet_diameter",
+            given.outlet_diameter,
+            "has no effect with a wall, as the mesh has its own outlet",
+            "leave it out",
+        )
     mesh = bore_of(("wall", "wall_scale"), Path(given.wall), given.wall_scale)
     wide, outlet = mesh.ends
     if abs(wide / given.diameter - 1) > FIT:
-        refuse("diameter", given.diameter, f"is not that of the mesh, {wide:.4g} m at the start", "leave it out")
+        refuse("diameter", given.diameter, f"differs from that of the mesh, {wide:.4g} m at its start", "leave it out")
     ends, _ = mesh.axis.at([0.0, mesh.axis.length])
     length, rise = mesh.axis.length, float(ends[1, 2] - ends[0, 2])
     level = float(mesh.axis.at(length)[1][0, 2])
@@ -217,7 +240,7 @@ def _meshed(given: PartElements) -> PipeLine:
     )
     pieces = (Line(given.straight), *mesh.axis.pieces, Line(given.straight))
     line = PipeLine("part", parts, Axis((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), pieces))
-    check_crossing(line, hint="take a shorter straight, or cut the mesh")
+    check_crossing(line, hint="use a shorter straight, or cut the mesh")
     return line
 
 
@@ -231,7 +254,7 @@ def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]
     narrows = given.outlet_diameter is not None
     if narrows:
         between("outlet_diameter", given.outlet_diameter, given.diameter / 10, 10 * given.diameter, "m",
-                "make it in several steps")  # fmt: skip
+                "change the diameter in several steps")  # fmt: skip
     # The cone lies in the middle of a straight unit. In a unit with a bend a straight stretch separates bend and cone.
     narrowing = straight + given.taper if narrows else 0.0
     if not given.unit.startswith("bend"):

@@ -57,10 +57,17 @@ def law_remarks(given: Any) -> Iterator[str]:
     """Yield remarks on parameters of the concrete that have no effect because another contact law was chosen."""
     law, wall = given.contact, given.wall_contact
     if law is not None:
-        where = "between aggregates" if wall is not None else "between aggregates and on the wall, which has no layer"
-        yield f"contact {type(law).__name__} acts {where}; what concrete {given.concrete} says of contacts is left out"
+        where = (
+            "between aggregates"
+            if wall is not None
+            else ("between aggregates and on the wall, which has no lubrication layer")
+        )
+        yield (
+            f"contact {type(law).__name__} acts {where}; the contact parameters of concrete {given.concrete} are "
+            "ignored"
+        )
     elif wall is not None:
-        yield f"wall_contact {type(wall).__name__} takes the place of what concrete {given.concrete} says of the wall"
+        yield f"wall_contact {type(wall).__name__} replaces the wall parameters of concrete {given.concrete}"
 
 
 def bonds_of(given: BondParameters) -> Bonds | None:
@@ -181,8 +188,8 @@ def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) 
     across = radius / ball
     count = layers * math.pi * across * across  # `across**2` would raise OverflowError where a product gives infinity
     if count > MOST_BALLS:
-        refuse("plug_ball", ball, f"would take {count:.2g} balls to plug the pipe",
-               "use larger balls, a plate or none")  # fmt: skip
+        refuse("plug_ball", ball, f"would need {count:.2g} balls to plug the pipe",
+               "use larger balls, a plate or no plug")  # fmt: skip
     local = []
     for layer in range(layers):
         ring = radius - ball / 2

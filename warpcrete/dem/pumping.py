@@ -61,14 +61,18 @@ class UnitParameters:
     """
 
     unit: Annotated[
-        str, "vertical, horizontal, bend-to-horizontal (upward in), bend-to-vertical (horizontal in); or A, B, C, D"
+        str,
+        "Unit: vertical, horizontal, bend-to-horizontal (flow enters upward), bend-to-vertical (flow enters "
+        "horizontally); or A, B, C, D",
     ] = "vertical"
-    diameter: Annotated[float, "inner, of the pipe [m]", Above()] = 0.15
-    elbow_radius: Annotated[float, "of a bend's centreline [m]", Above()] = 0.5
-    length: Annotated[float, "of the concrete in the pipe at the start [m]", Above()] = 1.0
-    wall: Annotated[str, "of the pipe: analytic, mesh, or the path of an STL file around the same axis"] = "analytic"
-    wall_scale: Annotated[float, "factor from the units of the wall file to metres", Above(), FROM_FILE] = 1.0
-    facets: Annotated[int, "round the pipe of wall=mesh", Within(3, 100_000), FACETED] = 64
+    diameter: Annotated[float, "Inner diameter of the pipe [m]", Above()] = 0.15
+    elbow_radius: Annotated[float, "Radius of a bend's centreline [m]", Above()] = 0.5
+    length: Annotated[float, "Length of the concrete in the pipe at the start [m]", Above()] = 1.0
+    wall: Annotated[
+        str, "Wall of the pipe: analytic, mesh, or the path of an STL file of a wall around the same axis"
+    ] = "analytic"
+    wall_scale: Annotated[float, "Factor from the units of the wall file to metres", Above(), FROM_FILE] = 1.0
+    facets: Annotated[int, "Number of facets around the pipe of wall=mesh", Within(3, 100_000), FACETED] = 64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,12 +82,12 @@ class PistonParameters:
     Motion of the piston that pushes the concrete.
     """
 
-    velocity: Annotated[float, "in the end [m/s]", Above(), Within(0, 1e3)] = 0.3
-    ramp: Annotated[float, "travel over which the velocity rises linearly from rest [m]", Within(0)] = 0.3
+    velocity: Annotated[float, "Final velocity of the piston [m/s]", Above(), Within(0, 1e3)] = 0.3
+    ramp: Annotated[float, "Travel over which the velocity rises linearly from rest [m]", Within(0)] = 0.3
     travel: Annotated[
         float | None,
-        "at the end [m]; default: that of all strokes, or twice the ramp, the length without one, in bends "
-        "pi/2 x elbow_radius",
+        "Total travel of the piston [m]; default: the travel of all strokes or, without strokes, twice the ramp; in "
+        "bends pi/2 x elbow_radius",
         Above(),
     ] = None
 
@@ -95,23 +99,34 @@ class StrokeParameters:
     Division of the piston's travel into strokes, with pauses or a rest of the concrete between them.
     """
 
-    strokes: Annotated[int, "of the piston, which stops between them as it starts, over the ramp", Within(1, 1000)] = 1
+    strokes: Annotated[
+        int, "Number of strokes of the piston; it stops between them and starts again over the ramp", Within(1, 1000)
+    ] = 1
     stroke: Annotated[
         float | None,
-        "travel of each [m]; default: an equal part of the travel, three ramps without one, in bends of the arc",
+        "Travel of each stroke [m]; default: an equal part of the travel; without a travel three ramps, in bends an "
+        "equal part of the arc",
         Above(), STROKES,
     ] = None  # fmt: skip
-    pause: Annotated[float, "of the piston at each stop [s]; 0: it goes straight on", Within(0), STROKES] = 0.5
+    pause: Annotated[
+        float, "Duration of each stop of the piston between strokes [s]; 0: no stop", Within(0), STROKES
+    ] = 0.5
     rest: Annotated[
-        float, "that concrete stands before the last stroke, put in by a law and not stepped through [s]", Within(0),
+        float, "Time at rest before the last stroke [s]; its effect on the strengths is computed by a law, not in "
+               "time steps", Within(0),
         STROKES,
     ] = 0.0  # fmt: skip
     thixotropy: Annotated[
-        float, "growth of yield stress and strengths at rest, A_thix [Pa/s]; 0.1 to 1.7 (Roussel 2006)", Within(0),
+        float,
+        "Growth rate A_thix of yield stress and bond strengths at rest [Pa/s]; 0.1 to 1.7 (Roussel 2006)",
+        Within(0),
         RESTED,
-    ] = 0.5  # fmt: skip
+    ] = 0.5
     breakdown: Annotated[
-        float, "slip along the wall by which what its layer gained falls to 1/e [m]", Above(), RESTED
+        float,
+        "Slip along the wall over which the layer's yield stress gained at rest falls to 1/e [m]",
+        Above(),
+        RESTED,
     ] = 0.1
 
 
@@ -124,8 +139,8 @@ class ConcreteChoice:
 
     concrete: Annotated[
         str,
-        "zhan (Table 1 and a wall layer calibrated on units A and B), zhan-table1, no1, no2, no3, or the path of a "
-        ".yaml file; it stands for parameters of aggregate, contacts and bonds that are not given",
+        "Concrete: zhan (Table 1 and a wall layer calibrated on units A and B), zhan-table1, no1, no2, no3, or the "
+        "path of a .yaml file; it sets the parameters of aggregate, contacts and bonds that are not given",
         FileIf(is_file),
     ] = "zhan"
 
@@ -138,24 +153,39 @@ class AggregateParameters:
     """
 
     shapes: Annotated[
-        str, "spheres, reference (four clumps), shape-F with shape factor F, or paths of closed meshes"
+        str,
+        "Shapes of the aggregates: spheres, reference (four clumps), shape-F with shape factor F, or paths of "
+        "closed meshes",
     ] = "spheres"
-    shape_spheres: Annotated[int, "that cover each mesh of shapes", OF_MESHES] = 10
+    shape_spheres: Annotated[int, "Number of spheres that represent each mesh in shapes", OF_MESHES] = 10
     fractions: Annotated[
-        str | None, "by volume, of each shape, as '2,1,1,1'; default: equal", SEVERAL, Alias("shares")
+        str | None, "Fraction by volume of each shape, as '2,1,1,1'; default: equal fractions", SEVERAL, Alias("shares")
     ] = None
-    sizes: Annotated[str, "distribution: gaussian, uniform, or a sieve curve 'mm:passing,...' by mass"] = "gaussian"
-    size_min: Annotated[float, "smallest [m]", Above(), RANGED] = 5e-3
-    size_max: Annotated[float, "largest [m]", Above(), RANGED] = 20e-3
-    size_mean: Annotated[float | None, "of the gaussian [m]; default: middle of the range", Above(), NORMAL] = None
+    sizes: Annotated[str, "Size distribution: gaussian, uniform, or a sieve curve 'mm:passing,...' by mass"] = (
+        "gaussian"
+    )
+    size_min: Annotated[float, "Smallest size [m]", Above(), RANGED] = 5e-3
+    size_max: Annotated[float, "Largest size [m]", Above(), RANGED] = 20e-3
+    size_mean: Annotated[
+        float | None, "Mean of the gaussian size distribution [m]; default: middle of the range", Above(), NORMAL
+    ] = None
     size_deviation: Annotated[
-        float | None, "standard deviation of the gaussian [m]; default: half the range", Above(), NORMAL
+        float | None,
+        "Standard deviation of the gaussian size distribution [m]; default: half the range",
+        Above(),
+        NORMAL,
     ] = None
-    density: Annotated[float, "of the aggregates, which weigh alone [kg/m3]", Above(), BY_ITSELF] = 2500.0
+    density: Annotated[
+        float, "Density of the aggregates, if they carry only their own mass [kg/m3]", Above(), BY_ITSELF
+    ] = 2500.0
     bulk_density: Annotated[
-        float | None, "of the concrete [kg/m3]: aggregates bear the mortar between them, too", Above()
+        float | None,
+        "Density of the concrete [kg/m3]; if given, the aggregates carry the mass of the mortar, too",
+        Above(),
     ] = None
-    solid_fraction: Annotated[float | None, "of the packing; default: packed to the plug's pressure"] = None
+    solid_fraction: Annotated[
+        float | None, "Solid fraction of the packing; default: packed until the plug's pressure is reached"
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,18 +195,30 @@ class ContactParameters:
     Linear contact law between aggregates, and friction and lubrication layer on the walls.
     """
 
-    modulus: Annotated[float, "effective, of contacts [Pa]", Above(), OWN_LAW] = 1e5
-    stiffness_ratio: Annotated[float, "normal over shear contact stiffness", Above(), OWN_LAW] = 2.0
-    friction: Annotated[float, "coefficient between aggregates", Within(0), OWN_LAW] = 0.05
-    wall_friction: Annotated[float | None, "on the pipe and the piston; default: as friction", Within(0), OWN_LAW,
+    modulus: Annotated[float, "Effective modulus of contacts [Pa]", Above(), OWN_LAW] = 1e5
+    stiffness_ratio: Annotated[float, "Ratio of normal to shear contact stiffness", Above(), OWN_LAW] = 2.0
+    friction: Annotated[float, "Friction coefficient between aggregates", Within(0), OWN_LAW] = 0.05
+    wall_friction: Annotated[float | None, "Friction coefficient on the pipe and the piston; default: the value of "
+                                           "friction", Within(0), OWN_LAW,
                              OWN_WALL_LAW] = None  # fmt: skip
-    layer_yield: Annotated[float, "yield stress of a lubrication layer on pipe and piston [Pa]", Within(0), OWN_LAW,
+    layer_yield: Annotated[float, "Yield stress of a lubrication layer on pipe and piston [Pa]", Within(0), OWN_LAW,
                            OWN_WALL_LAW] = 0.0  # fmt: skip
-    layer_viscosity: Annotated[float, "of that layer, over its thickness [Pa s/m]", Within(0), OWN_LAW,
-                               OWN_WALL_LAW] = 0.0  # fmt: skip
-    normal_damping: Annotated[float, "normal dashpot, over the critical one", Within(0), OWN_LAW] = 0.5
-    shear_damping: Annotated[float, "shear dashpot, over the critical one", Within(0), OWN_LAW] = 0.0
-    dashpot: Annotated[str, "mode: full, no-tension, slip-cut, both", OneOf(DASHPOTS), OWN_LAW] = "full"
+    layer_viscosity: Annotated[
+        float, "Viscosity of the lubrication layer divided by its thickness [Pa s/m]", Within(0), OWN_LAW, OWN_WALL_LAW
+    ] = 0.0
+    normal_damping: Annotated[
+        float, "Damping of the normal dashpot as a fraction of critical damping", Within(0), OWN_LAW
+    ] = 0.5
+    shear_damping: Annotated[
+        float, "Damping of the shear dashpot as a fraction of critical damping", Within(0), OWN_LAW
+    ] = 0.0
+    dashpot: Annotated[
+        str,
+        "Mode of the dashpots: full, no-tension (the total normal force never pulls), slip-cut (no shear dashpot in "
+        "slip), both",
+        OneOf(DASHPOTS),
+        OWN_LAW,
+    ] = "full"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,18 +228,18 @@ class BondParameters:
     Strength and stiffness of the bonds between aggregates, and the share of hydrated bonds.
     """
 
-    bonds: Annotated[bool, "bond the aggregates' contacts before pumping"] = True
-    bond_modulus: Annotated[float, "effective, of bonds [Pa]", Above(), BONDED] = 2e4
-    bond_stiffness_ratio: Annotated[float, "normal over shear bond stiffness", Above(), BONDED] = 2.0
-    tensile_strength: Annotated[float, "[Pa]", Within(0), BONDED] = 10.0
-    cohesion: Annotated[float, "[Pa]", Within(0), BONDED] = 5.0
-    friction_angle: Annotated[float, "[degrees]", Within(0, 89), BONDED] = 30.0
-    bond_gap: Annotated[float, "largest gap across which bonds are made [m]", Within(0), BONDED] = 0.0
-    healing: Annotated[bool, "new contacts bond when they touch", BONDED] = False
-    hydration: Annotated[float, "fraction of the bonds that is hydrated", Within(0, 1), BONDED] = 0.0
-    hydration_modulus: Annotated[float, "effective, of hydrated bonds [Pa]", Above(), HYDRATED] = 1e9
+    bonds: Annotated[bool, "Bond the aggregates in contact before pumping starts"] = True
+    bond_modulus: Annotated[float, "Effective modulus of bonds [Pa]", Above(), BONDED] = 2e4
+    bond_stiffness_ratio: Annotated[float, "Ratio of normal to shear bond stiffness", Above(), BONDED] = 2.0
+    tensile_strength: Annotated[float, "Tensile strength of bonds [Pa]", Within(0), BONDED] = 10.0
+    cohesion: Annotated[float, "Cohesion of bonds [Pa]", Within(0), BONDED] = 5.0
+    friction_angle: Annotated[float, "Friction angle of bonds [degrees]", Within(0, 89), BONDED] = 30.0
+    bond_gap: Annotated[float, "Largest gap across which bonds are made [m]", Within(0), BONDED] = 0.0
+    healing: Annotated[bool, "Bond new contacts when they touch", BONDED] = False
+    hydration: Annotated[float, "Fraction of the bonds that is hydrated", Within(0, 1), BONDED] = 0.0
+    hydration_modulus: Annotated[float, "Effective modulus of hydrated bonds [Pa]", Above(), HYDRATED] = 1e9
     hydration_strength: Annotated[
-        float, "tensile, of hydrated bonds [Pa]; their cohesion is half of it", Within(0), HYDRATED
+        float, "Tensile strength of hydrated bonds [Pa]; their cohesion is half of it", Within(0), HYDRATED
     ] = 1e6
 
 
@@ -208,11 +250,20 @@ class PlugParameters:
     Balls or a plate that close the front and carry a pressure against the flow.
     """
 
-    plug: Annotated[str, "balls (bonded), plate (straight pipes), none", OneOf(("balls", "plate", "none"))] = "balls"
-    plug_pressure: Annotated[float, "against the flow [Pa]", Within(0), PLUGGED] = 1e3
-    plug_ball: Annotated[float, "diameter of the balls, half the thickness of the plate [m]", Above(), PLUGGED] = 10e-3
+    plug: Annotated[
+        str,
+        "Plug at the front of the concrete: balls (bonded), plate (straight pipes only) or none",
+        OneOf(("balls", "plate", "none")),
+    ] = "balls"
+    plug_pressure: Annotated[float, "Pressure of the plug against the flow [Pa]", Within(0), PLUGGED] = 1e3
+    plug_ball: Annotated[
+        float, "Diameter of the plug's balls, or half the thickness of the plate [m]", Above(), PLUGGED
+    ] = 10e-3
     plug_layers: Annotated[
-        int | None, "of balls; default: 2, in bends as many as 0.4 diameters hold", Within(1, 1000), OF_BALLS
+        int | None,
+        "Number of layers of balls in the plug; default: 2, in bends as many as fit into 0.4 diameters",
+        Within(1, 1000),
+        OF_BALLS,
     ] = None
 
 
@@ -223,22 +274,26 @@ class IndexParameters:
     Additional measurements of a run.
     """
 
-    wear: Annotated[bool, "add up sliding and impacts on the walls, patch by patch"] = False
+    wear: Annotated[bool, "Sum up sliding and impacts on the walls, patch by patch"] = False
     wear_coefficient: Annotated[
-        float, "volume worn over load and way slid, Archard's K/H [m2/N]; of steel by stones 1e-13 to 1e-12",
+        float, "Archard's wear coefficient K/H, worn volume per load and sliding distance [m2/N]; 1e-13 to 1e-12 for "
+               "steel worn by stones",
         Within(0), WORN,
     ] = Wear.coefficient  # fmt: skip
     wear_patch: Annotated[
-        float | None, "side of a patch of the pipe's wall [m]; default: a 24th of its circumference", Above(), WORN
+        float | None, "Edge length of a patch of the pipe's wall [m]; default: 1/24 of its circumference", Above(), WORN
     ] = None
-    segregation: Annotated[bool, "measure where in the pipe the aggregate is, and its large stones"] = False
+    segregation: Annotated[bool, "Measure the distribution of the aggregate and of its large stones in the pipe"] = (
+        False
+    )
     blocked_travel: Annotated[
         float | None,
-        "of the piston, after which the pipe counts as blocked if part of the concrete stands all the while [m]; "
-        "default: a twentieth of the concrete's length, of soft aggregates a diameter, up to a fifth of it",
+        "Travel of the piston during which part of the concrete must stand still for the pipe to count as blocked "
+        "[m]; default: 1/20 of the concrete's length; for soft aggregates one diameter, but at most 1/5 of that "
+        "length",
         Above(),
     ] = None
-    stop_when_blocked: Annotated[bool, "end the run where the pipe is blocked"] = False
+    stop_when_blocked: Annotated[bool, "End the run when the pipe is blocked"] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -248,24 +303,28 @@ class RunParameters(Declared):
     Settings of the computation: time step, limits, precision and output.
     """
 
-    gravity: Annotated[float, "[m/s2]", Within(-1e4, 1e4)] = 9.81
-    settle: Annotated[float, "longest time to settle under gravity and plug pressure before the start [s]",
+    gravity: Annotated[float, "Gravitational acceleration [m/s2]", Within(-1e4, 1e4)] = 9.81
+    settle: Annotated[float, "Longest time to settle under gravity and plug pressure before the start [s]",
                       Within(0)] = 2.0  # fmt: skip
-    time_step: Annotated[float | None, "fixed [s]; default: automatic", Above()] = None
+    time_step: Annotated[float | None, "Fixed time step [s]; default: automatic", Above()] = None
     hydration_rounds: Annotated[
         int | None,
-        "within a step, in which hydrated bonds are stepped; default: as many as they need, where they are much "
-        "stiffer than all else; 1: none, so that they bound the step",
+        "Number of sub-steps in which hydrated bonds are integrated within one time step; default: as many as needed "
+        "if they are much stiffer than everything else; 1: no sub-steps, so that these bonds limit the time step",
         HYDRATED,
     ] = None
-    safety: Annotated[float, "automatic time step over the stable one; above 1 overrules the estimate"] = 0.8
+    safety: Annotated[
+        float, "Ratio of the automatic time step to the stable one; a value above 1 overrules the estimate"
+    ] = 0.8
     overlap_limit: Annotated[
-        float, "overlap at which the run stops, over that which swallows an aggregate; 0: no limit", Within(0)
+        float,
+        "Overlap at which the run stops, as a multiple of the overlap that swallows an aggregate; 0: no limit",
+        Within(0),
     ] = 1.5
-    energy_balance: Annotated[bool, "add up what friction, dashpots and breaking bonds dissipate"] = False
-    precision: Annotated[str, "of positions and forces: float32 or float64", OneOf(PRECISIONS)] = "float32"
-    sample_interval: Annotated[float, "simulated time between two rows of the series [s]", Above()] = 0.01
-    seed: Annotated[int, "random seed", Within(0)] = 0
+    energy_balance: Annotated[bool, "Sum up the energy that friction, dashpots and breaking bonds dissipate"] = False
+    precision: Annotated[str, "Precision of positions and forces: float32 or float64", OneOf(PRECISIONS)] = "float32"
+    sample_interval: Annotated[float, "Simulated time between two rows of the series [s]", Above()] = 0.01
+    seed: Annotated[int, "Random seed", Within(0)] = 0
 
 
 class OfConcrete:
@@ -314,23 +373,30 @@ class PipeParameters(
                     refuse("stroke", self.stroke, f"times {self.strokes} {longest}")
                 refuse("travel", self.travel, longest)
             if self.plug == "plate":
-                refuse("plug", self.plug, "a plate cannot follow a bend", "use balls or none")
+                refuse(
+                    "plug",
+                    self.plug,
+                    "must not be a plate in a bend, because a plate cannot follow it",
+                    "use balls or none",
+                )
         self._check_strokes()
 
     def _check_strokes(self) -> None:
         if self.stroke is not None and self.travel is not None:
-            refuse("travel", self.travel, f"follows from {self.strokes} strokes of {self.stroke:g} m", "leave out one")
+            refuse(
+                "travel", self.travel, f"is already set by {self.strokes} strokes of {self.stroke:g} m", "leave out one"
+            )
         if self.stops is not None and self.each < 2 * self.ramp * (1 - 1e-12):
-            refuse("stroke", self.each, f"must hold two ramps of {self.ramp:g} m, from rest and to rest",
-                   "longer strokes, or a shorter ramp")  # fmt: skip
+            refuse("stroke", self.each, f"must hold two ramps of {self.ramp:g} m, one from rest and one to rest",
+                   "use longer strokes, or a shorter ramp")  # fmt: skip
         if self.rest > 0 and self.pause == 0:
-            refuse("rest", self.rest, "needs a stop before the last stroke", "a pause above 0")
+            refuse("rest", self.rest, "needs a stop before the last stroke", "set a pause above 0")
         layer = (
             self.layer_yield or self.layer_viscosity or isinstance(self.wall_contact or self.contact, LubricationLayer)
         )
         if self.rest > 0 and not (self.bonds or layer):
-            refuse("rest", self.rest, "has nothing to grow: there are no bonds, and no layer on the wall",
-                   "bonds, or a layer_yield")  # fmt: skip
+            refuse("rest", self.rest, "has no effect: there are no bonds, and no lubrication layer on the wall",
+                   "use bonds, or a layer_yield")  # fmt: skip
 
     @property
     def is_bend(self) -> bool:

@@ -221,7 +221,7 @@ def _gradient_words(name: str):
 
 def _middle_words(run: Run) -> str:
     loss, ratio = number(run.result["middle_loss"]) / 1e3, run.result["middle_ratio"]
-    return f"{loss:.3g} kPa, {ratio:.2f} times straight pipe of that length beside it"
+    return f"{loss:.3g} kPa, {ratio:.2f} times the loss of an equally long straight pipe next to it"
 
 
 def no_plateau(run: Run) -> str:
@@ -232,10 +232,11 @@ def no_plateau(run: Run) -> str:
     if past_ramp(run.scene, travel):
         change = f"{100 * LEVEL:.0f} %"
         return (
-            f"none: the pressure still changes by more than {change} in a fifth of the travel; move the piston further"
+            f"none: the pressure still changes by more than {change} within a fifth of the travel; move the piston "
+            "further"
         )
     if past_ramp(run.scene, pipe.travel):
-        return "none: the run was cut before the piston had moved steadily for long enough"
+        return "none: the run was stopped before the piston had moved steadily for long enough"
     gone = travel - pipe.begun(travel)
     return (
         f"none: of {gone:.4g} m of travel the last {WINDOW * gone:.3g} m must come after the ramp of "
@@ -290,7 +291,7 @@ QUANTITIES = (
     Quantity("middle_ratio", "1", lambda k: k.along("middle_ratio"), compared=True),
     Quantity("downstream_gradient", "Pa/m", lambda k: k.along("downstream_gradient"), "friction downstream",
              _gradient_words("downstream_gradient"), True),
-    Quantity("flux_ratio", "1", lambda k: k.along("flux_ratio"), "leaves over enters",
+    Quantity("flux_ratio", "1", lambda k: k.along("flux_ratio"), "outflow over inflow",
              lambda run: f"{100 * run.result['flux_ratio']:.0f} %"),
     Quantity("wall_stress", "Pa", lambda k: k.along("wall_stress")),
     Quantity("upstream_wall_stress", "Pa", lambda k: k.along("upstream_wall_stress")),

@@ -68,7 +68,7 @@ def unit_of(column: str, walls: Sequence[Wall]) -> str:
     for kind, unit in WEAR_UNITS.items():
         if column.removesuffix(f"_{kind}") in [w.name for w in walls]:
             return unit
-    raise KeyError(f"column {column!r} has no unit; enter it in warpcrete/dem/sampling.py")
+    raise KeyError(f"column {column!r} has no unit; add it to the units in warpcrete/dem/sampling.py")
 
 
 class Sampler:

@@ -48,20 +48,26 @@ class Bonds(Declared):
 
     called = "bond"
 
-    effective_modulus: Annotated[float, "bond stiffness per area is this modulus [Pa] over L", Above()] = 2e4
-    stiffness_ratio: Annotated[float, "normal over shear bond stiffness", Above()] = 2.0
-    tensile_strength: Annotated[float, "[Pa]", Within(0)] = 10.0
-    cohesion: Annotated[float, "[Pa]", Within(0)] = 5.0
+    effective_modulus: Annotated[
+        float, "Effective modulus [Pa]; the bond stiffness per area is this modulus over L", Above()
+    ] = 2e4
+    stiffness_ratio: Annotated[float, "Ratio of normal to shear bond stiffness", Above()] = 2.0
+    tensile_strength: Annotated[float, "Tensile strength [Pa]", Within(0)] = 10.0
+    cohesion: Annotated[float, "Cohesion [Pa]", Within(0)] = 5.0
     friction_angle: Annotated[
-        float, "[degrees]; raises the shear strength under compression, lowers it under tension", Within(0, 89)
+        float,
+        "Friction angle [degrees]; it raises the shear strength under compression and lowers it under tension",
+        Within(0, 89),
     ] = 30.0
-    radius_multiplier: Annotated[float, "bond radius over the smaller sphere's radius", Above()] = 1.0
+    radius_multiplier: Annotated[float, "Bond radius over the smaller sphere's radius", Above()] = 1.0
     moment_factor: Annotated[
-        float, "part of bending and twisting moment in the peak stresses (beta in Eq. 11)", Within(0, 1)
+        float,
+        "Fraction of the bending and twisting moment that counts in the peak stresses (beta in Eq. 11)",
+        Within(0, 1),
     ] = 1.0
-    gap: Annotated[float, "largest gap across which a bond is made [m]", Within(0)] = 0.0
+    gap: Annotated[float, "Largest gap across which a bond is made [m]", Within(0)] = 0.0
     healing: Annotated[
-        bool, "new contacts bond at first touch; otherwise only the contacts present at the start are bonded"
+        bool, "Bond new contacts when they first touch; otherwise only contacts at the start are bonded"
     ] = False
 
 
@@ -71,7 +77,7 @@ class Hydration(Declared):
 
     called = "hydration"
 
-    fraction: Annotated[float, "of all bonded contacts, 0 to 1", Within(0, 1)]
+    fraction: Annotated[float, "Fraction of all bonded contacts that is hydrated, 0 to 1", Within(0, 1)]
     bonds: Bonds = field(default_factory=lambda: Bonds(effective_modulus=1e9, tensile_strength=1e6, cohesion=5e5))
 
 
@@ -148,22 +154,30 @@ class TimeStep(Declared):
 
     called = "time_step"
 
-    fixed: Annotated[float | None, "[s]; None: from masses and live stiffness"] = None
+    fixed: Annotated[float | None, "Fixed time step [s]; None: computed from masses and current stiffness"] = None
     safety: Annotated[
-        float, "of the estimated stable step; above 1 overrules the estimate, also for a fixed step", Within(1e-3, 10)
+        float,
+        "Ratio of the time step to the estimated stable one; a value above 1 overrules the estimate, also for "
+        "a fixed step",
+        Within(1e-3, 10),
     ] = 0.8
-    largest: Annotated[float, "cap of the automatic step [s]", Above()] = 1e-3
-    interval: Annotated[int, "steps between two estimates"] = 20
+    largest: Annotated[float, "Upper limit of the automatic time step [s]", Above()] = 1e-3
+    interval: Annotated[int, "Number of steps between two estimates of the stable step"] = 20
     rounds: Annotated[
         int | None,
-        "in which hydrated bonds are stepped within a step of all else; None: as many as they need, where they are "
-        "much stiffer than all else; 1: none, the step is then that of the stiffest",
+        "Number of sub-steps in which hydrated bonds are integrated within one time step; None: as many as needed if "
+        "they are much stiffer than everything else; 1: no sub-steps, so that the stiffest bond limits the time step",
     ] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.rounds is not None and self.rounds < 1:
-            refuse("rounds", self.rounds, "must be a whole number, 1 or more", "leave it out for as many as it takes")
+            refuse(
+                "rounds",
+                self.rounds,
+                "must be a whole number, 1 or more",
+                "leave it out to use as many rounds as needed",
+            )
         if self.fixed is not None:
             positive("time_step", self.fixed, "s", "leave it out for an automatic step")
         if self.interval < 1:
@@ -177,10 +191,12 @@ class Settle(Declared):
     called = "settle"
 
     duration: Annotated[
-        float, "longest [s]; ends earlier once the kinetic energy is a hundred-thousandth of the elastic", Within(0)
+        float,
+        "Longest duration [s]; settling ends earlier once the kinetic energy is below 1e-5 of the elastic energy",
+        Within(0),
     ] = 2.0
     local_damping: Annotated[
-        float, "part of the unbalanced force that opposes motion (PFC's local damping)", Within(0, 0.99)
+        float, "Fraction of the unbalanced force that opposes motion (PFC's local damping)", Within(0, 0.99)
     ] = 0.5
 
 
@@ -192,15 +208,15 @@ class Watch(Declared):
 
     overlap: Annotated[
         float | None,
-        "of the overlap that swallows the smaller sphere whole or halves the distance of the centres, whichever comes "
-        "first, or brings a centre behind a wall; checked at every sample. None: no limit",
+        "Largest overlap, as a multiple of the overlap that swallows the smaller sphere, halves the distance of the "
+        "centres or brings a centre behind a wall, whichever comes first; checked at every sample. None: no limit",
         Above(),
     ] = 1.0
-    speed: Annotated[float, "[m/s], of any body, checked in every step", Above()] = 1e3
+    speed: Annotated[float, "Largest speed of any body [m/s], checked in every step", Above()] = 1e3
     energy: Annotated[
         float | None,
-        "of all energy in play, what may appear without work of walls, drives or gravity; checked at every sample. "
-        "None: no limit",
+        "Largest energy that may appear without work of walls, drives or gravity, as a fraction of all energy in the "
+        "scene; checked at every sample. None: no limit",
         Above(),
     ] = 0.5
 
@@ -216,9 +232,11 @@ class Wear(Declared):
     called = "wear"
 
     coefficient: Annotated[
-        float, "k, volume worn over load and way slid [m2/N]; of steel by stones 1e-13 to 1e-12", Within(0)
+        float,
+        "Wear coefficient k, worn volume per load and sliding distance [m2/N]; 1e-13 to 1e-12 for steel worn by stones",
+        Within(0),
     ] = 2e-13
-    patch: Annotated[float | None, "side of a patch of a pipe's wall [m]; default: a 24th of its circumference",
+    patch: Annotated[float | None, "Edge length of a patch of a pipe's wall [m]; default: 1/24 of its circumference",
                      Above()] = None  # fmt: skip
 
 
@@ -229,10 +247,12 @@ class Blockage(Declared):
     called = "blockage"
 
     travel: Annotated[
-        float | None, "of the piston, for which part of the concrete stands [m]; default: a twentieth of the "
-        "concrete's length, of soft aggregates a diameter, up to a fifth of it", Above(),
-    ] = None  # fmt: skip
-    stop: Annotated[bool, "end the run there"] = False
+        float | None,
+        "Travel of the piston during which part of the concrete must stand still [m]; default: 1/20 of "
+        "the concrete's length; for soft aggregates one diameter, but at most 1/5 of that length",
+        Above(),
+    ] = None
+    stop: Annotated[bool, "End the run when the pipe is blocked"] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -315,14 +335,17 @@ class Rest(Declared):
 
     called = "rest"
 
-    at: Annotated[float, "simulated time at which it is put in [s]", Within(0)]
-    duration: Annotated[float, "[s]", Within(0)]
-    growth: Annotated[float, "A_thix [Pa/s]", Within(0)] = 0.5
-    breakdown: Annotated[float, "slip by which what the layer gained falls to 1/e [m]", Above()] = 0.1
+    at: Annotated[float, "Simulated time at which the rest takes place [s]", Within(0)]
+    duration: Annotated[float, "Duration of the rest [s]", Within(0)]
+    growth: Annotated[float, "Growth rate A_thix of the yield stress [Pa/s]", Within(0)] = 0.5
+    breakdown: Annotated[float, "Slip over which the layer's gained yield stress falls to 1/e [m]", Above()] = 0.1
     coverage: Annotated[
-        float, "area on which a layer acts (pi r^2 of every contact) over the wall's: it gains by as much more", Above()
+        float,
+        "Area on which a layer acts (pi r^2 of every contact) over the area of the wall; the gained yield "
+        "stress is multiplied by this ratio",
+        Above(),
     ] = 1.0
-    wall: Annotated[str, "name of the wall whose travel is the slip"] = "piston"
+    wall: Annotated[str, "Name of the wall whose travel is the slip"] = "piston"
 
     @property
     def gained(self) -> float:

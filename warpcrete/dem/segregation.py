@@ -175,6 +175,6 @@ def words(run: Any) -> str:
     """Return the summary of segregation for the report of a run."""
     start, end, sizes = (100 * run.result[name] for name in ("segregation_at_start", "segregation", "size_segregation"))
     return (
-        f"outer less inner half of the radius: {end:+.3g} % of aggregate ({start:+.3g} at the start), {sizes:+.3g} % "
-        f"of large stones in it; mixing index {run.result['mixing']:.3g}"
+        f"aggregate in the outer minus the inner half of the radius: {end:+.3g} % ({start:+.3g} % at the start); "
+        f"large stones in the aggregate, likewise: {sizes:+.3g} %; mixing index {run.result['mixing']:.3g}"
     )

@@ -67,15 +67,15 @@ class SieveCurve:
         try:
             openings, passing = np.asarray(self.openings, float), np.asarray(self.passing, float)
         except (TypeError, ValueError):
-            refuse("openings", self.openings, "openings and passing must be rows of numbers")
+            refuse("openings", self.openings, "must be a row of numbers, as must passing")
         if not np.all(np.isfinite(openings)) or not np.all(np.isfinite(passing)):
-            refuse("openings", self.openings, "openings and passing must be finite numbers")
+            refuse("openings", self.openings, "must be finite numbers, as must passing")
         if openings.ndim != 1 or len(openings) < 2 or len(openings) != len(passing):
-            refuse("openings", self.openings, "needs two or more, one `passing` fraction each")
+            refuse("openings", self.openings, "must be two or more, with one `passing` fraction each")
         if np.any(openings <= 0) or np.any(np.diff(openings) <= 0):
-            refuse("openings", self.openings, "must be above 0 m and rising")
+            refuse("openings", self.openings, "must be above 0 m and increase")
         if passing[0] != 0 or passing[-1] != 1 or np.any(np.diff(passing) < 0):
-            refuse("passing", self.passing, "must rise from 0 to 1")
+            refuse("passing", self.passing, "must increase from 0 to 1")
         object.__setattr__(self, "openings", tuple(openings.tolist()))
         object.__setattr__(self, "passing", tuple(passing.tolist()))
 

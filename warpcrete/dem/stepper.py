@@ -253,15 +253,15 @@ class Stepper:
         dt = self.dt
         if not stable > 0:
             raise InstabilityError(
-                f"t = {self.time:.6g} s: the stable time step came out as {stable:.3g} s; usual cures: masses, "
-                "stiffnesses and dashpots that single precision can hold, or precision float64"
+                f"t = {self.time:.6g} s: the stable time step is {stable:.3g} s, which is not above 0; usual cures: "
+                "masses, stiffnesses and dashpots within the range of single precision, or precision float64"
             )
         if fixed is not None and fixed > stable * max(1.0, self.time_step.safety):
             what = f"is above the stable step of this scene, {stable:.3g} s"
             if self.running:
                 raise InstabilityError(
-                    f"t = {self.time:.6g} s: time_step = {fixed!r} {what}; usual cures: a smaller step, or none "
-                    "given for an automatic one"
+                    f"t = {self.time:.6g} s: time_step = {fixed!r} {what}; usual cures: a smaller time_step, or none "
+                    "for an automatic step"
                 )
             refuse("time_step", fixed, what, "leave it out for an automatic step")
         self._estimated = True
@@ -279,7 +279,7 @@ class Stepper:
             if fixed is not None and self.state.sphere_count and speed * fixed > radius:
                 refuse("time_step", fixed, f"moves the wall {name!r} by {speed * fixed:.3g} m a step, further than the "
                        f"smallest radius, {radius:.3g} m",
-                       "leave it out for an automatic step, or slow the wall down")  # fmt: skip
+                       "leave it out for an automatic step, or slow down the wall")  # fmt: skip
         return max(speeds.values(), default=0.0)
 
     def _since_estimate(self) -> float:
@@ -339,8 +339,8 @@ class Stepper:
         if failed < 0:
             wall = self.model.walls[-1 - failed].name
             return InstabilityError(
-                f"t = {self.time:.6g} s: driven wall {wall!r} is faster than {SPEED_LIMIT:g} m/s; "
-                "usual cures: more mass or damping of the wall, a smaller time step"
+                f"t = {self.time:.6g} s: driven wall {wall!r} moves faster than {SPEED_LIMIT:g} m/s; usual cures: "
+                "more mass or damping of the wall, a smaller time step"
             )
         if failed:
             return failed_body(self.model, self.state, failed - 1)

@@ -47,17 +47,23 @@ class GrainParameters:
     Sizes and density of the grains, and how densely they are packed.
     """
 
-    sizes: Annotated[str, "distribution: gaussian, of the middle and half of the range, or uniform",
+    sizes: Annotated[str, "Size distribution: gaussian (mean at the middle, standard deviation half of the range) or "
+                          "uniform",
                      OneOf(("gaussian", "uniform"))] = "uniform"  # fmt: skip
-    size_min: Annotated[float, "smallest [m]", Above()] = 10e-3
-    size_max: Annotated[float, "largest [m]", Above()] = 16e-3
+    size_min: Annotated[float, "Smallest grain size [m]", Above()] = 10e-3
+    size_max: Annotated[float, "Largest grain size [m]", Above()] = 16e-3
     bulk_density: Annotated[
-        float | None, "of the concrete in the full vessel [kg/m3]: grains bear the mortar between them, too", Above()
+        float | None,
+        "Density of the concrete in the full vessel [kg/m3]; if given, the grains carry the mass of the mortar, too",
+        Above(),
     ] = None
-    density: Annotated[float, "of the grains, which weigh alone [kg/m3]", Above(), BY_ITSELF] = 2500.0
+    density: Annotated[
+        float, "Density of the grains, if they carry only their own mass [kg/m3]", Above(), BY_ITSELF
+    ] = 2500.0
     solid_fraction: Annotated[
         float | None,
-        "of the packing in the full vessel, before it settles; default: 0.66 of laws mortar and plastic, else 0.6",
+        "Solid fraction of the packing in the full vessel, before it settles; default: 0.66 with laws mortar and "
+        "plastic, else 0.6",
     ] = None
 
 
@@ -70,47 +76,63 @@ class LawParameters:
 
     law: Annotated[
         str,
-        "what carries the concrete: linear (springs and friction), bonds (that besides, which break and heal), mortar "
-        "(soft shells with a yield stress round hard cores), plastic (the same, shells that yield in all directions), "
-        "rolling (friction, and resistance to rolling)",
+        "Contact law that carries the concrete: linear (springs and friction), bonds (the same with bonds that break "
+        "and heal), mortar (hard cores in soft shells with a yield stress), plastic (as mortar, but the shells yield "
+        "in all directions), rolling (friction and rolling resistance)",
         OneOf(LAWS),
         OWN_LAW,
     ] = "rolling"
-    modulus: Annotated[float | None, "effective, of contacts, of mortar the cores' [Pa]; default: 1e6 of laws mortar "
-                       "and plastic, else 1e5", Above(), OWN_LAW] = None  # fmt: skip
-    stiffness_ratio: Annotated[float, "normal over shear stiffness", Above(), OWN_LAW] = 2.0
+    modulus: Annotated[float | None, "Effective modulus of contacts, with law mortar of the cores [Pa]; default: 1e6 "
+                                     "with laws mortar and plastic, else 1e5", Above(), OWN_LAW] = None  # fmt: skip
+    stiffness_ratio: Annotated[float, "Ratio of normal to shear stiffness", Above(), OWN_LAW] = 2.0
     friction: Annotated[
         float | None,
-        "coefficient between grains; default: 0.5 of law rolling, 0 of mortar and plastic, else 0.05",
+        "Friction coefficient between grains; default: 0.5 with law rolling, 0 with mortar and plastic, else 0.05",
         Within(0),
         OWN_LAW,
     ] = None
-    normal_damping: Annotated[float, "normal dashpot, over the critical one", Within(0), OWN_LAW] = 0.5
+    normal_damping: Annotated[
+        float, "Damping of the normal dashpot as a fraction of critical damping", Within(0), OWN_LAW
+    ] = 0.5
     yield_stress: Annotated[
-        float, "of the concrete [Pa]; contacts have what adds up to it when all of them slip, see mortar_law",
+        float, "Yield stress of the concrete [Pa]; the contacts get a yield stress whose sum over all slipping "
+               "contacts equals it",
         Within(0), WITH_MORTAR,
     ] = 200.0  # fmt: skip
-    viscosity: Annotated[float, "of the concrete [Pa s], likewise", Above(), WITH_MORTAR] = 30.0
-    shell_fraction: Annotated[float, "thickness of two shells over the distance of the centres", Above(),
-                              Within(0, 0.5), WITH_MORTAR] = 0.1  # fmt: skip
-    shell_modulus: Annotated[float, "stiffness of the shells [Pa]", Above(), WITH_MORTAR] = 1e4
-    shell_tension: Annotated[float, "pull of the shells over the yield stress of theirs", Within(0), WITH_PLASTIC] = 2.5
-    rolling_friction: Annotated[float, "moment that a contact bears, over normal force and radius", Within(0),
+    viscosity: Annotated[
+        float,
+        "Plastic viscosity of the concrete [Pa s]; the contacts get a viscosity that adds up to it",
+        Above(),
+        WITH_MORTAR,
+    ] = 30.0
+    shell_fraction: Annotated[
+        float,
+        "Thickness of the two shells of a contact over the distance of the centres",
+        Above(),
+        Within(0, 0.5),
+        WITH_MORTAR,
+    ] = 0.1
+    shell_modulus: Annotated[float, "Stiffness of the shells [Pa]", Above(), WITH_MORTAR] = 1e4
+    shell_tension: Annotated[
+        float, "Tensile strength of the shells over their yield stress", Within(0), WITH_PLASTIC
+    ] = 2.5
+    rolling_friction: Annotated[float, "Rolling friction: largest moment of a contact over its normal force and "
+                                       "radius", Within(0),
                                 WITH_ROLLING, OWN_LAW] = 0.2  # fmt: skip
-    bond_modulus: Annotated[float, "effective, of bonds [Pa]", Above(), WITH_BONDS] = 2e4
-    tensile_strength: Annotated[float, "of bonds [Pa]", Within(0), WITH_BONDS] = 10.0
-    cohesion: Annotated[float, "of bonds [Pa]", Within(0), WITH_BONDS] = 5.0
-    friction_angle: Annotated[float, "of bonds [degrees]", Within(0, 89), WITH_BONDS] = 30.0
-    healing: Annotated[bool, "new contacts bond when they touch", WITH_BONDS] = True
+    bond_modulus: Annotated[float, "Effective modulus of bonds [Pa]", Above(), WITH_BONDS] = 2e4
+    tensile_strength: Annotated[float, "Tensile strength of bonds [Pa]", Within(0), WITH_BONDS] = 10.0
+    cohesion: Annotated[float, "Cohesion of bonds [Pa]", Within(0), WITH_BONDS] = 5.0
+    friction_angle: Annotated[float, "Friction angle of bonds [degrees]", Within(0, 89), WITH_BONDS] = 30.0
+    healing: Annotated[bool, "Bond new contacts when they touch", WITH_BONDS] = True
     plate_grip: Annotated[
         float,
-        "friction, yield stress and viscosity of what the concrete flows on, over those between grains",
+        "Ratio of friction, yield stress and viscosity on the plate to those between grains",
         Within(0),
     ] = 2.0
     mould_grip: Annotated[
         float | None,
-        "the same of mould, gate, bars and sides; 0: concrete slides along them freely; default: 1 in a funnel of laws "
-        "mortar and plastic, else 0",
+        "Ratio of friction, yield stress and viscosity on mould, gate, bars and sides to those between grains; 0: "
+        "concrete slides freely; default: 1 in a funnel with laws mortar and plastic, else 0",
         Within(0),
     ] = None
 
@@ -122,21 +144,29 @@ class VesselRun(Declared):
     Duration and settings of the computation.
     """
 
-    duration: Annotated[float, "simulated time, at most: a run ends when the concrete rests [s]", Above()] = 10.0
+    duration: Annotated[float, "Longest simulated time; the run ends earlier when the concrete rests [s]", Above()] = (
+        10.0
+    )
     rest_speed: Annotated[
-        float, "at rest: the fastest of the main body goes slower than this, and did for a second [m/s]", Above()
+        float,
+        "Speed below which the fastest grain of the main body must stay for a second to count as at rest [m/s]",
+        Above(),
     ] = 1e-3
-    gravity: Annotated[float, "[m/s2]", Above()] = 9.81
-    settle: Annotated[float, "longest time to settle in the closed vessel before the start [s]", Within(0)] = 1.0
-    time_step: Annotated[float | None, "fixed [s]; default: automatic", Above()] = None
-    safety: Annotated[float, "automatic time step over the stable one; above 1 overrules the estimate"] = 0.8
+    gravity: Annotated[float, "Gravitational acceleration [m/s2]", Above()] = 9.81
+    settle: Annotated[float, "Longest time to settle in the closed vessel before the start [s]", Within(0)] = 1.0
+    time_step: Annotated[float | None, "Fixed time step [s]; default: automatic", Above()] = None
+    safety: Annotated[
+        float, "Ratio of the automatic time step to the stable one; a value above 1 overrules the estimate"
+    ] = 0.8
     overlap_limit: Annotated[
-        float, "overlap at which the run stops, over that which swallows a grain; 0: no limit", Within(0)
+        float,
+        "Overlap at which the run stops, as a multiple of the overlap that swallows a grain; 0: no limit",
+        Within(0),
     ] = 1.5
-    energy_balance: Annotated[bool, "add up what friction, dashpots and breaking bonds dissipate"] = False
-    precision: Annotated[str, "of positions and forces: float32 or float64", OneOf(PRECISIONS)] = "float32"
-    sample_interval: Annotated[float, "simulated time between two rows of the series [s]", Above()] = 0.02
-    seed: Annotated[int, "random seed", Within(0)] = 0
+    energy_balance: Annotated[bool, "Sum up the energy that friction, dashpots and breaking bonds dissipate"] = False
+    precision: Annotated[str, "Precision of positions and forces: float32 or float64", OneOf(PRECISIONS)] = "float32"
+    sample_interval: Annotated[float, "Simulated time between two rows of the series [s]", Above()] = 0.02
+    seed: Annotated[int, "Random seed", Within(0)] = 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,14 +180,15 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.size_max < self.size_min:
-            refuse("size_max", self.size_max, f"must be size_min = {self.size_min:g} m or more")
+            refuse("size_max", self.size_max, f"must be at least size_min = {self.size_min:g} m")
         for name, default in (("plate_grip", LawParameters.plate_grip), ("mould_grip", None)):
             if getattr(self, name) != default and self.contact is not None and not self.is_gripped:
-                refuse(name, getattr(self, name), f"means nothing beside contact {type(self.contact).__name__}, which "
-                       f"resists neither sliding nor rolling ({', '.join(RESISTANCES)})", "leave it out")  # fmt: skip
+                refuse(name, getattr(self, name), f"has no effect with contact {type(self.contact).__name__}, which "
+                                                  "resists neither sliding nor rolling; laws that do are "
+                                                  f"{', '.join(RESISTANCES)}", "leave it out")  # fmt: skip
         if self.holding > self.plate_grip:
             refuse("mould_grip", self.mould_grip, f"must not exceed plate_grip = {self.plate_grip:g}",
-                   "what the concrete flows on holds it most")  # fmt: skip
+                   "raise plate_grip, or lower mould_grip")  # fmt: skip
 
     @property
     def stiffness(self) -> float:
@@ -364,7 +395,7 @@ def found_bad(run: Run) -> dict[str, tuple[bool, str]]:
     return {
         "momentum balance": (balance < BALANCED, f"{100 * balance:.3g} % of the largest impulse"),
         "no grain swallowed": (overlap < 2.0, f"largest overlap {overlap:.3g} of the smaller radius"),
-        "enough grains": (grains >= FEWEST, f"{grains}; {FEWEST} or more stand for concrete"),
+        "enough grains": (grains >= FEWEST, f"{grains}; at least {FEWEST} are needed to represent concrete"),
     }
 
 
@@ -373,18 +404,20 @@ def vessel_remarks(given: VesselParameters, what: str) -> tuple[str, ...]:
     found = []
     if given.law == "mortar":
         found.append(
-            "law mortar: slumps within a quarter of the closed form at 20 to 500 Pa; at 1000 a cone stands whole "
-            "(law plastic lets it slump)"
+            "law mortar: slump lies within a quarter of the closed form at 20 to 500 Pa; at 1000 Pa a cone remains "
+            "standing (law plastic lets it slump)"
         )
     if given.law == "plastic":
-        found.append("law plastic: spreads between the closed forms at 200 to 2000 Pa; softer heaps stop early")
+        found.append("law plastic: spread lies between the closed forms at 200 to 2000 Pa; softer heaps stop too early")
     if given.contact is not None and not given.is_gripped:
-        found.append(f"plate and mould act on grains as grains do: {type(given.contact).__name__} has no friction")
+        found.append(
+            f"plate and mould act on grains as other grains do, because {type(given.contact).__name__} has no friction"
+        )
     elif given.holding == 0:
-        found.append(f"concrete slides along {what} freely; --mould-grip 1 lets it rub")
+        found.append(f"concrete slides along {what} freely; use --mould-grip 1 for friction there")
     if given.bulk_density is None:
         found.append(
-            f"only grains weigh, {given.packed * given.density:.4g} kg/m3 in the full vessel; --bulk-density gives "
-            "them the mortar's weight, too"
+            f"only the grains have mass, {given.packed * given.density:.4g} kg/m3 in the full vessel; --bulk-density "
+            "adds the mortar's mass to them"
         )
     return tuple(found)

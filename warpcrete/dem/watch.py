@@ -64,7 +64,7 @@ class Watch:
             raise unstable(
                 time,
                 deepest_sphere(self.model, self.state),
-                f"overlap is {deepest:.3g} of what swallows a sphere or brings it behind a wall "
+                f"the overlap is {deepest:.3g} of the overlap that swallows a sphere or brings it behind a wall "
                 f"(watch.overlap = {limits.overlap:g})",
                 "stiffer contacts, smaller bodies apart at the start, slower walls, or a higher watch.overlap "
                 "(overlap_limit of the scene pipe)",
@@ -74,9 +74,9 @@ class Watch:
             raise unstable(
                 time,
                 farthest_body(self.state),
-                f"at {row['reach']:.4g} m from the origin positions are rounded to {resolution:.2g} of the smallest "
-                "sphere's radius",
-                "precision float64, or the scene nearer to the origin",
+                f"positions are rounded to {resolution:.2g} of the smallest sphere's radius at {row['reach']:.4g} m "
+                "from the origin",
+                "precision float64, or a scene nearer to the origin",
             )
         work, free = row["wall_work"] + row["drive_work"], _free(row)
         moving = row["kinetic_energy"] + row["elastic_energy"] + row["bond_energy"]
@@ -86,8 +86,8 @@ class Watch:
             raise unstable(
                 time,
                 fastest_body(self.model, self.state),
-                f"energy grew by {free - self.least:.3g} J that no wall or drive put in, "
-                f"{(free - self.least) / self.scale:.2g} of all there is (watch.energy = {limits.energy:g})",
+                f"energy grew by {free - self.least:.3g} J without work of a wall or drive, "
+                f"{(free - self.least) / self.scale:.2g} of all energy in the scene (watch.energy = {limits.energy:g})",
             )
 
 
@@ -110,12 +110,18 @@ def failed_body(model: Model, state: State, place: int) -> InstabilityError:
     ways, speed = state.dt * speeds / radius, f"{speeds.max():.3g} m/s"
     wall = _wall_passed(model, state, own, radius)
     if wall:
-        what, cures = f"{speed} carry it through the mesh wall {wall!r}", "stiffer contacts, slower bodies or walls"
+        what, cures = (
+            f"a speed of {speed} carries it through the mesh wall {wall!r}",
+            "stiffer contacts, slower bodies or walls",
+        )
     elif np.any(ways > 0.999):
-        what = f"{speed} move it {ways.max():.3g} of its radius in a step of {state.dt:.3g} s, past what it would touch"
-        cures = f"a time_step below {0.5 * state.dt / ways.max():.2g} s, none for an automatic one, or slower bodies"
+        what = (
+            f"a speed of {speed} moves it by {ways.max():.3g} of its radius in a step of {state.dt:.3g} s, so that "
+            "contacts are missed"
+        )
+        cures = f"a time_step below {0.5 * state.dt / ways.max():.2g} s or an automatic one, or slower bodies"
     else:
-        what = f"speed goes from {speed} past watch.speed = {model.scene.watch.speed:g} m/s in one step, "
+        what = f"its speed rises from {speed} above watch.speed = {model.scene.watch.speed:g} m/s in one step,"
         what, cures = what + "or is not a number", ""
     return unstable(state.time, body, what, cures)
 

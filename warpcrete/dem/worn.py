@@ -110,14 +110,14 @@ def report(run: Any) -> Iterator[tuple[str, str]]:
     where = ""
     if "wear_worst_along" in result:
         along, angle = number(result["wear_worst_along"]), number(result["wear_worst_angle"])
-        where = f" at {along:.3g} m along, {angle:.0f} degrees round"
+        where = f" at {along:.3g} m along the pipe, {angle:.0f} degrees around it"
     by_volume = ""
     if "wear_depth_per_volume" in result:
-        by_volume = f"; {1e6 * number(result['wear_depth_per_volume']):.3g} mm in 1000 m3"
+        by_volume = f"; {1e6 * number(result['wear_depth_per_volume']):.3g} mm per 1000 m3 pumped"
     yield (
         f"wear of {wall.name}",
-        f"{mean:.3g} um/h, {worst:.3g} on the worst patch{where}{by_volume} "
-        f"(k = {wall.coefficient:g} m2/N, within a factor of ten)",
+        f"{mean:.3g} um/h on average, {worst:.3g} um/h on the worst patch{where}{by_volume} (k = {wall.coefficient:g} "
+        "m2/N, uncertain by a factor of ten)",
     )
 
 
@@ -147,18 +147,21 @@ def plot_wear(run: Any, wall: WornWall | None = None) -> Any:
     else:
         drawn = axes.scatter(s, np.degrees(angle), 14, hourly, marker="s", cmap="magma_r", vmin=0, linewidths=0)
     figure.colorbar(drawn, ax=axes, label="worn depth [um/h]")
-    axes.set(ylabel="angle round the pipe [degrees]", yticks=[0, 90, 180, 270])
+    axes.set(ylabel="angle around the pipe [degrees]", yticks=[0, 90, 180, 270])
     axes.set_title("0: outside of a bend", fontsize=9, loc="left")
     edges = np.linspace(s.min(), s.max() + 1e-9, 25)
     row = np.clip(np.digitize(s, edges) - 1, 0, 23)
     middle = 0.5 * (edges[1:] + edges[:-1])
     cosine = np.cos(angle)
-    for name, chosen in (("all round", cosine < 2), ("0 degrees, a quarter wide", cosine > np.sqrt(0.5)),
-                         ("180 degrees", cosine < -np.sqrt(0.5))):  # fmt: skip
+    for name, chosen in (
+        ("all round", cosine < 2),
+        ("around 0 degrees, a quarter of the circumference", cosine > np.sqrt(0.5)),
+        ("180 degrees", cosine < -np.sqrt(0.5)),
+    ):
         total = np.bincount(row[chosen], (hourly * areas)[chosen], 24)
         area = np.bincount(row[chosen], areas[chosen], 24)
         below.plot(middle[area > 0], total[area > 0] / area[area > 0], label=name, linewidth=1.6)
-    below.set(xlabel="along the pipe [m]", ylabel="mean [um/h]", ylim=(0, None))
+    below.set(xlabel="position along the pipe [m]", ylabel="mean worn depth [um/h]", ylim=(0, None))
     below.legend(frameon=False, fontsize=9)
     below.spines[["top", "right"]].set_visible(False)
     return figure

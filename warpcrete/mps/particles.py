@@ -199,7 +199,7 @@ class MovingParticles(Stepping):
         if needed > MEMORY_FRACTION * free:
             raise CapacityError(
                 f"particles = {self.count}: need about {needed / 2**30:.3g} GiB on {self.device}, which has "
-                f"{free / 2**30:.3g} GiB free; take a coarser spacing, or a device with more memory"
+                f"{free / 2**30:.3g} GiB free; use a coarser spacing, or a device with more memory"
             )
 
     def build(self) -> None:

@@ -88,7 +88,9 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
     file = trade if trade.suffix == ".json" else trade / "trade.json"
     record = read_json(file)
     if record.get("scene") != name:
-        raise RunFolderError(f"trade = '{trade}': is of the scene {record.get('scene')!r}, not {name!r}")
+        raise RunFolderError(
+            f"trade = '{trade}': measures the scene {record.get('scene')!r}, not {name!r}; give a trade of this scene"
+        )
     try:
         promises = [p for p in record.get("promises", []) if p["setting"] is not None]
         best = min((float(p["promised"]) for p in promises), default=None)
@@ -98,12 +100,15 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
         measured, quantities = dict(record["parameters"]), tuple(record["quantities"])
         machine, time = str(record.get("machine", "")), float((chosen or {}).get("time") or math.nan)
     except (KeyError, TypeError, ValueError) as error:
-        raise RunFolderError(f"'{file}': holds no trade ({type(error).__name__}: {error})") from error
+        raise RunFolderError(
+            f"'{file}': is not the record of a trade ({type(error).__name__}: {error}); give the folder of a trade"
+        ) from error
     if best is None:
-        raise RunFolderError(f"trade = '{trade}': promises nothing yet; let it go on with 'warpcrete trade --resume'")
+        raise RunFolderError(f"trade = '{trade}': has no result yet; continue it with 'warpcrete trade --resume'")
     if chosen is None:
-        refuse("accuracy", f"{100 * accuracy:g} %", f"was not reached: that trade promises {100 * best:.2g} % at best",
-               "ask for that, or let the trade go on")  # fmt: skip
+        refuse("accuracy", f"{100 * accuracy:g} %", f"was not reached: this trade guarantees {100 * best:.2g} % at "
+                                                    "best",
+               "use that accuracy, or continue the trade")  # fmt: skip
     own = module.scene.resolved(given)
     knobs = {knob.name: knob for knob in module.trading.knobs(module.scene.declared(own))}
     changes: dict[str, Any] = {}
@@ -112,9 +117,9 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
         knob = knobs.get(knob_name)
         level = knob.level_of(key) if knob else None
         if knob is None or level is None:
-            left_out.append(f"{knob_name} {key}, which this scene has not")
+            left_out.append(f"{knob_name} {key}, which this scene does not have")
         elif not knob.physical and any(k in own and own[k] != measured.get(k, ...) for k in level.changes):
-            left_out.append(f"{knob_name} {level.label}, for what is given")
+            left_out.append(f"{knob_name} {level.label}, because its parameter is given")
         else:
             changes |= level.changes
             taken.append(f"{knob_name} {level.label}")
@@ -139,7 +144,7 @@ def outside(measured: Mapping[str, Any], own: Mapping[str, Any], module: Any) ->
     for name in declared_fields(module.scene.parameters):
         here, there = getattr(ours, name), getattr(theirs, name)
         if name not in NO_MATTER and here != there:
-            found.append(f"{name} {_shown(here)} for {_shown(there)}")
+            found.append(f"{name} {_shown(here)} instead of {_shown(there)}")
     return found
 
 

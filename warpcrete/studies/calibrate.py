@@ -86,9 +86,9 @@ def run_calibration(
     at_once = 4 + 2 * free if batch is None else batch
     _check_trials(most)
     if not 1 <= at_once <= MOST_CASES:
-        refuse("batch", at_once, f"must be 1 to {MOST_CASES}")
+        refuse("batch", at_once, f"must be from 1 to {MOST_CASES}")
     if not 0 <= repeat <= MOST_CASES:
-        refuse("repeat", repeat, f"must be 0 to {MOST_CASES}")
+        refuse("repeat", repeat, f"must be from 0 to {MOST_CASES}")
     between("seed", seed, 0, 2**31)
     check_new(out)
     settings = {"trials": most, "batch": at_once, "repeat": repeat, "seed": seed, "device": device,
@@ -124,13 +124,15 @@ def resume_calibration(
 
 def _check_trials(most: int) -> None:
     if not 4 <= most <= MOST_CASES:
-        refuse("trials", most, f"must be 4 to {MOST_CASES}")
+        refuse("trials", most, f"must be from 4 to {MOST_CASES}")
 
 
 def _record(folder: Path) -> dict[str, Any]:
     record = read_record(folder / RECORD)
     if set(record) - {"files"} != {"targets", "settings", "rounds"}:
-        raise RunFolderError(f"'{folder / RECORD}': holds no calibration")
+        raise RunFolderError(
+            f"'{folder / RECORD}': is not the record of a calibration; give the folder of a calibration"
+        )
     check_files(folder / RECORD, record.get("files", {}))
     return record
 
@@ -201,8 +203,8 @@ def run_round(
             return False
         if study.lost:
             raise WarpcreteError(
-                f"trial {study.lost[0]}: {study.failures[study.lost[0]]}; {len(study.lost)} of {len(study.cases)} runs "
-                f"are lost like this; go on with 'warpcrete calibrate --resume {found.folder}'"
+                f"trial {study.lost[0]}: {study.failures[study.lost[0]]}; {len(study.lost)} of {len(study.cases)} "
+                f"runs were lost in this way; continue with 'warpcrete calibrate --resume {found.folder}'"
             )
         _take(study, trials, found.task.groups[group])
     return True
@@ -257,7 +259,7 @@ def _take(study: Study, trials: Sequence[Trial], targets: Sequence[Target]) -> N
             if value is not None:
                 trial.values[target] = value
             elif not target.held_out:
-                trial.failure = trial.failure or f"comes to no {target.label}"
+                trial.failure = trial.failure or f"has no {target.label} in its result"
 
 
 def _judge(found: Calibration, seed: int) -> None:
@@ -268,15 +270,18 @@ def _judge(found: Calibration, seed: int) -> None:
               for target in found.task.targets}  # fmt: skip
     for target in found.task.fitted:
         count = int(np.isfinite(values[target]).sum())
-        why = next((trial.failure for trial in searched if trial.failure), "it is not measured there")
+        why = next((trial.failure for trial in searched if trial.failure), "the scene does not measure it there")
         if count == 0:
-            raise WarpcreteError(f"the {target.label} came out of none of {len(searched)} runs; the first: {why}")
+            raise WarpcreteError(
+                f"the {target.label} is missing in all {len(searched)} runs; reason in the first: "
+                f"{why}; use other ranges"
+            )
         if count < FEWEST and len(searched) < found.record["settings"]["trials"]:
             return
         if count < FEWEST:
             raise WarpcreteError(
-                f"the {target.label} came out of {count} of {len(searched)} runs, which is too few; the first that "
-                f"failed: {why}; take other ranges, or go on with more trials"
+                f"the {target.label} was found in only {count} of {len(searched)} runs; reason in the first run "
+                f"without it: {why}; use other ranges, or continue with more trials"
             )
     before = found.posterior
     found.posterior = now = posterior(found.task, points, values, seed)

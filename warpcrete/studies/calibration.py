@@ -99,35 +99,35 @@ class Calibration:
         for target, (low, high) in still.items():
             names = ", ".join(free.name for free in task.free)
             between = f"{target.words(low)} and {target.words(high)}"
-            said.append(f"the {target.label} is moved by none of {names}: it stays within {between}, measured is "
+            said.append(f"none of {names} changes the {target.label}: it stays between {between}, but measured is "
                         f"{target.words(target.value)}")  # fmt: skip
         for target in task.fitted:
             if target not in still and abs(self.off(target)) > FAR:
-                said.append(f"no parameters within the ranges meet the {target.label} beside the others: it is "
-                            f"{abs(self.off(target)):.1f} standard deviations off at best")  # fmt: skip
+                said.append(f"no parameters within the ranges fit the {target.label} together with the other targets: "
+                            f"it is {abs(self.off(target)):.1f} standard deviations off at best")  # fmt: skip
         for place, free in enumerate(task.free):
             if found.narrowing(place) > 0.8:
-                said.append(f"the data do not tell {free.name}: it is as uncertain as its range")
+                said.append(f"the data do not determine {free.name}: it is as uncertain as its range")
         for one, other, correlation in told_apart(found):
-            way = "larger with smaller" if correlation < 0 else "larger with larger"
-            said.append(f"the data cannot tell {one} and {other} apart: {way} does as well (correlation "
+            way = "increasing one and decreasing the other" if correlation < 0 else "increasing both"
+            said.append(f"the data cannot distinguish {one} from {other}: {way} fits as well (correlation "
                         f"{correlation:.2f})")  # fmt: skip
         for place, free in enumerate(task.free):
             edge = min(found.best[place], 1 - found.best[place])
             if edge < 0.02:
                 said.append(
-                    f"{free.name} = {free.value(found.best[place]):.4g} lies at the edge of its range: widen it"
+                    f"{free.name} = {free.value(found.best[place]):.4g} lies at the edge of its range; widen the range"
                 )
         failed = [trial for trial in self.searched if trial.failure]
         if failed:
-            said.append(f"{len(failed)} of {len(self.searched)} trials failed and count as impossible; the first: "
-                        f"{failed[0].failure}")  # fmt: skip
+            said.append(f"{len(failed)} of {len(self.searched)} trials failed and count as impossible; reason in the "
+                        f"first: {failed[0].failure}")  # fmt: skip
         checks = sorted({check for trial in self.trials for check in trial.suspect})
         if checks:
             runs = sum(bool(trial.suspect) for trial in self.searched)
-            proof = " and of the likeliest parameters'" if any(t.suspect for t in self.trials if t.proof) else ""
+            proof = " and of the most likely parameters'" if any(t.suspect for t in self.trials if t.proof) else ""
             said.append(f"runs of {runs} of {len(self.searched)} trials{proof} fail checks of their scenes "
-                        f"({', '.join(checks)}): their values are used, but look at them")  # fmt: skip
+                        f"({', '.join(checks)}); their values are used, but inspect these runs")  # fmt: skip
         if not self.settled:
-            said.append("the search ended before further runs ceased to matter: give it more trials")
+            said.append("the search ended before it converged; give it more trials")
         return said

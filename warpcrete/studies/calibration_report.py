@@ -38,7 +38,10 @@ def report(found: Calibration) -> str:
     if found.posterior is None:
         return "\n".join([*lines, f"No answer yet: {len(found.trials)} trials done."])
     lines += [*parameter_table(found), "", *target_table(found)]
-    lines += ["", f"{len(found.searched)} trials, {len(found.trials) - len(found.searched)} more to prove the answer."]
+    lines += [
+        "",
+        f"Trials: {len(found.searched)}; runs that verify the answer: {len(found.trials) - len(found.searched)}.",
+    ]
     lines += ["", *(f"- {said[0].upper()}{said[1:]}." for said in found.findings)]
     return "\n".join(lines).rstrip()
 
@@ -47,7 +50,7 @@ def parameter_table(found: Calibration) -> list[str]:
     """Return a Markdown table with the likeliest value and the 95 % interval of each free parameter."""
     assert found.posterior is not None
     lines = [
-        "| parameter | range | likeliest | 95 % of the posterior | over the range's |",
+        "| parameter | range | most likely | 95 % of the posterior | relative to the range's |",
         "|---|---|---|---|---|",
     ]
     for place, free in enumerate(found.task.free):
@@ -60,7 +63,7 @@ def parameter_table(found: Calibration) -> list[str]:
 def target_table(found: Calibration) -> list[str]:
     """Return a Markdown table that compares each target with the verification runs and the posterior's prediction."""
     lines = [
-        "| target | measured | runs with the likeliest | predicted | off, in deviations |",
+        "| target | measured | runs with the most likely parameters | predicted | deviation / standard deviation |",
         "|---|---|---|---|---|",
     ]
     for target in found.task.targets:
@@ -179,7 +182,7 @@ def draw(found: Calibration) -> Any:
                 if of.log and (axis is here.xaxis or row != column):
                     _few_ticks(axis)
     axes[0][0].legend(fontsize="small")
-    figure.suptitle("what the data allow")
+    figure.suptitle("posterior of the parameters")
     return figure
 
 

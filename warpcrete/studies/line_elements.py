@@ -228,7 +228,12 @@ def run_elements(
     """
     elements = elements or Elements()
     if known is not None and not (known / "parts").is_dir():
-        refuse("known", str(known), "is no folder of a line with simulated parts", "take one that has a folder 'parts'")
+        refuse(
+            "known",
+            str(known),
+            "is not the folder of a line with simulated parts",
+            "give one that contains a folder 'parts'",
+        )
     kinds = dict(_kinds(line))
     jobs = []
     for seed in range(elements.seeds):
@@ -352,12 +357,22 @@ def _packed(kinds: Mapping[Any, Part], runs: Mapping[Any, Run]) -> Packed:
         if part.by_length:
             columns = run.tables["stations"].columns
             if np.count_nonzero(np.isfinite(columns["axial_stress"])) < 3:
-                refuse("part", part.label, "has too few slices full of aggregates to say what it loses")
+                refuse(
+                    "part",
+                    part.label,
+                    "must contain more slices that are full of aggregates, to measure its "
+                    "pressure loss; make the part longer",
+                )
             tables.setdefault(part.diameter, []).append(columns)
             densities.append(float(np.nanmean(columns["bulk_density"])))
             largest = SOFT * run.scene.parameters["modulus"]
         elif "middle_ratio" not in run.result:
-            refuse("part", part.label, "has too few slices full of aggregates to say what it loses")
+            refuse(
+                "part",
+                part.label,
+                "must contain more slices that are full of aggregates, to measure its "
+                "pressure loss; make the part longer",
+            )
         else:
             ratios[key] = number(run.result["middle_ratio"])
     laws = {}
@@ -371,19 +386,23 @@ def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Map
     """Yield remarks for the user about the line itself, failed checks, and limits of the simulations."""
     yield from found.line.remarks()
     if any(part.layer != 1 for part in found.line.parts):
-        yield "the layer of a hose is that of a pipe by elements"
+        yield "the slip layer of a hose is treated as that of a pipe"
     for name, bad in found.failed.items():
         yield from (f"check FAILED in {name}: {what}" for what in bad)
     for (key, seed), run in runs.items():
         ratio = run.result.get("flux_ratio")
         if ratio is not None and number(ratio) < EVEN:
             name = _called(key, kinds[key], seed)
-            yield f"{name}: {100 * number(ratio):.0f} % of what enters leaves; it is still being pressed together"
+            yield (
+                f"{name}: outflow is {100 * number(ratio):.0f} % of the inflow; the concrete is still being compressed"
+            )
     laws = [law for each in found.packed for law in each.laws.values()]
     measured, largest = max(law.measured for law in laws), min(law.largest for law in laws)
     if found.pressure > 1.2 * measured:
-        yield (f"friction above {measured / 1e3:.3g} kPa is by the line through what was measured below"
-               + (f", above {largest / 1e3:.3g} kPa as there" if found.pressure > largest else ""))  # fmt: skip
+        yield (
+            f"wall friction at pressures above {measured / 1e3:.3g} kPa is extrapolated from lower pressures"
+            + (f", and taken as constant above {largest / 1e3:.3g} kPa" if found.pressure > largest else "")
+        )
 
 
 def lines_of_elements(found: ElementLine, others: Mapping[str, Sequence[float]]) -> list[str]:
@@ -401,7 +420,7 @@ def lines_of_elements(found: ElementLine, others: Mapping[str, Sequence[float]])
         "",
         "| part | | friction, elements [kPa] | "
         + "".join(f"{name} [kPa] | " for name in others)
-        + "over straight pipe | weight [kPa] |",
+        + "relative to straight pipe | weight [kPa] |",
         "|" + "---|" * (5 + len(others)),
     ]
     rows = zip(found.line.parts, found.frictions(), found.weights(), strict=True)

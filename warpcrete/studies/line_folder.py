@@ -34,7 +34,7 @@ def line_folder(out: Path | None, asked: Mapping[str, Any]) -> Iterator[None]:
     record = out / ASKED
     known = json.loads(json.dumps(asked))
     if record.is_file() and read_json(record) != known:
-        raise RunFolderError(f"out = '{out}': exists already, with another line that was cut; choose a new folder")
+        raise RunFolderError(f"out = '{out}': contains another, unfinished line; choose a new folder")
     with held(out, ASKED) if record.is_file() else new_folder(out):
         if not record.is_file():
             write_json(record, known)

@@ -108,8 +108,8 @@ class LineResult:
     def band_words(self) -> str:
         """Description of the band for the user."""
         if self.extremes is not None:
-            return "all constants at the lower and the upper ends of the mix's bands"
-        return f"a slip layer that resists {self.layer_factor:g} times less or more"
+            return "all constants at the lower and upper ends of the mix's bands"
+        return f"{self.layer_factor:g} times less or more resistance of the slip layer"
 
     def course(self, of: Callable[[Loss], float]) -> tuple[np.ndarray, np.ndarray]:
         """Return places along the line between its parts [m] and the pressure there [Pa], both of shape (parts + 1,).
@@ -130,8 +130,8 @@ class LineResult:
         course = self.course(lambda loss: loss.friction + loss.weight)[1]
         for number, loss in enumerate(self.losses):
             if course[number + 1] + loss.friction + loss.weight < 0:
-                found.append(f"concrete runs down part {loss.part.number} faster than it is pumped, and parts there: "
-                             "the pressure before it counts from 0")  # fmt: skip
+                found.append(f"concrete flows down part {loss.part.number} faster than it is pumped and separates "
+                             "there, so the pressure before this part counts from 0")  # fmt: skip
         return found
 
     def record(self) -> dict[str, Any]:
@@ -174,7 +174,7 @@ def lines_of(result: LineResult) -> list[str]:
         f"{3600 * result.flow:.4g} m3/h",
         "",
         f"- pressure at the pump {_bar(result.pressure)}; {_bar(low)} to {_bar(high)} with {result.band_words}",
-        f"- by theory, bends and reducers as straight pipe, {_bar(result.theory)}",
+        f"- by theory, with bends and reducers as straight pipe, {_bar(result.theory)}",
         f"- power into the concrete {result.power / 1e3:.3g} kW",
     ]
     if result.line.recorded is not None:
@@ -202,7 +202,11 @@ def draw(result: LineResult) -> Any:
     axes = figure.add_subplot()
     low, high = (result.course(of)[1] / 1e5 for of in result.ends())
     places, ours = result.course(lambda x: x.friction + x.weight)
-    words = "band of the mix" if result.extremes else f"slip layer {result.layer_factor:g} times less, more"
+    words = (
+        "band of the mix"
+        if result.extremes
+        else (f"resistance of the slip layer {result.layer_factor:g} times less or more")
+    )
     axes.fill_between(places, low, high, color="C0", alpha=0.15, linewidth=0, label=words)
     if result.simulated:
         axes.plot(places, ours / 1e5, color="C0", linewidth=1.8, label="simulated")
@@ -216,7 +220,7 @@ def draw(result: LineResult) -> Any:
         begin += x.part.length
     if result.line.recorded is not None:
         axes.plot(0, result.line.recorded / 1e5, "k+", markersize=11, clip_on=False, label="recorded")
-    axes.set(xlabel="along the line [m]", ylabel="pressure [bar]", xlim=(0, places[-1]), ylim=(0, None))
+    axes.set(xlabel="position along the line [m]", ylabel="pressure [bar]", xlim=(0, places[-1]), ylim=(0, None))
     axes.set_title(f"{result.line.name}, {result.concrete.name}, {3600 * result.flow:.3g} m3/h", fontsize=10)
     axes.legend(frameon=False, fontsize=9)
     axes.spines[["top", "right"]].set_visible(False)

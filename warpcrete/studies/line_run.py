@@ -64,7 +64,12 @@ def run_line(
     if out is not None and not (out / ASKED).is_file():
         check_new(out)
     if known is not None and not (known / "parts").is_dir():
-        refuse("known", str(known), "is no folder of a line with simulated parts", "take one that has a folder 'parts'")
+        refuse(
+            "known",
+            str(known),
+            "is not the folder of a line with simulated parts",
+            "give one that contains a folder 'parts'",
+        )
     tell = progress or (lambda phase, fraction, figures: None)
     kinds = {part.alike: part for part in line.parts} if simulate else {}
     cases = {key: _case(part, concrete, flow, cells) for key, part in kinds.items()}

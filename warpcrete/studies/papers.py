@@ -85,7 +85,7 @@ def late(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str
     """Judge whether the first two pressures are equal and the further ones grow."""
     level, what = flat(values[:2], pressures[:2])
     grown, how = growing(values[1:], pressures[1:])
-    return level and grown, f"of the first two {what}; then {how}"
+    return level and grown, f"the first two values: {what}; then {how}"
 
 
 OF_ALL = (narrow, late)
@@ -132,14 +132,14 @@ calibrated on units A and B; and stones of 1e7 Pa, loosely packed, with the same
 
 OPEN: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {
     "equal fraction": ({"solid_fraction": 0.70}, ("units", "diameter", "aggregate size", "shape factor"),
-        "packed to a solid fraction of 0.70, which the reference mix has at the plug's pressure, whatever the pipe, "
-        "sizes and shapes"),
+        "packed to a solid fraction of 0.70 for every pipe, sizes and shapes; the reference mix has this fraction at "
+        "the plug's pressure"),
     "yielding layer": ({"layer_viscosity": 0.0, "layer_yield": 357.0}, ("units", "velocity"),
-        "the layer's stress at 0.3 m/s at any speed, as a yield stress of 357 Pa"),
+        "the layer's stress at 0.3 m/s as a yield stress of 357 Pa, at every speed"),
     "half yielding layer": ({"layer_viscosity": 595.0, "layer_yield": 178.5}, ("units", "velocity"),
-        "the same stress at 0.3 m/s, half of it a yield stress"),
-    "faceted pipe": ({"wall": "mesh", "facets": 64}, ("units",), "a pipe of 64 facets for the exact one"),
-    "longer plug": ({"plug_layers": 12}, ("units",), "a plug of twelve layers of balls for two (six in bends)"),
+        "the same stress at 0.3 m/s, half of it as a yield stress"),
+    "faceted pipe": ({"wall": "mesh", "facets": 64}, ("units",), "a pipe of 64 facets instead of the exact one"),
+    "longer plug": ({"plug_layers": 12}, ("units",), "a plug of twelve layers of balls instead of two (six in bends)"),
 }  # fmt: skip
 """Assumptions about details that Zhan et al. leave open. Each entry has parameters that are added to the calibrated
 concrete, the parameter variations that are run with them, and a description. Nothing is calibrated again, so the

@@ -30,16 +30,19 @@ def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> Non
     """
     pipe = getattr(scene, "pipe", None)
     if pipe is None:
-        refuse("pipeline", scene.name, "is Eq. 13 of straight units of discrete elements", "take the scene pipe")
+        refuse("pipeline", scene.name, "needs a straight unit of discrete elements (Eq. 13)", "use the scene pipe")
     one_of("unit", pipe.name, STRAIGHT)
     if not past_ramp(scene, pipe.travel):
         refuse(
-            "travel", pipe.travel, f"leaves the pressure no plateau, by which Eq. 13 goes (ramp {pipe.ramp:g} m)",
+            "travel", pipe.travel, "is too short for a plateau of the pressure, which Eq. 13 needs (ramp "
+                                   f"{pipe.ramp:g} m)",
             f"move the piston {pipe.ramp / (1 - WINDOW):.3g} m or more, or shorten the ramp",
         )  # fmt: skip
     if other is not None:
         if not other.get("finished") or "plateau_pressure" not in other or "concrete_length" not in other:
-            raise RunFolderError(f"pipeline_other = '{source}': holds no finished pipe run with a plateau")
+            raise RunFolderError(
+                f"pipeline_other = '{source}': is not a finished pipe run with a plateau; give the folder of one"
+            )
         one_of("unit of pipeline_other", other.get("unit"), [u for u in STRAIGHT if u != pipe.name])
 
 

@@ -49,7 +49,7 @@ def reproduce(
     """
     one_of("paper", paper, PAPERS)
     if not 1 <= seeds <= MOST_CASES:
-        refuse("seeds", seeds, f"must be 1 to {MOST_CASES}")
+        refuse("seeds", seeds, f"must be from 1 to {MOST_CASES}")
     columns, rows = chosen(paper, only)
     taken: dict[str, Any] = {}
     for folder in known:
@@ -73,7 +73,9 @@ def resume_reproduction(
 def _go_on(folder: Path, processes: int | None, progress: Progress | None) -> Reproduction:
     record = read_record(folder / RECORD)
     if not {"paper", "quick", "seeds", "device"} <= set(record) or record["paper"] not in ("zhan", "xu"):
-        raise RunFolderError(f"'{folder / RECORD}': holds no reproduction")
+        raise RunFolderError(
+            f"'{folder / RECORD}': is not the record of a reproduction; give the folder of a reproduction"
+        )
     found = Reproduction(folder, record["paper"], record["quick"], record["seeds"], record["device"],
                          tuple(record.get("columns", ())), tuple(record.get("rows", ())))  # fmt: skip
     if (folder / KNOWN).is_file():
@@ -105,12 +107,12 @@ def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return the report columns and rows of Zhan et al. named in `only`; an empty list stands for all of them."""
     columns, rows = [*CONCRETES, *OPEN], [UNITS_ROW, *(row.name for row in ZHAN)]
     if only and paper != "zhan":
-        refuse("only", list(only), "is for zhan, whose cases are many", "leave it out")
+        refuse("only", list(only), "can be used with paper zhan only", "leave it out")
     for name in only:
         one_of("only", name, [*columns, *rows])
     columns, rows = [name for name in columns if name in only], [name for name in rows if name in only]
     if columns and rows and not any(row in rows_of(column) for column in columns for row in rows):
-        refuse("only", list(only), "leaves nothing to run",
+        refuse("only", list(only), "selects no runs",
                f"{columns[0]} is run with {', '.join(rows_of(columns[0]))}")  # fmt: skip
     return columns, rows
 
@@ -118,11 +120,12 @@ def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
 def _results(folder: Path, paper: str, quick: bool) -> dict[str, Any]:
     """Return the results in the folder of an earlier reproduction of the same paper, without failed runs."""
     if not (folder / RECORD).is_file() or not (folder / "results.json").is_file():
-        raise RunFolderError(f"known = '{folder}': holds no results of a reproduction")
+        raise RunFolderError(f"known = '{folder}': contains no results of a reproduction")
     record = read_record(folder / RECORD)
     if (record.get("paper"), record.get("quick")) != (paper, quick):
-        refuse("known", str(folder), f"is of {record.get('paper')}{', quick' if record.get('quick') else ''}",
-               f"take one of {paper}{', quick' if quick else ''}")  # fmt: skip
+        refuse("known", str(folder), "contains results of "
+                                     f"{record.get('paper')}{', quick' if record.get('quick') else ''}",
+               f"give a folder of {paper}{', quick' if quick else ''}")  # fmt: skip
     return read_json(folder / "results.json")["results"]
 
 

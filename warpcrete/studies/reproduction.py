@@ -83,8 +83,8 @@ def judged(found: Reproduction, row: Row, name: str) -> tuple[list[float], str]:
     if len(there) < len(means):
         lost = ", ".join(f"{row.places[k]:g}" for k in range(len(means)) if k not in there)
         if len(there) < 3 or row.judge in OF_ALL:
-            return means, f"too few ran to their ends (not {lost})"
+            return means, f"too few runs finished (missing: {lost})"
         holds, what = row.judge([row.places[k] for k in there], [means[k] for k in there])
-        return means, f"{'holds' if holds else 'differs'} of those that ran to their ends (not {lost}): {what}"
+        return means, f"{'holds' if holds else 'differs'} for the finished runs (missing: {lost}): {what}"
     holds, what = row.judge(row.places, means)
     return means, f"{'holds' if holds else 'differs'}: {what}"

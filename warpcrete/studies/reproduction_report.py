@@ -26,11 +26,15 @@ from .papers import (
 from .reproduction import Reproduction, judged, key_of, pressures, unit_case
 
 WHAT = {
-    "literal": "Table 1 as it is printed",
-    "calibrated": "with a wall layer of 1190 Pa s/m and a wall friction of 0.034, fitted to the ends of units A and B "
-    "only; all else is predicted",
-    "stiff stones": "contacts of 1e7 Pa packed to a solid fraction of 0.62 instead of 1e5 Pa and 1 kPa; the layer, "
-    "1660 Pa s/m, fitted to the same ends",
+    "literal": "Table 1 as printed",
+    "calibrated": (
+        "with a wall layer of 1190 Pa s/m and a wall friction of 0.034, fitted to the ends of units A and "
+        "B only; everything else is predicted"
+    ),
+    "stiff stones": (
+        "contacts of 1e7 Pa, packed to a solid fraction of 0.62, instead of contacts of 1e5 Pa packed to "
+        "1 kPa; the layer of 1660 Pa s/m is fitted to the same ends"
+    ),
 }
 """Descriptions of the concretes in the report."""
 
@@ -71,7 +75,9 @@ def _zhan(found: Reproduction) -> Iterator[str]:
     yield "# Zhan et al. 2019, reproduced"
     yield ""
     sizes = (
-        "coarse spheres of 15 to 40 mm for its clumps of 5 to 20 (--quick)" if found.quick else "four clump templates"
+        "coarse spheres of 15 to 40 mm instead of clumps of 5 to 20 mm (--quick)"
+        if found.quick
+        else "four clump templates"
     )
     yield f"{len(found.results)} results, {found.seeds} seed(s) each, {sizes}."
     for name in ran(found):
@@ -106,7 +112,9 @@ def _units(found: Reproduction) -> Iterator[str]:
         yield f"| {letter} {unit} | {_printed(*PRINTED[unit])} | " + " | ".join(cells) + " |"
     for letter, unit in zip("AB", UNITS):
         cells = [_metres(_of_unit(found, name, unit, "peak_travel")) for name in ran(found)]
-        yield f"| {letter}, largest at [m] | {PRINTED_TRAVEL[unit]:.2f} | " + " | ".join(cells) + " |"
+        yield (
+            f"| {letter}, travel at the largest pressure [m] | {PRINTED_TRAVEL[unit]:.2f} |" + " | ".join(cells) + " |"
+        )
     yield ""
 
 
@@ -115,12 +123,12 @@ def _open(found: Reproduction) -> Iterator[str]:
     names = ran(found, OPEN)
     if not names:
         return
-    yield "## What the paper leaves open: units, with the calibrated concrete and nothing fitted again"
+    yield "## What the paper leaves open: units with the calibrated concrete, without a new fit"
     yield ""
     for name in names:
         yield f"- **{name}**: {OPEN[name][2]}."
     yield ""
-    yield "| | " + " | ".join("ABCD") + " | largest of A at [m] | of B |"
+    yield "| | " + " | ".join("ABCD") + " | travel at the largest pressure of A [m] | of B |"
     yield "|---|---|---|---|---|---|---|"
     for name in [*(["calibrated"] if "calibrated" in ran(found) else []), *names]:
         cells = [_pair(_of_unit(found, name, unit, "peak_pressure"), _of_unit(found, name, unit, "end_pressure"))
@@ -156,7 +164,7 @@ def _with_scatter(values: list[float]) -> str:
 
 def _pipelines(found: Reproduction) -> Iterator[str]:
     """Yield the table of whole pipelines by the paper's Eq. 13, from the final pressures of units A and B."""
-    yield "Eq. 13, a whole pipeline from a metre up and a metre along [MPa]:"
+    yield "Eq. 13, pressure of a whole pipeline from one metre of vertical and one metre of horizontal pipe [MPa]:"
     yield ""
     yield "| pipeline | recorded | paper | " + " | ".join(ran(found)) + " |"
     yield "|---|---|---|" + "---|" * len(ran(found))
@@ -195,7 +203,7 @@ def _verdict(errors: list[float], count: int) -> str:
     if len(errors) < count:
         return f"Not judged: {count - len(errors)} of {count} runs are missing."
     worst = float(np.max(errors))
-    return f"Pressure {'holds' if worst < 0.03 else 'differs'}: at most {100 * worst:.2f} % off its closed form."
+    return f"Pressure {'holds' if worst < 0.03 else 'differs'}: at most {100 * worst:.2f} % off the closed form."
 
 
 def draw(found: Reproduction) -> Any:
@@ -230,9 +238,9 @@ def _xu(found: Reproduction) -> Iterator[str]:
     yield "# Xu, Li & Jiang 2021, reproduced"
     yield ""
     yield (
-        "Channel: between planes, as the paper computes; tube: the round pipe that it means. Theory is the closed form "
-        "of that geometry. The paper reports errors below 3 %, and pairs a pipe's flow with a channel's balance of "
-        "forces."
+        "Channel: between planes, as computed in the paper; tube: the round pipe that the paper describes. Theory is "
+        "the closed form of each geometry. The paper reports errors below 3 %, and combines the flow of a pipe with "
+        "the balance of forces of a channel."
     )
     for group, cases in xu_cases(found.quick).items():
         yield ""

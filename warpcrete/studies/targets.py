@@ -154,28 +154,34 @@ def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any], folder: Path | N
     for key in raw:
         if key not in KEYS:
             with within(raw, key):
-                refuse("targets", key, "is no key of a file of targets", known_names(key, KEYS))
+                refuse("targets", key, "is not a key of a file of targets", known_names(key, KEYS))
     base = raw.get("base")
     if base is not None:
         concrete(str(base))
     vary, listed = raw.get("vary"), raw.get("targets")
     if not isinstance(vary, Mapping) or not vary:
-        refuse("vary", vary, "must be one parameter or more, each with its range", "for example 'friction: [0, 0.5]'")
+        refuse(
+            "vary", vary, "must contain one parameter or more, each with its range", "for example 'friction: [0, 0.5]'"
+        )
     if not isinstance(listed, Sequence) or isinstance(listed, str) or not listed:
-        refuse("targets", listed, "must be a list of one or more",
-               "'- {scene: ..., quantity: ..., value: ..., uncertainty: ...}'")  # fmt: skip
+        refuse(
+            "targets",
+            listed,
+            "must be a list of one or more targets",
+            "'- {scene: ..., quantity: ..., value: ..., uncertainty: ...}'",
+        )
     targets = []
     for place, each in enumerate(listed):
         with within(listed, place):
             targets.append(_target(place + 1, each, modules, vary, folder or Path()))
     if base is not None and not any("concrete" in _known(modules, target.scene) for target in targets):
-        refuse("base", base, "is taken by none of the targets' scenes", "leave it out")
+        refuse("base", base, "is not used by the scene of any target", "leave it out")
     free = []
     for name, given in vary.items():
         with within(vary, name):
             free.append(_free(str(name), given, _field(str(name), targets, modules)))
     if all(target.held_out for target in targets):
-        refuse("held_out", True, "is every target's", "fit at least one")
+        refuse("held_out", True, "must not be set for every target", "fit at least one target")
     task = Task(None if base is None else str(base), tuple(free), tuple(targets))
     checked = []
     for place, target in enumerate(targets):
@@ -193,13 +199,13 @@ def _known(modules: Mapping[str, Any], scene: str) -> Mapping[str, Field]:
 def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[str, Any], folder: Path) -> Target:
     called = f"target {place}"
     if not isinstance(given, Mapping):
-        refuse(called, given, "must be 'key: value' pairs", f"keys are {', '.join(TARGET_KEYS)}")
+        refuse(called, given, "must be 'key: value' pairs", f"the keys are {', '.join(TARGET_KEYS)}")
     for key in given:
         if key not in TARGET_KEYS:
-            refuse(called, key, "is no key of a target", known_names(key, TARGET_KEYS))
+            refuse(called, key, "is not a key of a target", known_names(key, TARGET_KEYS))
     missing = [key for key in TARGET_KEYS[:4] if given.get(key) is None]
     if missing:
-        refuse(called, dict(given), f"needs {', '.join(missing)}")
+        refuse(called, dict(given), f"must have {', '.join(missing)}")
     if not isinstance(given["scene"], str) or given["scene"] not in modules:
         refuse(f"{called} scene", given["scene"], f"must be one of {', '.join(modules)}",
                suggested(given["scene"], modules))  # fmt: skip
@@ -216,7 +222,7 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
             parameters[name] = os.path.realpath(folder / parameters[name])
     for name in vary:
         if name in parameters:
-            refuse(f"{called} parameters", name, "is held there and varied at once", "leave out one of both")
+            refuse(f"{called} parameters", name, "cannot be both given here and varied", "leave out one of the two")
     held = given.get("held_out", False)
     if not isinstance(held, bool):
         refuse(f"{called} held_out", held, "must be true or false")
@@ -228,7 +234,7 @@ def _in_unit(called: str, given: Any, quantity: str) -> Any:
     """Return a text such as "550 mm" as a number in the unit of `quantity`, and anything else unchanged."""
     units = {each.name: each.unit for method in METHODS for each in method.quantities}
     if isinstance(given, str) and quantity not in units:
-        refuse("quantity", quantity, "is measured in no scene", known_names(quantity, units))
+        refuse("quantity", quantity, "is not measured in any scene", known_names(quantity, units))
     if isinstance(given, str) and units[quantity] in UNITS:
         return amount(called, given, units[quantity])
     return given
@@ -242,7 +248,12 @@ def _uncertainty(called: str, given: Any, value: float, quantity: str) -> float:
     elif not (isinstance(given, str) and "%" in given):
         given = _in_unit(called, given, quantity)
     if isinstance(given, bool) or not isinstance(given, int | float) or not math.isfinite(given) or given <= 0:
-        refuse(called, given, "must be a number above 0 in the value's unit, or a part of it", "for example '5%'")
+        refuse(
+            called,
+            given,
+            "must be a number above 0 in the value's unit, or a percentage of the value",
+            "for example '5%'",
+        )
     return float(given)
 
 
@@ -252,11 +263,11 @@ def _field(name: str, targets: Sequence[Target], modules: Mapping[str, Any]) -> 
     known = [_known(modules, scene) for scene in scenes]
     fields = [each[name] for each in known if name in each]
     if not fields:
-        refuse("vary", name, f"is no parameter of {', '.join(scenes)}",
+        refuse("vary", name, f"is not a parameter of {', '.join(scenes)}",
                suggested(name, {key for each in known for key in each}) or
                "'warpcrete run SCENE --help' lists them")  # fmt: skip
     if {field.kind for field in fields} - {int, float} or name == "seed":
-        refuse("vary", name, "must be a parameter that is a number (and not the seed)")
+        refuse("vary", name, "must be a numeric parameter other than the seed")
     return next((field for field in fields if field.kind is int), fields[0])
 
 
@@ -278,11 +289,11 @@ def _free(name: str, given: Any, field: Field) -> Free:
         field.check_limits(field.converted(each, called), called)
     low, high = map(float, given)
     if not low < high:
-        refuse(called, [low, high], "must be [low, high] with low below high", f"[{high:g}, {low:g}]?")
+        refuse(called, [low, high], "must be [low, high] with low below high", f"did you mean [{high:g}, {low:g}]?")
     if scale not in (None, "log", "linear"):
         refuse(f"{called} scale", scale, "must be log or linear")
     if scale == "log" and low <= 0:
-        refuse(called, [low, high], "must be above 0 to be searched by its logarithm", "take scale: linear")
+        refuse(called, [low, high], "must be above 0 for a logarithmic scale", "use scale: linear")
     return Free(name, low, high, scale == "log" or (scale is None and low > 0 and high / low >= DECADE), whole)
 
 
@@ -307,7 +318,7 @@ def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
                known_names(target.quantity, known))  # fmt: skip
     unit = known[target.quantity].unit
     if unit in ("m", "s") and target.value < 0:
-        refuse(f"{target.quantity} of {target.scene}", target.value, f"must not be below 0 {unit}")
+        refuse(f"{target.quantity} of {target.scene}", target.value, f"must be at least 0 {unit}")
     check_limit(f"{target.quantity} of {target.scene}", target.value, unit, target.quantity)
     return Target(target.scene, target.quantity, target.value, target.uncertainty, target.parameters,
                   target.held_out, unit)  # fmt: skip
@@ -322,8 +333,8 @@ def _agree(targets: Sequence[Target]) -> None:
             if same and abs(one.value - other.value) > APART * scatter:
                 apart = abs(one.value - other.value) / scatter
                 refuse("targets", f"{other.words(other.value)} and {one.words(one.value)}",
-                       f"contradict one another: both are the {one.label}, {apart:.2g} standard deviations apart",
-                       "correct one, or widen their uncertainties")  # fmt: skip
+                       f"contradict each other: both are the {one.label}, {apart:.2g} standard deviations apart",
+                       "correct one of them, or increase their uncertainties")  # fmt: skip
 
 
 def found_in(result: Mapping[str, Any], target: Target) -> float | None:

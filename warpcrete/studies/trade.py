@@ -80,7 +80,7 @@ def run_trade(
     check_scheduler(scheduler, workers)
     trading = getattr(module, "trading", None)
     if trading is None:
-        refuse("scene", scene_name, "says nothing of what could be traded", "its file has no `trading`")
+        refuse("scene", scene_name, "has no settings that a trade could vary", "define `trading` in the scene's file")
     scene = module.scene(**(base or {}))
     check_named(scene)
     given = module.scene.declared(base or {})
@@ -91,19 +91,19 @@ def run_trade(
         if name not in known:
             refuse("quantity", name, f"must be among {', '.join(known)}")
         if trading.closed_form(given) and f"{name}_error" not in known:
-            refuse("quantity", name, "has no closed form to be compared with",
-                   f"take {' or '.join(n for n in known if f'{n}_error' in known)}")  # fmt: skip
+            refuse("quantity", name, "has no closed form for comparison",
+                   f"use {' or '.join(n for n in known if f'{n}_error' in known)}")  # fmt: skip
     all_knobs = [knob.name for knob in trading.knobs(given) if len(knob.levels) > 1]
     for name in knobs or ():
         if name not in all_knobs:
             refuse("knob", name, f"must be among {', '.join(all_knobs)}")
     seeded = _random(scene)
     if repeat is not None and repeat > 1 and not seeded:
-        refuse("repeat", repeat, "goes by seeds, and nothing is random in this scene", "leave it out")
+        refuse("repeat", repeat, "must be 1, because nothing in this scene is random", "leave it out")
     if repeat is not None and repeat > MOST_CASES:
         refuse("repeat", repeat, f"must be at most {MOST_CASES}")
     if repeat is not None and repeat < (2 if seeded else 1):
-        refuse("repeat", repeat, "must be 2 or more, or nothing says how far seeds scatter" if seeded else "must be 1")
+        refuse("repeat", repeat, "must be at least 2, to measure the scatter between seeds" if seeded else "must be 1")
     positive("budget", budget, "s")
     check_limit("budget", budget, "s")
     threads = 1 if threads is None and scheduler else threads
@@ -151,8 +151,8 @@ def _check_cores(scheduler: str | None, workers: int | None, device: str | None,
     between("threads", 1 if threads is None else threads, 1, float("inf"))
     if scheduler == "local" and workers and workers * (threads or 1) > cores and not find_device(device).is_cuda:
         refuse(
-            "workers", workers, f"and threads = {threads} want more cores than there are here, {cores}",
-            "times would be those of cores that are shared; take fewer",
+            "workers", workers, f"and threads = {threads} need more cores than the {cores} of this machine",
+            "use fewer, because runs that share cores give wrong times",
         )  # fmt: skip
 
 
@@ -180,10 +180,16 @@ def resume_trade(
         if not trade.quantities:
             raise KeyError("quantities")
     except (KeyError, TypeError) as error:
-        raise RunFolderError(f"'{folder / 'trade.json'}': holds no trade ({type(error).__name__}: {error})") from error
+        raise RunFolderError(
+            f"'{folder / 'trade.json'}': is not the record of a trade ({type(error).__name__}: "
+            f"{error}); give the folder of a trade"
+        ) from error
     now = versions()["warpcrete"]
     if version != now:
-        raise RunFolderError(f"'{folder}': was made by version {version}, this is {now}; their figures do not mix")
+        raise RunFolderError(
+            f"'{folder}': was made by version {version}, but this is {now}, so times cannot be "
+            "compared; start a new trade"
+        )
     positive("budget", budget, "s")
     check_limit("budget", budget, "s")
     if scheduler is None:
@@ -193,7 +199,10 @@ def resume_trade(
     _check_cores(scheduler, workers, device, trade.threads)
     with held(folder, "trade.json"), open_cluster(scheduler, workers, device, trade.threads) as cluster:
         if cluster is not None and (here := cluster.hardware(device)) != trade.hardware:
-            raise RunFolderError(f"'{folder}': holds times of {trade.hardware}, workers have {here}; they do not mix")
+            raise RunFolderError(
+                f"'{folder}': contains times of {trade.hardware}, but the workers have {here}, so "
+                "times cannot be compared; use the same hardware"
+            )
         return _go_on(trade, budget, cluster, progress)
 
 
@@ -225,17 +234,22 @@ def _measure(trade: Trade, tell: Tell) -> None:
 def _phases(trade: Trade, given: Point, tell: Tell) -> None:
     if not trade.run(given, trade.seeds[:1], tell):
         if given.failure:
-            refuse("scene", trade.scene_name, f"does not run as it is given: {given.failure}")
+            refuse("scene", trade.scene_name, f"does not run as given: {given.failure}")
         return
     needed = trade.rounds(2 * len(trade.seeds)) * given.cost
     if trade.spent > 0 and needed > trade.budget:  # a resumed study may need only few further runs
         refuse(
-            "budget", f"{trade.budget:.3g} s", "is too short for a pair of runs" + " of every seed" * trade.has_seeds,
-            f"one takes {given.cost:.3g} s; give {5 * needed:.2g} s or more",
+            "budget", f"{trade.budget:.3g} s", "is too short for two runs" + " for every seed" * trade.has_seeds,
+            f"one run takes {given.cost:.3g} s; give {5 * needed:.2g} s or more",
         )  # fmt: skip
     missing = [each.name for each in trade.quantities if not given.values(each.name, trade.seeds)]
     if missing:
-        refuse("quantity", missing[0], "is nothing that the scene as given comes to", "name another, or change it")
+        refuse(
+            "quantity",
+            missing[0],
+            "is missing in the result of the scene as given",
+            "choose another quantity, or change the scene",
+        )
     if not trade.run(given, trade.seeds, tell):
         return
     _one_at_a_time(trade, tell)

@@ -32,7 +32,7 @@ def table(trade: Trade) -> str:
     """Return Markdown with the cost and errors of every setting, and the best settings for each wanted error."""
     against = "the closed form" if trade.exact else "the finest setting reached"
     best = on_front(trade)
-    head = ["setting", "time [s]", "over as given", "work [million particle-steps]", "memory [MB]"]
+    head = ["setting", "time [s]", "relative time", "work [million particle-steps]", "memory [MB]"]
     head += [f"{each.title} [{shown(each.unit)[1]}]" for each in trade.quantities]
     head += [f"error of {each.title}" for each in trade.quantities] + ["runs", "remarks"]
     lines = [f"Errors against {against}.{_beside(trade)}", "", "| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
@@ -62,19 +62,19 @@ def _beside(trade: Trade) -> str:
     most = trade.record.get("abreast", 1)
     if most == 1:
         return ""
-    return f" Up to {most} runs were made beside one another, each on a worker of its own: {trade.machine}."
+    return f" Up to {most} runs were made at the same time, each on its own worker: {trade.machine}."
 
 
 def promises(trade: Trade) -> list[str]:
     """Return the lines of a Markdown table with the best settings for each wanted error."""
     lines = [
-        "| error wanted | setting | time over as given | promised | found with fresh seeds | in other scenes |",
+        "| error wanted | setting | relative time | guaranteed error | error with fresh seeds | in other scenes |",
         "|---|---|---|---|---|---|",
     ]
     for promise in trade.promises:
         point = promise.point
         if point is None:
-            lines.append(f"| {100 * promise.target:g} % | none that was measured stays within | - | - | - | - |")
+            lines.append(f"| {100 * promise.target:g} % | no measured setting meets it | - | - | - | - |")
             continue
         found = percent(promise.found) if promise.found else "not tried" if trade.has_seeds else "nothing is random"
         ratio = point.cost / trade.given.cost
@@ -196,7 +196,7 @@ def draw(trade: Trade) -> Any:
     bottom = 60 * min(sizes)
     reference = None if trade.reference is None else trade.reference.worst
     if reference is not None and reference.interval > 0:
-        axes.axhspan(bottom, 100 * reference.interval, color="0.92", zorder=-1, label="scatter of the finest")
+        axes.axhspan(bottom, 100 * reference.interval, color="0.92", zorder=-1, label="scatter of the finest setting")
     axes.set(
         xscale="log", yscale="log", xlabel=f"time of a run [s] on {trade.machine}", ylabel="largest error [%]",
         title=f"{trade.scene_name}: {', '.join(each.title for each in trade.quantities)}",

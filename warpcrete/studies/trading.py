@@ -248,7 +248,8 @@ class Trade:
                 if not (point is self.given and not point.results) and self.expected(point) > left:
                     if first == 0 and not point.results:
                         point.left_out = (
-                            f"not run: takes some {self.expected(point):.2g} s, {max(left, 0):.2g} s were left"
+                            f"not run: needs about {self.expected(point):.2g} s, but only {max(left, 0):.2g} s were "
+                            "left"
                         )
                     break
                 tell(f"{self.label(point)} {point.variant}".strip(), min(self.spent / self.budget, 1.0), {})

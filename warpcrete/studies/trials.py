@@ -40,8 +40,8 @@ def run_trial(record: dict[str, Any], module: Any, folder: Path, trial: Trial, a
     here = hardware(record["device"])
     if here != record["hardware"]:
         raise WarpcreteError(
-            f"scheduler: has a worker on {here}, where times of this trade are of {record['hardware']} and would not "
-            "compare; take workers of one kind"
+            f"scheduler: has a worker on {here}, but this trade measured times on {record['hardware']}, which cannot "
+            "be compared; use workers of one kind"
         )
     found: list[Any] = []
     begun, warm = time.perf_counter(), trial.warm

@@ -121,7 +121,7 @@ class FreeDisplay(Display):
 
     def plots(self) -> tuple[Plot, ...]:
         """Return curves of the concrete's width, height and speed over time, or for a funnel of what remains in it."""
-        word = "spread" if self._axial else "way of the front"
+        word = "spread" if self._axial else "position of the front"
         if self.simulation.scene.test == "funnel":
             return (
                 Plot(

@@ -64,12 +64,12 @@ class FreeSimulation(FlowRun):
         at = f"t = {row['time']:.6g} s"
         for name, value in row.items():
             if not math.isfinite(value):
-                raise InstabilityError(f"{at}: {name} is not a finite number; take a smaller time step")
+                raise InstabilityError(f"{at}: {name} is not a finite number; use a smaller time step")
         room = self.scene.width - 2 * self.flow.state.layout.spacing
         if self.scene.test == "slump" and self.flow.steps and reach(self.flow) > room:
             raise InstabilityError(
-                f"{at}: the concrete has reached the edge of the plate, {self.scene.width:g} m from its middle; take a "
-                "larger one (plate_radius)"
+                f"{at}: the concrete has reached the edge of the plate, {self.scene.width:g} m from its middle; use a "
+                "larger plate (plate_radius)"
             )
 
     @property

@@ -182,7 +182,7 @@ def check_memory(cells: tuple[int, ...], device: Any, precision: str) -> None:
     if needed > MEMORY_FRACTION * free:
         raise CapacityError(
             f"cells = {slots}: need about {needed / 2**30:.3g} GiB on {device}, which has {free / 2**30:.3g} GiB "
-            "free; take a coarser spacing, or a device with more memory"
+            "free; use a coarser spacing, or a device with more memory"
         )
 
 

@@ -95,7 +95,7 @@ class PartDisplay(Display):
 
     def profiles(self) -> tuple[Profile, ...]:
         """Return the pressure along the axis, with that of straight pipes by theory."""
-        return (Profile("pressure", "Pressure [kPa] over the way along the axis [m]", (
+        return (Profile("pressure", "Pressure [kPa] over the position along the axis [m]", (
             Points("this run", self._pressures, OURS), Points("theory", self._expected, THEORY),
         )),)  # fmt: skip
 

@@ -59,7 +59,7 @@ class PartSimulation(FlowRun):
         """Raise :class:`InstabilityError` if the row shows that the state is no longer meaningful."""
         for name, value in row.items():
             if not math.isfinite(value):
-                raise InstabilityError(f"t = {row['time']:.6g} s: {name} is not a finite number; take a smaller time "
+                raise InstabilityError(f"t = {row['time']:.6g} s: {name} is not a finite number; use a smaller time "
                                        "step, or longer straight ends")  # fmt: skip
 
     def ended_early(self) -> bool:
