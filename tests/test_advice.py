@@ -7,7 +7,7 @@ from pumping import command
 
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
-from warpcrete.studies.advice import SHIPPED, advise, shipped
+from warpcrete.studies.tradeoffs.advice import SHIPPED, advise, shipped
 
 
 def test_coarser_aggregate_is_that_of_the_scene(tmp_path):

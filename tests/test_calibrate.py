@@ -12,16 +12,16 @@ import pytest
 from pumping import command
 
 from warpcrete import SceneError, WarpcreteError, scenes
-from warpcrete.core.yaml_files import yaml_text
+from warpcrete.core.inputs.yaml_files import yaml_text
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
-from warpcrete.studies.calibrate import calibrate, resume_calibration
-from warpcrete.studies.calibration_report import concrete_of
-from warpcrete.studies.posterior import told_apart
-from warpcrete.studies.targets import read_task, task_of
+from warpcrete.studies.calibration.calibrate import calibrate, resume_calibration
+from warpcrete.studies.calibration.posterior import told_apart
+from warpcrete.studies.calibration.report import concrete_of
+from warpcrete.studies.calibration.targets import read_task, task_of
 from warpcrete.theory.pipe import CONCRETES
 
-SEARCH = importlib.import_module("warpcrete.studies.calibrate")
+SEARCH = importlib.import_module("warpcrete.studies.calibration.calibrate")
 SLUMP = {"scene": "slump", "parameters": {"concrete": "own", "density": 2350.0}}
 FUNNEL = {"scene": "funnel", "parameters": {"concrete": "own", "density": 2350.0}}
 TUBE = {"scene": "tube", "parameters": {"concrete": "own", "density": 2350.0, "viscosity": 40.0, "yield_stress": 60.0}}

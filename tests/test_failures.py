@@ -18,8 +18,8 @@ import warpcrete
 from warpcrete import Simulation, scenes
 from warpcrete.cli import cli
 from warpcrete.core.errors import DiskFullError, RunFolderError, SceneError
-from warpcrete.core.fingerprints import fingerprint
-from warpcrete.core.run_loop import Recorder
+from warpcrete.core.inputs.fingerprints import fingerprint
+from warpcrete.core.run.run_loop import Recorder
 from warpcrete.geometry.meshes import enclosed
 from warpcrete.record.notebook import show
 from warpcrete.record.run_folder import TableRecorder

@@ -295,7 +295,7 @@ def test_unstable_fixed_step_is_refused_and_a_stable_one_is_not(start):
     import math
 
     from warpcrete import SceneError
-    from warpcrete.dem.scene import Bodies, Contact, Scene, TimeStep
+    from warpcrete.dem.scene.scene import Bodies, Contact, Scene, TimeStep
 
     # Two touching spheres: k_n and the normal dashpot. That either may yet touch a wall, where k_s = k_n/2 moves and
     # turns it (3.5 k_s), asks for less, since the estimate has a factor of 2 in hand for stiffness.

@@ -8,15 +8,15 @@ from conftest import bonds_of
 from pumping import SMALL
 
 from warpcrete import SceneError, Simulation, scenes
-from warpcrete.core.run_loop import Recorder
+from warpcrete.core.run.run_loop import Recorder
 from warpcrete.dem.batch_run import run_batch
-from warpcrete.dem.bonding import listed_pairs
-from warpcrete.dem.clumps import ClumpTemplate
-from warpcrete.dem.concretes import COVERAGE
+from warpcrete.dem.engine.bonding import listed_pairs
+from warpcrete.dem.engine.state_data import state_hash
 from warpcrete.dem.laws import Contact, LubricationLayer
-from warpcrete.dem.restoring import state_hash
-from warpcrete.dem.scene import Bodies, PipeUnit, PlaneWall, Prescribed, Rest, Scene, Stops, TimeStep
-from warpcrete.dem.strokes import held, peaks, strokes_of
+from warpcrete.dem.scene.clumps import ClumpTemplate
+from warpcrete.dem.scene.concretes import COVERAGE
+from warpcrete.dem.scene.scene import Bodies, PipeUnit, PlaneWall, Prescribed, Rest, Scene, Stops, TimeStep
+from warpcrete.dem.scene.strokes import held, peaks, strokes_of
 
 RAMP, STROKE, PAUSE, COUNT = 0.013, 0.047, 0.021, 3
 STOPPING = SMALL | dict(settle=0.05, length=0.12, travel=0.04, ramp=5e-3, strokes=2, pause=0.06)

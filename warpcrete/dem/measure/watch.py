@@ -1,0 +1,129 @@
+"""Watch over a run, which stops it when its state has become meaningless."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import warp as wp
+
+from ...core.errors import InstabilityError
+from ..engine.model import Model
+from ..engine.state import State
+from .probes import deepest_sphere, farthest_body, fastest_body
+from .sampling import STORED
+
+CALM = 0.8
+"""Fraction of a limit below which the next row is not expected to exceed it."""
+COARSEST = 1e-3  # largest rounding of positions over the smallest radius; an overlap of 1 % then keeps one digit
+
+
+class Watch:
+    """Check of every row of the series against the scene's limits; the device checks speeds in every step.
+
+    The checks cost a few additions per sample, because the series contains overlaps and energies anyway.
+    """
+
+    def __init__(self, model: Model, state: State) -> None:
+        self.model, self.state = model, state
+        self.limits = model.scene.watch
+        self.rounding = float(np.finfo(np.float64 if model.scalar is wp.float64 else np.float32).eps)
+        # Ignore energies below those that lift all bodies by a hundredth of the smallest radius.
+        mass = state.total_mass
+        self.floor = 0.01 * mass * float(np.linalg.norm(model.scene.gravity)) * state.smallest_radius
+        self.least = math.inf
+        self.scale = 0.0  # largest energy in play so far [J]
+
+    def state_dict(self) -> dict[str, float]:
+        """Return the reference energies with which later rows are compared."""
+        return {"least": self.least, "scale": self.scale}
+
+    def load_state_dict(self, state: dict[str, float]) -> None:
+        """Continue from a `state_dict`."""
+        self.least, self.scale = state["least"], state["scale"]
+
+    def is_calm(self, row: dict[str, float]) -> bool:
+        """Return whether a checked row is so far from all limits that the next row will hardly exceed one."""
+        limits = self.limits
+        calm = limits.overlap is None or row["deepest_overlap"] < CALM * limits.overlap
+        calm = calm and self._resolution(row) < CALM * COARSEST
+        return calm and (limits.energy is None or _free(row) - self.least < CALM * limits.energy * self.scale)
+
+    def _resolution(self, row: dict[str, float]) -> float:
+        """Return the rounding of positions divided by the smallest sphere's radius."""
+        return self.rounding * row["reach"] / self.state.smallest_radius if self.state.body_count else 0.0
+
+    def __call__(self, row: dict[str, float]) -> None:
+        """Raise :class:`InstabilityError` if a row exceeds a limit; the message names time, body and cures."""
+        time, limits = row["time"], self.limits
+        broken = [name for name, value in row.items() if not math.isfinite(value)]
+        if broken:
+            raise unstable(time, fastest_body(self.model, self.state), f"{broken[0]} is not a finite number")
+        deepest = row["deepest_overlap"]
+        if limits.overlap is not None and deepest > limits.overlap:
+            raise unstable(
+                time,
+                deepest_sphere(self.model, self.state),
+                f"overlap is {deepest:.3g} of what swallows a sphere or brings it behind a wall "
+                f"(watch.overlap = {limits.overlap:g})",
+                "stiffer contacts, smaller bodies apart at the start, slower walls, or a higher watch.overlap "
+                "(overlap_limit of the scene pipe)",
+            )
+        resolution = self._resolution(row)
+        if resolution > COARSEST:
+            raise unstable(
+                time,
+                farthest_body(self.state),
+                f"at {row['reach']:.4g} m from the origin positions are rounded to {resolution:.2g} of the smallest "
+                "sphere's radius",
+                "precision float64, or the scene nearer to the origin",
+            )
+        work, free = row["wall_work"] + row["drive_work"], _free(row)
+        moving = row["kinetic_energy"] + row["elastic_energy"] + row["bond_energy"]
+        self.scale = max(self.scale, moving, abs(work), self.floor)
+        self.least = min(self.least, free)
+        if limits.energy is not None and free - self.least > limits.energy * self.scale:
+            raise unstable(
+                time,
+                fastest_body(self.model, self.state),
+                f"energy grew by {free - self.least:.3g} J that no wall or drive put in, "
+                f"{(free - self.least) / self.scale:.2g} of all there is (watch.energy = {limits.energy:g})",
+            )
+
+
+def _free(row: dict[str, float]) -> float:
+    """Return the stored energy minus the work of walls and drives [J]."""
+    return sum(row[name] for name in STORED) - (row["wall_work"] + row["drive_work"])
+
+
+def unstable(time: float, body: int, what: str, cures: str = "") -> InstabilityError:
+    """Return the error for a run that has become unstable."""
+    cures = cures or "a smaller time step (safety below 0.8), softer contacts or bonds, more damping"
+    return InstabilityError(f"t = {time:.6g} s, body {body}: {what}; usual cures: {cures}")
+
+
+def failed_body(model: Model, state: State, place: int) -> InstabilityError:
+    """Return the error for a run that the device has stopped because of the body at index `place` of the arrays."""
+    own = np.flatnonzero(state.spheres.body.numpy() == place)
+    velocity, radius = state.spheres.velocity.numpy()[own, :3], state.spheres.position.numpy()[own, 3]
+    body, speeds = int(state.bodies.id.numpy()[place]), np.linalg.norm(velocity, axis=1)
+    ways, speed = state.dt * speeds / radius, f"{speeds.max():.3g} m/s"
+    wall = _wall_passed(model, state, own, radius)
+    if wall:
+        what, cures = f"{speed} carry it through the mesh wall {wall!r}", "stiffer contacts, slower bodies or walls"
+    elif np.any(ways > 0.999):
+        what = f"{speed} move it {ways.max():.3g} of its radius in a step of {state.dt:.3g} s, past what it would touch"
+        cures = f"a time_step below {0.5 * state.dt / ways.max():.2g} s, none for an automatic one, or slower bodies"
+    else:
+        what = f"speed goes from {speed} past watch.speed = {model.scene.watch.speed:g} m/s in one step, "
+        what, cures = what + "or is not a number", ""
+    return unstable(state.time, body, what, cures)
+
+
+def _wall_passed(model: Model, state: State, spheres: np.ndarray, radius: np.ndarray) -> str:
+    """Return the name of a mesh that one of these spheres has crossed with its centre; empty if there is none."""
+    if not model.features.meshes:
+        return ""
+    walls, overlap = (getattr(state.slots, name).numpy()[spheres] for name in ("wall", "overlap"))
+    sphere, slot = np.nonzero((walls >= 0) & (overlap > radius[:, None]))
+    return model.walls[walls[sphere[0], slot[0]]].name if len(sphere) else ""
