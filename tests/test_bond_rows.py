@@ -17,9 +17,9 @@ from warpcrete.dem.engine import batch_arrays as joint
 from warpcrete.dem.engine import bonding
 from warpcrete.dem.engine.bonding import bond_rows
 from warpcrete.dem.engine.model import build_model
+from warpcrete.dem.engine.pairs import listed_pairs
 from warpcrete.dem.engine.state import State
 from warpcrete.dem.engine.stepper import Stepper, steppers_of
-from warpcrete.dem.measure.probes import listed_pairs
 from warpcrete.dem.scene.bodies import placed_bodies
 
 WAYS = pytest.mark.parametrize("way", [nullcontext, share_out_like_a_gpu], ids=["its lists", "full lists"])

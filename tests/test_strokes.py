@@ -10,7 +10,7 @@ from pumping import SMALL
 from warpcrete import SceneError, Simulation, scenes
 from warpcrete.core.run.run_loop import Recorder
 from warpcrete.dem.batch_run import run_batch
-from warpcrete.dem.engine.bonding import listed_pairs
+from warpcrete.dem.engine.pairs import listed_pairs
 from warpcrete.dem.engine.state_data import state_hash
 from warpcrete.dem.laws import Contact, LubricationLayer
 from warpcrete.dem.scene.clumps import ClumpTemplate

@@ -14,9 +14,9 @@ from ...core.device.launching import launch
 from ...core.errors import CapacityError
 from ...kernels.dem.bond_parallel import KIND_BITS, MOST_KINDS, MOST_ROWS
 from ...kernels.dem.bonding import bond_kernels
-from ..measure.probes import listed_pairs
 from ..scene.scene import Bonds
 from .model import Model
+from .pairs import listed_pairs
 from .state import State
 
 

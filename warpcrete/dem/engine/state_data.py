@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..measure.probes import listed_pairs
 from ..scene.bodies import BodyTable, placed_bodies
 from .bonding import bond_kinds, bond_rows
 from .model import Model
+from .pairs import listed_pairs
 from .state import NUMBERS, State, pair_bytes
 
 EMPTY = {("spheres", "force"), ("spheres", "moment")}

@@ -18,10 +18,10 @@ from ...kernels.dem.stable_step import LEAP
 from ...kernels.dem.structs import DT_PREVIOUS, TIME
 from ...kernels.dem.subcycling import PART
 from ...kernels.dem.wall_motion import SPEED_LIMIT
-from ..measure.watch import failed_body
 from ..scene.scene import Bonds, TimeStep
 from .batch import Batch
 from .bonding import make_bonds, reassign_bonds
+from .failures import failed_body
 from .loading import load_kernels
 from .model import Model
 from .neighbors import NeighborLists

@@ -19,8 +19,8 @@ from ...kernels.dem.bond_parallel import HYDRATED
 from ...kernels.dem.locating import locating_kernels
 from ...kernels.dem.structs import subcycled_struct
 from ...kernels.dem.subcycling import RELAXATION, body_kernel, foreseeing_kernel, pair_kernel, rounds_kernel
-from ..measure.probes import listed_pairs
 from .bonding import bond_kinds
+from .pairs import listed_pairs
 from .state import pair_bytes
 
 MARGIN = 1.1

@@ -24,8 +24,9 @@ from ...core.drawing.display import (
 from ...core.drawing.paint import Paint, on_palette, packed, rounded_up
 from ...geometry.axis import Axis
 from ...geometry.walls import Prescribed
+from ..engine.pairs import chunks_of, pairs_of
 from ..scene.slices import Stations
-from .probes import chunks_of, largest_forces, listed_forces, pairs_of
+from .probes import largest_forces, listed_forces
 from .stations import COLUMNS, FINEST, body_stresses, stresses_along
 
 COLOURS = {"pipe": GLASS, "piston": PISTON}

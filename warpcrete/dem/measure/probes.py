@@ -15,6 +15,7 @@ from ...core.device.graphs import AtOnce, Zero
 from ...core.device.launching import DEFAULT_BLOCK, Size, Stage, parameter_names
 from ...kernels.dem import probes as column
 from ..engine.model import Model
+from ..engine.pairs import listed_pairs
 from ..engine.state import State
 
 
@@ -268,30 +269,6 @@ def pair_forces(model: Model, state: State) -> tuple[np.ndarray, np.ndarray, np.
     i, j, place = listed_pairs(state)
     carried = force[place].astype(float)
     return i[carried > 0], j[carried > 0], carried[carried > 0]
-
-
-def listed_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return both sphere indices of every listed pair, each pair once, and the index of the pair's list entry."""
-    return pairs_of(state.pairs.start.numpy(), state.pairs.other.numpy(), chunks_of(state))
-
-
-def chunks_of(state: State) -> list[int] | None:
-    """Return the first sphere of each chunk of half lists and the end of the last; None for full lists."""
-    return list(state.chunks) if state.model.features.half_list else None
-
-
-def pairs_of(
-    start: np.ndarray, other: np.ndarray, chunks: list[int] | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the result of :func:`listed_pairs` for host copies of a neighbour list's arrays."""
-    other = other[: start[-1]]
-    i = np.repeat(np.arange(len(start) - 1), np.diff(start))
-    j = np.where(other >= 0, other, -1 - other)
-    once = other >= 0
-    if chunks is not None:
-        # A half list holds a pair inside a chunk once, in the row of either sphere.
-        once |= np.searchsorted(chunks, i, "right") == np.searchsorted(chunks, j, "right")
-    return i[once], j[once], np.flatnonzero(once)
 
 
 def touching_bodies(state: State) -> np.ndarray:

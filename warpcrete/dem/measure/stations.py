@@ -23,9 +23,10 @@ from ...geometry.axis import Axis
 from ...kernels.common.types import types
 from ...kernels.dem.stations import STRESSES, force_probe, stress_probe
 from ..engine.model import Model
+from ..engine.pairs import chunks_of, pairs_of
 from ..engine.state import State
 from ..scene.slices import FEWEST, Stations
-from .probes import chunks_of, launched, pairs_of, scene_stage
+from .probes import launched, scene_stage
 
 RINGS = 5
 """Number of rings of equal width over which a velocity profile is averaged."""

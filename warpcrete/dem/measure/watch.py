@@ -7,7 +7,7 @@ import math
 import numpy as np
 import warp as wp
 
-from ...core.errors import InstabilityError
+from ..engine.failures import unstable
 from ..engine.model import Model
 from ..engine.state import State
 from .probes import deepest_sphere, farthest_body, fastest_body
@@ -94,36 +94,3 @@ class Watch:
 def _free(row: dict[str, float]) -> float:
     """Return the stored energy minus the work of walls and drives [J]."""
     return sum(row[name] for name in STORED) - (row["wall_work"] + row["drive_work"])
-
-
-def unstable(time: float, body: int, what: str, cures: str = "") -> InstabilityError:
-    """Return the error for a run that has become unstable."""
-    cures = cures or "a smaller time step (safety below 0.8), softer contacts or bonds, more damping"
-    return InstabilityError(f"t = {time:.6g} s, body {body}: {what}; usual cures: {cures}")
-
-
-def failed_body(model: Model, state: State, place: int) -> InstabilityError:
-    """Return the error for a run that the device has stopped because of the body at index `place` of the arrays."""
-    own = np.flatnonzero(state.spheres.body.numpy() == place)
-    velocity, radius = state.spheres.velocity.numpy()[own, :3], state.spheres.position.numpy()[own, 3]
-    body, speeds = int(state.bodies.id.numpy()[place]), np.linalg.norm(velocity, axis=1)
-    ways, speed = state.dt * speeds / radius, f"{speeds.max():.3g} m/s"
-    wall = _wall_passed(model, state, own, radius)
-    if wall:
-        what, cures = f"{speed} carry it through the mesh wall {wall!r}", "stiffer contacts, slower bodies or walls"
-    elif np.any(ways > 0.999):
-        what = f"{speed} move it {ways.max():.3g} of its radius in a step of {state.dt:.3g} s, past what it would touch"
-        cures = f"a time_step below {0.5 * state.dt / ways.max():.2g} s, none for an automatic one, or slower bodies"
-    else:
-        what = f"speed goes from {speed} past watch.speed = {model.scene.watch.speed:g} m/s in one step, "
-        what, cures = what + "or is not a number", ""
-    return unstable(state.time, body, what, cures)
-
-
-def _wall_passed(model: Model, state: State, spheres: np.ndarray, radius: np.ndarray) -> str:
-    """Return the name of a mesh that one of these spheres has crossed with its centre; empty if there is none."""
-    if not model.features.meshes:
-        return ""
-    walls, overlap = (getattr(state.slots, name).numpy()[spheres] for name in ("wall", "overlap"))
-    sphere, slot = np.nonzero((walls >= 0) & (overlap > radius[:, None]))
-    return model.walls[walls[sphere[0], slot[0]]].name if len(sphere) else ""
