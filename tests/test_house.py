@@ -175,12 +175,14 @@ def test_every_array_says_what_it_is():
     """Meaning, unit and shape: a comment for each member of a struct of arrays, a docstring for each typed array."""
     counted = 0
     for path in (ROOT / "kernels").rglob("structs.py"):
+        above = ""
         for line in path.read_text().splitlines():
             if ": wp.array" in line and "def " not in line:
                 counted += 1
                 name = line.split(":")[0].strip()
-                group = ("near_count", "near", "far_count", "wall_count", "worn")
-                assert "#" in line or name in group, f"{path}: {line.strip()}"
+                group = ("near_count", "near", "far_count", "wall_count")
+                assert "#" in line or above.startswith("#") or name in group, f"{path}: {line.strip()}"
+            above = line.strip()
     for module in ("dem.engine.state", "dem.engine.model", "dem.engine.batch_arrays", "mps.state", "mps.particles"):
         for node in ast.walk(ast.parse(MODULES[module].read_text())):
             if isinstance(node, ast.ClassDef):
@@ -193,11 +195,16 @@ def test_every_array_says_what_it_is():
 
 
 def test_kernel_factories_are_short():
+    """Lines of code, without docstrings, comments and blank lines."""
     for path in (ROOT / "kernels").rglob("*.py"):
         for node in ast.parse(path.read_text()).body:
             if isinstance(node, ast.FunctionDef):
-                lines = node.end_lineno - node.lineno + 1
-                assert lines < 120, f"{path.name}: {node.name} has {lines} lines"
+                source = path.read_text().splitlines()[node.lineno - 1 : node.end_lineno]
+                written = sum(bool(line.strip()) and not line.strip().startswith("#") for line in source)
+                texts = [each.value.value for each in ast.walk(node)
+                         if isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant)]  # fmt: skip
+                said = sum(len([line for line in text.splitlines() if line.strip()]) for text in texts)
+                assert written - said < 110, f"{path.name}: {node.name} has {written - said} lines"
 
 
 def test_kernels_refuse_another_name():
