@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from warpcrete.core.progress import ProgressBar
+from warpcrete.core.run.progress import ProgressBar
 from warpcrete.core.units import number
 from warpcrete.geometry.lines import read_line
 from warpcrete.methods import Simulation, method_of
 from warpcrete.record.checks import CheckRecorder, failed_checks
 from warpcrete.record.run_folder import TableRecorder
 from warpcrete.scenes import modules
-from warpcrete.studies.line_elements import SCENE, Elements, run_elements, sized
+from warpcrete.studies.lines.elements import SCENE, Elements, run_elements, sized
 
 LINE = """name: three metres
 diameter: 125 mm

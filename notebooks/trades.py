@@ -11,10 +11,10 @@ import re
 import shutil
 from pathlib import Path
 
-from warpcrete.core.files import write_json
+from warpcrete.core.run.files import write_json
 from warpcrete.scenes import modules
-from warpcrete.studies.advice import SHIPPED, compact
-from warpcrete.studies.trade import resume_trade, run_trade
+from warpcrete.studies.tradeoffs.advice import SHIPPED, compact
+from warpcrete.studies.tradeoffs.trade import resume_trade, run_trade
 
 HERE = Path(__file__).parent
 PAGE = HERE / "trade.md"

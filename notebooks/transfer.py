@@ -14,8 +14,8 @@ from warpcrete import Simulation
 from warpcrete.core.errors import WarpcreteError
 from warpcrete.core.units import number
 from warpcrete.scenes import modules
-from warpcrete.studies.advice import SHIPPED, advise
-from warpcrete.studies.fronts import difference
+from warpcrete.studies.tradeoffs.advice import SHIPPED, advise
+from warpcrete.studies.tradeoffs.fronts import difference
 
 SEEDS = (10, 11, 12)
 WANTED = (0.2, 0.1, 0.05, 0.02, 0.01)

@@ -7,7 +7,7 @@ from pumping import command
 
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
-from warpcrete.studies.advice import SHIPPED, advise, shipped
+from warpcrete.studies.tradeoffs.advice import SHIPPED, advise, shipped
 
 
 def test_coarser_aggregate_is_that_of_the_scene(tmp_path):
@@ -98,16 +98,12 @@ def test_a_run_for_an_accuracy_by_a_shipped_trade(tmp_path):
     bare = ("--no-rerun", "--no-usd", "--quiet", "--device", "cpu", "--threads", "1")
     done = command("run", "channel", "--accuracy", "10%", "--flow", "0.002", "--out", tmp_path / "r", *bare)
     assert done.returncode == 0, done.stdout + done.stderr
-<<<<<<< HEAD
-    for words in ("from the shipped trade 'channel', measured on", "within", "twice the flow", "flow 0.002 for None"):
-=======
     for words in (
-        "by the shipped trade 'channel', measured on",
+        "from the shipped trade 'channel', measured on",
         "within",
         "twice the flow",
         "flow 0.002 instead of None",
     ):
->>>>>>> msg2
         assert words in done.stderr
     made = json.loads((tmp_path / "r" / "scene.json").read_text())["parameters"]
     assert made["tolerated_error"] == pytest.approx(0.1)

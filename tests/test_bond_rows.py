@@ -11,15 +11,16 @@ from test_bonds import strong
 from test_contacts import two_spheres
 
 from warpcrete import SceneError, Simulation, scenes
-from warpcrete.core.device import find_device, share_out_like_a_gpu
+from warpcrete.core.device.device import find_device, share_out_like_a_gpu
 from warpcrete.core.errors import CapacityError
-from warpcrete.dem import bonding, joint
-from warpcrete.dem.bodies import placed_bodies
-from warpcrete.dem.bonding import bond_rows
-from warpcrete.dem.model import build_model
-from warpcrete.dem.probes import listed_pairs
-from warpcrete.dem.state import State
-from warpcrete.dem.stepper import Stepper, steppers_of
+from warpcrete.dem.engine import batch_arrays as joint
+from warpcrete.dem.engine import bonding
+from warpcrete.dem.engine.bonding import bond_rows
+from warpcrete.dem.engine.model import build_model
+from warpcrete.dem.engine.pairs import listed_pairs
+from warpcrete.dem.engine.state import State
+from warpcrete.dem.engine.stepper import Stepper, steppers_of
+from warpcrete.dem.scene.bodies import placed_bodies
 
 WAYS = pytest.mark.parametrize("way", [nullcontext, share_out_like_a_gpu], ids=["its lists", "full lists"])
 
@@ -78,7 +79,7 @@ def test_bonds_keep_their_rows(device, way, stiff):
 
 
 def test_entries_across_a_border_of_threads_have_rows_of_their_own(monkeypatch):
-    monkeypatch.setattr("warpcrete.dem.batch.PER_THREAD", 16)
+    monkeypatch.setattr("warpcrete.dem.engine.batch.PER_THREAD", 16)
     simulation = Simulation(scenes.pipe(plug="plate", **SMALL), device="cpu", threads=2)
     simulation.prepare()
     simulation.stepper.advance(0.02)

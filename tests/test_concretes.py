@@ -8,10 +8,10 @@ import pytest
 from pumping import SMALL, command
 
 from warpcrete import SceneError, Simulation, scenes
-from warpcrete.core.concretes import concrete, shipped
-from warpcrete.dem.concretes import COVERAGE
+from warpcrete.core.inputs.concretes import concrete, shipped
 from warpcrete.dem.laws import Contact, LubricationLayer
-from warpcrete.dem.pumping import PipeParameters
+from warpcrete.dem.pumping.parameters import PipeParameters
+from warpcrete.dem.scene.concretes import COVERAGE
 from warpcrete.studies.study import run_study
 
 PIPE = scenes.pipe.module

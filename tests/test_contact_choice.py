@@ -16,14 +16,14 @@ from test_records import refused, saved
 
 from warpcrete import SceneError, scenes
 from warpcrete.cli import cli
-from warpcrete.core.files import write_json
-from warpcrete.core.fingerprints import fingerprint
-from warpcrete.core.origin import changed_fields
-from warpcrete.core.parameters import Above
+from warpcrete.core.inputs.fingerprints import fingerprint
+from warpcrete.core.inputs.origin import changed_fields
+from warpcrete.core.inputs.parameters import Above
+from warpcrete.core.run.files import write_json
 from warpcrete.dem.laws import Contact, HertzMindlin, LubricationLayer, RollingResistance
 from warpcrete.record.loading import load, repeatable_scene
 from warpcrete.studies import study as studies
-from warpcrete.studies.trade import run_trade
+from warpcrete.studies.tradeoffs.trade import run_trade
 
 TAKING = ("pipe", "part-dem", "slump-dem", "funnel-dem", "lbox-dem", "jring-dem")
 TOY = dict(contact="test_laws:Toy", contact_push=0.25)

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from warpcrete import RunFolderError, SceneError
 from warpcrete.cli.main import cli
 from warpcrete.core.errors import PlausibilityWarning
-from warpcrete.core.files import RECORD_KINDS, read_record
+from warpcrete.core.run.files import RECORD_KINDS, read_record
 from warpcrete.geometry.lines import line_of
 from warpcrete.mix.mix import mix_of
 from warpcrete.studies.study import load_study

@@ -9,11 +9,11 @@ from conftest import bonds_of, by_id
 from test_walls import DENSITY, K_WALL, MASS, RADIUS, grid_plane
 
 from warpcrete import SceneError, Simulation, WarpcreteError, scenes
-from warpcrete.dem import clumps
-from warpcrete.dem.containers import Fill, PipeContainer
 from warpcrete.dem.packing import NEAR, pack
-from warpcrete.dem.scene import AxisDrive, Bodies, Contact, PressureProbe, Scene, TimeStep
-from warpcrete.dem.sizes import Gaussian
+from warpcrete.dem.scene import clumps
+from warpcrete.dem.scene.containers import Fill, PipeContainer
+from warpcrete.dem.scene.scene import AxisDrive, Bodies, Contact, PressureProbe, Scene, TimeStep
+from warpcrete.dem.scene.sizes import Gaussian
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.walls import Driven, MeshWall, PipeWall, PlaneWall, Prescribed
 

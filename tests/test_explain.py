@@ -10,12 +10,12 @@ from pumping import command
 
 import warpcrete
 from warpcrete import Simulation, scenes
+from warpcrete.core.device.footprint import footprint
 from warpcrete.core.errors import RunFolderError, SceneError
-from warpcrete.core.fingerprints import fingerprint
-from warpcrete.core.footprint import footprint
-from warpcrete.dem.containers import MeshContainer, PipeContainer
+from warpcrete.core.inputs.fingerprints import fingerprint
 from warpcrete.dem.forecast import tiled
 from warpcrete.dem.packing import pack
+from warpcrete.dem.scene.containers import MeshContainer, PipeContainer
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.studies.explain import explain
 

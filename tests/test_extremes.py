@@ -9,7 +9,7 @@ import pytest
 from warpcrete import Simulation
 from warpcrete.core.errors import InstabilityError
 from warpcrete.dem.laws import Contact
-from warpcrete.dem.scene import Bodies, Scene, TimeStep, Watch
+from warpcrete.dem.scene.scene import Bodies, Scene, TimeStep, Watch
 from warpcrete.verification import extremes
 
 CASES = list(extremes.scenes())

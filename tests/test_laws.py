@@ -21,9 +21,9 @@ from warpcrete.dem.laws import (
     PlasticMortar,
     damping_ratio,
 )  # fmt: skip
-from warpcrete.dem.probes import body_sums, contact_sums
-from warpcrete.dem.scene import Bodies, Scene, TimeStep
-from warpcrete.dem.vessels import CONTACTS
+from warpcrete.dem.measure.probes import body_sums, contact_sums
+from warpcrete.dem.pumping.vessels import CONTACTS
+from warpcrete.dem.scene.scene import Bodies, Scene, TimeStep
 from warpcrete.geometry.walls import PlaneWall, Prescribed
 from warpcrete.kernels.common.types import types
 from warpcrete.kernels.dem.contact_law import contact_functions

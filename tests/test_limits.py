@@ -11,10 +11,10 @@ from click.testing import CliRunner
 from warpcrete import SceneError, scenes
 from warpcrete.cli.main import cli
 from warpcrete.cli.theory import fields as theory_fields
-from warpcrete.core.amounts import UNITS, amount, bare_number
 from warpcrete.core.errors import PlausibilityWarning, WarpcreteError, known_names, suggested
-from warpcrete.core.limits import LIMITS, check_limit, limit_of
-from warpcrete.core.parameters import Above, Within, declared_fields
+from warpcrete.core.inputs.amounts import UNITS, amount, bare_number
+from warpcrete.core.inputs.limits import LIMITS, check_limit, limit_of
+from warpcrete.core.inputs.parameters import Above, Within, declared_fields
 from warpcrete.geometry import meshes
 from warpcrete.geometry.lines import line_of
 from warpcrete.mix.mix import mix_of

@@ -9,14 +9,14 @@ from click.testing import CliRunner
 
 from warpcrete import RunFolderError, SceneError, Simulation, scenes
 from warpcrete.cli.main import cli
-from warpcrete.core.amounts import amount
+from warpcrete.core.inputs.amounts import amount
 from warpcrete.core.units import number
 from warpcrete.geometry.crossings import distances
 from warpcrete.geometry.lines import Part
 from warpcrete.mps.mixes import concrete_of
-from warpcrete.studies import line_run
-from warpcrete.studies.line_run import _case, _lost, run_line
-from warpcrete.studies.lines import line_of, read_line, shipped_lines
+from warpcrete.studies.lines import run as line_run
+from warpcrete.studies.lines.losses import line_of, read_line, shipped_lines
+from warpcrete.studies.lines.run import _case, _lost, run_line
 from warpcrete.theory.pipe import Concrete
 
 SLIPPING = Concrete(density=2400.0, viscosity=1e6, yield_stress=1e9, slip_viscosity=1000.0, slip_yield=50.0)

@@ -12,12 +12,12 @@ from pumping import SMALL
 from test_recordings import columns
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.display import DrawnWall
-from warpcrete.core.frames import LEAST, SLOWEST, Frames
-from warpcrete.core.later import Later
-from warpcrete.core.paint import on_palette
-from warpcrete.core.run_loop import Recorder
-from warpcrete.dem.probes import largest_forces, pair_forces
+from warpcrete.core.device.recorder_thread import Later
+from warpcrete.core.drawing.display import DrawnWall
+from warpcrete.core.drawing.paint import on_palette
+from warpcrete.core.run.frames import LEAST, SLOWEST, Frames
+from warpcrete.core.run.run_loop import Recorder
+from warpcrete.dem.measure.probes import largest_forces, pair_forces
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.record.blueprint import PLAYED, behind, blueprint, cut_walls
 from warpcrete.record.legend import legend, legend_title, meaning, paint_legend

@@ -8,14 +8,14 @@ from click.testing import CliRunner
 
 from warpcrete import SceneError, Simulation, scenes
 from warpcrete.cli.main import cli
-from warpcrete.core.concretes import concrete
+from warpcrete.core.inputs.concretes import concrete
+from warpcrete.core.inputs.yaml_files import yaml_text
 from warpcrete.core.units import number
-from warpcrete.core.yaml_files import yaml_text
-from warpcrete.dem.concretes import COVERAGE
+from warpcrete.dem.scene.concretes import COVERAGE
 from warpcrete.mix.mix import completed, mix_of, read_mix
 from warpcrete.mps.mixes import concrete_of
-from warpcrete.studies.line_run import run_line
-from warpcrete.studies.lines import line_of
+from warpcrete.studies.lines.losses import line_of
+from warpcrete.studies.lines.run import run_line
 from warpcrete.theory.fits import straight_line
 from warpcrete.theory.inverse import (
     BASE,

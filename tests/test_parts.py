@@ -9,9 +9,9 @@ import pytest
 import trimesh
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.device import share_out_like_a_gpu
+from warpcrete.core.device.device import share_out_like_a_gpu
 from warpcrete.core.errors import CapacityError, SceneError
-from warpcrete.core.parameters import Needs, declared_fields
+from warpcrete.core.inputs.parameters import Needs, declared_fields
 from warpcrete.core.units import number
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.bores import Bores

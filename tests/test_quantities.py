@@ -10,16 +10,16 @@ import pytest
 
 from warpcrete import scenes
 from warpcrete.core.errors import RunFolderError, SceneError
-from warpcrete.core.method import Quantity, report_of, results_of
-from warpcrete.core.run_loop import Run
-from warpcrete.dem.quantities import QUANTITIES, Known, no_plateau, past_ramp
-from warpcrete.dem.quantities import report as element_report
-from warpcrete.dem.sampling import unit_of
+from warpcrete.core.run.method import Quantity, report_of, results_of
+from warpcrete.core.run.run_loop import Run
+from warpcrete.dem.measure.quantities import QUANTITIES, Known, no_plateau, past_ramp
+from warpcrete.dem.measure.quantities import report as element_report
+from warpcrete.dem.measure.sampling import unit_of
 from warpcrete.methods import METHODS
 from warpcrete.record.checks import failed_checks
 from warpcrete.studies.cases import Case
 from warpcrete.studies.drawing import draw
-from warpcrete.studies.pipeline import check_pipeline, pipeline_estimate, pipeline_pressure
+from warpcrete.studies.lines.pipeline import check_pipeline, pipeline_estimate, pipeline_pressure
 from warpcrete.studies.study import Study
 
 PIPE = scenes.pipe(ramp=0.3, travel=1.0)

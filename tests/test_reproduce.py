@@ -8,11 +8,22 @@ from pumping import command
 
 from warpcrete import RunFolderError, SceneError
 from warpcrete.scenes import modules
-from warpcrete.studies import papers
-from warpcrete.studies.papers import CONCRETES, OPEN, ZHAN, flat, growing, late, linear, narrow, overrides, zhan_case
-from warpcrete.studies.reproduce import chosen, reproduce, resume_reproduction, zhan_studies
-from warpcrete.studies.reproduction import Reproduction, judged, key_of
-from warpcrete.studies.reproduction_report import write
+from warpcrete.studies.reproduction import papers
+from warpcrete.studies.reproduction.papers import (
+    CONCRETES,
+    OPEN,
+    ZHAN,
+    flat,
+    growing,
+    late,
+    linear,
+    narrow,
+    overrides,
+    zhan_case,
+)
+from warpcrete.studies.reproduction.report import write
+from warpcrete.studies.reproduction.reproduce import chosen, reproduce, resume_reproduction, zhan_studies
+from warpcrete.studies.reproduction.state import Reproduction, judged, key_of
 
 SPEEDS = (0.1, 0.3, 0.5, 0.7, 0.9)
 
@@ -163,8 +174,8 @@ def test_a_reproduction_runs_and_is_gone_on_with(tmp_path, monkeypatch):
     column = {"length": 0.2, "diameter": 0.1, "spacing": 0.02, "concrete": "no1"}
     cases = {"flow": [("channel", column | {"flow": flow}) for flow in (1e-3, 2e-3)]}
     cases["flow"].append(("channel", column | {"flow": 1e-3, "regularisation": 100.0}))  # the first again
-    monkeypatch.setattr("warpcrete.studies.reproduce.xu_cases", lambda quick: cases)
-    monkeypatch.setattr("warpcrete.studies.reproduction_report.xu_cases", lambda quick: cases)
+    monkeypatch.setattr("warpcrete.studies.reproduction.reproduce.xu_cases", lambda quick: cases)
+    monkeypatch.setattr("warpcrete.studies.reproduction.report.xu_cases", lambda quick: cases)
     found = reproduce("xu", out=tmp_path / "out", device="cpu", quick=True)
     assert found.finished and len(found.results) == 3 and not found.failures
     assert len([path for path in (found.folder / "flow-channel").iterdir() if path.is_dir()]) == 2

@@ -9,8 +9,8 @@ from click.testing import CliRunner
 
 from warpcrete import SceneError, Simulation, scenes
 from warpcrete.cli.main import cli
-from warpcrete.core.run_loop import Recorder
-from warpcrete.studies.lines import line_of, restart
+from warpcrete.core.run.run_loop import Recorder
+from warpcrete.studies.lines.losses import line_of, restart
 from warpcrete.theory.pipe import Concrete
 
 PLUG = dict(

@@ -8,7 +8,7 @@ from test_batch import SMALL
 
 import warpcrete
 from warpcrete import RunFolderError
-from warpcrete.core.method import Quantity
+from warpcrete.core.run.method import Quantity
 from warpcrete.studies.cases import Case
 from warpcrete.studies.study import Study, run_study
 from warpcrete.studies.study_table import columns_of, write_parquet

@@ -10,15 +10,15 @@ from click.testing import CliRunner
 from warpcrete import RunFolderError, SceneError, scenes
 from warpcrete.cli.main import cli
 from warpcrete.core.errors import LONGEST_VALUE, refuse
-from warpcrete.core.files import read_json
-from warpcrete.core.text_files import MOST_SETTINGS, check_file, read_mapping, read_rows
-from warpcrete.core.yaml_files import yaml_text
+from warpcrete.core.inputs.text_files import MOST_SETTINGS, check_file, read_mapping, read_rows
+from warpcrete.core.inputs.yaml_files import yaml_text
+from warpcrete.core.run.files import read_json
 from warpcrete.geometry.lines import read_line
 from warpcrete.mix.mix import read_mix
 from warpcrete.mix.points import read_points
 from warpcrete.record.loading import load
 from warpcrete.scenes import modules
-from warpcrete.studies.targets import read_task
+from warpcrete.studies.calibration.targets import read_task
 
 
 def written(folder, content, name="file.yaml"):

@@ -17,11 +17,11 @@ from warpcrete.core.errors import RunFolderError, SceneError
 from warpcrete.core.units import number
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
-from warpcrete.studies.advice import advise, compact
-from warpcrete.studies.fronts import Error
-from warpcrete.studies.points import COMBINED, GIVEN, REFERENCE, Point
-from warpcrete.studies.trade import resume_trade, run_trade
-from warpcrete.studies.trading import Trade
+from warpcrete.studies.tradeoffs.advice import advise, compact
+from warpcrete.studies.tradeoffs.fronts import Error
+from warpcrete.studies.tradeoffs.points import COMBINED, GIVEN, REFERENCE, Point
+from warpcrete.studies.tradeoffs.state import Trade
+from warpcrete.studies.tradeoffs.trade import resume_trade, run_trade
 
 channel, pipe = (importlib.import_module(f"warpcrete.scenes.{name}") for name in ("channel", "pipe"))
 COARSE = dict(spacing=0.02)
@@ -57,7 +57,7 @@ def test_pressures_of_a_shorter_unit_count_by_its_length(tmp_path):
 
 def test_a_promise_is_tried_with_seeds_that_no_other_run_had(monkeypatch):
     """As many as are said, beyond all those by which the setting was chosen, from whichever seed a trade begins."""
-    from warpcrete.studies import trade as phases
+    from warpcrete.studies.tradeoffs import trade as phases
 
     monkeypatch.setattr(phases, "_carried", lambda *_: ({}, 0.0))
     ran: list[int] = []
@@ -329,7 +329,7 @@ def test_an_interrupted_trade_keeps_its_reference(element_trade, tmp_path, monke
 def test_a_setting_whose_fresh_seeds_fail_gives_way(element_trade, tmp_path, monkeypatch):
     shutil.copytree(element_trade, tmp_path / "t")
     trade = resume_trade(tmp_path / "t", pipe)
-    from warpcrete.studies import trade as phases
+    from warpcrete.studies.tradeoffs import trade as phases
 
     monkeypatch.setattr(type(trade), "promised", lambda self, point: 0.01)
     cheapest = min(trade.measured, key=lambda p: p.cost)

@@ -21,16 +21,16 @@ from test_cluster import COMMAND
 from test_trade import COARSE, PIPE, VARIANTS
 
 from warpcrete.core.errors import InstabilityError, RunFolderError, SceneError, WarpcreteError
-from warpcrete.core.provenance import processor
-from warpcrete.studies import trade as phases
-from warpcrete.studies import trials
+from warpcrete.core.run.provenance import processor
 from warpcrete.studies.cases import Case
 from warpcrete.studies.cluster import Cluster, WorkerLost
-from warpcrete.studies.points import GIVEN
 from warpcrete.studies.running import kept
-from warpcrete.studies.trade import resume_trade, run_trade
-from warpcrete.studies.trading import Trade
-from warpcrete.studies.trials import Trial, run_trial
+from warpcrete.studies.tradeoffs import trade as phases
+from warpcrete.studies.tradeoffs import trials
+from warpcrete.studies.tradeoffs.points import GIVEN
+from warpcrete.studies.tradeoffs.state import Trade
+from warpcrete.studies.tradeoffs.trade import resume_trade, run_trade
+from warpcrete.studies.tradeoffs.trials import Trial, run_trial
 
 pytestmark = pytest.mark.thorough
 

@@ -11,8 +11,9 @@ import pytest
 from pumping import command
 
 from warpcrete.core.errors import ConvergenceError, SceneError, WarpcreteError
-from warpcrete.studies import calibrate, running
+from warpcrete.studies import running
 from warpcrete.studies import study as studies
+from warpcrete.studies.calibration import calibrate
 from warpcrete.studies.cases import MOST_CASES, Case, cases_of
 from warpcrete.studies.study import Study
 from warpcrete.studies.workers import Crew, WorkerDied

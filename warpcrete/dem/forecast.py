@@ -16,22 +16,22 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.device import checked_threads, parallel
-from ..core.footprint import footprint
-from ..core.forecast import Forecast, Probe, median_time
-from ..core.run_loop import drive_alone
+from ..core.device.device import checked_threads, parallel
+from ..core.device.footprint import footprint
+from ..core.run.forecast import Forecast, Probe, median_time
+from ..core.run.run_loop import drive_alone
 from ..geometry.axis import Axis
 from ..geometry.walls import Prescribed
 from ..kernels.dem.subcycling import PART
-from .bodies import BodyTable, placed_bodies
-from .bonding import bond_kinds
-from .containers import PipeContainer
+from .engine.bonding import bond_kinds
+from .engine.state_data import restored, state_dict
+from .engine.stepper import Stepper
 from .laws import ContactLaw
 from .packing import PackingReport, pack
-from .restoring import restored, state_dict
-from .scene import Scene
+from .scene.bodies import BodyTable, placed_bodies
+from .scene.containers import PipeContainer
+from .scene.scene import Scene
 from .simulation import SETTLING_PARTS, ElementSimulation
-from .stepper import Stepper
 
 LEAST = 0.1  # minimum fraction of the timed wall time that counts as steps; at most the rest counts as list rebuilds
 SPENT = 0.7  # wall time for which steps are timed [s]

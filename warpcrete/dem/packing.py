@@ -13,20 +13,20 @@ from typing import Any
 
 import numpy as np
 
-from ..core.device import find_device, parallel
+from ..core.device.device import find_device, parallel
 from ..core.errors import CapacityError, InstabilityError, WarpcreteError, refuse
-from ..core.run_loop import Coroutine
-from .batch import batch_key
-from .bodies import BodyTable
-from .containers import Fill, MeshContainer, PipeContainer
+from ..core.run.run_loop import Coroutine
+from .engine.batch import batch_key
+from .engine.memory import check_memory
+from .engine.model import build_model
+from .engine.scheduling import Steps, drive
+from .engine.state import State
+from .engine.stepper import Stepper, steppers_of
 from .laws import Contact, ContactLaw
-from .memory import check_memory
-from .model import build_model
-from .probes import contact_sums
-from .scene import Scene
-from .scheduling import Steps, drive
-from .state import State
-from .stepper import Stepper, steppers_of
+from .measure.probes import contact_sums
+from .scene.bodies import BodyTable
+from .scene.containers import Fill, MeshContainer, PipeContainer
+from .scene.scene import Scene
 
 START_FRACTION = 0.10  # solid fraction at which aggregates are sown
 GROWTH_STEPS = 1500

@@ -10,8 +10,8 @@ import numpy as np
 from ..core.errors import refuse
 from ..core.units import number
 from ..geometry.rotation import rotate
+from .scene.strokes import strokes_of
 from .simulation import ElementRun
-from .strokes import strokes_of
 
 
 def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:

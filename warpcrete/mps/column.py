@@ -9,13 +9,13 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from ..core.checks import with_cures
-from ..core.concretes import is_file
 from ..core.errors import positive, refuse
-from ..core.knobs import Knob, Level, Trading, precisions, scaled
-from ..core.limits import check_velocity
-from ..core.parameters import Above, Alias, FileIf, Needs, OneOf, Within
-from ..core.run_loop import Run
+from ..core.inputs.concretes import is_file
+from ..core.inputs.knobs import Knob, Level, Trading, precisions, scaled
+from ..core.inputs.limits import check_velocity
+from ..core.inputs.parameters import Above, Alias, FileIf, Needs, OneOf, Within
+from ..core.run.checks import with_cures
+from ..core.run.run_loop import Run
 from ..core.units import number
 from ..theory.pipe import MIXES, Concrete, Line, Steady, flow_of_pressure, rested, steady, steady_of_stress
 from ..theory.suspension import SUSPENSIONS, mortar_of

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from ..core.device.footprint import footprint
 from ..core.errors import InstabilityError
-from ..core.footprint import footprint
-from ..core.forecast import Forecast, Probe, median_time, timed
+from ..core.run.forecast import Forecast, Probe, median_time, timed
 from .scene import FluidScene
 from .simulation import FluidSimulation
 

@@ -6,10 +6,10 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-from ..core.amounts import amount
-from ..core.concretes import is_file, known_only, shipped
 from ..core.errors import one_of, refuse
-from ..core.text_files import name_of
+from ..core.inputs.amounts import amount
+from ..core.inputs.concretes import is_file, known_only, shipped
+from ..core.inputs.text_files import name_of
 from ..mix.mix import UNITS as FLOW_UNITS
 from ..mix.mix import completed, mix_named
 from ..theory.pipe import THICKER_LAYERS, Concrete

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.device import MEMORY_FRACTION, default_threads, memory_free, parallel
+from ..core.device.device import MEMORY_FRACTION, default_threads, memory_free, parallel
+from ..core.device.launching import Launcher, Size, Stage, Step, launch, parameter_names
 from ..core.errors import CapacityError
-from ..core.launching import Launcher, Size, Stage, Step, launch, parameter_names
 from ..kernels.common.control import FAILED, HALTED, OVERFLOW, STALE
 from ..kernels.common.reductions import BLOCK
 from ..kernels.mps.conjugate_gradient import OUTCOME

@@ -12,10 +12,10 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from ..core.device import PRECISIONS
+from ..core.device.device import PRECISIONS
+from ..core.drawing.html import Parametrised
 from ..core.errors import between, one_of, positive, refuse
-from ..core.html import Parametrised
-from ..core.parameters import Above, Alias, Declared, Needs, OneOf, Within
+from ..core.inputs.parameters import Above, Alias, Declared, Needs, OneOf, Within
 from ..theory.pipe import Concrete, Line, Steady, restart, steady
 
 FEWEST_ACROSS = 4  # minimum number of particles across the pipe

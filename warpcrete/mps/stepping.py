@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.device import parallel
+from ..core.device.device import parallel
+from ..core.device.launching import Launcher, Step, graph_sizes, telling
 from ..core.errors import CapacityError, ConvergenceError, InstabilityError
-from ..core.launching import Launcher, Step, graph_sizes, telling
-from ..core.method import Progress, run_in_turn
-from ..core.run_loop import Coroutine, Run
+from ..core.run.method import Progress, run_in_turn
+from ..core.run.run_loop import Coroutine, Run
 from ..kernels.common.control import FAILED, HALTED, STALE, STEPS
 from ..kernels.mps.conjugate_gradient import AFTER, BEFORE, ITERATIONS
 from ..kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY

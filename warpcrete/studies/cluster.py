@@ -22,11 +22,11 @@ from typing import Any, TypeVar
 
 import warp as wp
 
-from ..core.device import default_threads, find_device
+from ..core.device.device import default_threads, find_device
+from ..core.device.interrupts import StopAtSample, leave_to_parent
 from ..core.errors import WarpcreteError, between, refuse, warn_in_one_line
-from ..core.interrupts import StopAtSample, leave_to_parent
-from ..core.provenance import processor, provenance
-from ..core.viewer import LOOPBACK
+from ..core.run.provenance import processor, provenance
+from ..core.run.viewer import LOOPBACK
 from .cases import Case
 from .running import Book, kept, run_cases
 

@@ -11,20 +11,20 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ..core.device import checked_threads, find_device
+from ..core.device.device import checked_threads, find_device
 from ..core.errors import RunFolderError, SceneError, refuse
-from ..core.files import read_json, write_json
-from ..core.fingerprints import fingerprint
-from ..core.forecast import Forecast
-from ..core.frames import LEAST, SLOWEST
-from ..core.origin import arguments_of
-from ..core.provenance import provenance
+from ..core.inputs.fingerprints import fingerprint
+from ..core.inputs.origin import arguments_of
+from ..core.run.files import read_json, write_json
+from ..core.run.forecast import Forecast
+from ..core.run.frames import LEAST, SLOWEST
+from ..core.run.provenance import provenance
 from ..methods import method_of
 from ..record.recorders import RECORDERS, Look
 from ..scenes import modules
-from .advice import outside, shipped
-from .fronts import Error, worst
-from .trade_report import percent
+from .tradeoffs.advice import outside, shipped
+from .tradeoffs.fronts import Error, worst
+from .tradeoffs.report import percent
 
 TIMED = 3  # number of frames that are timed for each recorder
 LARGE = 0.9

@@ -12,12 +12,12 @@ from dataclasses import MISSING
 from pathlib import Path
 from typing import Any
 
-from ..core.amounts import UNITS
-from ..core.concretes import SECTIONS, TEXTS
 from ..core.errors import refuse, suggested
-from ..core.limits import LARGEST_INTEGER, LARGEST_SEED, limit_of
-from ..core.parameters import Above, Alias, Field, OneOf, Spread, Within, declared_fields
-from ..dem.pumping import PipeParameters
+from ..core.inputs.amounts import UNITS
+from ..core.inputs.concretes import SECTIONS, TEXTS
+from ..core.inputs.limits import LARGEST_INTEGER, LARGEST_SEED, limit_of
+from ..core.inputs.parameters import Above, Alias, Field, OneOf, Spread, Within, declared_fields
+from ..dem.pumping.parameters import PipeParameters
 from ..geometry.line_entries import AMOUNTS, BEGINS, MOST_PARTS, MOST_POINTS, PARTS, WAYS
 from ..geometry.line_entries import KEYS as LINE_KEYS
 from ..geometry.line_entries import TEXTS as LINE_TEXTS
@@ -26,7 +26,7 @@ from ..mix import given as mixes
 from ..mix.points import PUMPED
 from ..scenes import modules
 from ..theory.pipe import Concrete
-from .targets import TARGET_KEYS
+from .calibration.targets import TARGET_KEYS
 
 Schema = dict[str, Any]
 FOLDER = Path(__file__).parents[1] / "schemas"

@@ -16,17 +16,17 @@ from typing import Any
 
 import numpy as np
 
-from ..core.by_name import names_from_file
-from ..core.device import find_device
+from ..core.device.device import find_device
+from ..core.drawing.html import html_table
 from ..core.errors import InstabilityError, RunFolderError, SceneError, between, positive, quoted, refuse
-from ..core.files import check_new, is_full, read_record, whole_file, write_json
-from ..core.folders import held, new_folder
-from ..core.html import html_table
-from ..core.limits import check_limit
-from ..core.method import Quantity
-from ..core.origin import check_files, check_named
-from ..core.provenance import provenance
-from ..core.run import Run, dataframe
+from ..core.inputs.by_name import names_from_file
+from ..core.inputs.limits import check_limit
+from ..core.inputs.origin import check_files, check_named
+from ..core.run.files import check_new, is_full, read_record, whole_file, write_json
+from ..core.run.folders import held, new_folder
+from ..core.run.method import Quantity
+from ..core.run.provenance import provenance
+from ..core.run.run import Run, dataframe
 from ..core.units import number, shown
 from ..methods import method_of
 from ..record.checks import failed_checks

@@ -22,9 +22,9 @@ from typing import Annotated
 
 import numpy as np
 
-from ..core.concretes import concrete
 from ..core.errors import SceneError, between, one_of, refuse
-from ..core.parameters import Above, Declared, Within
+from ..core.inputs.concretes import concrete
+from ..core.inputs.parameters import Above, Declared, Within
 from .fits import StraightLine, straight_line
 
 FORMS = ("pipe", "plane", "paper")

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..core.run_loop import Recorder
-from ..dem.clumps import reference
-from ..dem.containers import Fill, PipeContainer
+from ..core.run.run_loop import Recorder
 from ..dem.laws import Contact
-from ..dem.scene import Bodies, Bonds, Scene, Settle, TimeStep
+from ..dem.scene.clumps import reference
+from ..dem.scene.containers import Fill, PipeContainer
+from ..dem.scene.scene import Bodies, Bonds, Scene, Settle, TimeStep
+from ..dem.scene.sizes import Gaussian, Uniform
 from ..dem.simulation import ElementSimulation
-from ..dem.sizes import Gaussian, Uniform
 from ..geometry.axis import Axis, Line
 from ..geometry.walls import Driven, PipeWall, PlaneWall, Prescribed
 from .case import Case, Row, start

@@ -17,8 +17,8 @@ import numpy as np
 
 from ..core.errors import InstabilityError
 from ..dem.laws import Contact, damping_ratio
-from ..dem.quantities import free_energy
-from ..dem.scene import Bodies, Bonds, Hydration, Scene, TimeStep
+from ..dem.measure.quantities import free_energy
+from ..dem.scene.scene import Bodies, Bonds, Hydration, Scene, TimeStep
 from ..dem.simulation import ElementSimulation
 from ..geometry.axis import Axis, Line
 from ..geometry.walls import Driven, PipeWall, PlaneWall, Prescribed

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..core.device import find_device
+from ..core.device.device import find_device
 from ..mps.column import FlowParameters, column_scene
 from ..mps.grid.flow import GridFlow
 from ..mps.grid.layout import pipe_layout

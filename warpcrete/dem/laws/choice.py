@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-from ...core.by_name import ByName
-from ...core.parameters import Needs
+from ...core.inputs.by_name import ByName
+from ...core.inputs.parameters import Needs
 from .base import ContactLaw
 from .hertz_mindlin import HertzMindlin
 from .linear import Contact

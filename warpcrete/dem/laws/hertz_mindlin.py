@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from ...core.errors import between, positive
-from ...core.parameters import Above, OneOf, Within
+from ...core.inputs.parameters import Above, OneOf, Within
 from ...kernels.common.types import types
 from ...kernels.dem.contact_law import contact_functions
 from .base import ContactLaw, OnDevice, damping_ratio

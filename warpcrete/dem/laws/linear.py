@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 import warp as wp
 
-from ...core.parameters import Above, OneOf, Within
+from ...core.inputs.parameters import Above, OneOf, Within
 from ...kernels.common.types import types
 from ...kernels.dem.contact_law import contact_functions
 from .base import ContactLaw, OnDevice

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...core.display import OTHER, Colour, Curve, Display, DrawnWall, Plot
-from ...core.paint import on_palette
+from ...core.drawing.display import OTHER, Colour, Curve, Display, DrawnWall, Plot
+from ...core.drawing.paint import on_palette
 from ..grid.geometry import MIRROR, WALL
 from .scene import Points
 

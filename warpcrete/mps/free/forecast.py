@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from ...core.device.footprint import footprint
 from ...core.errors import InstabilityError
-from ...core.footprint import footprint
-from ...core.forecast import Forecast, Probe, median_time, timed
+from ...core.run.forecast import Forecast, Probe, median_time, timed
 from ..forecast import TAKEN, step_time
 from .quantities import funnel_estimate
 from .scene import FreeScene

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.method import Quantity
-from ...core.run_loop import Run
+from ...core.run.method import Quantity
+from ...core.run.run_loop import Run
 from ...core.units import number
 from ...geometry.sections import section_area
 from ...theory.vessels import box_at_rest, funnel_time, heap_at_rest, long_heap_spread, tall_cone_slump

@@ -8,11 +8,11 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from ...core.concretes import is_file
-from ...core.device import PRECISIONS
+from ...core.device.device import PRECISIONS
+from ...core.drawing.html import Parametrised
 from ...core.errors import between, one_of, positive, refuse
-from ...core.html import Parametrised
-from ...core.parameters import Above, Declared, OneOf, Within
+from ...core.inputs.concretes import is_file
+from ...core.inputs.parameters import Above, Declared, OneOf, Within
 from ...geometry.walls import Wall
 from ...theory.pipe import Concrete
 from ..column import ConcreteParameters

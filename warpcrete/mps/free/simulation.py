@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import InstabilityError
-from ...core.method import results_of
-from ...core.provenance import arrays_hash, provenance
-from ...core.run_loop import Run
+from ...core.run.method import results_of
+from ...core.run.provenance import arrays_hash, provenance
+from ...core.run.run_loop import Run
 from ...core.units import quantity
 from ..grid.flow import GridFlow
 from ..grid.state import GridState, check_memory

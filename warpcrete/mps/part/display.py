@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...core.display import GLASS, Curve, Display, DrawnWall, Plot, Points, Profile
-from ...core.paint import on_palette
+from ...core.drawing.display import GLASS, Curve, Display, DrawnWall, Plot, Points, Profile
+from ...core.drawing.paint import on_palette
 from ...geometry.mesh_parts import together
 from .layout import Frame
 from .probes import loss_along

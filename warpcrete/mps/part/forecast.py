@@ -6,9 +6,9 @@ import math
 from dataclasses import replace
 from typing import Any
 
+from ...core.device.footprint import footprint
 from ...core.errors import InstabilityError, SceneError
-from ...core.footprint import footprint
-from ...core.forecast import Forecast, Probe, median_time, timed
+from ...core.run.forecast import Forecast, Probe, median_time, timed
 from ..forecast import TAKEN, step_time
 from .scene import FEWEST, PartScene
 from .simulation import PartSimulation

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.run_loop import Run
+from ...core.run.run_loop import Run
 from .scene import PartScene
 
 

@@ -9,10 +9,10 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from ...core.device import PRECISIONS
+from ...core.device.device import PRECISIONS
+from ...core.drawing.html import Parametrised
 from ...core.errors import between, positive, refuse
-from ...core.html import Parametrised
-from ...core.parameters import Above, Declared, OneOf, Within
+from ...core.inputs.parameters import Above, Declared, OneOf, Within
 from ...geometry.axis import Arc, Axis, Line
 from ...geometry.bores import Bores
 from ...geometry.inner_surface import InnerSurface, equal_radii

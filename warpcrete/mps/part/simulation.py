@@ -9,10 +9,10 @@ import math
 from typing import Any
 
 from ...core.errors import InstabilityError
-from ...core.method import results_of
-from ...core.provenance import arrays_hash, provenance
-from ...core.run import Table
-from ...core.run_loop import Run
+from ...core.run.method import results_of
+from ...core.run.provenance import arrays_hash, provenance
+from ...core.run.run import Table
+from ...core.run.run_loop import Run
 from ...core.units import quantity
 from ..grid.flow import GridFlow
 from ..grid.state import GridState, check_memory
