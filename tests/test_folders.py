@@ -21,7 +21,7 @@ from warpcrete.core.device.interrupts import StopAtSample, put_off
 from warpcrete.core.errors import DiskFullError, SceneError
 from warpcrete.core.run import checkpoint, folders
 from warpcrete.core.run.files import LOCK, cannot_write
-from warpcrete.core.run.folders import Hold, make_folder, new_folder
+from warpcrete.core.run.folders import Hold, held, make_folder, new_folder
 from warpcrete.core.run.processes import tied
 from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.batch_run import run_batch
@@ -366,6 +366,17 @@ def test_a_kill_while_a_recording_is_joined_is_made_good(tmp_path, whole, monkey
     assert sorted(path.name for path in folder.glob("*run*")) == ["run.rrd"]
     (folder / "run.rrd").unlink()
     assert same(folder, whole)
+
+
+def test_locks_of_killed_runs_go_when_the_folder_around_them_goes_on(tmp_path):
+    inner = tmp_path / "study" / "runs" / "001"
+    inner.mkdir(parents=True)
+    (tmp_path / "study" / "study.json").write_text("{}")
+    (inner / LOCK).write_text("process 1 on a machine that is off")
+    (inner / ".warpcrete-partial-result.json").write_text("{")
+    with held(tmp_path / "study", "study.json"):
+        assert (tmp_path / "study" / LOCK).exists()
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["study.json"] and inner.is_dir()
 
 
 def test_a_child_ends_with_the_process_that_started_it(tmp_path):

@@ -347,7 +347,7 @@ def test_walls_that_mortar_flows_along_hold_it_unless_said(name, given, grip):
     [
         ("slump-dem", {"law": "glue"}, r"^law = 'glue': must be one of linear, bonds, mortar, plastic, rolling$"),
         ("slump-dem", {"size_max": 0.05}, r"^size_max = 0\.05: must leave room for four grains .*; use 0\.025 m"),
-        ("slump-dem", {"size_min": 0.02}, r"^size_max = 0\.016: must be size_min = 0\.02 m or more"),
+        ("slump-dem", {"size_min": 0.02}, r"^size_max = 0\.016: must be at least size_min = 0\.02 m"),
         (
             "slump-dem",
             {"law": "linear", "rolling_friction": 0.3},

@@ -104,7 +104,7 @@ def _is_at(file: int, path: Path) -> bool:
 
 @contextmanager
 def held(folder: Path, record: str) -> Iterator[None]:
-    """Lock an existing folder while the block runs.
+    """Lock an existing folder while the block runs, then clean up what killed processes left in the folders inside it.
 
     Raises :class:`RunFolderError` if the folder does not contain the file `record`, or if another process holds the
     lock.
@@ -116,6 +116,9 @@ def held(folder: Path, record: str) -> Iterator[None]:
     try:
         yield
     finally:
+        for lock in folder.rglob(f"*/{LOCK}"):
+            with suppress(RunFolderError):  # A folder that another process still holds is in use.
+                Hold(lock.parent).release()
         hold.release()
 
 
