@@ -33,9 +33,7 @@ def test_a_fixed_step_that_carries_a_body_past_the_wall_ends_the_run(start, temp
         if not fails:
             stepper.take(1)
             continue
-        with pytest.raises(
-            InstabilityError, match=r"^t = 0 s, body 0: a speed of 100 m/s moves it .* usual cures: a time_step"
-        ):
+        with pytest.raises(InstabilityError, match=r"^t = 0 s, body 0: a speed of 100 m/s moves it .*: a time_step"):
             stepper.take(2)
 
 
@@ -67,9 +65,7 @@ def test_an_automatic_step_is_short_enough_to_meet_the_wall(start):
 
 def test_a_body_that_no_contact_can_hold_ends_the_run(start):
     stepper = thrown(start, Contact(effective_modulus=1e5))
-    with pytest.raises(
-        InstabilityError, match=r"body 0: a speed of .* m/s carries it through the mesh wall 'box'; usual cures"
-    ):
+    with pytest.raises(InstabilityError, match=r"body 0: a speed of .* m/s carries it through the mesh wall 'box';"):
         stepper.advance(0.01)
 
 
