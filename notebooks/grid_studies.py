@@ -14,7 +14,7 @@ from fluid_studies import Studies, main
 from matplotlib.figure import Figure
 
 from warpcrete import InstabilityError, Simulation, scenes
-from warpcrete.core.device import default_threads
+from warpcrete.core.device.device import default_threads
 from warpcrete.core.units import number
 
 

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from warpcrete.core.progress import ProgressBar
+from warpcrete.core.run.progress import ProgressBar
 from warpcrete.core.units import number
 from warpcrete.geometry.lines import read_line
 from warpcrete.methods import Simulation, method_of
 from warpcrete.record.checks import CheckRecorder, failed_checks
 from warpcrete.record.run_folder import TableRecorder
 from warpcrete.scenes import modules
-from warpcrete.studies.line_elements import SCENE, Elements, run_elements, sized
+from warpcrete.studies.lines.elements import SCENE, Elements, run_elements, sized
 
 LINE = """name: three metres
 diameter: 125 mm
@@ -46,7 +46,7 @@ def main() -> None:
     file.write_text(LINE)
     line = read_line(str(file))
     elements = Elements(shapes=options.shapes, coarse=options.coarse, seeds=options.seeds, stiffer=options.stiffer)
-    print("| concrete | from its parts [kPa] | as one scene | leaves over enters | wall time [s]: parts, one scene |\n"
+    print("| concrete | from its parts [kPa] | as one scene | outflow over inflow | wall time [s]: parts, one scene |\n"
           "|---|---|---|---|---|", flush=True)  # fmt: skip
     for name in options.concretes:
         out, bar = options.out / Path(name).stem, ProgressBar()

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from warpcrete.core.progress import ProgressBar
+from warpcrete.core.run.progress import ProgressBar
 from warpcrete.core.units import number
 from warpcrete.mps.mixes import concrete_of
 from warpcrete.record.checks import failed_checks
 from warpcrete.record.loading import load
-from warpcrete.studies.line_elements import Elements, run_elements
-from warpcrete.studies.line_run import run_line
-from warpcrete.studies.lines import PipeLine, line_of
+from warpcrete.studies.lines.elements import Elements, run_elements
+from warpcrete.studies.lines.losses import PipeLine, line_of
+from warpcrete.studies.lines.run import run_line
 
 BENDS = (0.25, 0.5, 1.0)
 """Radii [m]."""

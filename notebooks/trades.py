@@ -11,10 +11,10 @@ import re
 import shutil
 from pathlib import Path
 
-from warpcrete.core.files import write_json
+from warpcrete.core.run.files import write_json
 from warpcrete.scenes import modules
-from warpcrete.studies.advice import SHIPPED, compact
-from warpcrete.studies.trade import resume_trade, run_trade
+from warpcrete.studies.tradeoffs.advice import SHIPPED, compact
+from warpcrete.studies.tradeoffs.trade import resume_trade, run_trade
 
 HERE = Path(__file__).parent
 PAGE = HERE / "trade.md"
@@ -51,12 +51,12 @@ def section(name: str, record: dict) -> str:
     options = " ".join(f"{flag} {value}".strip() for flag, value in given)
     command = re.sub(" +", " ", f"warpcrete trade {scene} {options} --budget {budget}s --device {device}")
     lines = [f"`{command}`, {record['machine']}:", "", f"![Error over cost: {name}](images/trade_{name}.png)", ""]
-    lines += ["| error wanted | setting | time over as given | promised | with fresh seeds | worst of other scenes |",
-              "|---|---|---|---|---|---|"]  # fmt: skip
+    lines += ["| error wanted | setting | relative time | guaranteed error | with fresh seeds "
+              "| worst of other scenes |", "|---|---|---|---|---|---|"]  # fmt: skip
     for promise in record["promises"]:
         wanted = f"{100 * promise['target']:g} %"
         if promise["setting"] is None:
-            lines.append(f"| {wanted} | none that was measured stays within | - | - | - | - |")
+            lines.append(f"| {wanted} | no measured setting meets it | - | - | - | - |")
             continue
         found, carried = promise["found"], promise.get("carried") or {}
         fresh = f"{100 * found['shift']:+.2g} +- {100 * (found['interval'] or 0):.2g} %" if found else "-"

@@ -14,8 +14,8 @@ from warpcrete import Simulation
 from warpcrete.core.errors import WarpcreteError
 from warpcrete.core.units import number
 from warpcrete.scenes import modules
-from warpcrete.studies.advice import SHIPPED, advise
-from warpcrete.studies.fronts import difference
+from warpcrete.studies.tradeoffs.advice import SHIPPED, advise
+from warpcrete.studies.tradeoffs.fronts import difference
 
 SEEDS = (10, 11, 12)
 WANTED = (0.2, 0.1, 0.05, 0.02, 0.01)
@@ -34,7 +34,7 @@ DIAMETERS = {"channel": (0.08, 0.1, 0.13), "tube": (0.1, 0.13)}
 def elements(trade: Path, device: str) -> None:
     """Table of plateau and peak, settings for 5 and 2 % against the scene as it is given."""
     module = modules()["pipe"]
-    print("| scene | 5 % wanted: plateau, peak | time over as given | 2 % wanted: plateau, peak |\n|---|---|---|---|")
+    print("| scene | 5 % wanted: plateau, peak | relative time | 2 % wanted: plateau, peak |\n|---|---|---|---|")
     for name, given in ELEMENTS.items():
         plain, own_time = runs(module, given, device)
         cells, kept = [name], []

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
-from warpcrete.core.checks import with_cures
 from warpcrete.core.errors import refuse
-from warpcrete.core.knobs import Knob, Trading
-from warpcrete.core.parameters import Above, OneOf, scene_function
-from warpcrete.core.run_loop import Run
+from warpcrete.core.inputs.knobs import Knob, Trading
+from warpcrete.core.inputs.parameters import Above, OneOf, scene_function
+from warpcrete.core.run.checks import with_cures
+from warpcrete.core.run.run_loop import Run
 from warpcrete.core.units import number
 from warpcrete.mps.free.knobs import free_knobs
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene

@@ -10,11 +10,11 @@ from typing import Annotated
 import numpy as np
 
 from warpcrete.core.errors import refuse
-from warpcrete.core.knobs import Knob, Trading
-from warpcrete.core.parameters import Above, Within, scene_function
-from warpcrete.core.run_loop import Run
-from warpcrete.dem.scene import Scene
-from warpcrete.dem.vessels import vessel_knobs
+from warpcrete.core.inputs.knobs import Knob, Trading
+from warpcrete.core.inputs.parameters import Above, Within, scene_function
+from warpcrete.core.run.run_loop import Run
+from warpcrete.dem.pumping.vessels import vessel_knobs
+from warpcrete.dem.scene.scene import Scene
 from warpcrete.geometry.prisms import truncated_cone
 from warpcrete.geometry.walls import MeshWall
 

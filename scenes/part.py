@@ -11,13 +11,13 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from warpcrete.core.checks import with_cures
-from warpcrete.core.concretes import is_file
 from warpcrete.core.errors import refuse
-from warpcrete.core.knobs import Knob, Trading, precisions, scaled
-from warpcrete.core.limits import check_velocity
-from warpcrete.core.parameters import Above, FileIf, Needs, OneOf, Within, scene_function
-from warpcrete.core.run_loop import Run
+from warpcrete.core.inputs.concretes import is_file
+from warpcrete.core.inputs.knobs import Knob, Trading, precisions, scaled
+from warpcrete.core.inputs.limits import check_velocity
+from warpcrete.core.inputs.parameters import Above, FileIf, Needs, OneOf, Within, scene_function
+from warpcrete.core.run.checks import with_cures
+from warpcrete.core.run.run_loop import Run
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.bores import Bores
 from warpcrete.geometry.crossings import meeting

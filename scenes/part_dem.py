@@ -7,21 +7,21 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from warpcrete.core.knobs import Trading
-from warpcrete.core.limits import check_velocity
-from warpcrete.core.parameters import scene_function
-from warpcrete.core.run_loop import Run
-from warpcrete.dem.containers import PipeContainer
-from warpcrete.dem.parts import Course, PartElements, course_of, part_knobs, plug_layers
-from warpcrete.dem.pumped import fill_of, law_remarks, plug_of, settings_of, sizes_of
-from warpcrete.dem.pumping import WIDEST_STONE
-from warpcrete.dem.scene import (
+from warpcrete.core.inputs.knobs import Trading
+from warpcrete.core.inputs.limits import check_velocity
+from warpcrete.core.inputs.parameters import scene_function
+from warpcrete.core.run.run_loop import Run
+from warpcrete.dem.pumping.components import fill_of, law_remarks, plug_of, settings_of, sizes_of
+from warpcrete.dem.pumping.parameters import WIDEST_STONE
+from warpcrete.dem.pumping.parts import Course, PartElements, course_of, part_knobs, plug_layers
+from warpcrete.dem.scene.containers import PipeContainer
+from warpcrete.dem.scene.scene import (
     PipeUnit,
     PressureProbe,
     Scene,
     Stations,
 )
-from warpcrete.dem.sizes import Sizes
+from warpcrete.dem.scene.sizes import Sizes
 from warpcrete.geometry.mesh_parts import wall_of
 from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed
 

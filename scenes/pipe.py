@@ -12,19 +12,19 @@ from dataclasses import fields
 
 import numpy as np
 
-from warpcrete.core.checks import with_cures
-from warpcrete.core.concretes import concrete, shipped
 from warpcrete.core.errors import refuse
-from warpcrete.core.knobs import Trading
-from warpcrete.core.parameters import scene_function
-from warpcrete.core.run_loop import Run
+from warpcrete.core.inputs.concretes import concrete, shipped
+from warpcrete.core.inputs.knobs import Trading
+from warpcrete.core.inputs.parameters import scene_function
+from warpcrete.core.run.checks import with_cures
+from warpcrete.core.run.run_loop import Run
 from warpcrete.core.units import number
-from warpcrete.dem.blocked import blocked_words
-from warpcrete.dem.concretes import COVERAGE
-from warpcrete.dem.containers import PipeContainer
-from warpcrete.dem.pumped import Plug, fill_of, law_remarks, plug_of, settings_of, sizes_of
-from warpcrete.dem.pumping import WIDEST_STONE, PipeParameters, asked_of, pumping_knobs
-from warpcrete.dem.scene import (
+from warpcrete.dem.measure.blockage_results import blocked_words
+from warpcrete.dem.pumping.components import Plug, fill_of, law_remarks, plug_of, settings_of, sizes_of
+from warpcrete.dem.pumping.parameters import WIDEST_STONE, PipeParameters, asked_of, pumping_knobs
+from warpcrete.dem.scene.concretes import COVERAGE
+from warpcrete.dem.scene.containers import PipeContainer
+from warpcrete.dem.scene.scene import (
     PipeUnit,
     PressureProbe,
     Published,
@@ -32,7 +32,7 @@ from warpcrete.dem.scene import (
     Scene,
     Stations,
 )
-from warpcrete.dem.sizes import Sizes
+from warpcrete.dem.scene.sizes import Sizes
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.bores import Bores
 from warpcrete.geometry.inner_surface import pipe_in

@@ -6,14 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated
 
-from warpcrete.core.checks import with_cures
 from warpcrete.core.errors import refuse
-from warpcrete.core.knobs import Knob, Trading
-from warpcrete.core.parameters import Above, scene_function
-from warpcrete.core.run_loop import Run
+from warpcrete.core.inputs.knobs import Knob, Trading
+from warpcrete.core.inputs.parameters import Above, scene_function
+from warpcrete.core.run.checks import with_cures
+from warpcrete.core.run.run_loop import Run
 from warpcrete.core.units import number
-from warpcrete.dem.scene import Scene, Vessel
-from warpcrete.dem.vessels import CURES, VesselParameters, found_bad, vessel_knobs, vessel_remarks
+from warpcrete.dem.pumping.vessels import CURES, VesselParameters, found_bad, vessel_knobs, vessel_remarks
+from warpcrete.dem.scene.scene import Scene, Vessel
 from warpcrete.geometry.prisms import truncated_cone
 from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed, Wall
 

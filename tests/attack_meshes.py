@@ -20,8 +20,8 @@ from tubes import bent, tube
 
 from warpcrete import scenes
 from warpcrete.core.errors import PlausibilityWarning, WarpcreteError
-from warpcrete.dem.clumps import from_mesh
-from warpcrete.dem.containers import MeshContainer
+from warpcrete.dem.scene.clumps import from_mesh
+from warpcrete.dem.scene.containers import MeshContainer
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.lines import line_of
 

@@ -209,7 +209,7 @@ TARGETS = [
         ("{viscosity: 15}", "low, high"), ("{viscosity: [10 Pa, 20 Pa]}", "viscosity"), ("{seed: [1, 9]}", "seed"),
         ("{concrete: [no1, no2]}", "concrete"), ("{viscosty: [1, 9]}", "did you"), ("{viscosity: [-5, 20]}", ""),
         ("{viscosity: {low: 0, high: 9, scale: log}}", "log"), ("{viscosity: {low: 3, hi: 9}}", "low and high"),
-        ("{viscosity: [1, 2, 3]}", "low, high"), ("{density: [2300, 2400]}", "held there and varied"), ("{viscosity: [1, 1e30]}", ""))),
+        ("{viscosity: [1, 2, 3]}", "low, high"), ("{density: [2300, 2400]}", "both given here and varied"), ("{viscosity: [1, 1e30]}", ""))),
     ("base: no9\n" + VARY + f"targets: [{TARGET}quantity: spread, value: 0.55, uncertainty: 5%}}]\n", "no9"),
 ]  # fmt: skip
 MESHES: list[tuple[str, Content]] = [

@@ -12,7 +12,7 @@ import warp as wp
 
 import warpcrete
 from warpcrete import scenes
-from warpcrete.core.device import find_device
+from warpcrete.core.device.device import find_device
 from warpcrete.mps.stepping import run_abreast
 
 CASES = {

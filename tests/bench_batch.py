@@ -15,9 +15,9 @@ import numpy as np
 import warp as wp
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.run_loop import Run, Until
+from warpcrete.core.run.run_loop import Run, Until
 from warpcrete.dem.batch_run import run_batch
-from warpcrete.dem.scheduling import drive_abreast
+from warpcrete.dem.engine.scheduling import drive_abreast
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 

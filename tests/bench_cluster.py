@@ -15,7 +15,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from warpcrete.core.device import find_device
+from warpcrete.core.device.device import find_device
 
 
 def study(folder: Path, cases: int, arguments, *more: str) -> float:

@@ -9,7 +9,7 @@ import platform
 import warp as wp
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.device import default_threads, find_device
+from warpcrete.core.device.device import default_threads, find_device
 from warpcrete.core.units import number
 from warpcrete.studies.explain import explain
 

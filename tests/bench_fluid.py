@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 
 from warpcrete import scenes
-from warpcrete.core.device import find_device
+from warpcrete.core.device.device import find_device
 from warpcrete.kernels.mps.structs import PRESSURE
 from warpcrete.mps import probes
 from warpcrete.mps.grid import probes as grid_probes

@@ -11,8 +11,8 @@ from orifices import orifice
 from pumping import SMALL
 
 from warpcrete import Simulation, scenes
-from warpcrete.dem.blocked import blocked_words
-from warpcrete.dem.worn import places
+from warpcrete.dem.measure.blockage_results import blocked_words
+from warpcrete.dem.measure.wear_results import places
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 PIPE = dict(diameter=0.1, length=0.5, travel=0.4, ramp=0.1, elbow_radius=0.3, settle=0.5, size_min=10e-3,

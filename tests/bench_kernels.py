@@ -20,11 +20,11 @@ import warp as wp
 from bench_batch import prepared
 from bench_speed import make, ready
 
-from warpcrete.core.device import find_device
-from warpcrete.core.launching import Stage
-from warpcrete.dem.ahead import NEVER
-from warpcrete.dem.stages import step_stages
-from warpcrete.dem.stepper import Stepper
+from warpcrete.core.device.device import find_device
+from warpcrete.core.device.launching import Stage
+from warpcrete.dem.engine.launch_planner import NEVER
+from warpcrete.dem.engine.stages import step_stages
+from warpcrete.dem.engine.stepper import Stepper
 from warpcrete.kernels.common.control import ESTIMATED, FAILED, GOAL, HALTED, LATE, STALE, STEPS
 
 REGISTERS = 4

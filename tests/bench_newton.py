@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warpcrete.core.device import default_threads, find_device
+from warpcrete.core.device.device import default_threads, find_device
 
 BOTTOM, TOP, HEIGHT = 0.1, 0.05, 0.3
 DENSITY = 2300.0

@@ -26,15 +26,15 @@ import numpy as np
 import peers
 import warp as wp
 
-from warpcrete.core.device import default_threads, find_device
-from warpcrete.dem import clumps
-from warpcrete.dem.bodies import placed_bodies
+from warpcrete.core.device.device import default_threads, find_device
+from warpcrete.dem.engine.model import build_model
+from warpcrete.dem.engine.state import State
+from warpcrete.dem.engine.stepper import Stepper
 from warpcrete.dem.laws import Contact, ContactLaw
-from warpcrete.dem.model import build_model
-from warpcrete.dem.probes import body_sums, contact_sums
-from warpcrete.dem.scene import Bodies, Bonds, Scene, TimeStep, Watch
-from warpcrete.dem.state import State
-from warpcrete.dem.stepper import Stepper
+from warpcrete.dem.measure.probes import body_sums, contact_sums
+from warpcrete.dem.scene import clumps
+from warpcrete.dem.scene.bodies import placed_bodies
+from warpcrete.dem.scene.scene import Bodies, Bonds, Scene, TimeStep, Watch
 from warpcrete.geometry.walls import PlaneWall
 from warpcrete.kernels.common.types import types
 from warpcrete.kernels.dem.contact_law import contact_functions

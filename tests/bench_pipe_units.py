@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.run_loop import Run
-from warpcrete.dem.scene import Published
+from warpcrete.core.run.run_loop import Run
+from warpcrete.dem.scene.scene import Published
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 PAPER = {unit: scenes.pipe(unit=unit, shapes="reference").published or Published(source="") for unit in UNITS}

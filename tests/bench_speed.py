@@ -19,15 +19,15 @@ import numpy as np
 import warp as wp
 from bench_peers import GRAVITY, box_of_spheres, scene_of
 
-from warpcrete.core.device import default_threads, find_device, memory_free
-from warpcrete.dem import clumps
-from warpcrete.dem.bodies import placed_bodies
-from warpcrete.dem.memory import bytes_per_body
-from warpcrete.dem.model import build_model
-from warpcrete.dem.probes import body_sums, contact_sums
-from warpcrete.dem.scene import Bonds, Scene
-from warpcrete.dem.state import State
-from warpcrete.dem.stepper import Stepper
+from warpcrete.core.device.device import default_threads, find_device, memory_free
+from warpcrete.dem.engine.memory import bytes_per_body
+from warpcrete.dem.engine.model import build_model
+from warpcrete.dem.engine.state import State
+from warpcrete.dem.engine.stepper import Stepper
+from warpcrete.dem.measure.probes import body_sums, contact_sums
+from warpcrete.dem.scene import clumps
+from warpcrete.dem.scene.bodies import placed_bodies
+from warpcrete.dem.scene.scene import Bonds, Scene
 from warpcrete.geometry.walls import MeshWall
 
 BONDS = Bonds(effective_modulus=1e6, tensile_strength=1e9, cohesion=1e9, gap=1e-4)

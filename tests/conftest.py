@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from source_hash import RECORD, source_hash
 
-from warpcrete.core.device import find_device, quiet_init, share_out_like_a_gpu
-from warpcrete.dem.bodies import placed_bodies
-from warpcrete.dem.bonding import bond_kinds, bond_rows
-from warpcrete.dem.model import build_model
-from warpcrete.dem.state import State
-from warpcrete.dem.stepper import Stepper
+from warpcrete.core.device.device import find_device, quiet_init, share_out_like_a_gpu
+from warpcrete.dem.engine.bonding import bond_kinds, bond_rows
+from warpcrete.dem.engine.model import build_model
+from warpcrete.dem.engine.state import State
+from warpcrete.dem.engine.stepper import Stepper
+from warpcrete.dem.scene.bodies import placed_bodies
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 

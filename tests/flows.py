@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from warpcrete import scenes
-from warpcrete.core.device import find_device
+from warpcrete.core.device.device import find_device
 from warpcrete.mps.particles import MovingParticles
 from warpcrete.mps.stages import step_parts
 from warpcrete.mps.state import FluidState

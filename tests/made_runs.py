@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from warpcrete import scenes
-from warpcrete.core.method import results_of
+from warpcrete.core.run.method import results_of
 from warpcrete.core.units import quantity
-from warpcrete.dem.measures import at_rest
-from warpcrete.dem.quantities import Known as KnownElements
-from warpcrete.dem.scene import Scene
+from warpcrete.dem.measure.quantities import Known as KnownElements
+from warpcrete.dem.measure.vessel_measures import at_rest
+from warpcrete.dem.scene.scene import Scene
 from warpcrete.dem.simulation import ElementRun
 from warpcrete.methods import method_of
 from warpcrete.mps.column import all_slip

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from warpcrete.dem.containers import Fill, PipeContainer
 from warpcrete.dem.laws import Contact
-from warpcrete.dem.scene import Blockage, PipeUnit, PressureProbe, Scene, Watch
-from warpcrete.dem.sizes import Uniform
+from warpcrete.dem.scene.containers import Fill, PipeContainer
+from warpcrete.dem.scene.scene import Blockage, PipeUnit, PressureProbe, Scene, Watch
+from warpcrete.dem.scene.sizes import Uniform
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed
 

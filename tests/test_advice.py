@@ -7,7 +7,7 @@ from pumping import command
 
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
-from warpcrete.studies.advice import SHIPPED, advise, shipped
+from warpcrete.studies.tradeoffs.advice import SHIPPED, advise, shipped
 
 
 def test_coarser_aggregate_is_that_of_the_scene(tmp_path):
@@ -21,11 +21,11 @@ def test_coarser_aggregate_is_that_of_the_scene(tmp_path):
     assert not advice.left_out
     advice = advise(tmp_path, "pipe", pipe, {"safety": 0.5}, 0.05)
     assert "safety" not in advice.changes and advice.changes["size_max"] == pytest.approx(0.04)
-    assert advice.left_out == ("time step 0.75, for what is given",)
+    assert advice.left_out == ("time step 0.75, because its parameter is given",)
     # A pipe too narrow for that: the level is none of its own, and no other one takes its place.
     advice = advise(tmp_path, "pipe", pipe, {"diameter": 0.08}, 0.05)
     assert advice.changes == pytest.approx({"safety": 1.2})
-    assert advice.left_out == ("coarse-graining x 2, which this scene has not",)
+    assert advice.left_out == ("coarse-graining x 2, which this scene does not have",)
 
 
 def test_what_only_repeats_the_measured_scene_is_not_kept_from_being_set(tmp_path):
@@ -38,7 +38,7 @@ def test_what_only_repeats_the_measured_scene_is_not_kept_from_being_set(tmp_pat
         assert advice.changes["time_step"] == pytest.approx(2e-3) and not advice.left_out
     # Another one was chosen by somebody, and so it stays; the checks stay what they are, too.
     advice = advise(tmp_path, "channel", channel, {"time_step": 3e-4}, 0.05)
-    assert advice.changes == {} and advice.left_out == ("time step 0.0012 s, for what is given",)
+    assert advice.changes == {} and advice.left_out == ("time step 0.0012 s, because its parameter is given",)
 
 
 @pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.json")), ids=lambda path: path.stem)
@@ -70,7 +70,11 @@ def test_the_nearest_shipped_trade_is_taken():
     literal = {"unit": "D", "concrete": "zhan-table1"}  # of which trades are
     assert not advise(SHIPPED / "pipe-bend.json", "pipe", pipes, literal, 0.2).outside
     layered = advise(SHIPPED / "pipe-bend.json", "pipe", pipes, {"unit": "D"}, 0.2).outside
-    assert layered == ("concrete zhan for zhan-table1", "wall_friction 0.034 for None", "layer_viscosity 1190 for 0")
+    assert layered == (
+        "concrete zhan instead of zhan-table1",
+        "wall_friction 0.034 instead of None",
+        "layer_viscosity 1190 instead of 0",
+    )
     assert shipped("pipe", pipes, {"length": 0.4, "ramp": 0.1, "travel": 0.2}, True).stem == "pipe-vertical"
     assert shipped("pipe", pipes, {"hydration": 0.1}, True).stem == "pipe-hydrated"
     assert shipped("nothing", pipes, {}, False) is None
@@ -94,7 +98,12 @@ def test_a_run_for_an_accuracy_by_a_shipped_trade(tmp_path):
     bare = ("--no-rerun", "--no-usd", "--quiet", "--device", "cpu", "--threads", "1")
     done = command("run", "channel", "--accuracy", "10%", "--flow", "0.002", "--out", tmp_path / "r", *bare)
     assert done.returncode == 0, done.stdout + done.stderr
-    for words in ("from the shipped trade 'channel', measured on", "within", "twice the flow", "flow 0.002 for None"):
+    for words in (
+        "from the shipped trade 'channel', measured on",
+        "within",
+        "twice the flow",
+        "flow 0.002 instead of None",
+    ):
         assert words in done.stderr
     made = json.loads((tmp_path / "r" / "scene.json").read_text())["parameters"]
     assert made["tolerated_error"] == pytest.approx(0.1)

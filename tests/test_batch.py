@@ -12,20 +12,20 @@ import warp as wp
 from test_checkpoint import mixed_scene
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.device import find_device, share_out_like_a_gpu
+from warpcrete.core.device.device import find_device, share_out_like_a_gpu
 from warpcrete.core.errors import CapacityError, InstabilityError
-from warpcrete.core.run_loop import Recorder, Run
-from warpcrete.dem import regrouping, stepper, subcycling
-from warpcrete.dem.ahead import Ahead
+from warpcrete.core.run.run_loop import Recorder, Run
 from warpcrete.dem.batch_run import run_batch
-from warpcrete.dem.bodies import placed_bodies
-from warpcrete.dem.memory import check_memory, memory_needed
-from warpcrete.dem.model import build_model
-from warpcrete.dem.neighbors import NeighborLists
-from warpcrete.dem.restoring import state_hash
-from warpcrete.dem.scene import Bodies, Scene, Watch
-from warpcrete.dem.state import State
-from warpcrete.dem.subcycling import round_blocks
+from warpcrete.dem.engine import regrouping, stepper, subcycling
+from warpcrete.dem.engine.launch_planner import Ahead
+from warpcrete.dem.engine.memory import check_memory, memory_needed
+from warpcrete.dem.engine.model import build_model
+from warpcrete.dem.engine.neighbors import NeighborLists
+from warpcrete.dem.engine.state import State
+from warpcrete.dem.engine.state_data import state_hash
+from warpcrete.dem.engine.subcycling import round_blocks
+from warpcrete.dem.scene.bodies import placed_bodies
+from warpcrete.dem.scene.scene import Bodies, Scene, Watch
 from warpcrete.geometry.walls import PlaneWall
 from warpcrete.kernels.common.control import STALE
 
@@ -133,7 +133,7 @@ def test_too_many_bodies_for_the_memory_are_refused(device, monkeypatch):
     scene = falling(0.1)
     model = build_model(scene, find_device(device), "float32")
     table = placed_bodies(scene)
-    monkeypatch.setattr("warpcrete.dem.memory.memory_free", lambda device: 20e3)
+    monkeypatch.setattr("warpcrete.dem.engine.memory.memory_free", lambda device: 20e3)
     with pytest.raises(CapacityError, match=r"bodies = 64: need about .* GiB free; about \d+ of them would fit"):
         check_memory(model, table)
 
@@ -159,7 +159,7 @@ def test_an_interruption_of_one_scene_ends_all(device):
 
 def test_checkpoints_of_threaded_runs_go_on_in_a_batch(tmp_path, monkeypatch):
     """Pairs that stood at both spheres of two chunks must not count twice where there is one chunk."""
-    monkeypatch.setattr("warpcrete.dem.batch.PER_THREAD", 16)
+    monkeypatch.setattr("warpcrete.dem.engine.batch.PER_THREAD", 16)
     paths = []
     for seed in (0, 1):
         simulation = Simulation(scenes.pipe(seed=seed, **SMALL), device="cpu", threads=2)

@@ -8,11 +8,11 @@ from orifices import orifice
 from pumping import SMALL
 
 from warpcrete import SceneError, Simulation, scenes
-from warpcrete.core.run_loop import Recorder
-from warpcrete.dem import blockage
+from warpcrete.core.run.run_loop import Recorder
+from warpcrete.dem.measure import blockage
+from warpcrete.dem.measure.quantities import report
 from warpcrete.dem.method import METHOD
-from warpcrete.dem.quantities import report
-from warpcrete.dem.scene import Blockage, Bodies, Scene
+from warpcrete.dem.scene.scene import Blockage, Bodies, Scene
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.walls import PipeWall, PlaneWall
 from warpcrete.studies.cases import Case

@@ -11,15 +11,16 @@ from test_bonds import strong
 from test_contacts import two_spheres
 
 from warpcrete import SceneError, Simulation, scenes
-from warpcrete.core.device import find_device, share_out_like_a_gpu
+from warpcrete.core.device.device import find_device, share_out_like_a_gpu
 from warpcrete.core.errors import CapacityError
-from warpcrete.dem import bonding, joint
-from warpcrete.dem.bodies import placed_bodies
-from warpcrete.dem.bonding import bond_rows
-from warpcrete.dem.model import build_model
-from warpcrete.dem.probes import listed_pairs
-from warpcrete.dem.state import State
-from warpcrete.dem.stepper import Stepper, steppers_of
+from warpcrete.dem.engine import batch_arrays as joint
+from warpcrete.dem.engine import bonding
+from warpcrete.dem.engine.bonding import bond_rows
+from warpcrete.dem.engine.model import build_model
+from warpcrete.dem.engine.pairs import listed_pairs
+from warpcrete.dem.engine.state import State
+from warpcrete.dem.engine.stepper import Stepper, steppers_of
+from warpcrete.dem.scene.bodies import placed_bodies
 
 WAYS = pytest.mark.parametrize("way", [nullcontext, share_out_like_a_gpu], ids=["its lists", "full lists"])
 
@@ -78,7 +79,7 @@ def test_bonds_keep_their_rows(device, way, stiff):
 
 
 def test_entries_across_a_border_of_threads_have_rows_of_their_own(monkeypatch):
-    monkeypatch.setattr("warpcrete.dem.batch.PER_THREAD", 16)
+    monkeypatch.setattr("warpcrete.dem.engine.batch.PER_THREAD", 16)
     simulation = Simulation(scenes.pipe(plug="plate", **SMALL), device="cpu", threads=2)
     simulation.prepare()
     simulation.stepper.advance(0.02)
@@ -117,11 +118,11 @@ def test_more_bonds_than_can_be_numbered_are_refused(start, monkeypatch):
     scene = two_spheres(gap=1e-7, bonds=strong(), dt=1e-6)
     stepper = start(scene)
     monkeypatch.setattr(bonding, "MOST_ROWS", 0)
-    with pytest.raises(CapacityError, match=r"^bonds = 1: at most 0 can be numbered in one scene"):
+    with pytest.raises(CapacityError, match=r"^bonds = 1: one scene can hold at most 0;"):
         stepper.bond(scene.bonds, 1)
     monkeypatch.setattr(joint, "MOST_ROWS", 4)
     stepper = start(dataclasses.replace(scene, bonds=dataclasses.replace(scene.bonds, healing=True)))
-    with pytest.raises(CapacityError, match=r"^bonds = 1000 listed pairs that may bond: at most 4 in one scene"):
+    with pytest.raises(CapacityError, match=r"^bonds = 1000: too many listed pairs may bond; one scene can hold"):
         stepper.batch.reserve_pairs(np.array([1000]))
 
 
@@ -132,7 +133,7 @@ def test_more_kinds_of_bonds_than_can_be_told_apart_are_refused(device):
     scene = dataclasses.replace(
         scene, group_bonds=groups, bodies=tuple(dataclasses.replace(bodies, group=name) for name in groups)
     )
-    with pytest.raises(SceneError, match=r"^group_bonds = 15: a scene has at most 15 kinds of bonds in all"):
+    with pytest.raises(SceneError, match=r"^group_bonds = 15: must be fewer: a scene has at most 15 kinds"):
         build_model(scene, find_device(device), "float32")
 
 

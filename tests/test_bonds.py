@@ -9,11 +9,11 @@ from conftest import bonds_of, by_id, pair_history
 from test_contacts import MASS, RADIUS, two_spheres
 
 from warpcrete import Simulation, scenes
-from warpcrete.dem.probes import contact_sums
-from warpcrete.dem.restoring import state_hash
-from warpcrete.dem.scene import Bodies, Bonds, Contact, Hydration, Scene, TimeStep
-from warpcrete.dem.state import State
-from warpcrete.dem.stepper import Stepper
+from warpcrete.dem.engine.state import State
+from warpcrete.dem.engine.state_data import state_hash
+from warpcrete.dem.engine.stepper import Stepper
+from warpcrete.dem.measure.probes import contact_sums
+from warpcrete.dem.scene.scene import Bodies, Bonds, Contact, Hydration, Scene, TimeStep
 
 AREA, INERTIA = math.pi * RADIUS**2, math.pi * RADIUS**4 / 4
 SMOOTH = Contact(friction=0.0, normal_damping_ratio=0.0)

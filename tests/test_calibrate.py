@@ -12,16 +12,16 @@ import pytest
 from pumping import command
 
 from warpcrete import SceneError, WarpcreteError, scenes
-from warpcrete.core.yaml_files import yaml_text
+from warpcrete.core.inputs.yaml_files import yaml_text
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
-from warpcrete.studies.calibrate import calibrate, resume_calibration
-from warpcrete.studies.calibration_report import concrete_of
-from warpcrete.studies.posterior import told_apart
-from warpcrete.studies.targets import read_task, task_of
+from warpcrete.studies.calibration.calibrate import calibrate, resume_calibration
+from warpcrete.studies.calibration.posterior import told_apart
+from warpcrete.studies.calibration.report import concrete_of
+from warpcrete.studies.calibration.targets import read_task, task_of
 from warpcrete.theory.pipe import CONCRETES
 
-SEARCH = importlib.import_module("warpcrete.studies.calibrate")
+SEARCH = importlib.import_module("warpcrete.studies.calibration.calibrate")
 SLUMP = {"scene": "slump", "parameters": {"concrete": "own", "density": 2350.0}}
 FUNNEL = {"scene": "funnel", "parameters": {"concrete": "own", "density": 2350.0}}
 TUBE = {"scene": "tube", "parameters": {"concrete": "own", "density": 2350.0, "viscosity": 40.0, "yield_stress": 60.0}}
@@ -110,7 +110,7 @@ def test_what_data_cannot_tell_apart_is_said(tmp_path, monkeypatch):
     found = calibrate(one, out=tmp_path / "one", device="cpu", repeat=0, trials=16)
     ((first, second, correlation),) = told_apart(found.posterior)
     assert (first, second) == ("slip_viscosity", "slip_yield") and correlation < -0.9
-    assert any("cannot tell slip_viscosity and slip_yield apart" in said for said in found.findings)
+    assert any("cannot distinguish slip_viscosity from slip_yield" in said for said in found.findings)
     values = truth_of(two := task(("slip_viscosity", "slip_yield"), asked(tube(2e-4), "pressure", 1.0, "0.3%"),
                                   asked(tube(2e-3), "pressure", 1.0, "0.3%")),
                       {"slip_viscosity": 1000.0, "slip_yield": 50.0})  # fmt: skip
@@ -132,7 +132,7 @@ def test_a_target_that_nothing_moves_and_one_that_cannot_be_met(tmp_path, monkey
     raw["targets"][0]["parameters"]["slip_yield"] = 10.0
     raw["targets"][1]["parameters"]["slip_yield"] = raw["targets"][2]["parameters"]["slip_yield"] = 10.0
     found = calibrate(raw, out=tmp_path / "out", device="cpu", repeat=0, trials=12)
-    assert any("spread of slump" in said and "is moved by none of slip_viscosity" in said for said in found.findings)
+    assert any("changes the spread of slump" in said and "none of slip_viscosity" in said for said in found.findings)
     assert any("no parameters within the ranges meet the pressure" in said for said in found.findings)
 
 
@@ -156,7 +156,9 @@ def test_failed_runs_count_as_impossible(tmp_path, monkeypatch):
     monkeypatch.setattr(SEARCH, "run_round", run_round)
     raw = one_pressure()
     found = calibrate(raw, out=tmp_path / "out", device="cpu", repeat=0, trials=12)
-    assert any("trials failed and count as impossible; the first: speed of body 3" in said for said in found.findings)
+    assert any(
+        "trials failed and count as impossible; reason in the first: speed of body 3" in said for said in found.findings
+    )
     assert found.best["slip_viscosity"] < 1300.0
 
 
@@ -167,7 +169,7 @@ def test_a_quantity_that_no_run_comes_to(tmp_path, monkeypatch):
         return True
 
     monkeypatch.setattr(SEARCH, "run_round", run_round)
-    with pytest.raises(WarpcreteError, match="came out of none of 12 runs; the first: stopped"):
+    with pytest.raises(WarpcreteError, match="is missing in all 12 runs; reason in the first: stopped"):
         calibrate(one_pressure(), out=tmp_path / "out", device="cpu")
 
 
@@ -182,27 +184,27 @@ targets:
     ("change", "says"),
     [
         (("[500, 2000]", "[2000, 500]"), "must be [low, high] with low below high"),
-        (("[500, 2000]", "{low: 0, high: 5, scale: log}"), "must be above 0 to be searched by its logarithm"),
+        (("[500, 2000]", "{low: 0, high: 5, scale: log}"), "must be above 0 for a logarithmic scale"),
         (("[500, 2000]", "much"), "must be [low, high], two finite numbers"),
         (("[500, 2000]", "{low: 1, to: 3}"), "must have low and high"),
-        (("slip_viscosity", "slipviscosity"), "vary = 'slipviscosity': is no parameter of tube"),
-        (("slip_viscosity: [500", "precision: [500"), "must be a parameter that is a number"),
+        (("slip_viscosity", "slipviscosity"), "vary = 'slipviscosity': is not a parameter of tube"),
+        (("slip_viscosity: [500", "precision: [500"), "must be a numeric parameter"),
         (("slip_viscosity: [500, 2000]", "length: [-1, 2]"), "vary length = [-1.0, 2.0]: pressure of tube"),
         (("scene: tube", "scene: [tube]"), "target 1 scene = ['tube']: must be one of"),
         (("2%", "1.2.3%"), "uncertainty = '1.2.3%'"),
         (("tube", "tub"), "target 1 scene = 'tub': must be one of"),
         (("quantity: pressure", "quantity: colour"), "quantity = 'colour': is not measured in tube; must be one of"),
-        (("quantity: pressure, ", ""), "needs quantity"),
+        (("quantity: pressure, ", ""), "must have quantity"),
         (("value: 12e3", "value: .nan"), "line 4: has .nan, which is not a finite number"),
         (("value: 12e3", "value: high"), "target 1 value = 'high'"),
         (("2%", "-2%"), "uncertainty = '-2%': must be a number above 0"),
         (("2%", "0"), "uncertainty = 0: must be a number above 0"),
-        (("concrete: no1}", "concrete: no1, slip_viscosity: 900}"), "is held there and varied at once"),
+        (("concrete: no1}", "concrete: no1, slip_viscosity: 900}"), "cannot be both given here and varied"),
         (("concrete: no1}", "concrete: no9}"), "concrete = 'no9': must be one of"),
-        (("uncertainty: 2%", "uncertainty: 2%, held_out: true"), "held_out = True: is every target's"),
+        (("uncertainty: 2%", "uncertainty: 2%, held_out: true"), "held_out = True: must not be set for every target"),
         (("uncertainty: 2%", "uncertainty: 2%, held_out: 7"), "held_out = 7: must be true or false"),
-        (("uncertainty: 2%", "sigma: 2%"), "is no key of a target"),
-        (("targets:", "goals:"), "is no key of a file of targets"),
+        (("uncertainty: 2%", "sigma: 2%"), "is not a key of a target"),
+        (("targets:", "goals:"), "is not a key of a file of targets"),
         (("\nvary", "\nbase: nobody\nvary"), "concrete = 'nobody': must be one of"),
     ],
 )  # fmt: skip
@@ -220,7 +222,7 @@ def test_values_that_contradict_one_another_are_refused():
     raw = {"vary": {"slip_viscosity": [500, 2000]}, "targets": [one, one | {"value": 9500.0}]}
     for target in raw["targets"]:
         target["parameters"]["slip_yield"] = 5.0
-    with pytest.raises(SceneError, match="contradict one another: both are the pressure of tube"):
+    with pytest.raises(SceneError, match="contradict each other: both are the pressure of tube"):
         task_of(raw, modules())
     raw["targets"][1] = one | {"value": 9100.0}
     assert len(task_of(raw, modules()).targets) == 2
@@ -254,7 +256,7 @@ def test_runs_of_a_flow_are_calibrated_and_gone_on_with(tmp_path):
     again = resume_calibration(out, modules())
     assert again.finished and {path: path.stat().st_mtime_ns for path in out.rglob("result.json")} == before
     assert again.best["slip_viscosity"] == best
-    with pytest.raises(SceneError, match="trials = 2: must be 4 to 10000"):
+    with pytest.raises(SceneError, match="trials = 2: must be from 4 to 10000"):
         resume_calibration(out, modules(), trials=2)
     more = resume_calibration(out, modules(), trials=7)
     assert more.finished and all(path.stat().st_mtime_ns == stamp for path, stamp in before.items())
@@ -322,5 +324,5 @@ def test_too_few_values_are_told(tmp_path, monkeypatch):
         return True
 
     monkeypatch.setattr(SEARCH, "run_round", run_round)
-    with pytest.raises(WarpcreteError, match="came out of 1 of 8 runs, which is too few; the first that failed: stop"):
+    with pytest.raises(WarpcreteError, match="was found in only 1 of 8 runs; reason in the first run without it: stop"):
         calibrate(one_pressure(), out=tmp_path / "out", device="cpu", trials=8)

@@ -12,12 +12,12 @@ from pumping import SMALL, command, small_options
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import RunFolderError
-from warpcrete.core.fingerprints import fingerprint
-from warpcrete.core.run_loop import Recorder
-from warpcrete.dem import clumps
+from warpcrete.core.inputs.fingerprints import fingerprint
+from warpcrete.core.run.run_loop import Recorder
+from warpcrete.dem.engine.state_data import state_hash
 from warpcrete.dem.laws import Contact
-from warpcrete.dem.restoring import state_hash
-from warpcrete.dem.scene import Bodies, Bonds, Hydration, Scene, TimeStep
+from warpcrete.dem.scene import clumps
+from warpcrete.dem.scene.scene import Bodies, Bonds, Hydration, Scene, TimeStep
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.walls import Driven, MeshWall, PlaneWall, Prescribed
 from warpcrete.record.rerun import RerunRecorder

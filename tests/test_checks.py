@@ -17,7 +17,7 @@ import pytest
 from made_runs import MIDDLE, RUNS, Made, scene_name, verdicts
 
 from warpcrete import scenes
-from warpcrete.core.parameters import declared_fields
+from warpcrete.core.inputs.parameters import declared_fields
 from warpcrete.mps.column import all_slip
 
 NAN = math.nan

@@ -8,12 +8,12 @@ import trimesh
 from conftest import by_id
 
 from warpcrete.core.errors import SceneError
-from warpcrete.dem import clumps
-from warpcrete.dem.containers import Fill, MeshContainer, PipeContainer
+from warpcrete.dem.measure.probes import body_sums
 from warpcrete.dem.packing import pack
-from warpcrete.dem.probes import body_sums
-from warpcrete.dem.scene import Bodies, Scene, TimeStep
-from warpcrete.dem.sizes import Gaussian, SieveCurve, Uniform
+from warpcrete.dem.scene import clumps
+from warpcrete.dem.scene.containers import Fill, MeshContainer, PipeContainer
+from warpcrete.dem.scene.scene import Bodies, Scene, TimeStep
+from warpcrete.dem.scene.sizes import Gaussian, SieveCurve, Uniform
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.rotation import rotate
 

@@ -179,7 +179,7 @@ def test_a_job_of_slurm_is_what_dask_is_told(tmp_path):
 @pytest.mark.parametrize(
     ("given", "text"),
     [(("moon", None), "scheduler = 'moon': must be local, slurm or an address"), ((None, 2), "workers = 2"),
-     (("local", 0), "workers = 0"), (("tcp://node1:8786", 2), "workers = 2: are those that 'tcp://node1:8786' has"),
+     (("local", 0), "workers = 0"), (("tcp://node1:8786", 2), "workers = 2: cannot be set for 'tcp://node1:8786'"),
      (("local", 2, 2), "processes = 2")],
 )  # fmt: skip
 def test_what_it_refuses(given, text):
@@ -198,7 +198,7 @@ def test_what_cannot_be_reached_or_is_not_there_leaves_nothing(tmp_path, monkeyp
     ):
         run_study("pipe", pipe_module, {"velocity": [0.3]}, base=BASE, out=out, scheduler=empty.scheduler_address)
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(WarpcreteError, match="scheduler = 'slurm': there is no sbatch here"):
+    with pytest.raises(WarpcreteError, match="scheduler = 'slurm': the command sbatch is missing"):
         run_study("pipe", pipe_module, {"velocity": [0.3]}, base=BASE, out=out, scheduler="slurm")
     monkeypatch.setitem(sys.modules, "dask_jobqueue", None)
     with pytest.raises(WarpcreteError, match=r"needs the package dask_jobqueue; pip install 'warpcrete\[cluster\]'"):

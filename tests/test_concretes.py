@@ -8,10 +8,10 @@ import pytest
 from pumping import SMALL, command
 
 from warpcrete import SceneError, Simulation, scenes
-from warpcrete.core.concretes import concrete, shipped
-from warpcrete.dem.concretes import COVERAGE
+from warpcrete.core.inputs.concretes import concrete, shipped
 from warpcrete.dem.laws import Contact, LubricationLayer
-from warpcrete.dem.pumping import PipeParameters
+from warpcrete.dem.pumping.parameters import PipeParameters
+from warpcrete.dem.scene.concretes import COVERAGE
 from warpcrete.studies.study import run_study
 
 PIPE = scenes.pipe.module
@@ -120,8 +120,8 @@ def test_wrong_files_are_refused_in_one_line(tmp_path, text, says):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("elements: {friction: 0.1}", "has no section 'flow'"),
-        ("flow: {density: 2300, viscosity: 30}", "needs slip_viscosity, slip_yield, yield_stress"),
+        ("elements: {friction: 0.1}", "must have a section 'flow'"),
+        ("flow: {density: 2300, viscosity: 30}", "has no value for slip_viscosity, slip_yield, yield_stress"),
         ("flow: {density: heavy}", "concrete flow density = 'heavy': must be a number"),
         ("flow: {densty: 2300}", "concrete flow = 'densty': is an unknown parameter"),
     ],

@@ -16,14 +16,14 @@ from test_records import refused, saved
 
 from warpcrete import SceneError, scenes
 from warpcrete.cli import cli
-from warpcrete.core.files import write_json
-from warpcrete.core.fingerprints import fingerprint
-from warpcrete.core.origin import changed_fields
-from warpcrete.core.parameters import Above
+from warpcrete.core.inputs.fingerprints import fingerprint
+from warpcrete.core.inputs.origin import changed_fields
+from warpcrete.core.inputs.parameters import Above
+from warpcrete.core.run.files import write_json
 from warpcrete.dem.laws import Contact, HertzMindlin, LubricationLayer, RollingResistance
 from warpcrete.record.loading import load, repeatable_scene
 from warpcrete.studies import study as studies
-from warpcrete.studies.trade import run_trade
+from warpcrete.studies.tradeoffs.trade import run_trade
 
 TAKING = ("pipe", "part-dem", "slump-dem", "funnel-dem", "lbox-dem", "jring-dem")
 TOY = dict(contact="test_laws:Toy", contact_push=0.25)
@@ -95,7 +95,7 @@ def test_vessels_grip_by_what_a_law_has():
     assert layer.gripped(0.5) == LubricationLayer(contact=Contact(friction=0.05), yield_stress=2.0, viscosity=3.0)
     toy = scenes.slump_dem(**TOY)
     assert set(toy.contacts.values()) == {Toy(push=0.25)} and "Toy has no friction" in toy.remarks[0]
-    with pytest.raises(SceneError, match=r"plate_grip = 1\.0: means nothing beside contact Toy"):
+    with pytest.raises(SceneError, match=r"plate_grip = 1\.0: has no effect with contact Toy"):
         scenes.slump_dem(**TOY, plate_grip=1.0)
 
 

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from conftest import by_id, pair_history
 
-from warpcrete.core.device import find_device, share_out_like_a_gpu
-from warpcrete.dem.clumps import clump
-from warpcrete.dem.containers import Fill, PipeContainer
-from warpcrete.dem.model import build_model
+from warpcrete.core.device.device import find_device, share_out_like_a_gpu
+from warpcrete.dem.engine.model import build_model
+from warpcrete.dem.engine.state import State
+from warpcrete.dem.engine.stepper import Stepper
 from warpcrete.dem.packing import pack
-from warpcrete.dem.scene import Bodies, Bonds, Contact, Scene, TimeStep
-from warpcrete.dem.state import State
-from warpcrete.dem.stepper import Stepper
+from warpcrete.dem.scene.clumps import clump
+from warpcrete.dem.scene.containers import Fill, PipeContainer
+from warpcrete.dem.scene.scene import Bodies, Bonds, Contact, Scene, TimeStep
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.walls import PlaneWall
 
@@ -209,7 +209,7 @@ def test_shear_history_turns_with_the_pair(start, axis):
         )
     )
     stepper.bond(bonds, 1)
-    from warpcrete.dem.probes import body_sums, contact_sums
+    from warpcrete.dem.measure.probes import body_sums, contact_sums
 
     def energy():
         sums = contact_sums(stepper.model, stepper.state)

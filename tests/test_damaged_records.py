@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from warpcrete import RunFolderError, SceneError
 from warpcrete.cli.main import cli
 from warpcrete.core.errors import PlausibilityWarning
-from warpcrete.core.files import RECORD_KINDS, read_record
+from warpcrete.core.run.files import RECORD_KINDS, read_record
 from warpcrete.geometry.lines import line_of
 from warpcrete.mix.mix import mix_of
 from warpcrete.studies.study import load_study
@@ -47,7 +47,7 @@ def test_cases_of_a_record_lie_inside_its_folder(tmp_path, name):
     case = {"name": name, "varied": {}, "parameters": {}}
     record = {"scene": "slump", "command": {}, "device": "cpu", "precision": "float32", "cases": [case]}
     (tmp_path / "study.json").write_text(json.dumps(record))
-    with pytest.raises(RunFolderError, match="is no name of a folder"):
+    with pytest.raises(RunFolderError, match="cannot be the name of a folder"):
         load_study(tmp_path)
 
 

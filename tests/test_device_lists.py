@@ -4,8 +4,8 @@ import pytest
 from pumping import TINY
 
 from warpcrete import Simulation, scenes
-from warpcrete.dem import rebuilding
-from warpcrete.dem.ahead import WAIT
+from warpcrete.dem.engine import device_rebuild as rebuilding
+from warpcrete.dem.engine.launch_planner import WAIT
 
 pytestmark = [pytest.mark.thorough, pytest.mark.usefixtures("like_a_gpu")]
 

@@ -9,11 +9,11 @@ from conftest import bonds_of, by_id
 from test_walls import DENSITY, K_WALL, MASS, RADIUS, grid_plane
 
 from warpcrete import SceneError, Simulation, WarpcreteError, scenes
-from warpcrete.dem import clumps
-from warpcrete.dem.containers import Fill, PipeContainer
 from warpcrete.dem.packing import NEAR, pack
-from warpcrete.dem.scene import AxisDrive, Bodies, Contact, PressureProbe, Scene, TimeStep
-from warpcrete.dem.sizes import Gaussian
+from warpcrete.dem.scene import clumps
+from warpcrete.dem.scene.containers import Fill, PipeContainer
+from warpcrete.dem.scene.scene import AxisDrive, Bodies, Contact, PressureProbe, Scene, TimeStep
+from warpcrete.dem.scene.sizes import Gaussian
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.walls import Driven, MeshWall, PipeWall, PlaneWall, Prescribed
 
@@ -181,7 +181,7 @@ def test_pivot_travels_with_a_turning_and_moving_wall(start):
         (lambda: Driven(direction=(0, 0, 1), force=math.nan, mass=1.0), "driving force = nan"),
         (lambda: AxisDrive(group="a", axis=AXIS, force=math.inf), "drive force = inf"),
         (lambda: TimeStep(interval=0), "interval = 0"),
-        (lambda: clumps.clump("none", np.zeros((0, 3)), np.zeros(0)), "needs one sphere"),
+        (lambda: clumps.clump("none", np.zeros((0, 3)), np.zeros(0)), "must contain at least one radius"),
         (lambda: clumps.from_mesh(None, 3), "must be a trimesh.Trimesh or the path"),
     ],
 )

@@ -6,7 +6,7 @@ from pumping import SMALL
 
 from warpcrete import Simulation, scenes
 from warpcrete.dem.laws import BinghamMortar, Contact, HertzMindlin, LubricationLayer
-from warpcrete.dem.scene import Bodies, Scene, Settle
+from warpcrete.dem.scene.scene import Bodies, Scene, Settle
 from warpcrete.geometry.walls import PlaneWall, Prescribed
 
 
@@ -81,7 +81,7 @@ def test_a_hertz_body_at_rest_survives_what_hits_it(device):
     ids=["layer", "mortar"],
 )
 def test_a_spring_still_loaded_at_parting_is_booked(device, contact):
-    from warpcrete.dem.scene import TimeStep
+    from warpcrete.dem.scene.scene import TimeStep
 
     scene = one(contact, velocity=(0.3, 0, -0.3), time_step=TimeStep(fixed=2e-6))
     run = Simulation(scene, device=device).run()

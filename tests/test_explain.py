@@ -10,12 +10,12 @@ from pumping import command
 
 import warpcrete
 from warpcrete import Simulation, scenes
+from warpcrete.core.device.footprint import footprint
 from warpcrete.core.errors import RunFolderError, SceneError
-from warpcrete.core.fingerprints import fingerprint
-from warpcrete.core.footprint import footprint
-from warpcrete.dem.containers import MeshContainer, PipeContainer
+from warpcrete.core.inputs.fingerprints import fingerprint
 from warpcrete.dem.forecast import tiled
 from warpcrete.dem.packing import pack
+from warpcrete.dem.scene.containers import MeshContainer, PipeContainer
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.studies.explain import explain
 
@@ -72,7 +72,7 @@ def test_what_is_foretold_of_a_flow_is_what_a_run_has(device):
 def test_what_governs_the_step_and_what_to_do_about_it(device):
     scene = scenes.pipe(**SMALL | dict(hydration=0.1, hydration_modulus=1e8, length=0.2))
     rounds = explain(scene, device=device, threads=1, cache=False).forecast
-    assert "rounds in each step" in rounds.governing
+    assert "rounds per step" in rounds.governing
     bounds = rounds.limits
     assert bounds["hydrated bonds, a round"] < 0.1 * bounds["contacts"]
     of_contacts = min(dt for name, dt in bounds.items() if name.startswith("contacts and"))
@@ -93,7 +93,7 @@ def test_what_governs_the_step_and_what_to_do_about_it(device):
     assert limits["contacts without dashpots"] > 1.1 * limits["contacts"]
     assert "mm" in told.forecast.governing
     fixed = explain(replace(scene, time_step=replace(scene.time_step, fixed=1e-7)), device=device, cache=False)
-    assert fixed.forecast.time_step == 1e-7 and fixed.forecast.governing == "time_step = 1e-07 s, as it is given"
+    assert fixed.forecast.time_step == 1e-7 and fixed.forecast.governing == "the given time_step = 1e-07 s"
 
 
 def test_features_are_those_that_are_compiled_in(device):
@@ -151,9 +151,9 @@ def test_savings_by_a_trade(tmp_path):
         ("time step 1.2", pytest.approx(0.7), "error of plateau_pressure +0.3 +- 0.1 %")
     ]
     assert "some machine" in str(told) and "time step 1.2: 0.7 of the time; error of plateau" in str(told)
-    with pytest.raises(SceneError, match="is of the scene 'pipe', not 'channel'"):
+    with pytest.raises(SceneError, match="must be a trade of the scene 'channel', but is one of 'pipe'"):
         explain(scenes.channel(spacing=0.02), device="cpu", trade=tmp_path)
-    with pytest.raises(RunFolderError, match="is no trade's folder"):
+    with pytest.raises(RunFolderError, match="is not the folder of a trade"):
         explain(scenes.channel(spacing=0.02), device="cpu", trade=tmp_path / "none")
 
 
@@ -161,13 +161,13 @@ def test_a_step_that_was_given_is_not_made_longer_by_softer_bonds(device):
     changes = SMALL | dict(hydration=0.1, hydration_modulus=1e8, length=0.2, time_step=1e-6)
     told = explain(scenes.pipe(**changes), device=device, threads=1, cache=False)
     assert not [saving for saving in told.savings if "bonds" in saving.what]
-    assert told.forecast.governing == "time_step = 1e-06 s, as it is given"
+    assert told.forecast.governing == "the given time_step = 1e-06 s"
 
 
 def test_the_largest_step_allowed_bounds_soft_scenes(device):
     scene = scenes.pipe(**SMALL | dict(length=0.2))
     told = explain(replace(scene, time_step=replace(scene.time_step, largest=1e-5)), device=device, cache=False)
-    assert told.forecast.governing.startswith("what is allowed at most")
+    assert told.forecast.governing.startswith("the largest allowed time step")
     assert told.forecast.time_step == told.forecast.limits["all together"] == 1e-5
 
 
@@ -197,14 +197,14 @@ def test_a_pipe_too_long_for_the_copy_counts_by_its_length(monkeypatch):
 def test_the_command(tmp_path):
     done = command("explain", "channel", "--spacing", "0.02", "--device", "cpu", "--threads", "1")
     assert done.returncode == 0 and not done.stderr
-    for words in ("particles", "memory:", "time step: 0.0005 s", "wall time:", "what would save most"):
+    for words in ("particles", "memory:", "time step: 0.0005 s", "wall time:", "largest possible savings of time"):
         assert words in done.stdout
     for arguments, words in (
         (("nothing",), "scene = 'nothing': must be one of"),
         (("channel", "--spacing", "0.02", "0.01"), "spacing = '0.02, 0.01': must be one value"),
         (("channel", "--spacing", "-1"), "spacing = -1.0"),
         (("channel", "--fresh", "1"), "--fresh: takes no value"),
-        (("channel", "--trade", str(tmp_path)), "is no trade's folder"),
+        (("channel", "--trade", str(tmp_path)), "is not the folder of a trade"),
     ):
         done = command("explain", *arguments, "--device", "cpu")
         assert done.returncode == 2 and words in done.stderr and len(done.stderr.strip().splitlines()) == 1

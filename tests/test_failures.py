@@ -18,8 +18,8 @@ import warpcrete
 from warpcrete import Simulation, scenes
 from warpcrete.cli import cli
 from warpcrete.core.errors import DiskFullError, RunFolderError, SceneError
-from warpcrete.core.fingerprints import fingerprint
-from warpcrete.core.run_loop import Recorder
+from warpcrete.core.inputs.fingerprints import fingerprint
+from warpcrete.core.run.run_loop import Recorder
 from warpcrete.geometry.meshes import enclosed
 from warpcrete.record.notebook import show
 from warpcrete.record.run_folder import TableRecorder
@@ -184,12 +184,12 @@ def test_a_checkpoint_that_is_cut_short_is_called_damaged(tmp_path):
         ("pipe", ["--wall-scale", 0.001], "wall_scale = 0.001: has no effect unless wall is a file"),
         ("pipe", ["--plug", "none", "--plug-pressure", 5], "plug_pressure = 5.0: has no effect unless plug is"),
         ("pipe", ["--sizes", "5:0,20:1", "--size-max", 0.03], "size_max = 0.03: has no effect unless sizes is"),
-        ("tube", ["--time-step", 10], "time_step = 10.0: lets the piston pass more than half a particle a step"),
+        ("tube", ["--time-step", 10], "time_step = 10.0: must be shorter, because the piston passes"),
         ("channel", ["--radius", 0.05, "--diameter", 0.1], "radius = 0.05: is another name of diameter"),
         ("channel", ["--mix", "no1", "--concrete", "no2"], "mix = 'no1': is another name of concrete"),
         ("pipe", ["--velocity", 1e9], "velocity = 1000000000.0: must be in"),
         ("pipe", ["--pipeline-other", "there"], "pipeline_other = 'there': needs the lengths of a pipeline"),
-        ("pipe", ["--unit", "C", "--plug", "plate"], "plug = 'plate': a plate cannot follow a bend"),
+        ("pipe", ["--unit", "C", "--plug", "plate"], "plug = 'plate': must not be a plate in a bend"),
     ],
 )
 def test_what_would_be_ignored_or_is_said_twice_is_refused(tmp_path, scene, options, words):

@@ -11,10 +11,10 @@ from test_theory import FLOW
 
 import warpcrete
 from warpcrete import scenes
-from warpcrete.core.device import find_device
+from warpcrete.core.device.device import find_device
 from warpcrete.core.errors import CapacityError, ConvergenceError, RunFolderError, SceneError
-from warpcrete.core.files import read_json
-from warpcrete.core.run_loop import Recorder
+from warpcrete.core.run.files import read_json
+from warpcrete.core.run.run_loop import Recorder
 from warpcrete.dem.simulation import ElementSimulation
 from warpcrete.mps.column import check_flow
 from warpcrete.mps.particles import MovingParticles

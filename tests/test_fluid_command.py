@@ -120,7 +120,7 @@ def test_a_failing_flow_harms_no_other_of_its_study(tmp_path):
         (["--colour", "size"], "colour = 'size'"),
         (["--network"], "network"),
         (["--pipeline-vertical", "10"], "pipeline = "),
-        (["--mix", "own"], "needs density, slip_viscosity, slip_yield, viscosity, yield_stress"),
+        (["--mix", "own"], "has no value for density, slip_viscosity, slip_yield, viscosity, yield_stress"),
         (["--viscosity", "0"], "viscosity = 0.0"),
     ],
 )

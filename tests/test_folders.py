@@ -17,27 +17,27 @@ from pumping import TINY, alive, wait_until
 from warpcrete import RunFolderError, Simulation, scenes
 from warpcrete.cli.main import cli
 from warpcrete.cli.run import KEPT
-from warpcrete.core import checkpoint, folders
+from warpcrete.core.device.interrupts import StopAtSample, put_off
 from warpcrete.core.errors import DiskFullError, SceneError
-from warpcrete.core.files import LOCK, cannot_write
-from warpcrete.core.folders import Hold, make_folder, new_folder
-from warpcrete.core.interrupts import StopAtSample, put_off
-from warpcrete.core.processes import tied
-from warpcrete.core.recorder import Recorder
+from warpcrete.core.run import checkpoint, folders
+from warpcrete.core.run.files import LOCK, cannot_write
+from warpcrete.core.run.folders import Hold, make_folder, new_folder
+from warpcrete.core.run.processes import tied
+from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.record.checks import CheckRecorder
 from warpcrete.record.loading import is_finished
 from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.run_folder import TableRecorder
-from warpcrete.studies.calibrate import resume_calibration
-from warpcrete.studies.reproduce import resume_reproduction
+from warpcrete.studies.calibration.calibrate import resume_calibration
+from warpcrete.studies.reproduction.reproduce import resume_reproduction
 
 FLOW = dict(duration=0.02, spacing=0.01, length=0.1)
 METHODS = ("start", "sample", "frame", "checkpoint", "write", "finish", "tidy")
 HOLDING = """
 import sys, time
 from pathlib import Path
-from warpcrete.core.folders import Hold
+from warpcrete.core.run.folders import Hold
 hold = Hold(Path(sys.argv[1]))
 print("held", flush=True)
 time.sleep(60)
@@ -370,7 +370,7 @@ def test_a_kill_while_a_recording_is_joined_is_made_good(tmp_path, whole, monkey
 
 def test_a_child_ends_with_the_process_that_started_it(tmp_path):
     code = (
-        "import subprocess, sys, time; from warpcrete.core.processes import tied; "
+        "import subprocess, sys, time; from warpcrete.core.run.processes import tied; "
         "subprocess.Popen(tied([sys.executable, '-c', 'import time; time.sleep(60)'])); print('begun', flush=True); "
         "time.sleep(60)"
     )

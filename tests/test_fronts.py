@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from warpcrete.studies.fronts import Error, cheapest_within, difference, front, next_within, student, worst
+from warpcrete.studies.tradeoffs.fronts import Error, cheapest_within, difference, front, next_within, student, worst
 
 QUANTILES = {1: 12.706, 2: 4.303, 10: 2.228, 11: 2.201, 15: 2.131, 30: 2.042, 120: 1.980}
 

@@ -13,21 +13,21 @@ import warp as wp
 from test_checkpoint import mixed_scene
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.device import find_device, parallel, share_out_like_a_gpu
+from warpcrete.core.device.device import find_device, parallel, share_out_like_a_gpu
+from warpcrete.core.device.launching import Stage, bound, graph_sizes, load, tasks_of
 from warpcrete.core.errors import InstabilityError
-from warpcrete.core.launching import Stage, bound, graph_sizes, load, tasks_of
-from warpcrete.core.run_loop import Run
-from warpcrete.dem.ahead import Ahead
-from warpcrete.dem.batch import Batch
+from warpcrete.core.run.run_loop import Run
 from warpcrete.dem.batch_run import run_batch
-from warpcrete.dem.bodies import placed_bodies
-from warpcrete.dem.model import build_model
-from warpcrete.dem.probes import contact_sums
-from warpcrete.dem.scene import TimeStep
-from warpcrete.dem.stable_step import StableStep
-from warpcrete.dem.stages import step_stages as element_stages
-from warpcrete.dem.state import State
-from warpcrete.dem.stepper import Stepper
+from warpcrete.dem.engine.batch import Batch
+from warpcrete.dem.engine.launch_planner import Ahead
+from warpcrete.dem.engine.model import build_model
+from warpcrete.dem.engine.stable_step import StableStep
+from warpcrete.dem.engine.stages import step_stages as element_stages
+from warpcrete.dem.engine.state import State
+from warpcrete.dem.engine.stepper import Stepper
+from warpcrete.dem.measure.probes import contact_sums
+from warpcrete.dem.scene.bodies import placed_bodies
+from warpcrete.dem.scene.scene import TimeStep
 from warpcrete.kernels.common.control import ESTIMATED, FAILED, FLAGS, GOAL, HALTED, STALE, STEPS
 from warpcrete.kernels.common.reductions import BLOCK
 from warpcrete.kernels.dem.clump_motion import clump_kernel

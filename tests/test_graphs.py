@@ -8,11 +8,11 @@ import warp as wp
 from pumping import TINY
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.device import find_device, share_out_like_a_gpu
-from warpcrete.core.exchange import Exchange, Reading
-from warpcrete.core.graphs import AtOnce, Zero, _uncollected, captured
-from warpcrete.core.launching import Launcher
-from warpcrete.dem.probes import begin_sums, body_sums, contact_sums
+from warpcrete.core.device.device import find_device, share_out_like_a_gpu
+from warpcrete.core.device.exchange import Exchange, Reading
+from warpcrete.core.device.graphs import AtOnce, Zero, _uncollected, captured
+from warpcrete.core.device.launching import Launcher
+from warpcrete.dem.measure.probes import begin_sums, body_sums, contact_sums
 from warpcrete.kernels.common.control import ESTIMATED
 
 

@@ -5,9 +5,9 @@ import pytest
 from conftest import by_id
 from test_walls import DENSITY, RADIUS, SMOOTH
 
-from warpcrete.dem.clumps import elongated
 from warpcrete.dem.laws import HertzMindlin
-from warpcrete.dem.scene import Bodies, Contact, Scene, TimeStep
+from warpcrete.dem.scene.clumps import elongated
+from warpcrete.dem.scene.scene import Bodies, Contact, Scene, TimeStep
 from warpcrete.geometry.rotation import rotate
 from warpcrete.geometry.walls import MeshWall, PlaneWall
 

@@ -8,12 +8,12 @@ import warp as wp
 from bench_speed import make
 from test_laws import LAWS
 
-from warpcrete.core.device import find_device
-from warpcrete.dem import neighbors, stages
-from warpcrete.dem.bodies import placed_bodies
-from warpcrete.dem.model import build_model
-from warpcrete.dem.state import State
-from warpcrete.dem.stepper import Stepper
+from warpcrete.core.device.device import find_device
+from warpcrete.dem.engine import neighbors, stages
+from warpcrete.dem.engine.model import build_model
+from warpcrete.dem.engine.state import State
+from warpcrete.dem.engine.stepper import Stepper
+from warpcrete.dem.scene.bodies import placed_bodies
 
 pytestmark = pytest.mark.skipif(
     not wp.is_cuda_available(), reason="threads of a warp that share work are a GPU's: a CPU has one way only"

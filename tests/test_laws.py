@@ -21,9 +21,9 @@ from warpcrete.dem.laws import (
     PlasticMortar,
     damping_ratio,
 )  # fmt: skip
-from warpcrete.dem.probes import body_sums, contact_sums
-from warpcrete.dem.scene import Bodies, Scene, TimeStep
-from warpcrete.dem.vessels import CONTACTS
+from warpcrete.dem.measure.probes import body_sums, contact_sums
+from warpcrete.dem.pumping.vessels import CONTACTS
+from warpcrete.dem.scene.scene import Bodies, Scene, TimeStep
 from warpcrete.geometry.walls import PlaneWall, Prescribed
 from warpcrete.kernels.common.types import types
 from warpcrete.kernels.dem.contact_law import contact_functions
@@ -92,7 +92,7 @@ def test_bodies_and_walls_may_follow_different_laws_but_each_only_one(start):
     pair = K_PAIR * 0.1 * RADIUS
     assert velocity == pytest.approx(np.array([[-pair, 0, 0.25], [pair, 0, 0.25]]), rel=1e-9)
     other = Bodies(positions=np.zeros((1, 3)), sizes=0.01, material="other")
-    with pytest.raises(SceneError, match="contacts with walls must all follow one law"):
+    with pytest.raises(SceneError, match="must be one type of law for all contacts with walls"):
         start(Scene(name="bad", duration=1.0, walls=(floor,), bodies=(*bodies, other), contacts=dict(mixed.contacts)))
 
 

@@ -7,8 +7,8 @@ from conftest import by_id
 from test_walls import DENSITY, RADIUS
 
 from warpcrete import InstabilityError, SceneError
-from warpcrete.dem.clumps import elongated
-from warpcrete.dem.scene import Bodies, Contact, Scene, TimeStep
+from warpcrete.dem.scene.clumps import elongated
+from warpcrete.dem.scene.scene import Bodies, Contact, Scene, TimeStep
 from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed
 
 BOX = trimesh.creation.box((0.1, 0.1, 0.1))

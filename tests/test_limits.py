@@ -11,10 +11,10 @@ from click.testing import CliRunner
 from warpcrete import SceneError, scenes
 from warpcrete.cli.main import cli
 from warpcrete.cli.theory import fields as theory_fields
-from warpcrete.core.amounts import UNITS, amount, bare_number
 from warpcrete.core.errors import PlausibilityWarning, WarpcreteError, known_names, suggested
-from warpcrete.core.limits import LIMITS, check_limit, limit_of
-from warpcrete.core.parameters import Above, Within, declared_fields
+from warpcrete.core.inputs.amounts import UNITS, amount, bare_number
+from warpcrete.core.inputs.limits import LIMITS, check_limit, limit_of
+from warpcrete.core.inputs.parameters import Above, Within, declared_fields
 from warpcrete.geometry import meshes
 from warpcrete.geometry.lines import line_of
 from warpcrete.mix.mix import mix_of
@@ -214,7 +214,7 @@ def test_a_missing_sieve_curve_is_told(tmp_path):
     path = tmp_path / "mix.yaml"
     path.write_text("mix:\n  density: 2300\n  spread: 600 mm\n", encoding="utf-8")
     assert "the mix has no sieve curve" in CliRunner().invoke(cli, ["mix", str(path)]).output
-    with pytest.warns(PlausibilityWarning, match="concrete mix has no sieve curve: its aggregate has the default"):
+    with pytest.warns(PlausibilityWarning, match="concrete mix has no sieve curve, so its aggregate gets the"):
         repeated = scenes.pipe(concrete=path).parameters
     with pytest.warns(PlausibilityWarning, match="has no sieve curve"):
         scenes.part_dem(concrete=path)
@@ -272,7 +272,7 @@ def test_cases_of_a_study_are_counted_before_they_are_made():
 
 
 def test_long_columns_are_refused_before_they_are_laid_out():
-    assert "particles; at most" in refused(lambda: scenes.tube(length=9e3), "length")
+    assert "particles, but at most" in refused(lambda: scenes.tube(length=9e3), "length")
     assert "at most" in refused(lambda: line_of({"diameter": 0.1, "parts": [{"straight": 1}] * 2001}), "parts")
 
 

@@ -8,9 +8,9 @@ from tubes import tube
 from warpcrete import SceneError, scenes
 from warpcrete.mps.mixes import concrete_of
 from warpcrete.mps.part.layout import Frame, bore_distance
-from warpcrete.studies import line_folder
-from warpcrete.studies.line_run import _case, run_line
-from warpcrete.studies.lines import line_of, read_line
+from warpcrete.studies.lines import folder as line_folder
+from warpcrete.studies.lines.losses import line_of, read_line
+from warpcrete.studies.lines.run import _case, run_line
 
 FLOW = 0.0055
 

@@ -9,14 +9,14 @@ from click.testing import CliRunner
 
 from warpcrete import RunFolderError, SceneError, Simulation, scenes
 from warpcrete.cli.main import cli
-from warpcrete.core.amounts import amount
+from warpcrete.core.inputs.amounts import amount
 from warpcrete.core.units import number
 from warpcrete.geometry.crossings import distances
 from warpcrete.geometry.lines import Part
 from warpcrete.mps.mixes import concrete_of
-from warpcrete.studies import line_run
-from warpcrete.studies.line_run import _case, _lost, run_line
-from warpcrete.studies.lines import line_of, read_line, shipped_lines
+from warpcrete.studies.lines import run as line_run
+from warpcrete.studies.lines.losses import line_of, read_line, shipped_lines
+from warpcrete.studies.lines.run import _case, _lost, run_line
 from warpcrete.theory.pipe import Concrete
 
 SLIPPING = Concrete(density=2400.0, viscosity=1e6, yield_stress=1e9, slip_viscosity=1000.0, slip_yield=50.0)
@@ -117,7 +117,7 @@ def test_concrete_that_runs_down_faster_than_it_is_pumped_pulls_at_nothing():
     _, course = found.course(lambda x: x.friction + x.weight)
     assert course.min() == 0 and course[5] == 0 and course[4] > 0
     assert [remark.split(",")[0] for remark in found.remarks()] == [
-        f"concrete runs down part {k} faster than it is pumped" for k in (6, 7)
+        f"concrete flows down part {k} faster than it is pumped" for k in (6, 7)
     ]
 
 
@@ -238,7 +238,7 @@ def test_parts_are_simulated_once_and_found_again(device, tmp_path, monkeypatch)
         run_line(longer, concrete, 2 * flow, known=tmp_path / "line", cells=8, device=device)
     with pytest.raises(RunFolderError, match="line"):
         run_line(longer, concrete, flow, out=tmp_path / "line", simulate=False)
-    with pytest.raises(SceneError, match=r"^known = .*longer': is no folder of a line with simulated parts"):
+    with pytest.raises(SceneError, match=r"^known = .*longer': is not the folder of a line with simulated parts"):
         run_line(longer, concrete, flow, known=tmp_path / "longer", cells=8)
 
 
@@ -308,7 +308,7 @@ def test_an_interrupted_line_says_how_to_go_on(tmp_path, monkeypatch):
     done = CliRunner().invoke(cli, ["line", str(path), "--out", str(out)])
     assert done.exit_code == 130 and f"continue with the same command and --out {out}" in done.output
     other = CliRunner().invoke(cli, ["line", str(path), "--out", str(out), "--cells", "10"])
-    assert "exists already, with another line that was cut" in str(other.exception)
+    assert "contains another, unfinished line" in str(other.exception)
 
 
 def test_two_segments_are_as_far_apart_as_geometry_says():

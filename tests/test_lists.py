@@ -7,13 +7,13 @@ import pytest
 import warp as wp
 from conftest import devices
 
-from warpcrete.core.device import find_device, share_out_like_a_gpu
-from warpcrete.dem import cells, neighbors
-from warpcrete.dem.bodies import placed_bodies
-from warpcrete.dem.model import build_model
-from warpcrete.dem.scene import Bodies, Contact, Scene, TimeStep
-from warpcrete.dem.state import State
-from warpcrete.dem.stepper import steppers_of
+from warpcrete.core.device.device import find_device, share_out_like_a_gpu
+from warpcrete.dem.engine import cells, neighbors
+from warpcrete.dem.engine.model import build_model
+from warpcrete.dem.engine.state import State
+from warpcrete.dem.engine.stepper import steppers_of
+from warpcrete.dem.scene.bodies import placed_bodies
+from warpcrete.dem.scene.scene import Bodies, Contact, Scene, TimeStep
 
 WAYS = [*devices(), "like a GPU", "like a GPU, a thread a sphere"]
 

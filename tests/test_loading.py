@@ -8,9 +8,9 @@ import warp as wp
 from pumping import SMALL
 
 from warpcrete import Simulation, scenes
-from warpcrete.core import launching
-from warpcrete.core.launching import load, telling
-from warpcrete.dem.stages import step_stages
+from warpcrete.core.device import launching
+from warpcrete.core.device.launching import load, telling
+from warpcrete.dem.engine.stages import step_stages
 
 
 @pytest.mark.parametrize("shapes", ["spheres", "reference"])

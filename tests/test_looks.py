@@ -12,12 +12,12 @@ from pumping import SMALL
 from test_recordings import columns
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.display import DrawnWall
-from warpcrete.core.frames import LEAST, SLOWEST, Frames
-from warpcrete.core.later import Later
-from warpcrete.core.paint import on_palette
-from warpcrete.core.run_loop import Recorder
-from warpcrete.dem.probes import largest_forces, pair_forces
+from warpcrete.core.device.recorder_thread import Later
+from warpcrete.core.drawing.display import DrawnWall
+from warpcrete.core.drawing.paint import on_palette
+from warpcrete.core.run.frames import LEAST, SLOWEST, Frames
+from warpcrete.core.run.run_loop import Recorder
+from warpcrete.dem.measure.probes import largest_forces, pair_forces
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.record.blueprint import PLAYED, behind, blueprint, cut_walls
 from warpcrete.record.legend import legend, legend_title, meaning, paint_legend
@@ -343,7 +343,7 @@ def test_usd_has_looks_light_and_words(pumped):
     folder, seen, _ = pumped
     stage = Usd.Stage.Open(str(folder / "scene.usdc"))
     words = stage.GetRootLayer().documentation
-    assert "Metres, Z up" in words and "largest contact force on each [N]" in words
+    assert "Metres, Z up" in words and "largest contact force per aggregate [N]" in words
     assert stage.GetDefaultPrim().GetDocumentation() == words
     looks = {}
     for path in ("/Run/Walls/pipe", "/Run/Walls/piston", "/Run/Aggregates/Prototypes/Template_0/Sphere_0"):

@@ -10,7 +10,7 @@ from conftest import by_id
 from test_walls import DENSITY, K_WALL, MASS, RADIUS, SMOOTH, force_on_sphere, grid_plane
 
 from warpcrete import SceneError, scenes
-from warpcrete.dem.scene import Bodies, Scene, TimeStep
+from warpcrete.dem.scene.scene import Bodies, Scene, TimeStep
 from warpcrete.geometry.walls import MeshWall
 
 OVERLAPS = (0.1, 0.2, 0.3, 0.4, 0.7)

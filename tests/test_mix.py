@@ -8,14 +8,14 @@ from click.testing import CliRunner
 
 from warpcrete import SceneError, Simulation, scenes
 from warpcrete.cli.main import cli
-from warpcrete.core.concretes import concrete
+from warpcrete.core.inputs.concretes import concrete
+from warpcrete.core.inputs.yaml_files import yaml_text
 from warpcrete.core.units import number
-from warpcrete.core.yaml_files import yaml_text
-from warpcrete.dem.concretes import COVERAGE
+from warpcrete.dem.scene.concretes import COVERAGE
 from warpcrete.mix.mix import completed, mix_of, read_mix
 from warpcrete.mps.mixes import concrete_of
-from warpcrete.studies.line_run import run_line
-from warpcrete.studies.lines import line_of
+from warpcrete.studies.lines.losses import line_of
+from warpcrete.studies.lines.run import run_line
 from warpcrete.theory.fits import straight_line
 from warpcrete.theory.inverse import (
     BASE,
@@ -265,7 +265,7 @@ def test_a_line_has_the_band_of_its_mix(tmp_path):
     assert done.exit_code == 0, done.output
     assert f"{found.band()[0] / 1e5:.4g} bar" in done.output and "ends of the mix's bands" in done.output
     given = CliRunner().invoke(cli, ["line", str(site), "--theory", "--layer-factor", "1.5"])
-    assert "with a slip layer that resists 1.5 times less or more" in given.output
+    assert "with 1.5 times less or more resistance of the slip layer" in given.output
     assert "layer_factor = 0.0" in str(CliRunner().invoke(cli, ["line", str(site), "--layer-factor", "0"]).exception)
     written(tmp_path, BULK | {"sizes": ["20 mm", "130 mm"]})
     assert "largest_stone = 0.13: does not pass through part 1" in str(

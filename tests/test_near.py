@@ -9,18 +9,18 @@ import warp as wp
 from conftest import by_id
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.device import find_device, share_out_like_a_gpu
-from warpcrete.core.exchange import Exchange
-from warpcrete.core.launching import Launcher, Stage
-from warpcrete.dem import stages
-from warpcrete.dem.batch import Batch
+from warpcrete.core.device.device import find_device, share_out_like_a_gpu
+from warpcrete.core.device.exchange import Exchange
+from warpcrete.core.device.launching import Launcher, Stage
 from warpcrete.dem.batch_run import run_batch
-from warpcrete.dem.bodies import placed_bodies
-from warpcrete.dem.model import build_model
-from warpcrete.dem.probes import contact_sums
-from warpcrete.dem.scene import Bodies, Bonds, Contact, Scene, TimeStep
-from warpcrete.dem.state import State
-from warpcrete.dem.stepper import Stepper
+from warpcrete.dem.engine import stages
+from warpcrete.dem.engine.batch import Batch
+from warpcrete.dem.engine.model import build_model
+from warpcrete.dem.engine.state import State
+from warpcrete.dem.engine.stepper import Stepper
+from warpcrete.dem.measure.probes import contact_sums
+from warpcrete.dem.scene.bodies import placed_bodies
+from warpcrete.dem.scene.scene import Bodies, Bonds, Contact, Scene, TimeStep
 from warpcrete.kernels.common.types import types
 from warpcrete.kernels.dem.linking import BITS
 from warpcrete.kernels.dem.motion import rotation_functions
@@ -228,7 +228,7 @@ def test_what_the_host_writes_and_reads_is_the_same(device):
 
 def test_what_was_asked_for_is_there_however_much_else_is_read(device, monkeypatch):
     """Memory for many arrays is given up; an answer on its way keeps its own."""
-    monkeypatch.setattr("warpcrete.core.exchange.KEPT", 3)
+    monkeypatch.setattr("warpcrete.core.device.exchange.KEPT", 3)
     exchange = Exchange(find_device(device))
     a, b, *others = (wp.full(4 + k, k, dtype=wp.int32, device=device) for k in range(9))
     for count in range(len(others)):

@@ -8,7 +8,7 @@ import pytest
 from flows import SCENES, flow_of, forces, neighbours, stage_named, step, two_phase_flow
 
 from warpcrete import scenes
-from warpcrete.core.device import find_device
+from warpcrete.core.device.device import find_device
 from warpcrete.mps.layout import layout
 from warpcrete.mps.particles import MovingParticles
 from warpcrete.mps.probes import Snapshot, aggregate_fractions

@@ -106,7 +106,7 @@ def test_a_forecast_tells_the_mean_step():
 @pytest.mark.parametrize(
     ("given", "text"),
     [({"step_error": -1e-3}, "step_error = -0.001"), ({"step_error": 0.7}, "step_error = 0.7"),
-     ({"step_error": 0.0, "time_step": 0.02}, "time_step = 0.02: lets concrete that falls")],
+     ({"step_error": 0.0, "time_step": 0.02}, "time_step = 0.02: must be shorter, because concrete that falls")],
 )  # fmt: skip
 def test_what_it_refuses(given, text):
     with pytest.raises(SceneError, match=text):
@@ -114,7 +114,7 @@ def test_what_it_refuses(given, text):
 
 
 def test_a_column_on_a_piston_has_equal_steps():
-    with pytest.raises(SceneError, match=r"step_error = 0\.001: is of flows on a grid.*take ends = periodic"):
+    with pytest.raises(SceneError, match=r"step_error = 0\.001: works only on a grid.*use ends = periodic"):
         scenes.channel(step_error=1e-3, ends="piston")
     assert scenes.channel(step_error=1e-3, ends="periodic").step_error == 1e-3
 

@@ -12,8 +12,8 @@ from click.testing import CliRunner
 from warpcrete import Simulation, scenes
 from warpcrete.cli.main import cli
 from warpcrete.mps.mixes import concrete_of
-from warpcrete.studies.line_run import run_line
-from warpcrete.studies.lines import line_of, read_line
+from warpcrete.studies.lines.losses import line_of, read_line
+from warpcrete.studies.lines.run import run_line
 
 ROOT = Path(__file__).parent.parent
 N = r"(-?[\d.]+)"

@@ -19,9 +19,9 @@ from warpcrete.geometry.bores import Bores
 from warpcrete.geometry.curves import through
 from warpcrete.geometry.meshes import enclosed
 from warpcrete.mps.mixes import concrete_of
-from warpcrete.studies.line_elements import Packed, WallLaw
-from warpcrete.studies.line_run import run_line
-from warpcrete.studies.lines import friction, layered, line_of
+from warpcrete.studies.lines.elements import Packed, WallLaw
+from warpcrete.studies.lines.losses import friction, layered, line_of
+from warpcrete.studies.lines.run import run_line
 
 SMALL = dict(diameter=0.08, straight=0.1, size_min=12e-3, size_max=20e-3, travel=0.04, settle=0.1, gravity=0.0,
              flow=1e-3, plug_ball=14e-3)  # fmt: skip

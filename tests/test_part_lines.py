@@ -16,8 +16,8 @@ from warpcrete.mps.part.layout import Frame, bore_distance, part_room
 from warpcrete.mps.part.probes import losses
 from warpcrete.mps.part.simulation import PartSimulation
 from warpcrete.scenes import modules
-from warpcrete.studies.line_run import run_line
-from warpcrete.studies.lines import read_line
+from warpcrete.studies.lines.losses import read_line
+from warpcrete.studies.lines.run import run_line
 
 COARSE = {"concrete": "no1", "spacing": 0.0125}
 TWO_PLANES = """

@@ -9,9 +9,9 @@ import pytest
 import trimesh
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.device import share_out_like_a_gpu
+from warpcrete.core.device.device import share_out_like_a_gpu
 from warpcrete.core.errors import CapacityError, SceneError
-from warpcrete.core.parameters import Needs, declared_fields
+from warpcrete.core.inputs.parameters import Needs, declared_fields
 from warpcrete.core.units import number
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.bores import Bores
@@ -148,7 +148,7 @@ def test_frames_turn_places_and_turn_them_back():
     "given, words",
     [
         ({"spacing": 0.03}, "spacing = 0.03: must leave 6 cells"),
-        ({"time_step": 1.0, "duration": 3.0}, "time_step = 1.0: lets concrete"),
+        ({"time_step": 1.0, "duration": 3.0}, "time_step = 1.0: must be shorter, because concrete"),
         ({"elbow_radius": 0.04}, "elbow radius = 0.04: must exceed"),
         (
             {"outlet_diameter": 0.08, "unit": "mesh", "wall": "x.stl", "diameter": 0.1},
@@ -157,8 +157,8 @@ def test_frames_turn_places_and_turn_them_back():
         ({"angle": 170.0}, "angle = 170"),
         ({"flow": 0.0}, "flow = 0.0"),
         ({"unit": "sideways"}, "unit = 'sideways'"),
-        ({"straight": 0.05}, "straight = 0.05: is too short for a straight stretch to be measured"),
-        ({"unit": "horizontal", "straight": 0.05}, "straight = 0.05: is too short for a straight stretch, half of it,"),
+        ({"straight": 0.05}, "straight = 0.05: is too short to measure the loss of a straight stretch"),
+        ({"unit": "horizontal", "straight": 0.05}, "measure the loss of a straight stretch, half of the pipe; use"),
         ({"slip_thickness": 0.06, "slip_viscosity": 900.0}, "slip_thickness = 0.06"),
         ({"flow": float("nan")}, "flow = nan"),
         ({"wall": "nowhere.stl"}, "wall = 'nowhere.stl': cannot be read"),
@@ -179,7 +179,9 @@ def test_a_cone_may_stand_behind_a_bend_but_not_in_it():
     # The shortest straight that is taken is taken as it is, not less a rounding error.
     assert scenes.part(unit="vertical", outlet_diameter=0.1, straight=0.14, taper=0.1).bores.places[0] == 0.14
     assert scene.bore(np.array([0.5, 0.9 + arc, 1.2 + arc])) == pytest.approx([0.05, 0.045, 0.04])
-    with pytest.raises(SceneError, match=r"^bores = .*: may not change in a bend; put the taper before or behind it$"):
+    with pytest.raises(
+        SceneError, match=r"^bores = .*: must be constant in a bend; put the taper before or behind it$"
+    ):
         dataclasses.replace(scene, bores=Bores((0.5, 0.7), (0.05, 0.04)))
     with pytest.raises(SceneError, match=r"^taper = 3\.0: must end in the part, which is 1\.\d+ m long"):
         dataclasses.replace(scene, bores=Bores((1.0, 3.0), (0.05, 0.04)))
@@ -193,7 +195,7 @@ def test_a_mesh_that_is_no_pipe_about_the_axis_is_refused(tmp_path):
     wide = tmp_path / "wide.stl"
     tube = Axis((0, 0, 0), (1, 0, 0), (Line(0.6),)).tube(0.08, before=0.1, after=0.1)
     trimesh.Trimesh(*tube).export(wide)
-    with pytest.raises(SceneError, match=r"radius = 0.05: is not that of the mesh, 0.0799"):
+    with pytest.raises(SceneError, match=r"radius = 0.05: must equal the mesh's radius at its start, 0.0799"):
         scenes.part(unit="horizontal", wall=str(wide))
 
 

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import InstabilityError, PlausibilityWarning, SceneError, WarpcreteError
-from warpcrete.dem.containers import Fill, PipeContainer
+from warpcrete.dem.engine.state_data import state_hash
 from warpcrete.dem.laws import BinghamMortar, Contact, HertzMindlin, LubricationLayer, PlasticMortar
-from warpcrete.dem.probes import body_sums, contact_sums
-from warpcrete.dem.restoring import state_hash
-from warpcrete.dem.scene import AxisDrive, Bodies, Bonds, Hydration, Scene, Settle, TimeStep, Watch
+from warpcrete.dem.measure.probes import body_sums, contact_sums
+from warpcrete.dem.scene.containers import Fill, PipeContainer
+from warpcrete.dem.scene.scene import AxisDrive, Bodies, Bonds, Hydration, Scene, Settle, TimeStep, Watch
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.walls import Driven, PipeWall, PlaneWall, Prescribed
 from warpcrete.scenes import modules

@@ -10,16 +10,16 @@ import pytest
 
 from warpcrete import scenes
 from warpcrete.core.errors import RunFolderError, SceneError
-from warpcrete.core.method import Quantity, report_of, results_of
-from warpcrete.core.run_loop import Run
-from warpcrete.dem.quantities import QUANTITIES, Known, no_plateau, past_ramp
-from warpcrete.dem.quantities import report as element_report
-from warpcrete.dem.sampling import unit_of
+from warpcrete.core.run.method import Quantity, report_of, results_of
+from warpcrete.core.run.run_loop import Run
+from warpcrete.dem.measure.quantities import QUANTITIES, Known, no_plateau, past_ramp
+from warpcrete.dem.measure.quantities import report as element_report
+from warpcrete.dem.measure.sampling import unit_of
 from warpcrete.methods import METHODS
 from warpcrete.record.checks import failed_checks
 from warpcrete.studies.cases import Case
 from warpcrete.studies.drawing import draw
-from warpcrete.studies.pipeline import check_pipeline, pipeline_estimate, pipeline_pressure
+from warpcrete.studies.lines.pipeline import check_pipeline, pipeline_estimate, pipeline_pressure
 from warpcrete.studies.study import Study
 
 PIPE = scenes.pipe(ramp=0.3, travel=1.0)
@@ -186,11 +186,13 @@ def test_the_other_direction_may_come_from_a_run():
     assert estimate["other_direction_from"] == "plateau of the horizontal run"
     with pytest.raises(SceneError, match="unit of pipeline_other = 'horizontal'"):
         check_pipeline(straight("horizontal").scene, other, "there")
-    with pytest.raises(RunFolderError, match="pipeline_other = 'there': holds no finished pipe run"):
+    with pytest.raises(RunFolderError, match="pipeline_other = 'there': is not a finished pipe run"):
         check_pipeline(run.scene, {"unit": "horizontal"}, "there")
     with pytest.raises(SceneError, match="unit = 'bend-to-vertical'"):
         check_pipeline(scenes.pipe(unit="D"), None, None)
-    with pytest.raises(SceneError, match=r"travel = 0.02: leaves the pressure no plateau.*0\.375 m or more"):
+    with pytest.raises(
+        SceneError, match=r"travel = 0.02: is too short for a plateau of the pressure.*0\.375 m or more"
+    ):
         check_pipeline(scenes.pipe(travel=0.02), None, None)
     with pytest.raises(SceneError, match="pipeline = 'channel'"):
         check_pipeline(scenes.channel(), None, None)
@@ -260,4 +262,4 @@ def test_a_pressure_cut_within_the_ramp_blames_the_cut():
     """Not the travel, which would have been enough."""
     way = np.linspace(0, 0.1, 41)
     run = SimpleNamespace(scene=PIPE, result=results(known_of(way, 1e4 + way)), series={"travel": way})
-    assert no_plateau(run) == "none: the run was cut before the piston had moved steadily for long enough"
+    assert no_plateau(run) == "none: the run was stopped before the piston had moved steadily for long enough"

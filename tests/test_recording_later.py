@@ -12,10 +12,11 @@ from pumping import wait_until
 from test_recordings import columns, everything, recording
 
 from warpcrete import RunFolderError, Simulation, scenes
-from warpcrete.core import moments, turns
-from warpcrete.core.display import Display
-from warpcrete.core.later import MOST, Later
-from warpcrete.core.moments import Arriving, Pool, moment_of
+from warpcrete.core.device import interpreter_priority as turns
+from warpcrete.core.device.recorder_thread import MOST, Later
+from warpcrete.core.drawing import snapshots as moments
+from warpcrete.core.drawing.display import Display
+from warpcrete.core.drawing.snapshots import Arriving, Pool, moment_of
 from warpcrete.record.paraview import ParaViewRecorder
 from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.usd import UsdRecorder

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from warpcrete import Simulation, WarpcreteError, scenes
-from warpcrete.core.later import Later
-from warpcrete.core.run_loop import Recorder
-from warpcrete.dem import clumps
-from warpcrete.dem.scene import Bodies, Scene
+from warpcrete.core.device.recorder_thread import Later
+from warpcrete.core.run.run_loop import Recorder
+from warpcrete.dem.scene import clumps
+from warpcrete.dem.scene.scene import Bodies, Scene
 from warpcrete.geometry.rotation import rotate
 from warpcrete.geometry.walls import PlaneWall, Prescribed
 from warpcrete.record.paraview import ParaViewRecorder, Poly

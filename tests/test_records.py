@@ -13,14 +13,14 @@ from pumping import open_tube
 import warpcrete
 from warpcrete import RunFolderError, Simulation, scenes
 from warpcrete.cli import cli
-from warpcrete.core.device import find_device
-from warpcrete.core.files import write_json
-from warpcrete.core.fingerprints import fingerprint
-from warpcrete.core.origin import arguments_of, changed_fields
+from warpcrete.core.device.device import find_device
+from warpcrete.core.inputs.fingerprints import fingerprint
+from warpcrete.core.inputs.origin import arguments_of, changed_fields
+from warpcrete.core.run.files import write_json
 from warpcrete.record.loading import repeatable_scene
 from warpcrete.record.run_folder import TableRecorder, scene_record
 from warpcrete.studies import study as studies
-from warpcrete.studies.line_folder import known_run
+from warpcrete.studies.lines.folder import known_run
 
 QUICK = dict(spacing=0.02, duration=0.012, sample_interval=4e-3)
 EVERY = sorted(scenes.modules())

@@ -8,11 +8,22 @@ from pumping import command
 
 from warpcrete import RunFolderError, SceneError
 from warpcrete.scenes import modules
-from warpcrete.studies import papers
-from warpcrete.studies.papers import CONCRETES, OPEN, ZHAN, flat, growing, late, linear, narrow, overrides, zhan_case
-from warpcrete.studies.reproduce import chosen, reproduce, resume_reproduction, zhan_studies
-from warpcrete.studies.reproduction import Reproduction, judged, key_of
-from warpcrete.studies.reproduction_report import write
+from warpcrete.studies.reproduction import papers
+from warpcrete.studies.reproduction.papers import (
+    CONCRETES,
+    OPEN,
+    ZHAN,
+    flat,
+    growing,
+    late,
+    linear,
+    narrow,
+    overrides,
+    zhan_case,
+)
+from warpcrete.studies.reproduction.report import write
+from warpcrete.studies.reproduction.reproduce import chosen, reproduce, resume_reproduction, zhan_studies
+from warpcrete.studies.reproduction.state import Reproduction, judged, key_of
 
 SPEEDS = (0.1, 0.3, 0.5, 0.7, 0.9)
 
@@ -83,11 +94,11 @@ def test_runs_are_limited_to_what_is_named():
 def test_what_names_nothing_is_refused(tmp_path):
     with pytest.raises(SceneError, match="only = 'speed': must be one of literal, calibrated, stiff stones, equal"):
         reproduce("zhan", out=tmp_path / "out", only=["speed"])
-    with pytest.raises(SceneError, match="leaves nothing to run; faceted pipe is run with units"):
+    with pytest.raises(SceneError, match="selects no runs; faceted pipe is run with units"):
         reproduce("zhan", out=tmp_path / "out", only=["faceted pipe", "velocity"])
-    with pytest.raises(SceneError, match="is for zhan"):
+    with pytest.raises(SceneError, match="can be used with paper zhan only"):
         reproduce("xu", out=tmp_path / "out", only=["units"])
-    with pytest.raises(RunFolderError, match="holds no results of a reproduction"):
+    with pytest.raises(RunFolderError, match="contains no results of a reproduction"):
         reproduce("zhan", out=tmp_path / "out", known=[tmp_path])
     assert not (tmp_path / "out").exists()
 
@@ -109,7 +120,7 @@ def test_known_results_are_taken_and_what_is_open_reported(tmp_path):
     assert "| yielding layer | 10.5 +- 0.71 / 10.5 +- 0.71 | 12.5 +- 0.71 / 12.5 +- 0.71 |" in text
     assert "| 0.10 | 0.10 |" in text and "as a yield stress of 357 Pa" in text
     assert resume_reproduction(found.folder).results == found.results
-    with pytest.raises(SceneError, match="is of zhan; take one of zhan, quick"):
+    with pytest.raises(SceneError, match="contains results of zhan; give a folder of zhan, quick"):
         reproduce("zhan", out=tmp_path / "quick", quick=True, known=[first.folder])
 
 
@@ -137,13 +148,13 @@ def test_failed_cases_are_left_out_of_a_verdict(tmp_path):
                 }
     means, verdict = judged(found, row, "calibrated")
     assert means[:4] == pytest.approx([31e3, 33e3, 35e3, 37e3]) and math.isnan(means[4])
-    assert verdict.startswith("holds of those that ran to their ends (not 0.9)")
+    assert verdict.startswith("holds for the finished runs (missing: 0.9)")
     assert judged(found, row, "literal")[1] == ""
     (sizes,) = [row for row in ZHAN if row.parameter == "diameter"]
     for value in sizes.values[1:]:
         key = key_of("calibrated", {**zhan_case(sizes, value, False), **CONCRETES["calibrated"], "seed": 0})
         found.results[key] = {"peak_pressure": {"value": 4e4, "unit": "Pa"}}
-    assert judged(found, sizes, "calibrated")[1] == "too few ran to their ends (not 0.1)"
+    assert judged(found, sizes, "calibrated")[1] == "too few runs finished (missing: 0.1)"
     write(found)
     text = (tmp_path / "reproduction.md").read_text()
     assert "| calibrated | 31.0 +- 0.14 | 33.0 +- 0.14 | 35.0 +- 0.14 | 37.0 +- 0.14 | - |" in text
@@ -154,7 +165,7 @@ def test_failed_cases_are_left_out_of_a_verdict(tmp_path):
 def test_an_unknown_paper_is_refused(tmp_path):
     with pytest.raises(SceneError, match="paper = 'smith': must be one of zhan, xu"):
         reproduce("smith", out=tmp_path / "out")
-    with pytest.raises(SceneError, match="seeds = 0: must be 1 to 10000"):
+    with pytest.raises(SceneError, match="seeds = 0: must be from 1 to 10000"):
         reproduce("xu", out=tmp_path / "out", seeds=0)
     assert not (tmp_path / "out").exists()
 
@@ -163,8 +174,8 @@ def test_a_reproduction_runs_and_is_gone_on_with(tmp_path, monkeypatch):
     column = {"length": 0.2, "diameter": 0.1, "spacing": 0.02, "concrete": "no1"}
     cases = {"flow": [("channel", column | {"flow": flow}) for flow in (1e-3, 2e-3)]}
     cases["flow"].append(("channel", column | {"flow": 1e-3, "regularisation": 100.0}))  # the first again
-    monkeypatch.setattr("warpcrete.studies.reproduce.xu_cases", lambda quick: cases)
-    monkeypatch.setattr("warpcrete.studies.reproduction_report.xu_cases", lambda quick: cases)
+    monkeypatch.setattr("warpcrete.studies.reproduction.reproduce.xu_cases", lambda quick: cases)
+    monkeypatch.setattr("warpcrete.studies.reproduction.report.xu_cases", lambda quick: cases)
     found = reproduce("xu", out=tmp_path / "out", device="cpu", quick=True)
     assert found.finished and len(found.results) == 3 and not found.failures
     assert len([path for path in (found.folder / "flow-channel").iterdir() if path.is_dir()]) == 2

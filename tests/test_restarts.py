@@ -9,8 +9,8 @@ from click.testing import CliRunner
 
 from warpcrete import SceneError, Simulation, scenes
 from warpcrete.cli.main import cli
-from warpcrete.core.run_loop import Recorder
-from warpcrete.studies.lines import line_of, restart
+from warpcrete.core.run.run_loop import Recorder
+from warpcrete.studies.lines.losses import line_of, restart
 from warpcrete.theory.pipe import Concrete
 
 PLUG = dict(
@@ -113,7 +113,7 @@ def test_flows_that_never_rested_know_nothing_of_it(device):
 @pytest.mark.parametrize(
     "bad, message",
     [
-        (dict(ends="piston", rest=600.0), "rest = 600.0: is of flows on a grid"),
+        (dict(ends="piston", rest=600.0), "rest = 600.0: works only on a grid"),
         (dict(ends="periodic", rest=-1.0), "rest = -1.0: must be"),
         (dict(ends="periodic", rest=math.nan), "rest = nan: must be"),
         (dict(ends="periodic", thixotropy=0.3), "thixotropy = 0.3: has no effect unless rest is above 0"),

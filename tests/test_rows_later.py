@@ -10,9 +10,9 @@ from test_recording_later import contents
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import InstabilityError
-from warpcrete.core.recorder import Recorder, says
-from warpcrete.dem.batch import Batch
-from warpcrete.dem.blockage import BlockageWatch
+from warpcrete.core.run.recorder import Recorder, says
+from warpcrete.dem.engine.batch import Batch
+from warpcrete.dem.measure.blockage import BlockageWatch
 from warpcrete.dem.simulation import ElementSimulation
 from warpcrete.record.paraview import ParaViewRecorder
 from warpcrete.record.rerun import RerunRecorder

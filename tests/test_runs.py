@@ -15,7 +15,7 @@ from pumping import alive, wait_until
 import warpcrete
 from warpcrete import RunFolderError, SceneError, Simulation, WarpcreteError, scenes
 from warpcrete.cli.main import cli
-from warpcrete.core.run import viewer
+from warpcrete.core.run.run import viewer
 from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.run_folder import TableRecorder
 

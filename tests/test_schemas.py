@@ -9,16 +9,16 @@ import pytest
 from click.testing import CliRunner
 
 from warpcrete.cli.main import CALIBRATE_HELP, LINE_HELP, cli
-from warpcrete.core.concretes import concrete, shipped
 from warpcrete.core.errors import SceneError
-from warpcrete.core.text_files import read_mapping
-from warpcrete.core.yaml_files import parsed_yaml, yaml_text
+from warpcrete.core.inputs.concretes import concrete, shipped
+from warpcrete.core.inputs.text_files import read_mapping
+from warpcrete.core.inputs.yaml_files import parsed_yaml, yaml_text
 from warpcrete.geometry.lines import SHIPPED as LINES
 from warpcrete.geometry.lines import line_of
 from warpcrete.mix.mix import mix_of
 from warpcrete.scenes import modules
+from warpcrete.studies.calibration.targets import task_of
 from warpcrete.studies.schemas import FOLDER, schemas
-from warpcrete.studies.targets import task_of
 
 SCHEMAS = schemas()
 ROOT = Path(__file__).parent.parent

@@ -7,9 +7,10 @@ import pytest
 from pumping import SMALL
 
 from warpcrete import SceneError, Simulation, scenes
-from warpcrete.dem import clumps, segregation
-from warpcrete.dem.scene import Bodies, Scene
-from warpcrete.dem.segregation import QUANTITIES
+from warpcrete.dem.measure import segregation
+from warpcrete.dem.measure.segregation import QUANTITIES
+from warpcrete.dem.scene import clumps
+from warpcrete.dem.scene.scene import Bodies, Scene
 from warpcrete.geometry.axis import Arc, Axis, Line
 
 STRAIGHT = Axis((0, 0, 0), (0, 0, 1), (Line(1.0),))

@@ -9,10 +9,8 @@ import pytest
 from test_part_elements import SMALL
 
 from warpcrete import Simulation, scenes
-from warpcrete.dem.clumps import clump
 from warpcrete.dem.laws import Contact, LubricationLayer
-from warpcrete.dem.scene import Bodies, Scene, Stations
-from warpcrete.dem.stations import (
+from warpcrete.dem.measure.stations import (
     COLUMNS,
     FINEST,
     FRONT,
@@ -22,6 +20,8 @@ from warpcrete.dem.stations import (
     measured,
     stresses_along,
 )
+from warpcrete.dem.scene.clumps import clump
+from warpcrete.dem.scene.scene import Bodies, Scene, Stations
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.bores import Bores
 from warpcrete.geometry.walls import PipeWall

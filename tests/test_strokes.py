@@ -8,15 +8,15 @@ from conftest import bonds_of
 from pumping import SMALL
 
 from warpcrete import SceneError, Simulation, scenes
-from warpcrete.core.run_loop import Recorder
+from warpcrete.core.run.run_loop import Recorder
 from warpcrete.dem.batch_run import run_batch
-from warpcrete.dem.bonding import listed_pairs
-from warpcrete.dem.clumps import ClumpTemplate
-from warpcrete.dem.concretes import COVERAGE
+from warpcrete.dem.engine.pairs import listed_pairs
+from warpcrete.dem.engine.state_data import state_hash
 from warpcrete.dem.laws import Contact, LubricationLayer
-from warpcrete.dem.restoring import state_hash
-from warpcrete.dem.scene import Bodies, PipeUnit, PlaneWall, Prescribed, Rest, Scene, Stops, TimeStep
-from warpcrete.dem.strokes import held, peaks, strokes_of
+from warpcrete.dem.scene.clumps import ClumpTemplate
+from warpcrete.dem.scene.concretes import COVERAGE
+from warpcrete.dem.scene.scene import Bodies, PipeUnit, PlaneWall, Prescribed, Rest, Scene, Stops, TimeStep
+from warpcrete.dem.scene.strokes import held, peaks, strokes_of
 
 RAMP, STROKE, PAUSE, COUNT = 0.013, 0.047, 0.021, 3
 STOPPING = SMALL | dict(settle=0.05, length=0.12, travel=0.04, ramp=5e-3, strokes=2, pause=0.06)
@@ -251,12 +251,12 @@ def test_peaks_and_what_is_held_of_made_up_strokes():
         (dict(stroke=0.1), "stroke = 0.1: has no effect unless strokes is 2 or more"),
         (dict(rest=10.0), "rest = 10.0: has no effect unless strokes is 2 or more"),
         (dict(strokes=2, pause=-0.1), "pause = -0.1: must be"),
-        (dict(strokes=2, pause=0.0, rest=5.0), "rest = 5.0: needs a stop before the last stroke; a pause above 0"),
+        (dict(strokes=2, pause=0.0, rest=5.0), "rest = 5.0: needs a stop before the last stroke; set a pause above 0"),
         (dict(strokes=2, thixotropy=0.3), "thixotropy = 0.3: has no effect unless rest is above 0"),
         (dict(strokes=2, rest=-1.0), "rest = -1.0: must be"),
-        (dict(strokes=2, stroke=0.5), "stroke = 0.5: must hold two ramps of 0.3 m, from rest and to rest; longer"),
-        (dict(strokes=2, stroke=0.7, travel=1.4), "travel = 1.4: follows from 2 strokes of 0.7 m; leave out one"),
-        (dict(strokes=2, rest=9.0, bonds=False, concrete="zhan-table1"), "rest = 9.0: has nothing to grow: there are"),
+        (dict(strokes=2, stroke=0.5), "stroke = 0.5: must hold two ramps of 0.3 m, one from rest and one to rest"),
+        (dict(strokes=2, stroke=0.7, travel=1.4), "travel = 1.4: is already set by 2 strokes of 0.7 m; leave out one"),
+        (dict(strokes=2, rest=9.0, bonds=False, concrete="zhan-table1"), "rest = 9.0: has no effect: there are"),
         (dict(unit="C", strokes=2, stroke=0.4, ramp=0.1), "stroke = 0.4: times 2 must not exceed the bend's arc"),
         (dict(strokes=0), "strokes = 0: must"),
     ],

@@ -8,7 +8,7 @@ from test_batch import SMALL
 
 import warpcrete
 from warpcrete import RunFolderError
-from warpcrete.core.method import Quantity
+from warpcrete.core.run.method import Quantity
 from warpcrete.studies.cases import Case
 from warpcrete.studies.study import Study, run_study
 from warpcrete.studies.study_table import columns_of, write_parquet
@@ -74,7 +74,7 @@ def test_a_study_shows_itself(study):
     html = study._repr_html_()
     assert html.count("<tr>") == 3 and "<th>velocity [m/s]</th>" in html and "<td>25.00 +- 7.07</td>" in html
     assert study._ipython_key_completions_() == ["000", "001", "002", "003"]
-    with pytest.raises(KeyError, match="has no case '9'; it has 000, 001"):
+    with pytest.raises(KeyError, match="has no case '9'; its cases are 000, 001"):
         study["9"]
 
 
@@ -96,5 +96,5 @@ def test_a_study_comes_back_with_its_runs(tmp_path):
     read = pandas.read_parquet(out / "study.parquet").set_index("case")
     pandas.testing.assert_frame_equal(read, whole, check_dtype=False)
     (out / "study.json").write_text('{"scene": "none"}')
-    with pytest.raises(RunFolderError, match="names no scene of this version"):
+    with pytest.raises(RunFolderError, match="names a scene that this version does not have"):
         warpcrete.load(out)

@@ -10,18 +10,19 @@ from conftest import bonds_of, by_id, pair_history
 from test_checkpoint import mixed_scene
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.device import find_device, share_out_like_a_gpu
+from warpcrete.core.device.device import find_device, share_out_like_a_gpu
 from warpcrete.core.errors import InstabilityError, SceneError
-from warpcrete.dem import batch, clumps
 from warpcrete.dem.batch_run import run_batch
-from warpcrete.dem.bodies import placed_bodies
-from warpcrete.dem.bonding import bond_kinds
-from warpcrete.dem.model import build_model
-from warpcrete.dem.probes import body_sums, contact_sums
-from warpcrete.dem.restoring import state_hash
-from warpcrete.dem.scene import AxisDrive, Bodies, Bonds, Contact, Hydration, Scene, TimeStep
-from warpcrete.dem.state import State
-from warpcrete.dem.stepper import Stepper
+from warpcrete.dem.engine import batch
+from warpcrete.dem.engine.bonding import bond_kinds
+from warpcrete.dem.engine.model import build_model
+from warpcrete.dem.engine.state import State
+from warpcrete.dem.engine.state_data import state_hash
+from warpcrete.dem.engine.stepper import Stepper
+from warpcrete.dem.measure.probes import body_sums, contact_sums
+from warpcrete.dem.scene import clumps
+from warpcrete.dem.scene.bodies import placed_bodies
+from warpcrete.dem.scene.scene import AxisDrive, Bodies, Bonds, Contact, Hydration, Scene, TimeStep
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.kernels.dem.bond_parallel import HYDRATED
 

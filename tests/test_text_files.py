@@ -10,15 +10,15 @@ from click.testing import CliRunner
 from warpcrete import RunFolderError, SceneError, scenes
 from warpcrete.cli.main import cli
 from warpcrete.core.errors import LONGEST_VALUE, refuse
-from warpcrete.core.files import read_json
-from warpcrete.core.text_files import MOST_SETTINGS, check_file, read_mapping, read_rows
-from warpcrete.core.yaml_files import yaml_text
+from warpcrete.core.inputs.text_files import MOST_SETTINGS, check_file, read_mapping, read_rows
+from warpcrete.core.inputs.yaml_files import yaml_text
+from warpcrete.core.run.files import read_json
 from warpcrete.geometry.lines import read_line
 from warpcrete.mix.mix import read_mix
 from warpcrete.mix.points import read_points
 from warpcrete.record.loading import load
 from warpcrete.scenes import modules
-from warpcrete.studies.targets import read_task
+from warpcrete.studies.calibration.targets import read_task
 
 
 def written(folder, content, name="file.yaml"):
@@ -208,7 +208,7 @@ def test_errors_in_a_mix_and_in_targets_name_file_and_line(tmp_path):
         read_mix(written(tmp_path, mix))
     targets = "vary: {viscosity: [10, 100]}\ntargets:\n  - scene: slump\n    quantity: sprad\n    value: 550 mm\n"
     with pytest.raises(
-        SceneError, match=r"line 3: quantity = 'sprad': is measured in no scene; did you mean 'spread'\?"
+        SceneError, match=r"line 3: quantity = 'sprad': is not measured in any scene; did you mean 'spread'\?"
     ):
         read_task(written(tmp_path, targets + "    uncertainty: 5%\n"), modules())
     found, _ = read_task(written(tmp_path, targets.replace("sprad", "spread") + "    uncertainty: 2 cm\n"), modules())

@@ -183,13 +183,13 @@ def test_the_command_fits_a_slip_layer_to_what_was_measured(tmp_path):
 
     assert "has no column 'pressure'; " in refused("flow [m3/h],p [bar]\n1,2\n")
     assert "line 3: has 1 values where the header names 2 columns" in refused("flow [m3/h],pressure [bar]\n1,2\n2\n")
-    assert "needs two or more different flows" in refused("flow [m3/h],pressure [bar]\n1,2\n")
+    assert "must be two or more different flows" in refused("flow [m3/h],pressure [bar]\n1,2\n")
     assert "line 2: flow = '1 m3/hr': must be a number" in refused("flow [m3/hr],pressure [bar]\n1,2\n2,3\n")
     assert "line 3: flow = 0.0: must be a finite number above 0 m3/s; leave out points at rest" in refused(
         "flow [m3/h],pressure [bar]\n20,2\n0,0\n"
     )
     assert "line 4: pressure = 'x bar': must be a number" in refused("flow [m3/h],pressure [bar]\n\n1,2\n2,x\n")
-    assert "which none has; look at length" in refused("flow [m3/h],pressure [bar]\n10,4\n20,3\n")
+    assert "which is impossible; check length" in refused("flow [m3/h],pressure [bar]\n10,4\n20,3\n")
     points.unlink()
     assert "cannot be read" in str(CliRunner().invoke(cli, given).exception)
 
@@ -218,7 +218,9 @@ def test_theory_prints_a_restart():
     plain = CliRunner().invoke(cli, ["theory", "--rise", "0"])
     found = CliRunner().invoke(cli, ["theory", "--rise", "0", "--rest", "60", "--thixotropy", "1"])
     assert found.exit_code == 0 and found.output.startswith(plain.output.rstrip())
-    row = found.output.split("after 60 s of rest, grown by 1 Pa/s: yield stress 250 Pa; slip layer 311 Pa\n")[1]
+    row = found.output.split(
+        "after 60 s at rest with a growth rate of 1 Pa/s: yield stress 250 Pa; slip layer 311 Pa\n"
+    )[1]
     assert row.splitlines()[1].split()[:3] == ["pipe", "3000", "10000"]
     for given in (["--thixotropy", "1"], ["--rest", "-5"]):
         bad = CliRunner().invoke(cli, ["theory", *given])

@@ -10,19 +10,19 @@ from conftest import by_id, pair_history
 from test_contacts import flowing_scene, small_packing
 
 from warpcrete import Simulation, scenes
-from warpcrete.core import cores
-from warpcrete.core.cores import Crowding
-from warpcrete.core.device import find_device
+from warpcrete.core.device import cores
+from warpcrete.core.device.cores import Crowding
+from warpcrete.core.device.device import find_device
 from warpcrete.core.errors import SceneError
-from warpcrete.dem import batch
-from warpcrete.dem.bodies import placed_bodies
-from warpcrete.dem.clumps import ClumpTemplate
+from warpcrete.dem.engine import batch
+from warpcrete.dem.engine.model import build_model
+from warpcrete.dem.engine.state import State
+from warpcrete.dem.engine.stepper import Stepper
 from warpcrete.dem.laws import Contact, HertzMindlin
-from warpcrete.dem.model import build_model
-from warpcrete.dem.probes import body_sums, contact_sums
-from warpcrete.dem.scene import Bodies, Bonds, Scene, TimeStep
-from warpcrete.dem.state import State
-from warpcrete.dem.stepper import Stepper
+from warpcrete.dem.measure.probes import body_sums, contact_sums
+from warpcrete.dem.scene.bodies import placed_bodies
+from warpcrete.dem.scene.clumps import ClumpTemplate
+from warpcrete.dem.scene.scene import Bodies, Bonds, Scene, TimeStep
 from warpcrete.geometry.walls import Driven, PlaneWall
 
 SMALL = dict(

@@ -17,11 +17,11 @@ from warpcrete.core.errors import RunFolderError, SceneError
 from warpcrete.core.units import number
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
-from warpcrete.studies.advice import advise, compact
-from warpcrete.studies.fronts import Error
-from warpcrete.studies.points import COMBINED, GIVEN, REFERENCE, Point
-from warpcrete.studies.trade import resume_trade, run_trade
-from warpcrete.studies.trading import Trade
+from warpcrete.studies.tradeoffs.advice import advise, compact
+from warpcrete.studies.tradeoffs.fronts import Error
+from warpcrete.studies.tradeoffs.points import COMBINED, GIVEN, REFERENCE, Point
+from warpcrete.studies.tradeoffs.state import Trade
+from warpcrete.studies.tradeoffs.trade import resume_trade, run_trade
 
 channel, pipe = (importlib.import_module(f"warpcrete.scenes.{name}") for name in ("channel", "pipe"))
 COARSE = dict(spacing=0.02)
@@ -57,7 +57,7 @@ def test_pressures_of_a_shorter_unit_count_by_its_length(tmp_path):
 
 def test_a_promise_is_tried_with_seeds_that_no_other_run_had(monkeypatch):
     """As many as are said, beyond all those by which the setting was chosen, from whichever seed a trade begins."""
-    from warpcrete.studies import trade as phases
+    from warpcrete.studies.tradeoffs import trade as phases
 
     monkeypatch.setattr(phases, "_carried", lambda *_: ({}, 0.0))
     ran: list[int] = []
@@ -192,7 +192,7 @@ def test_what_a_budget_leaves_out_is_said_and_run_later(tmp_path, monkeypatch):
                           knobs=["spacing"])  # fmt: skip
     left_out = [p for p in trade.points if not p.results]
     assert len(left_out) == len(trade.points) - 1 > 0
-    assert all(p.failure.startswith("not run: takes some 1e+09 s") for p in left_out)
+    assert all(p.failure.startswith("not run: needs about 1e+09 s") for p in left_out)
     assert "not run" in (tmp_path / "t" / "trade.md").read_text()
     again = resume_trade(tmp_path / "t", channel, budget=600.0)
     assert all(p.results for p in again.points)
@@ -203,11 +203,11 @@ def test_what_a_budget_leaves_out_is_said_and_run_later(tmp_path, monkeypatch):
     [
         (dict(quantities=["presure"]), "quantity = 'presure': must be among"),
         (dict(knobs=["spacings"]), "knob = 'spacings': must be among spacing"),
-        (dict(repeat=2), "repeat = 2: goes by seeds, and nothing is random"),
+        (dict(repeat=2), "repeat = 2: must be 1, because nothing in this scene is random"),
         (dict(repeat=0), "repeat = 0: must be 1"),
         (
             dict(quantities=["volume_error"]),
-            "quantity = 'volume_error': has no closed form to be compared with; take pressure or",
+            "quantity = 'volume_error': has no closed form for comparison; use pressure or",
         ),
         (dict(threads=-1), "threads"),
         (dict(budget=0.0), "budget = 0.0: must be"),
@@ -222,12 +222,14 @@ def test_what_makes_no_trade_is_refused_before_anything_is_written(tmp_path, set
 
 
 def test_a_budget_too_short_for_a_pair_of_runs_is_refused(tmp_path):
-    with pytest.raises(SceneError, match=r"is too short for a pair of runs.*one takes"):
+    with pytest.raises(SceneError, match=r"is too short for two runs.*one run takes"):
         run_trade("channel", channel, base=COARSE, out=tmp_path / "t", budget=1e-3, device="cpu", threads=1)
 
 
 def test_a_quantity_that_the_scene_does_not_come_to_is_refused(tmp_path):
-    with pytest.raises(SceneError, match="quantity = 'plateau_pressure': is nothing that the scene as given comes to"):
+    with pytest.raises(
+        SceneError, match="quantity = 'plateau_pressure': is missing in the result of the scene as given"
+    ):
         run_trade(
             "pipe", pipe, base=PIPE | dict(travel=0.005), out=tmp_path / "t", device="cpu", repeat=2, budget=600.0
         )
@@ -239,7 +241,7 @@ def test_folders_that_hold_no_trade_of_this_version_are_refused(flow_trade, tmp_
     with pytest.raises(RunFolderError, match=r"was made by version 0\.0\.1"):
         resume_trade(tmp_path, channel)
     (tmp_path / "trade.json").write_text("{}")
-    with pytest.raises(RunFolderError, match="holds no trade"):
+    with pytest.raises(RunFolderError, match="is not the record of a trade"):
         resume_trade(tmp_path, channel)
 
 
@@ -289,12 +291,12 @@ def test_settings_for_an_accuracy(flow_trade):
     # What somebody chose stays; where the scene is another one, that is said.
     advice = advise(flow_trade.folder, "channel", channel, COARSE | dict(time_step=3e-4, flow=1e-3), 0.2)
     assert "time_step" not in advice.changes and set(advice.outside) == {
-        "time_step 0.0003 for 0.0005",
-        "flow 0.001 for None",
+        "time_step 0.0003 instead of 0.0005",
+        "flow 0.001 instead of None",
     }
-    with pytest.raises(SceneError, match=r"accuracy = .0\.0001 %.: was not reached: that trade promises"):
+    with pytest.raises(SceneError, match=r"accuracy = .0\.0001 %.: was not reached: this trade guarantees"):
         advise(flow_trade.folder, "channel", channel, COARSE, 1e-6)
-    with pytest.raises(RunFolderError, match="is of the scene 'channel', not 'pipe'"):
+    with pytest.raises(RunFolderError, match="measures the scene 'channel', not 'pipe'"):
         advise(flow_trade.folder, "pipe", pipe, {}, 0.1)
 
 
@@ -327,7 +329,7 @@ def test_an_interrupted_trade_keeps_its_reference(element_trade, tmp_path, monke
 def test_a_setting_whose_fresh_seeds_fail_gives_way(element_trade, tmp_path, monkeypatch):
     shutil.copytree(element_trade, tmp_path / "t")
     trade = resume_trade(tmp_path / "t", pipe)
-    from warpcrete.studies import trade as phases
+    from warpcrete.studies.tradeoffs import trade as phases
 
     monkeypatch.setattr(type(trade), "promised", lambda self, point: 0.01)
     cheapest = min(trade.measured, key=lambda p: p.cost)

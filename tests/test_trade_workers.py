@@ -21,16 +21,16 @@ from test_cluster import COMMAND
 from test_trade import COARSE, PIPE, VARIANTS
 
 from warpcrete.core.errors import InstabilityError, RunFolderError, SceneError, WarpcreteError
-from warpcrete.core.provenance import processor
-from warpcrete.studies import trade as phases
-from warpcrete.studies import trials
+from warpcrete.core.run.provenance import processor
 from warpcrete.studies.cases import Case
 from warpcrete.studies.cluster import Cluster, WorkerLost
-from warpcrete.studies.points import GIVEN
 from warpcrete.studies.running import kept
-from warpcrete.studies.trade import resume_trade, run_trade
-from warpcrete.studies.trading import Trade
-from warpcrete.studies.trials import Trial, run_trial
+from warpcrete.studies.tradeoffs import trade as phases
+from warpcrete.studies.tradeoffs import trials
+from warpcrete.studies.tradeoffs.points import GIVEN
+from warpcrete.studies.tradeoffs.state import Trade
+from warpcrete.studies.tradeoffs.trade import resume_trade, run_trade
+from warpcrete.studies.tradeoffs.trials import Trial, run_trial
 
 pytestmark = pytest.mark.thorough
 
@@ -91,9 +91,9 @@ def test_workers_find_the_same_errors(name, alone, tmp_path):
     record = json.loads((trade.folder / "trade.json").read_text())
     most = record["abreast"]
     assert record["threads"] == 1 and trade.machine == alone[name].machine and (most == 2 or where is not TWO)
-    said = f"Up to {most} runs were made beside one another, each on a worker of its own: {trade.machine}."
+    said = f"Up to {most} runs were made at the same time, each on its own worker: {trade.machine}."
     assert (said in (trade.folder / "trade.md").read_text()) is (most > 1)
-    assert "beside one another" not in (alone[name].folder / "trade.md").read_text()
+    assert "at the same time" not in (alone[name].folder / "trade.md").read_text()
     if name == "channel":
         tried = [promise for promise in trade.promises if promise.point is not None]
         assert tried and all(set(promise.carried) == set(VARIANTS) for promise in tried)
@@ -198,7 +198,7 @@ def test_what_a_budget_leaves_out_or_no_worker_came_back_with_may_run_later(tmp_
     fresh, slow = points[0.8], points[0.2]
     # As given it takes 0.8 s; of the budget passes what the wall's clock says.
     assert sorted(fresh.results) == trade.seeds and trade.spent < 0.5
-    assert slow.failure.startswith("not run: takes some") and not slow.results
+    assert slow.failure.startswith("not run: needs about") and not slow.results
     trade._book(fresh, 0, WorkerLost("its worker failed: KilledWorker"))
     assert fresh.failure == "not run: its worker failed: KilledWorker" and not list(tmp_path.rglob("*-seed=0"))
     with pytest.raises(WarpcreteError, match="full disk"):
@@ -236,15 +236,15 @@ def test_a_worker_runs_one_case_after_the_other_while_there_is_time(tmp_path, mo
 
 def test_what_it_refuses(alone, tmp_path):
     for settings, text in (
-        (TWO | dict(workers=3), "workers = 3: and threads = 1 want more cores than there are here, 2"),
+        (TWO | dict(workers=3), "workers = 3: and threads = 1 need more cores than the 2 of"),
         (TWO | dict(threads=0), "threads = 0"),
-        (dict(workers=2), "workers = 2: are those of a scheduler"),
+        (dict(workers=2), "workers = 2: need a scheduler"),
     ):
         with pytest.raises(SceneError, match=text):
             run_trade("channel", channel, base=COARSE, out=tmp_path / "t", device="cpu", **settings)
     assert not (tmp_path / "t").exists()
     differing = Cluster(SimpleNamespace(run=lambda *_: {"a": "one", "b": "another"}), "tcp://here:1", None)
-    with pytest.raises(WarpcreteError, match=r"has workers that differ \(another, one\)"):
+    with pytest.raises(WarpcreteError, match=r"has different kinds of workers \(another, one\)"):
         differing.hardware("cpu")
     shutil.copytree(alone["channel"].folder, tmp_path / "t")
     record = json.loads((tmp_path / "t" / "trade.json").read_text())

@@ -14,10 +14,10 @@ from conftest import by_id
 from test_laws import LAWS
 
 from warpcrete import Simulation
-from warpcrete.core.device import quiet_init
+from warpcrete.core.device.device import quiet_init
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.laws import Contact, RollingResistance
-from warpcrete.dem.scene import Bodies, Bonds, Scene, TimeStep, Watch
+from warpcrete.dem.scene.scene import Bodies, Bonds, Scene, TimeStep, Watch
 from warpcrete.kernels.common.types import SPAN, cpu_flags
 from warpcrete.kernels.dem.contacts import contact_kernel
 

@@ -28,7 +28,7 @@ def test_names_are_unique():
 def test_verify_writes_a_table_and_a_figure(tmp_path):
     done = command("verify", "--device", "cpu", "--only", "oblique", "--out", tmp_path / "v")
     assert done.returncode == 0, done.stderr
-    assert "tangential restitution" in done.stdout and "expected from" in done.stdout
+    assert "tangential restitution" in done.stdout and "source of the expected value" in done.stdout
     assert (tmp_path / "v" / "verification.md").read_text().count("| oblique impact |") == 2
     assert (tmp_path / "v" / "verification.png").stat().st_size > 20_000
     again = command("verify", "--only", "oblique", "--out", tmp_path / "v")

@@ -13,17 +13,18 @@ from conftest import by_id
 from test_contacts import DENSITY, MASS, NO_GRAVITY, RADIUS
 
 from warpcrete import SceneError, Simulation, scenes
-from warpcrete.core.device import find_device, share_out_like_a_gpu
+from warpcrete.core.device.device import find_device, share_out_like_a_gpu
 from warpcrete.core.units import number
-from warpcrete.dem import heaps, measures
-from warpcrete.dem.bodies import placed_bodies
+from warpcrete.dem.engine.model import build_model
+from warpcrete.dem.engine.state import State
+from warpcrete.dem.engine.stepper import Stepper
 from warpcrete.dem.laws import BinghamMortar, Contact, RollingResistance
-from warpcrete.dem.model import build_model
-from warpcrete.dem.probes import body_sums, contact_sums
-from warpcrete.dem.scene import Bodies, Scene, TimeStep, Vessel
-from warpcrete.dem.state import State
-from warpcrete.dem.stepper import Stepper
-from warpcrete.dem.vessels import sheared
+from warpcrete.dem.measure import heaps
+from warpcrete.dem.measure import vessel_measures as measures
+from warpcrete.dem.measure.probes import body_sums, contact_sums
+from warpcrete.dem.pumping.vessels import sheared
+from warpcrete.dem.scene.bodies import placed_bodies
+from warpcrete.dem.scene.scene import Bodies, Scene, TimeStep, Vessel
 from warpcrete.geometry.prisms import prism, rectangle, truncated_cone
 from warpcrete.geometry.walls import MeshWall, PlaneWall
 
@@ -311,7 +312,7 @@ def test_bars_hold_back_grains_that_are_wider_than_their_gaps(device):
 
 @pytest.mark.parametrize("name", ["slump-dem", "jring-dem", "funnel-dem", "lbox-dem"])
 def test_a_scene_is_made_again_from_its_parameters(name):
-    from warpcrete.core.fingerprints import fingerprint
+    from warpcrete.core.inputs.fingerprints import fingerprint
 
     make = scenes.modules()[name].scene
     for law in ("linear", "bonds", "mortar", "rolling"):

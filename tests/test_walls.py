@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from conftest import by_id
 
-from warpcrete.dem.scene import Bodies, Contact, Scene, TimeStep
+from warpcrete.dem.scene.scene import Bodies, Contact, Scene, TimeStep
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.walls import Driven, MeshWall, PipeWall, PlaneWall, Prescribed
 
@@ -298,7 +298,7 @@ def test_wall_impulse_and_moment_are_those_of_the_forces(start, steps):
 
 
 def test_work_of_a_moving_wall_is_the_energy_it_gives(start):
-    from warpcrete.dem.probes import body_sums, contact_sums
+    from warpcrete.dem.measure.probes import body_sums, contact_sums
 
     wall = PlaneWall(
         name="piston", point=(0, 0, 0), normal=(0, 0, 1), motion=Prescribed(velocity=(0, 0, 0.4), ramp_time=0.01)

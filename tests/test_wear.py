@@ -10,14 +10,14 @@ from test_checkpoint import mixed_scene
 from test_recordings import columns
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.files import read_json
-from warpcrete.core.paint import Paint, on_palette, rounded_up
-from warpcrete.core.run_loop import Recorder
+from warpcrete.core.drawing.paint import Paint, on_palette, rounded_up
+from warpcrete.core.run.files import read_json
+from warpcrete.core.run.run_loop import Recorder
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.laws import Contact, HertzMindlin, LubricationLayer
-from warpcrete.dem.scene import Bodies, Scene, TimeStep, Wear
-from warpcrete.dem.wear import PipePatches, WornWall, patches_of
-from warpcrete.dem.worn import covered
+from warpcrete.dem.measure.wear import PipePatches, WornWall, patches_of
+from warpcrete.dem.measure.wear_results import covered
+from warpcrete.dem.scene.scene import Bodies, Scene, TimeStep, Wear
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed
 from warpcrete.record.rerun import RerunRecorder

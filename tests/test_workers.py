@@ -11,8 +11,9 @@ import pytest
 from pumping import command
 
 from warpcrete.core.errors import ConvergenceError, SceneError, WarpcreteError
-from warpcrete.studies import calibrate, running
+from warpcrete.studies import running
 from warpcrete.studies import study as studies
+from warpcrete.studies.calibration import calibrate
 from warpcrete.studies.cases import MOST_CASES, Case, cases_of
 from warpcrete.studies.study import Study
 from warpcrete.studies.workers import Crew, WorkerDied
@@ -29,7 +30,7 @@ def test_workers_answer_fail_and_die_without_harm_to_one_another():
         assert isinstance(crew.run((HERE, "nothing"), ()), AttributeError)
         with pytest.raises(WorkerDied, match=r"^its process ended with exit code 7$"):
             crew.run((HERE, "leave"), (7,))
-        with pytest.raises(WorkerDied, match="was killed by SIGKILL; memory may have run out"):
+        with pytest.raises(WorkerDied, match="was killed by SIGKILL; the memory may be full"):
             crew.run((HERE, "kill"), (signal.SIGKILL,))
         with pytest.raises(WorkerDied, match="was killed by SIGSEGV"):
             crew.run((HERE, "kill"), (signal.SIGSEGV,))
@@ -152,7 +153,7 @@ def test_a_lost_run_ends_a_calibration_instead_of_counting_as_a_bad_point(tmp_pa
     )
     monkeypatch.setattr(calibrate, "_ran", lambda *rest: study)
     found = SimpleNamespace(folder=tmp_path, task=SimpleNamespace(groups=[[None]]), trials=[])
-    lost = "trial 002: its process was killed by SIGKILL; 1 of 2 runs are lost like this; go on with"
+    lost = "trial 002: its process was killed by SIGKILL; 1 of 2 runs were lost in this way; continue with"
     with pytest.raises(WarpcreteError, match=lost):
         calibrate.run_round(found, {}, 0, [], {}, lambda *rest: None, (0.0, 1.0))
     study.blameless.clear()  # as of a case that fails by itself, whatever with

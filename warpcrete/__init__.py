@@ -24,13 +24,13 @@ from .core.errors import (
 if TYPE_CHECKING:
     __version__: str
     from . import scenes
-    from .dem.scene import Scene
+    from .dem.scene.scene import Scene
     from .methods import Simulation
-    from .studies.asked import study
-    from .studies.calibrate import calibrate
+    from .studies.api import study
+    from .studies.calibration.calibrate import calibrate
     from .studies.explain import explain
     from .studies.loading import load
-    from .studies.trade import trade
+    from .studies.tradeoffs.trade import trade
 
 __all__ = [
     "CapacityError",
@@ -51,13 +51,13 @@ __all__ = [
     "trade",
 ]
 
-_LAZY = {"Simulation": "methods", "Run": "methods", "Scene": "dem.scene", "FluidScene": "mps.scene"}
+_LAZY = {"Simulation": "methods", "Run": "methods", "Scene": "dem.scene.scene", "FluidScene": "mps.scene"}
 _LAZY |= {
     "load": "studies.loading",
-    "study": "studies.asked",
-    "trade": "studies.trade",
+    "study": "studies.api",
+    "trade": "studies.tradeoffs.trade",
     "explain": "studies.explain",
-    "calibrate": "studies.calibrate",
+    "calibrate": "studies.calibration.calibrate",
     "read_mix": "mix.mix",
 }
 
@@ -69,7 +69,7 @@ def __getattr__(name: str) -> Any:
     if name == "scenes":
         return importlib.import_module(".scenes", __name__)
     if name == "__version__":
-        return importlib.import_module(".core.version", __name__).version_of("warpcrete")
+        return importlib.import_module(".core.run.version", __name__).version_of("warpcrete")
     if name == "FluidSimulation":  # FluidSimulation is an old name; Simulation now takes every scene.
         return importlib.import_module(".mps.simulation", __name__).FluidSimulation
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from .core.errors import refuse
-from .core.method import Method
-from .core.run_loop import Run, Simulation
+from .core.run.method import Method
+from .core.run.run_loop import Run, Simulation
 from .dem.method import METHOD as DISCRETE_ELEMENTS
 from .mps.free.method import METHOD as FREE_FLOWS
 from .mps.method import METHOD as MOVING_PARTICLES

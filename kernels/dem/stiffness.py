@@ -128,11 +128,10 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
     On a full list (GPU), a group of `lanes` threads shares the row: each thread takes every `lanes`-th such pair. On a
     half list (CPU), each pair is added to both of its spheres.
 
-    With `subcycling` the sums hold only the pairs stepped in rounds (`stiff` true) or only the others. List entries
+    With `subcycling` the sums hold only the pairs stepped in rounds (`stiff` true) or only the others. Listed pairs
     that neither touch nor are bonded add nothing, so the time of the last list rebuild cannot change the sums.
     """
-    t = types(scalar)
-    structs = array_structs(scalar)
+    t, structs = types(scalar), array_structs(scalar)
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
     Estimate = estimate_struct(scalar)
     functions = law.functions(scalar)

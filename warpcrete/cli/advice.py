@@ -8,9 +8,9 @@ from typing import Any
 
 import click
 
-from ..core.device import find_device
+from ..core.device.device import find_device
 from ..core.errors import RunFolderError
-from ..studies.advice import advise, shipped
+from ..studies.tradeoffs.advice import advise, shipped
 
 
 def chosen(

@@ -7,13 +7,13 @@ from typing import Any
 
 import click
 
-from ..core.device import PRECISIONS
+from ..core.device.device import PRECISIONS
 from ..core.errors import RunFolderError
-from ..core.files import next_folder
-from ..core.progress import ProgressBar
-from ..studies.calibrate import RECORD, resume_calibration, run_calibration
-from ..studies.calibration import Calibration
-from ..studies.calibration_report import parameter_table, target_table
+from ..core.run.files import next_folder
+from ..core.run.progress import ProgressBar
+from ..studies.calibration.calibrate import RECORD, resume_calibration, run_calibration
+from ..studies.calibration.calibration import Calibration
+from ..studies.calibration.report import parameter_table, target_table
 from .run import INTERRUPTED
 from .study import ON_WORKERS, parsed, single
 

@@ -8,19 +8,19 @@ from typing import Any
 
 import click
 
-from ..core.amounts import amount
 from ..core.errors import positive
-from ..core.files import next_folder, whole_file
-from ..core.fingerprints import fingerprint
-from ..core.limits import check_limit, check_velocity, check_whole
-from ..core.progress import ProgressBar
+from ..core.inputs.amounts import amount
+from ..core.inputs.fingerprints import fingerprint
+from ..core.inputs.limits import check_limit, check_velocity, check_whole
+from ..core.run.files import next_folder, whole_file
+from ..core.run.progress import ProgressBar
 from ..mix.mix import completed, mix_named
 from ..mps.mixes import concrete_of
-from ..studies.line_elements import ElementLine, Elements, lines_of_elements, run_elements
-from ..studies.line_folder import PARTS, line_folder
-from ..studies.line_result import LineResult, lines_of
-from ..studies.line_run import CELLS, LAYER_FACTOR, run_line
-from ..studies.lines import PipeLine, friction, read_line, restart, with_stone
+from ..studies.lines.elements import ElementLine, Elements, lines_of_elements, run_elements
+from ..studies.lines.folder import PARTS, line_folder
+from ..studies.lines.losses import PipeLine, friction, read_line, restart, with_stone
+from ..studies.lines.result import LineResult, lines_of
+from ..studies.lines.run import CELLS, LAYER_FACTOR, run_line
 from .run import CHECK_FAILED, INTERRUPTED
 from .theory import growth_of, option_amount
 

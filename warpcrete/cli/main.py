@@ -39,7 +39,7 @@ def _scenes() -> dict[str, ModuleType]:
 def cli(trust: bool) -> None:
     """Particle simulation of fresh concrete being pumped."""
     if trust:
-        trusted = importlib.import_module("warpcrete.core.by_name").trusted_files()
+        trusted = importlib.import_module("warpcrete.core.inputs.by_name").trusted_files()
         click.get_current_context().with_resource(trusted)
 
 
@@ -124,7 +124,7 @@ def run_group(context: click.Context, resume: Path | None, live: str | None, bin
 
 def _scene_command(name: str, module: ModuleType) -> click.Command:
     options = _part("options")
-    fields = importlib.import_module("warpcrete.core.parameters").declared_fields(module.scene.parameters)
+    fields = importlib.import_module("warpcrete.core.inputs.parameters").declared_fields(module.scene.parameters)
     common = {option.name for option in options.run_options()}
 
     def callback(**values: Any) -> None:
@@ -237,7 +237,7 @@ def theory(
               "lets every machine connect that can reach this one")  # fmt: skip
 def view_run(run: Path, web: bool, bind: str) -> None:
     """Open the recording of a run folder in the Rerun viewer."""
-    from ..core.run import viewer
+    from ..core.run.run import viewer
 
     opened = viewer(run, web, bind)
     process = opened.start()

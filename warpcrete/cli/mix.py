@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from ..core.errors import refuse
-from ..core.files import whole_file
-from ..core.yaml_files import yaml_text
-from ..dem.pumping import PipeParameters
+from ..core.inputs.yaml_files import yaml_text
+from ..core.run.files import whole_file
+from ..dem.pumping.parameters import PipeParameters
 from ..mix.mix import Mix, read_mix
 
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import click
 
-from ..core.amounts import amount
 from ..core.errors import suggested
-from ..core.parameters import Alias, Field, OneOf, Spread
+from ..core.inputs.amounts import amount
+from ..core.inputs.parameters import Alias, Field, OneOf, Spread
 from ..methods import METHODS
 from ..record.recorders import RECORDERS
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import click
 
 from ..core.errors import RunFolderError
-from ..core.files import next_folder
-from ..core.progress import ProgressBar
-from ..studies.reproduce import RECORD, reproduce, resume_reproduction
+from ..core.run.files import next_folder
+from ..core.run.progress import ProgressBar
+from ..studies.reproduction.reproduce import RECORD, reproduce, resume_reproduction
 from .run import INTERRUPTED
 
 

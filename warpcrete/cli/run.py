@@ -8,21 +8,21 @@ from typing import Any
 
 import click
 
-from ..core.device import default_threads
+from ..core.device.device import default_threads
+from ..core.device.interrupts import StopAtSample
 from ..core.errors import RunFolderError, between, positive, refuse
-from ..core.files import check_new, next_folder, read_json
-from ..core.interrupts import StopAtSample
-from ..core.limits import check_limit
-from ..core.method import report_of
-from ..core.parameters import declared_fields
-from ..core.progress import ProgressBar
-from ..core.run_loop import Recorder, Run
+from ..core.inputs.limits import check_limit
+from ..core.inputs.parameters import declared_fields
+from ..core.run.files import check_new, next_folder, read_json
+from ..core.run.method import report_of
+from ..core.run.progress import ProgressBar
+from ..core.run.run_loop import Recorder, Run
 from ..core.units import number
 from ..methods import Simulation, method_of
 from ..record.checks import failed_checks
 from ..record.loading import is_finished, repeatable_scene
 from ..record.recorders import RECORDERS, Look, recorders_of
-from ..studies.pipeline import check_pipeline, pipeline_estimate
+from ..studies.lines.pipeline import check_pipeline, pipeline_estimate
 
 KEPT = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), "pipeline_vertical", "pipeline_horizontal",
         "pipeline_other", "checkpoint_every", "threads")  # fmt: skip

@@ -8,11 +8,11 @@ from typing import Any
 
 import click
 
-from ..core.device import PRECISIONS
+from ..core.device.device import PRECISIONS
 from ..core.errors import RunFolderError, suggested
-from ..core.files import next_folder, read_record
-from ..core.parameters import Alias, Field, Spread
-from ..core.progress import ProgressBar
+from ..core.inputs.parameters import Alias, Field, Spread
+from ..core.run.files import next_folder, read_record
+from ..core.run.progress import ProgressBar
 from ..record.recorders import RECORDERS
 from ..studies.study import Study, resume_study, run_study
 from .options import check_scene, quantity_of

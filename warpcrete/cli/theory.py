@@ -10,10 +10,10 @@ from typing import Any
 
 import click
 
-from ..core.amounts import amount
 from ..core.errors import refuse
-from ..core.limits import check_limit, check_velocity
-from ..core.parameters import Field, declared_fields, resolved
+from ..core.inputs.amounts import amount
+from ..core.inputs.limits import check_limit, check_velocity
+from ..core.inputs.parameters import Field, declared_fields, resolved
 from ..mix.mix import mix_named
 from ..mix.points import read_points
 from ..mps.column import FLOW, ColumnParameters, ConcreteParameters

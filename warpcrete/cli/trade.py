@@ -9,11 +9,11 @@ from typing import Any
 import click
 
 from ..core.errors import RunFolderError
-from ..core.files import next_folder, read_record
-from ..core.progress import ProgressBar
-from ..studies.trade import resume_trade, run_trade
-from ..studies.trade_report import table
-from ..studies.trading import Trade
+from ..core.run.files import next_folder, read_record
+from ..core.run.progress import ProgressBar
+from ..studies.tradeoffs.report import table
+from ..studies.tradeoffs.state import Trade
+from ..studies.tradeoffs.trade import resume_trade, run_trade
 from .options import check_scene
 from .run import INTERRUPTED
 from .study import ON_WORKERS, parameter_values, parsed, single

@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from .. import verification
-from ..core.device import find_device
-from ..core.files import check_new, whole_file
-from ..core.folders import new_folder
+from ..core.device.device import find_device
+from ..core.run.files import check_new, whole_file
+from ..core.run.folders import new_folder
 from ..verification import extremes as edge
 from ..verification import flow_extremes
 from ..verification.figure import draw

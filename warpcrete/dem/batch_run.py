@@ -9,18 +9,18 @@ from typing import Any
 
 import warp as wp
 
-from ..core.device import MEMORY_FRACTION, memory_free, parallel
+from ..core.device.device import MEMORY_FRACTION, memory_free, parallel
+from ..core.device.launching import telling
 from ..core.errors import WarpcreteError
-from ..core.fingerprints import fingerprint
-from ..core.launching import telling
-from ..core.run_loop import Coroutine, Run
-from .batch import batch_key
-from .bodies import BodyTable, placed_bodies
-from .memory import memory_needed
+from ..core.inputs.fingerprints import fingerprint
+from ..core.run.run_loop import Coroutine, Run
+from .engine.batch import batch_key
+from .engine.memory import memory_needed
+from .engine.scheduling import drive_abreast
+from .engine.stepper import Stepper, steppers_of
 from .packing import Request, pack_many
-from .scheduling import drive_abreast
+from .scene.bodies import BodyTable, placed_bodies
 from .simulation import ElementSimulation
-from .stepper import Stepper, steppers_of
 
 Outcome = Run | BaseException
 PACKED_TOGETHER = 32

@@ -16,22 +16,22 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.device import checked_threads, parallel
-from ..core.footprint import footprint
-from ..core.forecast import Forecast, Probe, median_time
-from ..core.run_loop import drive_alone
+from ..core.device.device import checked_threads, parallel
+from ..core.device.footprint import footprint
+from ..core.run.forecast import Forecast, Probe, median_time
+from ..core.run.run_loop import drive_alone
 from ..geometry.axis import Axis
 from ..geometry.walls import Prescribed
 from ..kernels.dem.subcycling import PART
-from .bodies import BodyTable, placed_bodies
-from .bonding import bond_kinds
-from .containers import PipeContainer
+from .engine.bonding import bond_kinds
+from .engine.state_data import restored, state_dict
+from .engine.stepper import Stepper
 from .laws import ContactLaw
 from .packing import PackingReport, pack
-from .restoring import restored, state_dict
-from .scene import Scene
+from .scene.bodies import BodyTable, placed_bodies
+from .scene.containers import PipeContainer
+from .scene.scene import Scene
 from .simulation import SETTLING_PARTS, ElementSimulation
-from .stepper import Stepper
 
 LEAST = 0.1  # minimum fraction of the timed wall time that counts as steps; at most the rest counts as list rebuilds
 SPENT = 0.7  # wall time for which steps are timed [s]
@@ -110,7 +110,7 @@ class _Copy:
         self.remarks: list[str] = []
         container = scene.fill.container if scene.fill is not None else None
         if isinstance(container, PipeContainer) and container.bore is not None:
-            self.remarks.append("the pipe is taken to be as wide as where it begins")
+            self.remarks.append("a part with the uniform bore of the pipe's beginning stands for the whole pipe")
         packed = self._packed(precision, threads) if scene.fill is not None else None
         simulation = ElementSimulation(
             replace(scene, settle=None), device=str(device), precision=precision, threads=threads
@@ -219,7 +219,7 @@ class _Copy:
         fixed = scene.time_step.fixed
         safety = scene.time_step.safety
         if self.spheres == 0:
-            return {"no bodies": stepper.dt}, "nothing bounds it but its largest allowed size"
+            return {"no bodies": stepper.dt}, "limited only by the largest allowed step"
         found: dict[str, float] = {}
         held = simulation.state.pairs.bond.numpy().copy() if simulation.model.features.bonds else None
         kinds = None if held is None else bond_kinds(held)
@@ -260,25 +260,27 @@ class _Copy:
         whole = estimate()
         if whole > scene.time_step.largest:
             found["largest allowed"] = scene.time_step.largest
-            return {**found, "all together": scene.time_step.largest}, "what is allowed at most (TimeStep.largest)"
+            return {**found, "all together": scene.time_step.largest}, (
+                "the largest allowed time step (TimeStep.largest)"
+            )
         if fixed is not None:
-            return {**found, "all together": whole}, f"time_step = {fixed:g} s, as it is given"
+            return {**found, "all together": whole}, f"the given time_step = {fixed:g} s"
         alone = found["contacts"]
         bonded = {name: dt for name, dt in found.items() if name.startswith("contacts and ")}
         words = []
         if bonded and min(bonded.values()) < 0.9 * alone:
             name = min(bonded, key=bonded.__getitem__)
             times = alone / bonded[name]
-            words.append(f"{name.removeprefix('contacts and ')}, which make it {times:.3g} times smaller than "
-                         f"contacts alone and are {100 * (1 - 1 / times):.0f} % of the steps")  # fmt: skip
+            words.append(f"{name.removeprefix('contacts and ')}, which shorten the step {times:.3g} times compared "
+                         f"with contacts alone and account for {100 * (1 - 1 / times):.0f} % of the steps")  # fmt: skip
         else:
             words.append("contacts")
         if rounds:
-            words.append(f"hydrated bonds take {rounds} rounds in each step, which is half as large for that")
+            words.append(f"hydrated bonds are integrated in {rounds} rounds per step, for which the step is halved")
         undamped = found.get("contacts without dashpots", alone)
         if undamped > 1.1 * alone:
             share = 100 * (1 - alone / undamped)
-            words.append(f"their dashpots make it {share:.0f} % smaller than springs would")
+            words.append(f"the dashpots shorten the step by {share:.0f} % compared with springs alone")
         words.append(self._smallest())
         return {**found, "all together": whole}, "; ".join(words)
 
@@ -309,8 +311,8 @@ class _Copy:
         table = self.simulation.state.table()
         least = int(np.argmin(table.mass))
         group = f" of {table.group[least]}" if table.group[least] else ""
-        return (f"steps are shortest for the lightest bodies, here {1e3 * table.size[least]:.3g} mm{group} "
-                f"(spheres of {2e3 * spheres.min():.3g} mm and more)")  # fmt: skip
+        return (f"the lightest bodies limit the step, here {1e3 * table.size[least]:.3g} mm{group} (spheres of "
+                f"{2e3 * spheres.min():.3g} mm or more)")  # fmt: skip
 
 
 def tiled(table: BodyTable, axis: Axis, period: float, length: float) -> BodyTable:
@@ -380,10 +382,10 @@ def _features(simulation: ElementSimulation) -> dict[str, str]:
         "stops": ", ".join(
             w.name for w in scene.walls if isinstance(w.motion, Prescribed) and w.motion.stops is not None
         ),
-        "structure": "a layer that grows at rest" if f.structure else "",
-        "energy balance": "asked for" if f.dissipation else "",
-        "wear of walls": "asked for" if f.wear else "",
+        "structure": "the yield stress of a layer grows at rest" if f.structure else "",
+        "energy balance": "requested" if f.dissipation else "",
+        "wear of walls": "requested" if f.wear else "",
         "precision": simulation.precision,
-        "half lists": f"each pair stands once, {simulation.threads} threads" if f.half_list else "",
+        "half lists": f"each pair is stored once, {simulation.threads} threads" if f.half_list else "",
     }
     return {name: why or "left out" for name, why in present.items()}

@@ -1,13 +1,13 @@
 """Interface of the discrete element method to the rest of the program."""
 
-from ..core.method import Method
+from ..core.run.method import Method
 from .batch_run import run_batch
-from .display import ElementDisplay
 from .forecast import forecast
+from .measure.display import ElementDisplay
+from .measure.quantities import QUANTITIES, report
+from .measure.wear_results import plot_wear
 from .pictures import draw, plot_aggregates
-from .quantities import QUANTITIES, report
 from .simulation import ElementSimulation
-from .worn import plot_wear
 
 METHOD = Method(
     name="dem",

@@ -13,20 +13,20 @@ from typing import Any
 
 import numpy as np
 
-from ..core.device import find_device, parallel
+from ..core.device.device import find_device, parallel
 from ..core.errors import CapacityError, InstabilityError, WarpcreteError, refuse
-from ..core.run_loop import Coroutine
-from .batch import batch_key
-from .bodies import BodyTable
-from .containers import Fill, MeshContainer, PipeContainer
+from ..core.run.run_loop import Coroutine
+from .engine.batch import batch_key
+from .engine.memory import check_memory
+from .engine.model import build_model
+from .engine.scheduling import Steps, drive
+from .engine.state import State
+from .engine.stepper import Stepper, steppers_of
 from .laws import Contact, ContactLaw
-from .memory import check_memory
-from .model import build_model
-from .probes import contact_sums
-from .scene import Scene
-from .scheduling import Steps, drive
-from .state import State
-from .stepper import Stepper, steppers_of
+from .measure.probes import contact_sums
+from .scene.bodies import BodyTable
+from .scene.containers import Fill, MeshContainer, PipeContainer
+from .scene.scene import Scene
 
 START_FRACTION = 0.10  # solid fraction at which aggregates are sown
 GROWTH_STEPS = 1500
@@ -76,7 +76,7 @@ def draw(
     expected = wanted / (np.pi / 6 * float(np.mean(fill.sizes.sample(1000, np.random.default_rng(0)) ** 3)))
     if expected > MOST_BODIES:
         raise CapacityError(
-            f"packing: {container.volume:.3g} m3 would take {expected:.2g} aggregates, more than {MOST_BODIES:.2g}; "
+            f"packing: {container.volume:.3g} m3 would need {expected:.2g} aggregates, more than {MOST_BODIES:.2g}; "
             "choose a smaller container or larger aggregates"
         )
     sizes = np.empty(0)
@@ -304,13 +304,13 @@ class _Growth:
         result.spin = np.zeros_like(result.spin)
         reached = sums.virial / (3 * self.container.volume)
         if pressure is not None and self.container is self.fill.container:
-            found = f"came to {reached:.3g} Pa with sizes changed by a factor of {factor:.3f}"
+            found = f"reached {reached:.3g} Pa with sizes changed by a factor of {factor:.3f}"
             if not 0.8 * pressure < reached < 1.2 * pressure or not 0.93 < factor < 1.07:
                 refuse(
                     "packing pressure",
                     pressure,
-                    f"cannot be met, the packing {found}",
-                    f"choose a solid fraction, or a pressure between 0.001 and 0.1 of the contacts' modulus "
+                    f"cannot be met: the packing {found}",
+                    "give a solid fraction, or a pressure between 0.001 and 0.1 of the contacts' modulus "
                     f"({self.contact.stress_scale:g} Pa)",
                 )
         report = PackingReport(

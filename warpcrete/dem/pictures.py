@@ -10,8 +10,8 @@ import numpy as np
 from ..core.errors import refuse
 from ..core.units import number
 from ..geometry.rotation import rotate
+from .scene.strokes import strokes_of
 from .simulation import ElementRun
-from .strokes import strokes_of
 
 
 def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:
@@ -81,7 +81,7 @@ def plot_stations(run: ElementRun) -> Any:
     piston.plot(run.series["travel"], run.series["pressure"] / 1e3, color="C3")
     piston.set(xlabel="piston travel [m]", ylabel="pressure on the piston [kPa]", ylim=(0, None))
     solid.plot(table["place"], table["solid_fraction"], ".-", color="C2")
-    solid.set(xlabel="along the part [m]", ylabel="solid fraction, overlaps twice", ylim=(0, None))
+    solid.set(xlabel="position along the part [m]", ylabel="solid fraction (overlaps counted twice)", ylim=(0, None))
     rings = [name for name in table if name.endswith("R")]
     middles = [float(name.removeprefix("velocity_").removesuffix("R")) for name in rings]
     full = np.flatnonzero(np.isfinite(table["velocity"]))
@@ -89,7 +89,7 @@ def plot_stations(run: ElementRun) -> Any:
         profile.plot(
             middles, [100 * table[name][place] for name in rings], ".-", label=f"{table['place'][place]:.2f} m"
         )
-    profile.set(xlabel="radius over the pipe's", ylabel="velocity [cm/s]", ylim=(0, None), xlim=(0, 1))
+    profile.set(xlabel="radius over pipe radius", ylabel="velocity [cm/s]", ylim=(0, None), xlim=(0, 1))
     if len(full):
         profile.legend(frameon=False, fontsize=9, title="along the part")
     middle = run.scene.stations.middle
@@ -116,7 +116,7 @@ def plot_strokes(run: ElementRun) -> Any:
 
     stops = run.scene.pipe.stops if run.scene.pipe is not None else None
     if stops is None:
-        refuse("scene", run.scene.name, "has no piston that stops", "plot_pressure draws pressure over travel")
+        refuse("scene", run.scene.name, "must have a piston that stops", "use plot_pressure for pressure over travel")
     time, pressure = run.series["time"], run.series["pressure"] / 1e3
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     axes = figure.add_subplot()
@@ -132,10 +132,14 @@ def plot_strokes(run: ElementRun) -> Any:
         axes.plot(time[top], pressure[top], "k+", markersize=10, label=None if stroke else "peak of a stroke")
     rest = run.scene.rest
     if rest is not None and rest.at < time[-1]:
-        stood = f"{rest.duration:g} s of rest, {rest.gained:.4g} Pa grown"
+        stood = f"{rest.duration:g} s at rest, yield stress grown by {rest.gained:.4g} Pa"
         axes.axvline(rest.at, color="C3", linewidth=1.2, label=stood)
-    axes.set(xlabel="time, the rest left out [s]" if rest else "time [s]", ylabel="pressure on the piston [kPa]",
-             ylim=(0, None), xlim=(0, time[-1] or 1.0))  # fmt: skip
+    axes.set(
+        xlabel="time, the rest left out [s]" if rest else "time without the rest [s]",
+        ylabel="pressure on the piston [kPa]",
+        ylim=(0, None),
+        xlim=(0, time[-1] or 1.0),
+    )
     axes.legend(frameon=False, fontsize=9)
     axes.spines[["top", "right"]].set_visible(False)
     return figure

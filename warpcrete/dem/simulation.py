@@ -1,4 +1,4 @@
-"""Discrete element simulation from scene to finished run, on top of the run loop in :mod:`warpcrete.core.run_loop`."""
+"""Discrete element simulation from scene to finished run, on top of the run loop of `core`."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from ..core.footprint import footprint
-from ..core.method import results_of
-from ..core.provenance import provenance
-from ..core.run import Table
-from ..core.run_loop import Coroutine, Run, Simulation, Until, drive_alone
+from ..core.device.footprint import footprint
+from ..core.run.method import results_of
+from ..core.run.provenance import provenance
+from ..core.run.run import Table
+from ..core.run.run_loop import Coroutine, Run, Simulation, Until, drive_alone
 from ..core.units import quantity
 from ..geometry.walls import Driven
-from .blockage import BlockageWatch
-from .bodies import BodyTable, placed_bodies
-from .bonding import bond_kinds
-from .display import ElementDisplay
-from .measures import at_rest, is_over
-from .memory import check_memory
-from .model import build_model
+from .engine.bonding import bond_kinds
+from .engine.memory import check_memory
+from .engine.model import build_model
+from .engine.state import State
+from .engine.state_data import restored, state_dict, state_hash
+from .engine.stepper import Stepper
+from .measure.blockage import BlockageWatch
+from .measure.display import ElementDisplay
+from .measure.probes import body_sums, contact_sums
+from .measure.quantities import QUANTITIES, Known
+from .measure.sampling import STORED, Sampler, unit_of
+from .measure.stations import UNITS as STATION_UNITS
+from .measure.vessel_measures import at_rest, is_over
+from .measure.watch import Watch
+from .measure.wear import WearMap
 from .packing import PackingReport, pack
-from .probes import body_sums, contact_sums
-from .quantities import QUANTITIES, Known
-from .restoring import restored, state_dict, state_hash
-from .sampling import STORED, Sampler, unit_of
-from .scene import Scene
-from .state import State
-from .stations import UNITS as STATION_UNITS
-from .stepper import Stepper
-from .strokes import stroke_table
-from .watch import Watch
-from .wear import WearMap
+from .scene.bodies import BodyTable, placed_bodies
+from .scene.scene import Scene
+from .scene.strokes import stroke_table
 
 QUIET = 1e-5  # kinetic energy divided by elastic energy below which a state counts as settled
 SETTLING_PARTS = 50  # number of intervals of the settling, after each of which the energies are checked

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from ..core.amounts import amount
-from ..core.concretes import is_file
 from ..core.errors import one_line, one_of, positive, refuse, suggested
-from ..core.limits import check_limit, check_velocity, warn
-from ..core.text_files import name_of, read_mapping, within
+from ..core.inputs.amounts import amount
+from ..core.inputs.concretes import is_file
+from ..core.inputs.limits import check_limit, check_velocity, warn
+from ..core.inputs.text_files import name_of, read_mapping, within
 from .axis import Arc, Axis, Line
 from .bores import Bores
 from .crossings import meeting

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..core.errors import refuse
-from ..core.text_files import check_file
+from ..core.inputs.text_files import check_file
 from .axis import Arc, Axis, Line
 from .bores import Bores
 from .inner_surface import AROUND, InnerSurface, equal_radii

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from ..core.device import quiet_init
+from ..core.device.device import quiet_init
+from ..core.device.launching import launch
 from ..core.errors import refuse
-from ..core.launching import launch
-from ..core.text_files import check_file
+from ..core.inputs.text_files import check_file
 from ..kernels.common.mesh_queries import distances, nearest_faces, ray_distances, signed_distances
 from .axis import Axis
 from .cleaning import clean

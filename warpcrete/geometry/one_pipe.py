@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ..core.amounts import amount
 from ..core.errors import refuse
-from ..core.text_files import within
+from ..core.inputs.amounts import amount
+from ..core.inputs.text_files import within
 from .axis import Axis, Line
 from .bores import Bores
 from .lines import PipeLine, line_file

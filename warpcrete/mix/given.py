@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ..core.amounts import amount, bare_number
 from ..core.errors import between, one_of, positive, refuse, suggested
-from ..core.limits import check_limit
-from ..core.text_files import within
+from ..core.inputs.amounts import amount, bare_number
+from ..core.inputs.limits import check_limit
+from ..core.inputs.text_files import within
 from .ingredients import LEAST, check_volume
 from .points import PUMPED, read_points
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 
 from ..core.errors import quoted, refuse, suggested
-from ..core.limits import warn
+from ..core.inputs.limits import warn
 
 DENSITIES = {
     **dict.fromkeys(("cement", "clinker", "cem", "opc", "binder", "powder"), 3100.0),

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ..core.amounts import amount
-from ..core.concretes import NamedConcrete, concrete, known_only
 from ..core.errors import between, positive, refuse
+from ..core.inputs.amounts import amount
+from ..core.inputs.concretes import NamedConcrete, concrete, known_only
 from ..theory.pipe import Concrete
 from .figures import Figure, agreed, around, short
 from .given import OFF, Given, read

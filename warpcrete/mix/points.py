@@ -6,10 +6,10 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from ..core.amounts import amount
 from ..core.errors import positive, refuse
-from ..core.limits import check_limit
-from ..core.text_files import read_rows
+from ..core.inputs.amounts import amount
+from ..core.inputs.limits import check_limit
+from ..core.inputs.text_files import read_rows
 
 PUMPED = {"flow": "m3/s", "pressure": "Pa"}
 """Columns of points measured on a pipe, with their SI units."""

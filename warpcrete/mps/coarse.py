@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.device import parallel
+from ..core.device.device import parallel
 
 WIDTH = 4.0
 """Width of a cube in particle spacings.

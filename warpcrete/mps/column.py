@@ -9,13 +9,13 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from ..core.checks import with_cures
-from ..core.concretes import is_file
 from ..core.errors import positive, refuse
-from ..core.knobs import Knob, Level, Trading, precisions, scaled
-from ..core.limits import check_velocity
-from ..core.parameters import Above, Alias, FileIf, Needs, OneOf, Within
-from ..core.run_loop import Run
+from ..core.inputs.concretes import is_file
+from ..core.inputs.knobs import Knob, Level, Trading, precisions, scaled
+from ..core.inputs.limits import check_velocity
+from ..core.inputs.parameters import Above, Alias, FileIf, Needs, OneOf, Within
+from ..core.run.checks import with_cures
+from ..core.run.run_loop import Run
 from ..core.units import number
 from ..theory.pipe import MIXES, Concrete, Line, Steady, flow_of_pressure, rested, steady, steady_of_stress
 from ..theory.suspension import SUSPENSIONS, mortar_of
@@ -47,16 +47,24 @@ class ConcreteParameters:
 
     concrete: Annotated[
         str,
-        "no1, no2, no3 (Xu et al. 2021), the path of a .yaml file, or own with the five constants below",
+        "Concrete: no1, no2, no3 (Xu et al. 2021), the path of a .yaml file, or own with all five constants below",
         Alias("mix"),
         FileIf(is_file),
     ] = "no1"
-    density: Annotated[float | None, "[kg/m3]; this and the next four replace the named concrete's", Above()] = None
-    viscosity: Annotated[float | None, "plastic viscosity [Pa s]", Above()] = None
-    yield_stress: Annotated[float | None, "[Pa]", Within(0)] = None
-    slip_viscosity: Annotated[float | None, "of the slip layer, over its thickness [Pa s/m]", Above()] = None
-    slip_yield: Annotated[float | None, "yield stress of the slip layer [Pa]", Within(0)] = None
-    slip_thickness: Annotated[float, "of the slip layer, by which the concrete is thinner [m]", Within(0)] = 0.0
+    density: Annotated[
+        float | None,
+        "Density [kg/m3]; the density and the next four parameters replace the constants of the named concrete",
+        Above(),
+    ] = None
+    viscosity: Annotated[float | None, "Plastic viscosity [Pa s]", Above()] = None
+    yield_stress: Annotated[float | None, "Yield stress [Pa]", Within(0)] = None
+    slip_viscosity: Annotated[
+        float | None, "Viscosity of the slip layer divided by its thickness [Pa s/m]", Above()
+    ] = None
+    slip_yield: Annotated[float | None, "Yield stress of the slip layer [Pa]", Within(0)] = None
+    slip_thickness: Annotated[
+        float, "Thickness of the slip layer, which reduces the radius of the concrete [m]", Within(0)
+    ] = 0.0
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
@@ -73,32 +81,41 @@ class ConcreteParameters:
 class ColumnParameters:
     """Pipe, piston and particle spacing."""
 
-    diameter: Annotated[float, "inner, of the pipe, or distance of the planes [m]", Above(), Alias("radius", twice)] = (
-        0.1
-    )
-    length: Annotated[float, "of the concrete [m]"] = 0.3
-    flow: Annotated[float | None, "volume flow through a round pipe of the diameter [m3/s]; default 1500e-6"] = None
-    pressure: Annotated[float | None, "on the piston instead of the flow [Pa]; theory gives its speed"] = None
-    spacing: Annotated[float, "of the particles [m]; the nearest that divides the pipe is taken"] = 5e-3
+    diameter: Annotated[
+        float, "Inner diameter of the pipe, or distance of the planes [m]", Above(), Alias("radius", twice)
+    ] = 0.1
+    length: Annotated[float, "Length of the concrete in the pipe [m]"] = 0.3
+    flow: Annotated[float | None, "Volume flow through a round pipe of this diameter [m3/s]; default: 1500e-6"] = None
+    pressure: Annotated[
+        float | None, "Pressure on the piston, given instead of the flow [Pa]; theory gives the piston's speed"
+    ] = None
+    spacing: Annotated[float, "Spacing of the particles [m]; the nearest spacing that divides the pipe is used"] = 5e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class AggregateParameters:
     """Coarse aggregate of the two-phase model."""
 
-    aggregates: Annotated[bool, "two phases: coarse aggregate as rigid groups of particles in mortar"] = False
+    aggregates: Annotated[bool, "Simulate two phases: coarse aggregate as rigid groups of particles in mortar"] = False
     aggregate_fraction: Annotated[
-        float | None, "of the volume; default: the concrete's gravel", TWO_PHASES, Alias("aggregate_share")
+        float | None,
+        "Volume fraction of the coarse aggregate; default: the concrete's gravel",
+        TWO_PHASES,
+        Alias("aggregate_share"),
     ] = None
-    aggregate_density: Annotated[float, "[kg/m3]", Above(), TWO_PHASES] = 2630.0
+    aggregate_density: Annotated[float, "Density of the coarse aggregate [kg/m3]", Above(), TWO_PHASES] = 2630.0
     inclusions: Annotated[
         str,
-        "how the mortar's default constants take them: discs, spheres; auto: by dimension",
+        "Shape of the aggregate in the formula for the mortar's default constants: discs, spheres; auto: by dimension",
         OneOf(("auto", *SUSPENSIONS)),
         TWO_PHASES,
     ] = "auto"
-    mortar_viscosity: Annotated[float | None, "plastic viscosity [Pa s]; default: by homogenisation", TWO_PHASES] = None
-    mortar_yield: Annotated[float | None, "yield stress [Pa]; default: by homogenisation", TWO_PHASES] = None
+    mortar_viscosity: Annotated[
+        float | None, "Plastic viscosity of the mortar [Pa s]; default: by homogenisation", TWO_PHASES
+    ] = None
+    mortar_yield: Annotated[float | None, "Yield stress of the mortar [Pa]; default: by homogenisation", TWO_PHASES] = (
+        None
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,9 +124,10 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
 
     ends: Annotated[
         str,
-        "piston: a column on a piston, with a free surface, by particles; periodic: a stretch of an endless pipe, on a "
-        "grid (a tube about its axis), for as much shear as there may be; auto: piston where slip carries 0.9 of the "
-        "flow by theory, and where only particles do (aggregates, paper_scheme), else periodic",
+        "Ends of the pipe: piston (particles, a column with a free surface on a piston), periodic (a stretch of an "
+        "endless pipe on a grid, about the axis of a tube; for flows with any amount of shear), auto (piston if slip "
+        "carries 0.9 of the flow by theory, or if only particles can simulate it, that is aggregates or "
+        "paper_scheme; else periodic)",
         OneOf(("auto", *ENDS)),
     ] = "auto"
 
@@ -129,7 +147,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
             return None
         if fraction is None:
             if self.concrete not in MIXES:
-                refuse("aggregate_fraction", None, "is needed for a concrete of one's own")
+                refuse("aggregate_fraction", None, "must be given for concrete = own")
             fraction = MIXES[self.concrete]["gravel"] / self.aggregate_density
         by_dimension = "discs" if dimensions == 2 else "spheres"
         inclusions = self.inclusions if self.inclusions != "auto" else by_dimension
@@ -147,12 +165,12 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         flow = self.flow
         if self.pressure is not None:
             if flow is not None:
-                refuse("flow", flow, "is given together with pressure", "leave out one of both")
+                refuse("flow", flow, "cannot be combined with pressure", "leave out one of the two")
             line = Line(radius=bulk, length=self.length, gravity=self.gravity)
             flow = flow_of_pressure(concrete, line, self.pressure, "plane" if dimensions == 2 else "pipe").flow
         elif flow is None:
             flow = FLOW
-        positive("flow", flow, "m3/s", "at rest there is nothing to simulate")
+        positive("flow", flow, "m3/s", "a concrete at rest needs no simulation")
         return flow
 
     def ends_for(self, concrete: Concrete, bulk: float, flow: float, dimensions: int) -> str:
@@ -180,7 +198,7 @@ def column_scene(
     `paper` holds the printed results of each concrete; they apply only to the paper's own case. Raises
     :class:`SceneError` if the pressure moves nothing, or if the slip layer leaves no bore.
     """
-    Within(0, np.nextafter(given.diameter / 2, 0), "less than the radius").check(
+    Within(0, np.nextafter(given.diameter / 2, 0), "use less than the radius").check(
         "slip_thickness", given.slip_thickness, " m"
     )
     concrete = given.constants()
@@ -245,7 +263,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
     result, scene = run.result, run.scene
     two = scene.aggregates is not None
     if "pressure_error" not in result:
-        return {"finished": (False, "there is no sample besides that at the start")}
+        return {"finished": (False, "the run has no sample after the start")}
     usual = TWO_PHASE_ACCURACY if two else ACCURACY[scene.dimensions]
     limit = usual if scene.tolerated_error is None else scene.tolerated_error
     wall_limit, profile_limit = (max(limit if limit > usual else 0.0, each)
@@ -253,10 +271,10 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
     pressure, slip, wall = (result[f"{name}_error"] for name in ("pressure", "slip_velocity", "wall_stress"))
     balance = result["force_balance_error"]
     found = {
-        "pressure": (abs(pressure) < limit, f"{100 * pressure:+.2f} % from theory"),
-        "wall's stress": (abs(wall) < wall_limit, f"{100 * wall:+.2f} % from theory"),
-        "volume": (abs(result["volume_error"]) < 1e-3, f"{100 * result['volume_error']:+.3f} % at most"),
-        "balance of forces": (abs(balance) < 5e-3, f"{100 * balance:+.2f} % of the piston's force"),
+        "pressure": (abs(pressure) < limit, f"{100 * pressure:+.2f} % off theory"),
+        "wall's stress": (abs(wall) < wall_limit, f"{100 * wall:+.2f} % off theory"),
+        "volume": (abs(result["volume_error"]) < 1e-3, f"largest error {100 * result['volume_error']:+.3f} %"),
+        "balance of forces": (abs(balance) < 5e-3, f"{100 * balance:+.2f} % of the piston's force is not balanced"),
     }  # fmt: skip
     if scene.gained:  # closed-form theory does not cover structure that partly survives in the bulk
         found = {name: found[name] for name in ("volume", "balance of forces")}
@@ -266,15 +284,16 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
         left = 0.5 * math.exp(-scene.velocity * float(run.series["time"][1]) / scene.breakdown) if plug else 0.0
         found["restart"] = (
             (least + left * (most - least)) * (1 - limit) < peak < most * (1 + limit),
-            f"{peak / 1e3:.4g} kPa; theory {least / 1e3:.4g} without structure, {most / 1e3:.4g} with all, in a plug",
+            f"{peak / 1e3:.4g} kPa; theory: {least / 1e3:.4g} kPa without structure, {most / 1e3:.4g} kPa with all of "
+            "the structure, as a plug",
         )
     if scene.duration is None:  # a run of given duration need not be steady; the report says if it is not
         found = {"steady": (result["steady"], f"after {number(result['simulated_time']):g} s"), **found}
     if not two and not scene.gained:
-        found["slip velocity"] = (abs(slip) < limit, f"{100 * slip:+.2f} % of the mean velocity from theory")
+        found["slip velocity"] = (abs(slip) < limit, f"off theory by {100 * slip:+.2f} % of the mean velocity")
         found["profile"] = (
             result["profile_error"] < profile_limit,
-            f"rms {100 * result['profile_error']:.2f} % of the mean velocity",
+            f"rms deviation {100 * result['profile_error']:.2f} % of the mean velocity",
         )
     return found
 

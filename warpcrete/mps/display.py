@@ -6,8 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..core.display import Curve, Display, DrawnWall, Plot, Points, Profile
-from ..core.paint import on_palette
+from ..core.drawing.display import Curve, Display, DrawnWall, Plot, Points, Profile
+from ..core.drawing.paint import on_palette
 from ..geometry.axis import Axis, Line
 from ..theory.pipe import velocity
 from .probes import MIDDLE, Snapshot, over_radius

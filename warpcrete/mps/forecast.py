@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from ..core.device.footprint import footprint
 from ..core.errors import InstabilityError
-from ..core.footprint import footprint
-from ..core.forecast import Forecast, Probe, median_time, timed
+from ..core.run.forecast import Forecast, Probe, median_time, timed
 from .scene import FluidScene
 from .simulation import FluidSimulation
 
@@ -54,7 +54,7 @@ def forecast(scene: FluidScene, device: Any, precision: str, threads: int | None
         memory={name: float(size) for name, size in footprint(
             **flow.holdings, rest=simulation).items() if size},
         time_step=scene.time_step,
-        limits={"half a spacing of the piston's way": 0.5 * scene.spacing / scene.velocity},
+        limits={"half a spacing of piston travel": 0.5 * scene.spacing / scene.velocity},
         governing="choice: solves are implicit, so that viscosity and pressure set no limit",
         steps=steps,
         parts={"placing": placing, "graphs": max(first - min(between, TAKEN) * step, 0.0), "steps": steps * step,
@@ -81,11 +81,13 @@ def _duration(
     try:
         run = simulation.run()
     except InstabilityError as error:
-        return simulation.duration, [f"a coarser copy of this flow stops: {error}"]
+        return simulation.duration, [
+            f"the simulated time is uncertain, because a coarser copy of this flow stopped: {error}"
+        ]
     finally:
         simulation.release()
     reached = run.result["simulated_time"]["value"]
-    return reached, [] if run.result["steady"] else [f"not steady within {reached:g} s"]
+    return reached, [] if run.result["steady"] else [f"the flow is not steady within {reached:g} s"]
 
 
 def step_time(simulation: Any) -> float:
@@ -111,16 +113,20 @@ def _features(simulation: FluidSimulation) -> dict[str, str]:
         "scheme": _scheme(scene),
         "solves": _solves(flow),
         "precision": simulation.precision,
-        "threads": "a thread a particle" if flow.parallel else f"{flow.threads}",
+        "threads": "one thread per particle" if flow.parallel else f"{flow.threads}",
     }
 
 
 def _solves(flow: Any) -> str:
     coarse = getattr(flow, "coarse", None)
-    return "by the diagonal" if coarse is None else f"with a coarse grid of {coarse.count} cubes"
+    return (
+        "preconditioned by the diagonal"
+        if coarse is None
+        else f"preconditioned with a coarse grid of {coarse.count} cubes"
+    )
 
 
 def _scheme(scene: FluidScene) -> str:
     if scene.ends == "periodic":
         return "solved on a grid" + (" about the axis" if scene.dimensions == 3 else "")
-    return "as the paper prints it" if scene.paper_scheme else "corrected"
+    return "as printed in the paper" if scene.paper_scheme else "corrected"

@@ -1,6 +1,6 @@
 """Registration of the moving particle method with the rest of the program."""
 
-from ..core.method import Method
+from ..core.run.method import Method
 from .display import FlowDisplay
 from .forecast import forecast
 from .pictures import draw, plot_flow

@@ -6,10 +6,10 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-from ..core.amounts import amount
-from ..core.concretes import is_file, known_only, shipped
 from ..core.errors import one_of, refuse
-from ..core.text_files import name_of
+from ..core.inputs.amounts import amount
+from ..core.inputs.concretes import is_file, known_only, shipped
+from ..core.inputs.text_files import name_of
 from ..mix.mix import UNITS as FLOW_UNITS
 from ..mix.mix import completed, mix_named
 from ..theory.pipe import THICKER_LAYERS, Concrete
@@ -30,14 +30,22 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
     named = {} if len(given) == len(CONSTANTS) else _flow_of(name)
     missing = sorted(set(CONSTANTS) - set(given) - set(named))
     if missing:
-        refuse("concrete", name, f"needs {', '.join(missing)}", f"give them, or take one of {', '.join(flowing())}")
+        refuse(
+            "concrete",
+            name,
+            f"has no value for {', '.join(missing)}",
+            f"give them, or use one of {', '.join(flowing())}",
+        )
     if slip_thickness > 0 and "slip_viscosity" not in given and name in THICKER_LAYERS:
         table = THICKER_LAYERS[name]
         match = [eta for thickness, eta in table.items() if abs(thickness - slip_thickness) < 1e-9]
         if not match:
             printed = ", ".join(f"{x:g}" for x in table)
             refuse(
-                "slip_thickness", slip_thickness, f"has no printed constants ({printed} have)", "give slip_viscosity"
+                "slip_thickness",
+                slip_thickness,
+                f"must be a thickness with printed constants ({printed}), or slip_viscosity must be given",
+                "give slip_viscosity",
             )
         given["slip_viscosity"] = match[0]
     return Concrete(name=name_of(name), **{**named, **given})
@@ -83,5 +91,5 @@ def _flow_of(name: str) -> dict[str, float]:
         one_of("concrete", name, (*flowing(), "own"))
     found = known_only("flow", completed(name).flow, CONSTANTS, name)
     if not found:
-        refuse("concrete", name, "has no section 'flow'", f"give it one: {', '.join(CONSTANTS)}")
+        refuse("concrete", name, "must have a section 'flow'", f"add it with {', '.join(CONSTANTS)}")
     return {key: amount(f"concrete flow {key}", value, FLOW_UNITS[key]) for key, value in found.items()}

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.device import MEMORY_FRACTION, default_threads, memory_free, parallel
+from ..core.device.device import MEMORY_FRACTION, default_threads, memory_free, parallel
+from ..core.device.launching import Launcher, Size, Stage, Step, launch, parameter_names
 from ..core.errors import CapacityError
-from ..core.launching import Launcher, Size, Stage, Step, launch, parameter_names
 from ..kernels.common.control import FAILED, HALTED, OVERFLOW, STALE
 from ..kernels.common.reductions import BLOCK
 from ..kernels.mps.conjugate_gradient import OUTCOME
@@ -199,7 +199,7 @@ class MovingParticles(Stepping):
         if needed > MEMORY_FRACTION * free:
             raise CapacityError(
                 f"particles = {self.count}: need about {needed / 2**30:.3g} GiB on {self.device}, which has "
-                f"{free / 2**30:.3g} GiB free; take a coarser spacing, or a device with more memory"
+                f"{free / 2**30:.3g} GiB free; use a coarser spacing, or a device with more memory"
             )
 
     def build(self) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.run_loop import Run
+from ..core.run.run_loop import Run
 from ..core.units import number
 from ..theory.pipe import velocity
 

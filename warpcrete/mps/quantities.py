@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.method import Quantity
-from ..core.run_loop import Run
+from ..core.run.method import Quantity
+from ..core.run.run_loop import Run
 from ..core.units import number, shown
 from ..theory.pipe import Steady
 from .scene import FluidScene
@@ -98,15 +98,27 @@ def _restart_words(run: Run) -> str:
 
 QUANTITIES = (
     *(quantity for name in COMPARED for quantity in _of_column(name)),
-    Quantity("restart_pressure", "Pa", _restarted(lambda k: k.series["pressure"].max()), "peak of the restart",
-             _restart_words, True),
+    Quantity(
+        "restart_pressure",
+        "Pa",
+        _restarted(lambda k: k.series["pressure"].max()),
+        "peak of the restart",
+        _restart_words,
+        True,
+    ),
     Quantity("restart_pressure_theory", "Pa", _restarted(lambda k: k.scene.restart().pressure)),
     Quantity("restart_over_steady", "1", _restarted(lambda k: k.series["pressure"].max() / k.theory.pressure)),
-    Quantity("profile_error", "1", lambda k: k.mean("profile_deviation") / k.scene.velocity, "profile",
-             lambda run: f"rms {100 * run.result['profile_error']:.2f} % of the mean velocity off theory", True),
+    Quantity(
+        "profile_error",
+        "1",
+        lambda k: k.mean("profile_deviation") / k.scene.velocity,
+        "profile",
+        lambda run: f"rms deviation from theory {100 * run.result['profile_error']:.2f} % of the mean velocity",
+        True,
+    ),
     Quantity("volume_error", "1", lambda k: largest(k.series["volume_error"])),
     Quantity("force_balance_error", "1", lambda k: k.mean("force_balance_error")),
-)  # fmt: skip
+)
 
 
 def report(run: Run) -> Iterator[tuple[str, str]]:
@@ -116,4 +128,7 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
             factor, unit = shown(UNITS[name])
             yield f"{name.replace('_', ' ')}, Xu", f"{value * factor:.4g} {unit} printed (Xu, Li & Jiang 2021)"
     if run.finished and not run.result["steady"]:
-        yield "not steady", f"pressure, wall stress or slip velocity still changed at {run.series['time'][-1]:.3g} s"
+        yield (
+            "not steady",
+            (f"pressure, wall stress or slip velocity was still changing at {run.series['time'][-1]:.3g} s"),
+        )

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..core.footprint import footprint
-from ..core.run_loop import Simulation
+from ..core.device.footprint import footprint
+from ..core.run.run_loop import Simulation
 from ..core.units import quantity
 
 

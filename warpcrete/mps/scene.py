@@ -12,10 +12,10 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from ..core.device import PRECISIONS
+from ..core.device.device import PRECISIONS
+from ..core.drawing.html import Parametrised
 from ..core.errors import between, one_of, positive, refuse
-from ..core.html import Parametrised
-from ..core.parameters import Above, Alias, Declared, Needs, OneOf, Within
+from ..core.inputs.parameters import Above, Alias, Declared, Needs, OneOf, Within
 from ..theory.pipe import Concrete, Line, Steady, restart, steady
 
 FEWEST_ACROSS = 4  # minimum number of particles across the pipe
@@ -43,7 +43,9 @@ class Aggregates:
 
     def __post_init__(self) -> None:
         positive("aggregate fraction", self.fraction, "", "leave out aggregates")
-        between("aggregate fraction", self.fraction, 0, 0.6, "", "denser mixes cannot be placed at random")
+        between(
+            "aggregate fraction", self.fraction, 0, 0.6, "", "use less, because denser mixes cannot be placed at random"
+        )
         positive("aggregate density", self.density, "kg/m3")
         between("roundness", self.roundness, 0.5, 1)
         for smallest, largest, part in self.sizes:
@@ -59,18 +61,29 @@ class FlowWatch(Declared):
     called = "watch"
 
     force_balance: Annotated[
-        float | None, "of the piston's force, what weight, wall and inertia may leave over; None: no limit", Above()
+        float | None,
+        "Largest sum of weight, wall friction and inertia that may remain unbalanced, as a fraction of "
+        "the piston's force; None: no limit",
+        Above(),
     ] = 0.2
     pressure: Annotated[
-        float | None, "of the pressure by theory, how high or low that on the piston may be; None: no limit", Above()
+        float | None,
+        "Largest magnitude of the pressure on the piston, as a multiple of the pressure by theory; None: no limit",
+        Above(),
     ] = 10.0
-    speed: Annotated[float | None, "of the fastest particle, over the highest by theory; None: no limit", Above()] = 4.0
-    volume: Annotated[float | None, "of the concrete's that is lost or won, part; None: no limit", Above()] = 0.015
+    speed: Annotated[
+        float | None,
+        "Largest speed of a particle, as a multiple of the highest speed by theory; None: no limit",
+        Above(),
+    ] = 4.0
+    volume: Annotated[
+        float | None, "Largest change of the concrete's volume, as a fraction of it; None: no limit", Above()
+    ] = 0.015
 
 
 STEP_ERROR = (
-    "that a step on a grid may make, over the rms speed: steps are as long as that lets them be, a cell's way "
-    "at most; 0: all are time_step"
+    "Largest error of a step on a grid, as a fraction of the rms speed; it limits each step, and so does the passage "
+    "of a cell; 0: all steps equal time_step"
 )
 
 
@@ -78,46 +91,64 @@ STEP_ERROR = (
 class FlowSettings(Declared):
     """Settings of the flow simulation."""
 
-    duration: Annotated[float | None, "simulated time [s]; default: until steady"] = None
+    duration: Annotated[float | None, "Simulated time [s]; default: until the flow is steady"] = None
     ends: Annotated[
         str,
-        "piston: a column on a piston, with a free surface, by particles alone; periodic: a stretch of an endless pipe "
-        "without either, on a grid (a tube about its axis), for as much shear as there may be",
+        "Ends of the pipe: piston (particles, a column with a free surface on a piston) or periodic (a stretch of an "
+        "endless pipe on a grid, about the axis of a tube; for flows with any amount of shear)",
         OneOf(ENDS),
     ] = "piston"
-    time_step: Annotated[float, "longest; every step, where step_error is 0 [s]", Above()] = 5e-4
+    time_step: Annotated[float, "Longest time step; every time step if step_error is 0 [s]", Above()] = 5e-4
     step_error: Annotated[float, STEP_ERROR, Within(0, 0.5)] = 0.0
-    gravity: Annotated[float, "against the flow [m/s2]; 0 for a level pipe", Within(0, 1e4)] = 9.81
-    regularisation: Annotated[float, "beta of the regularised Bingham law [s] (Eq. 14)", Above()] = 100.0
-    paper_scheme: Annotated[bool, "the scheme as the paper prints it, to show what it does", Alias("literal")] = False
+    gravity: Annotated[float, "Gravity against the flow [m/s2]; 0 for a level pipe", Within(0, 1e4)] = 9.81
+    regularisation: Annotated[float, "Parameter beta of the regularised Bingham law [s] (Eq. 14)", Above()] = 100.0
+    paper_scheme: Annotated[
+        bool, "Use the scheme exactly as printed in the paper, to show its behaviour", Alias("literal")
+    ] = False
     tolerance: Annotated[
-        float, "of the pressure solve: residual over that at its start, or over what the piston's speed would make",
+        float,
+        "Tolerance of the pressure solve: residual over the residual at its start, or over the one that the "
+        "piston's speed would cause",
         Within(1e-12, 0.5),
-    ] = 1e-2  # fmt: skip
+    ] = 1e-2
     maximum_iterations: Annotated[
-        int, "of a solve, before the run ends with an error", Within(1), Alias("most_iterations")
+        int,
+        "Largest number of iterations of a solve; the run ends with an error beyond it",
+        Within(1),
+        Alias("most_iterations"),
     ] = 2000
     steadiness: Annotated[
         float,
-        "steady: pressure, wall stress and slip velocity (over the piston's) change by less than this part in 5 ms, "
-        "and in the 5 ms before",
+        "Steadiness: largest relative change of pressure, wall stress and slip velocity (over the piston's) in 5 ms, "
+        "and in the 5 ms before, that counts as steady",
         Above(),
     ] = 1e-3
-    precision: Annotated[str, "of places, velocities and pressures: float32 or float64", OneOf(PRECISIONS)] = "float32"
-    sample_interval: Annotated[float, "simulated time between two rows of the series [s]", Above()] = 5e-3
-    seed: Annotated[int, "random seed, of the aggregate", Within(0)] = 0
+    precision: Annotated[
+        str, "Precision of positions, velocities and pressures: float32 or float64", OneOf(PRECISIONS)
+    ] = "float32"
+    sample_interval: Annotated[float, "Simulated time between two rows of the series [s]", Above()] = 5e-3
+    seed: Annotated[int, "Random seed of the aggregate", Within(0)] = 0
     rest: Annotated[
-        float, "that concrete has stood in the pipe before it flows: yield stresses of bulk and slip layer have grown "
-        "by thixotropy x rest [s]", Within(0),
-    ] = 0.0  # fmt: skip
-    thixotropy: Annotated[float, "A_thix [Pa/s]; 0.1 to 1.7 (Roussel 2006)", Within(0), RESTED] = 0.5
-    breakdown: Annotated[float, "slip by which what the layer gained falls to 1/e [m]", Above(), RESTED] = 0.1
+        float,
+        "Time at rest in the pipe before the flow starts; the yield stresses of bulk and slip layer grow by "
+        "thixotropy x rest [s]",
+        Within(0),
+    ] = 0.0
+    thixotropy: Annotated[
+        float, "Growth rate A_thix of the yield stresses at rest [Pa/s]; 0.1 to 1.7 (Roussel 2006)", Within(0), RESTED
+    ] = 0.5
+    breakdown: Annotated[
+        float, "Slip over which the layer's yield stress gained at rest falls to 1/e [m]", Above(), RESTED
+    ] = 0.1
     breakdown_strain: Annotated[
-        float, "shear by which what the bulk gained falls to 1/e, 1 / alpha (Roussel 2006)", Above(), RESTED
+        float,
+        "Shear strain over which the bulk's yield stress gained at rest falls to 1/e, 1 / alpha (Roussel 2006)",
+        Above(),
+        RESTED,
     ] = 100.0
     tolerated_error: Annotated[
         float | None,
-        "against theory, that the checks accept; default: 0.01 in 2D, 0.02 in 3D, 0.03 in two phases",
+        "Error against theory that the checks accept; default: 0.01 in 2D, 0.02 in 3D, 0.03 in two phases",
         Above(),
     ] = None
 
@@ -126,7 +157,7 @@ def check_interval(scene: Any) -> None:
     """Refuse a sample interval that no run can keep: one shorter than the time step, if all steps are equal."""
     positive("sample_interval", scene.sample_interval, "s")
     if not scene.step_error:
-        between("sample_interval", scene.sample_interval, scene.time_step, np.inf, "s", "one time step at least")
+        between("sample_interval", scene.sample_interval, scene.time_step, np.inf, "s", "use at least one time step")
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -159,43 +190,57 @@ class FluidScene(Parametrised, FlowSettings):
         one_of("dimensions", self.dimensions, (2, 3))
         positive("radius", self.radius, "m")
         positive("length", self.length, "m")
-        positive("velocity", self.velocity, "m/s", "at rest there is nothing to simulate")
+        positive("velocity", self.velocity, "m/s", "a concrete at rest needs no simulation")
         positive("spacing", self.spacing, "m")
         if self.paper_scheme and self.aggregates is not None:
-            refuse("paper_scheme", True, "shows the scheme of one phase", "leave out aggregates")
+            refuse("paper_scheme", True, "works with one phase only", "leave out aggregates")
         if self.aggregates is not None and (self.rest or self.step_error):
             name = "rest" if self.rest else "step_error"
-            refuse(name, getattr(self, name), "is of flows on a grid, which has no aggregates", "leave one of them out")
+            refuse(
+                name, getattr(self, name), "works only on a grid, which cannot have aggregates", "leave one of them out"
+            )
         if self.ends == "piston" and self.rest:
-            refuse("rest", self.rest, "is of flows on a grid, which holds what breaks of the structure",
-                   "take ends = periodic, or 0")  # fmt: skip
+            refuse(
+                "rest",
+                self.rest,
+                "works only on a grid, which can track the breakdown of the structure",
+                "use ends = periodic, or 0",
+            )
         if self.ends == "piston" and self.step_error:
-            refuse("step_error", self.step_error, "is of flows on a grid; a column on a piston has equal steps",
-                   "take ends = periodic, or 0")  # fmt: skip
+            refuse("step_error", self.step_error, "works only on a grid; a column on a piston has equal steps",
+                   "use ends = periodic, or 0")  # fmt: skip
         if self.ends == "periodic":
             for name, given in (("paper_scheme", self.paper_scheme), ("aggregates", self.aggregates is not None)):
                 if given:
-                    refuse("ends", self.ends, f"is solved on a grid, which has no {name}", "take ends = piston")
+                    refuse(
+                        "ends",
+                        self.ends,
+                        f"cannot be combined with {name}, because periodic flows are solved on a grid",
+                        "use ends = piston",
+                    )
         across = 2 * self.radius / self.spacing
         if across < FEWEST_ACROSS - 0.5:
             refuse(
-                "spacing", self.spacing, f"leaves {across:.2g} particles across the pipe; at least {FEWEST_ACROSS} are "
-                "needed", f"take {2 * self.radius / FEWEST_ACROSS:g} m or less"
-            )  # fmt: skip
+                "spacing",
+                self.spacing,
+                f"leaves {across:.2g} particles across the pipe, but at least {FEWEST_ACROSS} are needed",
+                f"use {2 * self.radius / FEWEST_ACROSS:g} m or less",
+            )
         if self.length < SHORTEST * self.spacing:
             refuse("length", self.length, f"must hold {SHORTEST} particles, {SHORTEST * self.spacing:g} m")
         section = 2 * self.radius if self.dimensions == 2 else np.pi * self.radius**2
         count = section * self.length / self.spacing**self.dimensions
         if self.ends == "piston" and count > MOST_PARTICLES:
-            refuse("length", self.length, f"takes {count:.2g} particles; at most {MOST_PARTICLES:.2g} are possible",
-                   "take a shorter column, a larger spacing, or ends = periodic")  # fmt: skip
+            refuse("length", self.length, f"needs {count:.2g} particles, but at most {MOST_PARTICLES:.2g} are possible",
+                   "use a shorter column, a larger spacing, or ends = periodic")  # fmt: skip
         if self.time_step * self.velocity > 0.5 * self.spacing:
             refuse(
-                "time_step", self.time_step, "lets the piston pass more than half a particle a step",
-                f"take {0.5 * self.spacing / self.velocity:.3g} s or less"
+                "time_step", self.time_step, "must be shorter, because the piston passes more than half a particle "
+                                             "per step",
+                f"use {0.5 * self.spacing / self.velocity:.3g} s or less"
             )  # fmt: skip
         if self.duration is not None:
-            between("duration", self.duration, self.time_step, np.inf, "s", "one time step at least")
+            between("duration", self.duration, self.time_step, np.inf, "s", "use at least one time step")
         check_interval(self)
 
     def __repr__(self) -> str:

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from ..core.method import results_of
-from ..core.provenance import arrays_hash, provenance
-from ..core.run_loop import Run
+from ..core.run.method import results_of
+from ..core.run.provenance import arrays_hash, provenance
+from ..core.run.run_loop import Run
 from ..core.units import quantity
 from ..theory.pipe import velocity
 from . import probes

@@ -19,7 +19,7 @@ import functools
 import math
 from typing import Any
 
-from ..core.launching import Stage, Step, members
+from ..core.device.launching import Stage, Step, members
 from ..kernels.common.reductions import BLOCK, parallel_scale, serial_scale
 from ..kernels.mps import paper_scheme
 from ..kernels.mps.coarse import coarse_kernels, serial_coarse_kernel

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.device import parallel
+from ..core.device.device import parallel
+from ..core.device.launching import Launcher, Step, graph_sizes, telling
 from ..core.errors import CapacityError, ConvergenceError, InstabilityError
-from ..core.launching import Launcher, Step, graph_sizes, telling
-from ..core.method import Progress, run_in_turn
-from ..core.run_loop import Coroutine, Run
+from ..core.run.method import Progress, run_in_turn
+from ..core.run.run_loop import Coroutine, Run
 from ..kernels.common.control import FAILED, HALTED, STALE, STEPS
 from ..kernels.mps.conjugate_gradient import AFTER, BEFORE, ITERATIONS
 from ..kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY
@@ -63,7 +63,7 @@ class Stepping(ABC):
 
     def build(self) -> None:
         """Do between two steps what a step has requested, such as a rebuild of the neighbour lists."""
-        raise TypeError(f"{type(self).__name__} does nothing between steps")
+        raise TypeError(f"{type(self).__name__} has nothing to build between steps")
 
     def share(self, abreast: int) -> None:
         """Set how many flows share the GPU, which limits the blocks that the solves of this flow occupy."""
@@ -123,7 +123,8 @@ class Stepping(ABC):
     def _fail(self, what: int) -> None:
         if what == LOST:
             raise InstabilityError(
-                f"t = {self.time:.6g} s: a particle left the vessel or is not a number; usual cure: a smaller time step"
+                f"t = {self.time:.6g} s: a particle left the vessel or its position is not a number; usual cure: a "
+                "smaller time step"
             )
         solve = self.solves()[what]
         outcome = solve.outcome.numpy()

@@ -11,7 +11,7 @@ from .scene import FluidScene
 MEASURED = ("pressure", "wall_stress", "fastest", "volume_error", "momentum")
 """Columns of the time series that must be finite in every row."""
 CURES = "a smaller time step, a finer spacing, precision float64"
-OF_COLUMNS = "; for concrete that is sheared, ends = periodic"
+OF_COLUMNS = "; for concrete that shears, ends = periodic"
 
 
 class WatchedFlow:
@@ -32,24 +32,25 @@ class WatchedFlow:
                 raise self._unstable(row, f"{name} is not a finite number")
         if limits.speed is not None and row["fastest"] > limits.speed * self.top_speed:
             raise self._unstable(
-                row, f"the fastest particle goes at {row['fastest']:.3g} m/s where theory has {self.top_speed:.3g} m/s "
-                f"at most (watch.speed = {limits.speed:g})"
+                row, f"the fastest particle moves at {row['fastest']:.3g} m/s, but theory gives at most "
+                     f"{self.top_speed:.3g} m/s (watch.speed = {limits.speed:g})"
             )  # fmt: skip
         if limits.pressure is not None and abs(row["pressure"]) > limits.pressure * abs(self.pressure):
             raise self._unstable(
-                row, f"the pressure on the piston is {row['pressure']:.4g} Pa where theory has {self.pressure:.4g} Pa "
-                f"(watch.pressure = {limits.pressure:g})"
+                row, f"the pressure on the piston is {row['pressure']:.4g} Pa, but theory gives {self.pressure:.4g} "
+                     f"Pa (watch.pressure = {limits.pressure:g})"
             )  # fmt: skip
         if limits.volume is not None and abs(row["volume_error"]) > limits.volume:
             raise self._unstable(
-                row, f"{abs(row['volume_error']):.3g} of the volume is lost or won (watch.volume = {limits.volume:g})"
+                row, f"{abs(row['volume_error']):.3g} of the volume was lost or gained (watch.volume = "
+                     f"{limits.volume:g})"
             )  # fmt: skip
         balance = row["force_balance_error"]
         # The balance is not checked in the first row, where the wall bears no stress yet.
         if limits.force_balance is not None and row["time"] > 0 and not abs(balance) <= limits.force_balance:
             raise self._unstable(
-                row, f"forces do not balance by {balance:.3g} of the piston's (watch.force_balance = "
-                f"{limits.force_balance:g})"
+                row, f"forces do not balance: {balance:.3g} of the piston's force is left over (watch.force_balance = "
+                     f"{limits.force_balance:g})"
             )  # fmt: skip
 
     def _unstable(self, row: dict[str, float], what: str) -> InstabilityError:

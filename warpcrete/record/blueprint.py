@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.display import Display, DrawnWall
+from ..core.drawing.display import Display, DrawnWall
 from ..geometry.rotation import rotate
 from .legend import capitalised, legend_title
 

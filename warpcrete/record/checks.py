@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..core.checks import Check
-from ..core.run_loop import Recorder, Run, Simulation
+from ..core.run.checks import Check
+from ..core.run.run_loop import Recorder, Run, Simulation
 
 
 class CheckRecorder(Recorder):

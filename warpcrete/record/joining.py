@@ -8,9 +8,9 @@ import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
-from ..core.files import cannot_write, partial_of
-from ..core.processes import tied
-from ..core.viewer import rerun_tool
+from ..core.run.files import cannot_write, partial_of
+from ..core.run.processes import tied
+from ..core.run.viewer import rerun_tool
 
 
 def join(parts: Sequence[Path], path: Path) -> None:

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from ..core.display import Display
-from ..core.paint import Paint
+from ..core.drawing.display import Display
+from ..core.drawing.paint import Paint
 
 SIZE, DENSITY = (9.0, 0.55), 100
 """Size of the legend's picture [in], and its resolution [dots per inch]."""

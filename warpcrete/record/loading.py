@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from ..core.by_name import names_from_file
 from ..core.errors import RunFolderError, SceneError
-from ..core.files import read_json, read_record
-from ..core.origin import changed_files, check_files
-from ..core.run import Run, Table
-from ..core.text_files import saved_text
+from ..core.inputs.by_name import names_from_file
+from ..core.inputs.origin import changed_files, check_files
+from ..core.inputs.text_files import saved_text
+from ..core.run.files import read_json, read_record
+from ..core.run.run import Run, Table
 from ..scenes import modules
 
 TABLES = ("stations",)

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from ..core.device.recorder_thread import Later
 from ..core.errors import WarpcreteError
-from ..core.files import cannot_write, whole_file
-from ..core.later import Later
-from ..core.run_loop import Recorder, Run, Simulation
+from ..core.run.files import cannot_write, whole_file
+from ..core.run.run_loop import Recorder, Run, Simulation
 from ..geometry.rotation import rotate
 
 KINDS = ("Vertices", "Lines", "Polygons", "Strips")

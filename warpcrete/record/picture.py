@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..core.files import whole_file
-from ..core.run_loop import Recorder, Run, Simulation
+from ..core.run.files import whole_file
+from ..core.run.run_loop import Recorder, Run, Simulation
 from ..methods import method_of
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..core.run_loop import Recorder
-from ..core.viewer import LOOPBACK
+from ..core.run.run_loop import Recorder
+from ..core.run.viewer import LOOPBACK
 from .checks import Check, CheckRecorder
 from .paraview import ParaViewRecorder
 from .picture import PictureRecorder

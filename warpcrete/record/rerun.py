@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from ..core.display import Display, Profile
+from ..core.device.recorder_thread import Later
+from ..core.drawing.display import Display, Profile
+from ..core.drawing.paint import STEPS, Paint
 from ..core.errors import RunFolderError, refuse
-from ..core.files import cannot_write, room_in
-from ..core.later import Later
-from ..core.paint import STEPS, Paint
-from ..core.run_loop import Recorder, Run, Simulation
-from ..core.viewer import LOOPBACK, has_screen, screen_viewer
+from ..core.run.files import cannot_write, room_in
+from ..core.run.run_loop import Recorder, Run, Simulation
+from ..core.run.viewer import LOOPBACK, has_screen, screen_viewer
 from .blueprint import CHAINS, CUT, PAINT_LEGEND, blueprint, cut_walls
 from .joining import join
 from .legend import legend, paint_legend

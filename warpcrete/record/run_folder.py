@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any, Literal, TextIO
 
 from ..core.errors import RunFolderError
-from ..core.files import cannot_write, read_json, whole_file, write_json
-from ..core.folders import Hold, make_folder
-from ..core.origin import Arguments, changed_fields, readable
-from ..core.provenance import provenance
-from ..core.run import Table
-from ..core.run_loop import Recorder, Run, Simulation
+from ..core.inputs.origin import Arguments, changed_fields, readable
+from ..core.run.files import cannot_write, read_json, whole_file, write_json
+from ..core.run.folders import Hold, make_folder
+from ..core.run.provenance import provenance
+from ..core.run.run import Table
+from ..core.run.run_loop import Recorder, Run, Simulation
 from .loading import is_finished
 
 

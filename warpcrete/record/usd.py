@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from ..core.display import Display, DrawnWall, RigidBodies
-from ..core.files import cannot_write, whole_file
-from ..core.later import Later
-from ..core.run_loop import Recorder, Run, Simulation
+from ..core.device.recorder_thread import Later
+from ..core.drawing.display import Display, DrawnWall, RigidBodies
+from ..core.run.files import cannot_write, whole_file
+from ..core.run.run_loop import Recorder, Run, Simulation
 from .usd_looks import Colours, Painted, bind, bodies_look, describe, light, wall_look
 
 FRAMES_PER_SECOND = 1000  # Time codes are milliseconds of simulated time.

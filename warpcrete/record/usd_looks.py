@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from ..core.display import Display, DrawnWall
-from ..core.paint import Paint
+from ..core.drawing.display import Display, DrawnWall
+from ..core.drawing.paint import Paint
 from .legend import meaning, paint_meaning
 
 LOOKS = "/Run/Looks"

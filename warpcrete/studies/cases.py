@@ -45,19 +45,19 @@ def cases_of(
     values and for too many cases.
     """
     if not 1 <= repeat <= MOST_CASES:
-        refuse("repeat", repeat, f"must be 1 to {MOST_CASES}")
+        refuse("repeat", repeat, f"must be from 1 to {MOST_CASES}")
     for name, values in varied.items():
         if not values or len(set(map(repr, values))) < len(values):
-            refuse(name, values, "must be one or more different values")
+            refuse(name, values, "must be one or more values, all different")
     if repeat > 1 and not seeded:
-        refuse("repeat", repeat, "goes by seeds, and the scene has none")
+        refuse("repeat", repeat, "must be 1, because nothing in this scene depends on a seed")
     if "seed" in varied and repeat > 1:
-        refuse("repeat", repeat, "goes by seeds, which the study names itself", "leave out one of both")
+        refuse("repeat", repeat, "cannot be combined with a list of seeds", "leave out one of the two")
     count = repeat * (sum if one_at_a_time and varied else math.prod)(map(len, varied.values()))
     if count > MOST_CASES:
         refuse("repeat" if repeat > 1 else next(iter(varied)), repeat if repeat > 1 else f"{count} combinations",
-               f"makes {count:,} cases; a study has {MOST_CASES:,} at most, each of which fills a folder",
-               "vary less, or divide it into several studies")  # fmt: skip
+               f"makes {count:,} cases, but a study has at most {MOST_CASES:,}, because each fills a folder",
+               "vary fewer values, or split the study")  # fmt: skip
     points = _alone(base, varied, defaults or {}) if one_at_a_time and varied else _combined(varied)
     first = int(base.get("seed", 0))
     cases: list[Case] = []

@@ -22,11 +22,11 @@ from typing import Any, TypeVar
 
 import warp as wp
 
-from ..core.device import default_threads, find_device
+from ..core.device.device import default_threads, find_device
+from ..core.device.interrupts import StopAtSample, leave_to_parent
 from ..core.errors import WarpcreteError, between, refuse, warn_in_one_line
-from ..core.interrupts import StopAtSample, leave_to_parent
-from ..core.provenance import processor, provenance
-from ..core.viewer import LOOPBACK
+from ..core.run.provenance import processor, provenance
+from ..core.run.viewer import LOOPBACK
 from .cases import Case
 from .running import Book, kept, run_cases
 
@@ -50,14 +50,14 @@ def check_scheduler(scheduler: str | None, workers: int | None, processes: int |
     """Refuse scheduler settings that contradict each other, and report a missing Dask package."""
     if scheduler is None:
         if workers is not None:
-            refuse("workers", workers, "are those of a scheduler", "give one, too")
+            refuse("workers", workers, "need a scheduler", "give a scheduler, too")
         return
     if processes is not None:
-        refuse("processes", processes, "are those of a study without a scheduler", "take workers")
+        refuse("processes", processes, "cannot be combined with a scheduler", "use workers instead")
     if workers is not None:
         between("workers", workers, 1, 1e5)
         if scheduler not in SCHEDULERS:
-            refuse("workers", workers, f"are those that '{scheduler}' has", "leave them out")
+            refuse("workers", workers, f"cannot be set for '{scheduler}', which has its own workers", "leave them out")
     if scheduler not in SCHEDULERS and ":" not in scheduler:
         refuse("scheduler", scheduler, f"must be {', '.join(SCHEDULERS)} or an address such as tcp://node1:8786")
     try:
@@ -67,7 +67,7 @@ def check_scheduler(scheduler: str | None, workers: int | None, processes: int |
             import dask_jobqueue  # noqa: F401
     except ImportError as error:
         raise WarpcreteError(
-            f"scheduler = {scheduler!r}: needs the package {error.name}; pip install 'warpcrete[cluster]'"
+            f"scheduler = {scheduler!r}: needs the package {error.name}; run pip install 'warpcrete[cluster]'"
         ) from error
 
 
@@ -105,8 +105,8 @@ class Cluster:
         found = sorted(set(self._client.run(hardware, self.device(device)).values()))
         if len(found) > 1:
             raise WarpcreteError(
-                f"scheduler = {self._scheduler!r}: has workers that differ ({', '.join(found)}), whose times would not "
-                "compare; take workers of one kind"
+                f"scheduler = {self._scheduler!r}: has different kinds of workers ({', '.join(found)}), whose times "
+                "cannot be compared; use workers of one kind"
             )
         return found[0]
 
@@ -172,7 +172,10 @@ class Cluster:
             stop.set()  # end the other jobs, because their results are lost
             raise
         except Exception as lost:
-            raise WarpcreteError(f"scheduler = {self._scheduler!r}: is lost: {type(lost).__name__}") from lost
+            raise WarpcreteError(
+                f"scheduler = {self._scheduler!r}: the connection was lost ({type(lost).__name__}); "
+                "resume when it is back"
+            ) from lost
 
 
 def _outcome(future: Any) -> Any:
@@ -225,20 +228,21 @@ def _opened(scheduler: str, workers: int | None, device: str | None, threads: in
         elif scheduler == "slurm":
             if shutil.which("sbatch") is None:
                 raise WarpcreteError(
-                    "scheduler = 'slurm': there is no sbatch here; begin on a machine that submits jobs"
+                    "scheduler = 'slurm': the command sbatch is missing on this machine; start on a machine that "
+                    "submits jobs"
                 )
             made, workers = slurm_cluster(device, threads), workers or 1
             made.scale(jobs=workers)
         try:
             client = Client(made or scheduler, timeout=CONNECT, set_as_default=False)
         except (OSError, ValueError) as error:
-            raise WarpcreteError(f"scheduler = {scheduler!r}: does not answer: {error}") from error
+            raise WarpcreteError(f"scheduler = {scheduler!r}: does not answer: {error}; check the address") from error
         with client:
             try:
                 # A SLURM job may wait in the queue for hours, and the user expects that, so there is no time limit.
                 client.wait_for_workers(1, timeout=None if scheduler == "slurm" else CONNECT)
             except TimeoutError as error:
-                raise WarpcreteError(f"scheduler = {scheduler!r}: has no workers") from error
+                raise WarpcreteError(f"scheduler = {scheduler!r}: has no workers; start some") from error
             yield Cluster(client, scheduler, workers)
     finally:
         if made is not None:
@@ -257,7 +261,12 @@ def local_cluster(workers: int | None, device: str | None, threads: int = 1) -> 
         if device != unnumbered(device):
             numbers = [numbers[found.ordinal]]
         if workers is not None and workers > len(numbers):
-            refuse("workers", workers, f"are more than there are GPUs here, {len(numbers)}", "take one a GPU")
+            refuse(
+                "workers",
+                workers,
+                f"must be at most the {len(numbers)} GPUs of this machine",
+                "use at most one per GPU",
+            )
         environments = [{"CUDA_VISIBLE_DEVICES": number} for number in numbers[: workers or len(numbers)]]
     else:
         environments = [{} for _ in range(workers or max(1, default_threads() // threads))]
@@ -290,7 +299,12 @@ def slurm_cluster(device: str | None, threads: int = 1) -> Any:
     on_gpu = (device or "cpu").startswith("cuda")
     cores = given.get("cores") or (1 if on_gpu else threads)
     if not on_gpu and threads > cores:
-        refuse("threads", threads, f"are more than a job has cores, {cores}", "see jobqueue.slurm.cores")
+        refuse(
+            "threads",
+            threads,
+            f"must be at most the {cores} cores of a job",
+            "see jobqueue.slurm.cores in Dask's configuration",
+        )
     gpu = ("--gres", "--gpus", "-G")
     directives = list(given.get("job-extra-directives") or [])
     if on_gpu and not any(each.strip().startswith(gpu) for each in directives):

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.method import Quantity
+from ..core.run.method import Quantity
 from ..core.units import shown
 
 MARKERS = ("o", "s", "^", "D", "v")

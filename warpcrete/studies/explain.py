@@ -11,20 +11,20 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from ..core.device import checked_threads, find_device
+from ..core.device.device import checked_threads, find_device
 from ..core.errors import RunFolderError, SceneError, refuse
-from ..core.files import read_json, write_json
-from ..core.fingerprints import fingerprint
-from ..core.forecast import Forecast
-from ..core.frames import LEAST, SLOWEST
-from ..core.origin import arguments_of
-from ..core.provenance import provenance
+from ..core.inputs.fingerprints import fingerprint
+from ..core.inputs.origin import arguments_of
+from ..core.run.files import read_json, write_json
+from ..core.run.forecast import Forecast
+from ..core.run.frames import LEAST, SLOWEST
+from ..core.run.provenance import provenance
 from ..methods import method_of
 from ..record.recorders import RECORDERS, Look
 from ..scenes import modules
-from .advice import outside, shipped
-from .fronts import Error, worst
-from .trade_report import percent
+from .tradeoffs.advice import outside, shipped
+from .tradeoffs.fronts import Error, worst
+from .tradeoffs.report import percent
 
 TIMED = 3  # number of frames that are timed for each recorder
 LARGE = 0.9
@@ -183,10 +183,14 @@ def _trade_of(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[Mapping[str
     module = modules().get(scene.name)
     if trade is not None:
         if not (trade / "trade.json").is_file():
-            raise RunFolderError(f"trade = '{trade}': is no trade's folder (it holds no trade.json)")
+            raise RunFolderError(f"trade = '{trade}': is not the folder of a trade, because it has no trade.json")
         record = read_json(trade / "trade.json")
         if record.get("scene") != scene.name:
-            refuse("trade", str(trade), f"is of the scene {record.get('scene')!r}, not {scene.name!r}")
+            refuse(
+                "trade",
+                str(trade),
+                f"must be a trade of the scene {scene.name!r}, but is one of {record.get('scene')!r}",
+            )
         return record, f"'{trade}', {record.get('machine', '')}"
     given = dict(arguments_of(scene))
     if module is None or not given:
@@ -199,7 +203,7 @@ def _trade_of(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[Mapping[str
         return {}, ""
     record = read_json(path)
     apart = outside(record["parameters"], given, module)
-    differs = f", which has other {', '.join(each.split()[0] for each in apart)}" if apart else ""
+    differs = f", measured with other {', '.join(each.split()[0] for each in apart)}" if apart else ""
     return record, f"the shipped trade {path.stem!r} on {record.get('machine', '')}{differs}"
 
 
@@ -219,17 +223,17 @@ def _lines(told: Explanation) -> Iterator[str]:
     yield f"time step: {f.time_step:.3g} s, by {f.governing}"
     yield from (f"  {name:36s} {limit:.3g} s" for name, limit in f.limits.items())
     yield f"steps: {f.steps:,.0f} for {f.duration:.3g} s"
-    yield f"wall time: {_seconds(f.wall_time)} without recordings, kernels compiled"
+    yield f"wall time: {_seconds(f.wall_time)} without recordings, with compiled kernels"
     yield from (f"  {name:20s} {_seconds(spent)}" for name, spent in f.parts.items())
     if f.frame:
         frames = 1 + max(LEAST, int(f.duration / SLOWEST))
         spent = ", ".join(f"{_seconds(frames * each)} {name}" for name, each in f.frame.items())
-        yield f"  and for {frames} recorded frames: {spent}"
-    yield "what would save most" + (f" (errors by {told.source})" if told.source else "")
+        yield f"  plus {frames} recorded frames: {spent}"
+    yield "largest possible savings of time" + (f" (errors by {told.source})" if told.source else "")
     if not told.savings:
-        yield "  nothing that is known"
+        yield "  none known"
     for saving in told.savings[:5]:
-        yield f"  {saving.what}: {saving.ratio:.2g} of the time; {saving.error}"
+        yield f"  {saving.what}: {saving.ratio:.2g} of the wall time; {saving.error}"
 
 
 def _bytes(size: float) -> str:

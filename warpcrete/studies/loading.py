@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..core.run import Run
+from ..core.run.run import Run
 from ..record.loading import load as load_run
 from .study import Study, load_study
 

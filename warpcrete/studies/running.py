@@ -9,14 +9,14 @@ from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import Any
 
-from ..core.device import default_threads
+from ..core.device.device import default_threads
+from ..core.device.interrupts import StopAtSample
 from ..core.errors import WarpcreteError
-from ..core.files import read_json
-from ..core.folders import Hold
-from ..core.interrupts import StopAtSample
-from ..core.origin import check_files
-from ..core.run_loop import Run
-from ..core.text_files import saved_text
+from ..core.inputs.origin import check_files
+from ..core.inputs.text_files import saved_text
+from ..core.run.files import read_json
+from ..core.run.folders import Hold
+from ..core.run.run_loop import Run
 from ..methods import Simulation, method_of
 from ..record.recorders import recorders_of
 from .cases import Case

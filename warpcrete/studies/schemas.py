@@ -12,12 +12,12 @@ from dataclasses import MISSING
 from pathlib import Path
 from typing import Any
 
-from ..core.amounts import UNITS
-from ..core.concretes import SECTIONS, TEXTS
 from ..core.errors import refuse, suggested
-from ..core.limits import LARGEST_INTEGER, LARGEST_SEED, limit_of
-from ..core.parameters import Above, Alias, Field, OneOf, Spread, Within, declared_fields
-from ..dem.pumping import PipeParameters
+from ..core.inputs.amounts import UNITS
+from ..core.inputs.concretes import SECTIONS, TEXTS
+from ..core.inputs.limits import LARGEST_INTEGER, LARGEST_SEED, limit_of
+from ..core.inputs.parameters import Above, Alias, Field, OneOf, Spread, Within, declared_fields
+from ..dem.pumping.parameters import PipeParameters
 from ..geometry.line_entries import AMOUNTS, BEGINS, MOST_PARTS, MOST_POINTS, PARTS, WAYS
 from ..geometry.line_entries import KEYS as LINE_KEYS
 from ..geometry.line_entries import TEXTS as LINE_TEXTS
@@ -26,7 +26,7 @@ from ..mix import given as mixes
 from ..mix.points import PUMPED
 from ..scenes import modules
 from ..theory.pipe import Concrete
-from .targets import TARGET_KEYS
+from .calibration.targets import TARGET_KEYS
 
 Schema = dict[str, Any]
 FOLDER = Path(__file__).parents[1] / "schemas"
@@ -35,8 +35,12 @@ DRAFT = "http://json-schema.org/draft-07/schema#"
 NUMBER = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
 """Schema of a text entry, which YAML may have read as a number."""
 TEXT: Schema = {"type": ["string", "number"]}
-SAID = {"name": "name of the concrete", "source": "origin of the numbers", "calibrated": "what was fitted, and to what",
-        "base": "name or file of a concrete that this one completes"}  # fmt: skip
+SAID = {
+    "name": "name of the concrete",
+    "source": "origin of the numbers",
+    "calibrated": "parameters that were fitted, and to which targets",
+    "base": "name or file of a concrete whose missing parameters this file adds",
+}
 """Descriptions of the text entries of a concrete's file."""
 
 
@@ -106,8 +110,8 @@ def targets_schema() -> Schema:
     spread = _object({"low": end, "high": end, "scale": {"enum": ["log", "linear"]}}, "", ["low", "high"])
     target = _object(
         {
-            "scene": {"enum": list(known), "description": "scene that measures it"},
-            "quantity": {"enum": quantities, "description": "quantity of its result"},
+            "scene": {"enum": list(known), "description": "scene that measures the quantity"},
+            "quantity": {"enum": quantities, "description": "quantity of the scene's result"},
             "value": end | {"description": "measured value, in SI units or with its unit"},
             "uncertainty": end | {"description": "standard deviation, in the unit of the value or as '5%' of it"},
             "parameters": {"type": "object", "description": "parameters of the scene"},
@@ -124,10 +128,11 @@ def targets_schema() -> Schema:
         for name in known
     ]
     found = {
-        "base": TEXT | {"description": "name or file of the concrete that has everything which is not varied"},
+        "base": TEXT | {"description": ("name or file of the concrete that supplies all parameters which are not "
+                                       "varied")},
         "vary": {"type": "object", "minProperties": 1, "propertyNames": {"enum": numbers},
                  "additionalProperties": {"anyOf": [ends, spread]}, "description": "free parameters and their ranges"},
-        "targets": {"type": "array", "minItems": 1, "items": target, "description": "what was measured"},
+        "targets": {"type": "array", "minItems": 1, "items": target, "description": "measured quantities"},
     }  # fmt: skip
     schema = _file("Targets of a calibration of warpcrete", found) | {"required": ["vary", "targets"]}
     return schema | {"definitions": of_scene}
@@ -219,7 +224,7 @@ def _mix_section() -> Schema:
     amounts = {name: quantity(each.unit, each.help) for name, each in mixes.NUMBERS.items()}
     constants = {name: quantity(unit, name.replace("_", " ")) for name, unit in mixes.UNITS.items()}
     off = {"uncertainty": quantity("1", "uncertainty of the values, as '15 %'")}
-    passing = quantity("1", "part of the mass that passes")
+    passing = quantity("1", "fraction of the mass that passes")
     special: dict[str, Schema] = {
         "parts": {"type": "object", "minProperties": 1, "additionalProperties": quantity("kg/m3", "mass")},
         "aggregate": {"type": ["number", "string"]},
@@ -231,7 +236,7 @@ def _mix_section() -> Schema:
         "mortar": _object(constants | off | {"density": quantity("kg/m3", "density")}),
         "viscometer": _points(mixes.SHEARED),
         "layer": {"anyOf": [
-            _object({**constants, "viscosity": quantity("Pa s/m", "viscosity over thickness"), **off}, "",
+            _object({**constants, "viscosity": quantity("Pa s/m", "viscosity divided by thickness"), **off}, "",
                     ["yield_stress", "viscosity"]),
             _object({"points": _points(PUMPED), **{name: quantity("m", f"{name} of the pipe")
                                                    for name in ("diameter", "length", "rise")}}, "",
@@ -240,7 +245,7 @@ def _mix_section() -> Schema:
         ]},
     }  # fmt: skip
     others = {name: special[name] | {"description": text} for name, text in mixes.OTHERS.items()}
-    found = _object({name: {**amounts, **others}[name] for name in mixes.KEYS}, "what is known of a mix")
+    found = _object({name: {**amounts, **others}[name] for name in mixes.KEYS}, "known data of a mix")
     return found | {"anyOf": [{"required": ["density"]}, {"required": ["parts"]}]}
 
 

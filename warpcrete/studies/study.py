@@ -16,17 +16,17 @@ from typing import Any
 
 import numpy as np
 
-from ..core.by_name import names_from_file
-from ..core.device import find_device
+from ..core.device.device import find_device
+from ..core.drawing.html import html_table
 from ..core.errors import InstabilityError, RunFolderError, SceneError, between, positive, quoted, refuse
-from ..core.files import check_new, is_full, read_record, whole_file, write_json
-from ..core.folders import held, new_folder
-from ..core.html import html_table
-from ..core.limits import check_limit
-from ..core.method import Quantity
-from ..core.origin import check_files, check_named
-from ..core.provenance import provenance
-from ..core.run import Run, dataframe
+from ..core.inputs.by_name import names_from_file
+from ..core.inputs.limits import check_limit
+from ..core.inputs.origin import check_files, check_named
+from ..core.run.files import check_new, is_full, read_record, whole_file, write_json
+from ..core.run.folders import held, new_folder
+from ..core.run.method import Quantity
+from ..core.run.provenance import provenance
+from ..core.run.run import Run, dataframe
 from ..core.units import number, shown
 from ..methods import method_of
 from ..record.checks import failed_checks
@@ -132,7 +132,9 @@ class Study:
     def __getitem__(self, case: str) -> Run:
         """Load the run of a case by the case's name; raise :class:`KeyError` for an unknown case."""
         if case not in self._ipython_key_completions_():
-            raise KeyError(f"the study has no case {case!r}; it has {', '.join(self._ipython_key_completions_())}")
+            raise KeyError(
+                f"the study has no case {case!r}; its cases are {', '.join(self._ipython_key_completions_())}"
+            )
         return load_run(self.folder / case)
 
     def _ipython_key_completions_(self) -> list[str]:
@@ -223,13 +225,18 @@ def run_study(
     known = module.scene.fields({**{name: values[0] for name, values in varied.items() if values}, **given})
     for name in varied:
         if name in given:
-            refuse(name, given[name], "is held and varied at once", "leave out one of both")
+            refuse(name, given[name], "cannot be both given and varied", "leave out one of the two")
     strange = sorted(set(recorders) - {kind.name for kind in RECORDERS})
     if strange:
         refuse("recorders", strange, f"must be among {', '.join(kind.name for kind in RECORDERS)}")
     if "precision" in known:
         if "precision" in varied or given.get("precision", precision) != precision:
-            refuse("precision", varied.get("precision", precision), "is one for the whole study", "run two studies")
+            refuse(
+                "precision",
+                varied.get("precision", precision),
+                "must be the same for the whole study",
+                "run two studies",
+            )
         given["precision"] = precision
     defaults = {name: found.default for name, found in known.items()} | module.scene.completed(given)
     cases = cases_of(
@@ -364,12 +371,14 @@ def _opened(folder: Path, module: Any) -> tuple[dict[str, Any], Study]:
         cases = [Case(c["name"], c["varied"], c["parameters"]) for c in record["cases"]]
         for name in (case.name for case in cases):
             if Path(name).name != name or name in ("", ".", ".."):
-                raise KeyError(f"case name {quoted(name)} is no name of a folder")
+                raise KeyError(f"case name {quoted(name)} cannot be the name of a folder")
         missing = {"scene", "command", "device", "precision"} - set(record)
         if missing or not cases:
             raise KeyError(", ".join(sorted(missing)) or "cases")
     except (KeyError, TypeError) as error:
-        raise RunFolderError(f"'{folder / 'study.json'}': holds no study ({error})") from error
+        raise RunFolderError(
+            f"'{folder / 'study.json'}': is not the record of a study ({error}); give the folder of a study"
+        ) from error
     method = method_of(module.scene(**cases[0].parameters))
     units = {name: f.unit.strip() for case in cases for name, f in module.scene.fields(case.parameters).items()}
     return record, Study(folder, record["scene"], cases, method.compared, units)
@@ -382,7 +391,9 @@ def load_study(folder: Path) -> Study:
     """
     name, known = read_record(folder / "study.json").get("scene"), modules()
     if name not in list(known):
-        raise RunFolderError(f"'{folder / 'study.json'}': names no scene of this version ({', '.join(known)})")
+        raise RunFolderError(
+            f"'{folder / 'study.json'}': names a scene that this version does not have; it has {', '.join(known)}"
+        )
     _, study = _opened(folder, known[name])
     for case in study.cases:
         _book(study, case, outcome_of(folder / case.name))
@@ -399,7 +410,7 @@ def _lists(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[str, list[An
                 refuse(name, value, "must be varied by names and numbers",
                        f"give the name of its class, and vary its parameters, {name}_...")  # fmt: skip
         if own in found:
-            refuse(name, values, f"{own} varies already, by this or another name of it", "leave out one")
+            refuse(name, values, f"varies {own}, which is already varied under this or another name", "leave out one")
         found[own] = [scene.resolved({name: value})[own] for value in values]
     return found
 

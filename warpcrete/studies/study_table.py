@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..core.files import whole_file
+from ..core.run.files import whole_file
 
 FINISHED, FAILED, OPEN = "finished", "failed", "not finished"
 

@@ -83,7 +83,7 @@ class Crew:
                 worker.failed = True
                 none = all(each.failed for each in self._all)
             if none:
-                raise NoWorker(f"no worker process can be started: {error}; what it said is above") from error
+                raise NoWorker(f"no worker process can be started: {error}; the messages above say why") from error
             raise
         try:
             worker.tell(job)
@@ -108,7 +108,7 @@ class _Worker:
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             )  # fmt: skip
         except OSError as error:
-            raise NoWorker(f"no worker process can be started: {error}; take processes = 1") from error
+            raise NoWorker(f"no worker process can be started: {error}; use processes = 1") from error
 
     def tell(self, message: Any) -> None:
         """Send a message; a dead worker is detected only when its answer is read."""
@@ -139,9 +139,7 @@ class _Worker:
             return f"ended with exit code {code}"
         known = {each.value: each.name for each in signal.Signals}
         name = known.get(-code, f"signal {-code}")
-        return f"was killed by {name}" + (
-            "; memory may have run out: take fewer processes" if name == "SIGKILL" else ""
-        )
+        return f"was killed by {name}" + ("; the memory may be full: use fewer processes" if name == "SIGKILL" else "")
 
     def end(self) -> None:
         """Close the pipe that the worker reads from; the worker then ends."""

@@ -22,9 +22,9 @@ from typing import Annotated
 
 import numpy as np
 
-from ..core.concretes import concrete
 from ..core.errors import SceneError, between, one_of, refuse
-from ..core.parameters import Above, Declared, Within
+from ..core.inputs.concretes import concrete
+from ..core.inputs.parameters import Above, Declared, Within
 from .fits import StraightLine, straight_line
 
 FORMS = ("pipe", "plane", "paper")
@@ -35,11 +35,17 @@ class Concrete(Declared):
     """Bingham fluid with a slip layer at the wall."""
 
     name: str = "concrete"
-    density: Annotated[float, "[kg/m3]", Above()]
-    viscosity: Annotated[float, "plastic viscosity mu_b [Pa s]", Above(hint="a fluid without viscosity has no profile")]
-    yield_stress: Annotated[float, "tau_b [Pa]", Within(0)]
-    slip_viscosity: Annotated[float, "eta_L [Pa s/m]", Above(hint="a wall without slip has a very large one")]
-    slip_yield: Annotated[float, "tau_L0 [Pa]", Within(0)]
+    density: Annotated[float, "Density [kg/m3]", Above()]
+    viscosity: Annotated[
+        float, "Plastic viscosity mu_b [Pa s]", Above(hint=("without viscosity the velocity has no profile"))
+    ]
+    yield_stress: Annotated[float, "Yield stress tau_b [Pa]", Within(0)]
+    slip_viscosity: Annotated[
+        float,
+        "Viscosity eta_L of the slip layer divided by its thickness [Pa s/m]",
+        Above(hint="give a very large value for a wall without slip"),
+    ]
+    slip_yield: Annotated[float, "Yield stress tau_L0 of the slip layer [Pa]", Within(0)]
 
 
 CONCRETES = {name: Concrete(name=name, **concrete(name).flow) for name in ("no1", "no2", "no3")}
@@ -67,15 +73,15 @@ MIXES = {
 class Line(Declared):
     """Stretch of straight pipe."""
 
-    radius: Annotated[float, "R [m]; half the distance of the planes in the form `plane`", Above()] = 0.05
-    length: Annotated[float, "L [m]", Above()] = 0.3
-    slip_thickness: Annotated[float, "[m]", Within(0)] = 0.0
-    rise: Annotated[float, "height gained over the length: 1 upright, 0 level", Within(-1, 1)] = 1.0
-    gravity: Annotated[float, "[m/s2]", Within(0)] = 9.81
+    radius: Annotated[float, "Radius R [m]; half the distance of the planes in the form `plane`", Above()] = 0.05
+    length: Annotated[float, "Length L [m]", Above()] = 0.3
+    slip_thickness: Annotated[float, "Thickness of the slip layer [m]", Within(0)] = 0.0
+    rise: Annotated[float, "Height gained per length: 1 for an upright pipe, 0 for a level one", Within(-1, 1)] = 1.0
+    gravity: Annotated[float, "Gravitational acceleration [m/s2]", Within(0)] = 9.81
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        between("slip_thickness", self.slip_thickness, 0, np.nextafter(self.radius, 0), "m", "less than the radius")
+        between("slip_thickness", self.slip_thickness, 0, np.nextafter(self.radius, 0), "m", "use less than the radius")
 
 
 @dataclass(frozen=True)
@@ -144,7 +150,7 @@ def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> S
     while steady_of_stress(concrete, line, high, form).flow < flow:
         high *= 2
         if high > 1e30:
-            refuse("flow", flow, "needs a wall stress beyond all numbers")
+            refuse("flow", flow, "needs a wall stress beyond the range of numbers")
     for _ in range(200):  # bisection, until no floating-point number lies between the bounds
         middle = 0.5 * (low + high)
         if not low < middle < high:
@@ -189,8 +195,8 @@ def restart_table(concrete: Concrete, line: Line, rest: float, thixotropy: float
     """
     grown = rested(concrete, rest, thixotropy)
     lines = [
-        f"after {rest:g} s of rest, grown by {thixotropy:g} Pa/s: yield stress {grown.yield_stress:g} Pa; slip layer "
-        f"{grown.slip_yield:g} Pa",
+        f"after {rest:g} s at rest with a growth rate of {thixotropy:g} Pa/s: yield stress {grown.yield_stress:g} Pa; "
+        f"slip layer {grown.slip_yield:g} Pa",
         f"{'form':8s}{'moves from [Pa]':>16s}{'per metre [Pa/m]':>18s}{f'at {flow:.5g} m3/s [Pa]':>24s}"
         f"{'over steady':>13s}",
     ]
@@ -229,7 +235,7 @@ def velocity(concrete: Concrete, line: Line, state: Steady, radius: Sequence[flo
     r = np.abs(np.asarray(radius, float))
     inner = line.radius - line.slip_thickness
     if np.any(r > inner):
-        refuse("radius", float(r.max()), f"must lie in the bulk, up to {inner:g} m")
+        refuse("radius", float(r.max()), f"must be at most {inner:g} m, the radius of the bulk")
     sheared = np.maximum(r, state.plug_radius)
     gradient = state.wall_stress / line.radius
     gained = gradient * (inner**2 - sheared**2) / 2 - concrete.yield_stress * (inner - sheared)
@@ -285,9 +291,9 @@ def measured_layer(concrete: Concrete, line: Line, flows: Sequence[float], press
     found = _slip_line(concrete, line, flows, pressures)
     if found.slope <= 0 or found.offset < 0:
         raise SceneError(
-            f"fit: the points ask for a slip layer of {found.slope:.4g} Pa s/m and {found.offset:.4g} Pa, which none "
-            "has; look at length, rise and diameter, and at viscosity and yield stress, whose shear is taken off the "
-            "flows"
+            f"fit: the points give a slip layer of {found.slope:.4g} Pa s/m and {found.offset:.4g} Pa, which is "
+            "impossible; check length, rise and diameter, and the viscosity and yield stress of the shear that is "
+            "subtracted from the flows"
         )
     return found
 
@@ -296,7 +302,7 @@ def _slip_line(concrete: Concrete, line: Line, flows: Sequence[float], pressures
     """Fit a straight line of wall stress [Pa] over slip velocity [m/s] to measured flows and pressures."""
     q, p = np.asarray(flows, float), np.asarray(pressures, float)
     if q.shape != p.shape or q.ndim != 1 or len(q) < 2 or np.ptp(q) == 0:
-        refuse("flows", q.tolist(), "needs two or more different flows, and a pressure for each")
+        refuse("flows", q.tolist(), "must be two or more different flows, with a pressure for each")
     if not (np.all(np.isfinite(q)) and np.all(np.isfinite(p))):
         refuse("pressures", p.tolist(), "must be finite numbers")
     stress = (p - concrete.density * line.gravity * line.rise * line.length) * line.radius / (2 * line.length)

@@ -40,13 +40,14 @@ class Segregated:
         densest = SUSPENSIONS["spheres"][1]
         if not 0 < self.fraction < densest:
             refuse("aggregate", self.fraction, f"must be above 0 and below the densest packing, {densest:g}",
-                   "some 0.3 to 0.45 of the volume")  # fmt: skip
+                   "usual values are 0.3 to 0.45 of the volume")  # fmt: skip
         least = max(-4.0, -4 / 3 * (densest / self.fraction - 1))
         most = min(4 / 3, 4 * (densest / self.fraction - 1))
         if not least < self.index < most:
             refuse("segregation", self.index, f"must be between {least:.3g} and {most:.3g} with {self.fraction:g} of "
-                   "aggregate: no zone has less than none, or more than the densest packing",
-                   "runs have -0.1 to 0.1 or so")  # fmt: skip
+                                              "aggregate, so that no zone has less than none or more than the "
+                                              "densest packing",
+                   "runs give about -0.1 to 0.1")  # fmt: skip
 
     @property
     def shares(self) -> tuple[float, float]:
@@ -90,7 +91,7 @@ class Segregated:
         while self.of_stress(high).flow <= flow:
             low, high = high, 2 * high
             if high > 1e30:
-                refuse("flow", flow, "needs a wall stress beyond all numbers")
+                refuse("flow", flow, "needs a wall stress beyond the range of numbers")
         for _ in range(STEPS):
             middle = 0.5 * (low + high)
             if not low < middle < high:
@@ -104,7 +105,8 @@ def segregation_table(
 ) -> str:
     """Return a text table of pump pressures by flow [m3/s] and segregation index, for one `fraction` of aggregate."""
     lines = [
-        f"{fraction:g} of aggregate; segregation is the outer half of the radius less the inner, over the mean",
+        f"fraction of aggregate {fraction:g}; segregation is the fraction in the outer half of the radius minus that "
+        "in the inner half, over the mean",
         f"{'segregation':>12s}{'inner':>8s}{'outer':>8s}{'flow [m3/s]':>14s}{'pressure [Pa]':>15s}"
         f"{'wall stress [Pa]':>18s}{'friction over even':>20s}",
     ]

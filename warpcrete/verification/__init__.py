@@ -31,14 +31,14 @@ def run_cases(
             try:
                 rows = case.run(device, precision)
             except WarpcreteError as error:
-                rows = [Row(f"broke off: {error}", math.nan, 0.0, 0.0, scale=1.0)]
+                rows = [Row(f"stopped: {error}", math.nan, 0.0, 0.0, scale=1.0)]
             yield case, rows
 
 
 def table(results: list[tuple[Case, list[Row]]]) -> str:
     """Return a Markdown table of all rows."""
     lines = [
-        "| case | quantity | ours | expected | error | allowed | | expected from |",
+        "| case | quantity | computed | expected | error | tolerance | | source of the expected value |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for case, rows in results:
@@ -56,7 +56,10 @@ def table(results: list[tuple[Case, list[Row]]]) -> str:
 
 def summary(results: list[tuple[Case, list[Row]]]) -> str:
     """Return a Markdown table with one line per case, which shows the row whose error is closest to its tolerance."""
-    lines = ["| case | figures | largest error | allowed there | expected from |", "|---|---|---|---|---|"]
+    lines = [
+        "| case | figures | largest error | its tolerance | source of the expected values |",
+        "|---|---|---|---|---|",
+    ]
     for case, rows in results:
         worst = max(rows, key=lambda row: row.error / row.tolerance if row.tolerance else float(not row.passed))
         wrong = sum(not row.passed for row in rows)

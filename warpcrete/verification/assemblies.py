@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..core.run_loop import Recorder
-from ..dem.clumps import reference
-from ..dem.containers import Fill, PipeContainer
+from ..core.run.run_loop import Recorder
 from ..dem.laws import Contact
-from ..dem.scene import Bodies, Bonds, Scene, Settle, TimeStep
+from ..dem.scene.clumps import reference
+from ..dem.scene.containers import Fill, PipeContainer
+from ..dem.scene.scene import Bodies, Bonds, Scene, Settle, TimeStep
+from ..dem.scene.sizes import Gaussian, Uniform
 from ..dem.simulation import ElementSimulation
-from ..dem.sizes import Gaussian, Uniform
 from ..geometry.axis import Axis, Line
 from ..geometry.walls import Driven, PipeWall, PlaneWall, Prescribed
 from .case import Case, Row, start
@@ -52,20 +52,20 @@ def cloud(device, precision) -> list[Row]:
     slowed = float(np.linalg.norm(state.bodies.velocity.numpy(), axis=1).mean() / np.linalg.norm(speeds, axis=1).mean())
     return [
         Row(
-            f"momentum of {count} clumps over all that moves",
+            f"change of the momentum of {count} clumps over the sum of its magnitudes",
             float(np.linalg.norm(after[0] - before[0])) / moved,
             0.0,
             tolerance,
             scale=1.0,
         ),
         Row(
-            "angular momentum over all that turns",
+            "change of the angular momentum over the sum of its magnitudes",
             float(np.linalg.norm(after[1] - before[1])) / turned,
             0.0,
             tolerance,
             scale=1.0,
         ),
-        Row("they did collide: mean speed fell below half (1: yes)", float(slowed < 0.5), 1.0, 0.0),
+        Row("collisions: the mean speed fell below half (1: yes)", float(slowed < 0.5), 1.0, 0.0),
     ]
 
 
@@ -118,7 +118,7 @@ def pumping(device, precision) -> list[Row]:
         Row("stored + lost - work, over the work, default step", abs(errors[0]), 0.0, 3e-4, scale=1.0),
         Row("the same with a quarter of the step", abs(errors[1]), 0.0, 1e-4, scale=1.0),
         Row("momentum of the run, impulses over change", run.result["momentum_balance_error"], 0.0, 1e-6, scale=1.0),
-        Row("bonds broke on the way (1: yes)", float(broken > 50), 1.0, 0.0),
+        Row("bonds broke during the run (1: yes)", float(broken > 50), 1.0, 0.0),
     ]
 
 

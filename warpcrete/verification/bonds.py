@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ..dem.laws import Contact
-from ..dem.scene import AxisDrive, Bodies, Bonds, Scene, TimeStep
+from ..dem.scene.scene import AxisDrive, Bodies, Bonds, Scene, TimeStep
 from ..geometry.axis import Axis, Line
 from .case import Case, Row, start
 

@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..core.device import find_device
-from ..dem.bodies import placed_bodies
-from ..dem.model import build_model
-from ..dem.scene import Scene
-from ..dem.state import State
-from ..dem.stepper import Stepper
+from ..core.device.device import find_device
+from ..dem.engine.model import build_model
+from ..dem.engine.state import State
+from ..dem.engine.stepper import Stepper
+from ..dem.scene.bodies import placed_bodies
+from ..dem.scene.scene import Scene
 
 
 @dataclass(frozen=True)

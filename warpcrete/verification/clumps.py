@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from ..dem.clumps import clump, reference
-from ..dem.scene import Bodies, Scene, TimeStep
+from ..dem.scene.clumps import clump, reference
+from ..dem.scene.scene import Bodies, Scene, TimeStep
 from .case import Case, Row, start
 
 

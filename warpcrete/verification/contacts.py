@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..dem.clumps import clump
 from ..dem.laws import Contact
-from ..dem.scene import Bodies, Bonds, Scene, TimeStep
+from ..dem.scene.clumps import clump
+from ..dem.scene.scene import Bodies, Bonds, Scene, TimeStep
 from ..geometry.walls import Driven, MeshWall, PlaneWall, Prescribed
 from .case import Case, Row, start
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from ..core.errors import InstabilityError
 from ..dem.laws import Contact, damping_ratio
-from ..dem.quantities import free_energy
-from ..dem.scene import Bodies, Bonds, Hydration, Scene, TimeStep
+from ..dem.measure.quantities import free_energy
+from ..dem.scene.scene import Bodies, Bonds, Hydration, Scene, TimeStep
 from ..dem.simulation import ElementSimulation
 from ..geometry.axis import Axis, Line
 from ..geometry.walls import Driven, PipeWall, PlaneWall, Prescribed
@@ -153,7 +153,7 @@ def scenes(large: bool = False) -> Iterator[tuple[str, Callable[[], Scene], int]
 
     The cases are extremes of single parameters, all corners of the parameter space `AXES`, and some special scenes.
     """
-    yield "all at their middle", cup, STEPS
+    yield "all parameters at their middle", cup, STEPS
     for fraction in (0.01, 0.1, 0.5, 1.0, 1.2, 1.5, 2.0, 3.0):
         yield f"time step {fraction:g} of the estimate", lambda fraction=fraction: cup(dt_fraction=fraction), STEPS
     for name, values in AXES.items():
@@ -215,7 +215,7 @@ def matrix(device: str, precision: str, *, large: bool = False) -> list[Outcome]
 
 def table(outcomes: list[Outcome]) -> str:
     """Return a Markdown table of results; the many corner cases are summarised with one line per kind of result."""
-    lines = ["| scene | deepest overlap | energy from nowhere | outcome |", "|---|---|---|---|"]
+    lines = ["| scene | deepest overlap | unexplained energy | outcome |", "|---|---|---|---|"]
     corners = [o for o in outcomes if o.name.startswith("corner")]
     for o in outcomes:
         if o not in corners:

@@ -36,9 +36,7 @@ def _errors(axes, results) -> None:
             max(row.error, 1e-16), len(groups) - groups.index(case.name), "o", markersize=4,
             color="tab:blue" if row.passed else "tab:red", alpha=0.7,
         )  # fmt: skip
-    axes.set(
-        xscale="log", xlabel="relative error", yticks=range(len(groups), 0, -1), title="every figure of every case"
-    )
+    axes.set(xscale="log", xlabel="relative error", yticks=range(len(groups), 0, -1), title="errors of all cases")
     axes.set_yticklabels(groups, fontsize=8)
     axes.grid(axis="x", color="0.9")
 
@@ -76,9 +74,9 @@ def _stability(axes, curves) -> None:
         xscale="log",
         yscale="log",
         xlabel="time step over the estimate (default: 0.8)",
-        ylabel="energy, last fifth over first (1e6: burst)",
+        ylabel="energy, last fifth over first (1e6: unstable)",
         xlim=(0.57, 8.4),
-        title="where each contact law breaks",
+        title="stability limit of each contact law",
     )
     axes.set_xticks([0.6, 0.8, 1, 1.4, 2, 3, 4, 6, 8], labels=["0.6", "0.8", "1", "1.4", "2", "3", "4", "6", "8"])
     axes.minorticks_off()  # fmt: skip

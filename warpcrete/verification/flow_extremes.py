@@ -170,7 +170,7 @@ def _singles(prefix: str, d: int) -> Iterator[Case]:
     def case(name: str, **changes: Any) -> Case:
         return prefix + name, lambda: column(d, **changes), STEPS
 
-    yield case("all at their middle")
+    yield case("all parameters at their middle")
     for name, values in AXES.items():
         for value in values:
             step = {"time_step": 2e-5} if (name, value) == ("flow", 1e-1) else {}
@@ -190,7 +190,7 @@ def _singles(prefix: str, d: int) -> Iterator[Case]:
     for name, changes in (("no slip for 1 s", dict(slip_viscosity=1e6, slip_yield=0.0)),
                           ("a concrete that shears, for 1 s", shears)):  # fmt: skip
         yield prefix + name, lambda changes=changes: column(d, **changes), LONG
-    yield case("nothing but slip", slip_viscosity=1.0, slip_yield=0.0)
+    yield case("slip only", slip_viscosity=1.0, slip_yield=0.0)
     if d == 2:
         tall = dict(diameter=2.0, spacing=0.25, length=1000.0, flow=1.5e-3 * 400)
         yield prefix + "a column of 1 km", lambda: column(d, **tall), FEW

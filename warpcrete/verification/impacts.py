@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..dem.laws import Contact, HertzMindlin, damping_ratio
-from ..dem.scene import Bodies, Scene, TimeStep
+from ..dem.scene.scene import Bodies, Scene, TimeStep
 from ..geometry.walls import PlaneWall
 from .case import Case, Row, start
 

@@ -10,19 +10,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..core.device import find_device
+from ..core.device.device import find_device
 from ..core.errors import InstabilityError
-from ..dem.bodies import BodyTable, placed_bodies
-from ..dem.clumps import ClumpTemplate, reference, sphere
-from ..dem.containers import Fill, PipeContainer
+from ..dem.engine.model import build_model
+from ..dem.engine.state import State
+from ..dem.engine.stepper import Stepper
 from ..dem.laws import BinghamMortar, Contact, ContactLaw, HertzMindlin, LubricationLayer
-from ..dem.model import build_model
+from ..dem.measure.probes import body_sums, contact_sums
 from ..dem.packing import pack
-from ..dem.probes import body_sums, contact_sums
-from ..dem.scene import Bodies, Bonds, Scene, TimeStep
-from ..dem.sizes import Uniform
-from ..dem.state import State
-from ..dem.stepper import Stepper
+from ..dem.scene.bodies import BodyTable, placed_bodies
+from ..dem.scene.clumps import ClumpTemplate, reference, sphere
+from ..dem.scene.containers import Fill, PipeContainer
+from ..dem.scene.scene import Bodies, Bonds, Scene, TimeStep
+from ..dem.scene.sizes import Uniform
 from ..geometry.axis import Axis, Line
 from .case import Case, Row
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..core.device import find_device
+from ..core.device.device import find_device
 from ..geometry.axis import Axis, Line
 from ..geometry.walls import PipeWall
 from ..kernels.mps.grid.cells import ACTED, LIQUID, Kind

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import warp as wp
 
 from ...core.errors import between
-from ...core.parameters import Declared, Field, OneOf, declared_fields
+from ...core.inputs.parameters import Declared, Field, OneOf, declared_fields
 
 RESISTANCES = ("friction", "rolling_friction", "yield_stress", "viscosity", "plastic_viscosity")
 """Names of the fields by which laws resist sliding and rolling."""

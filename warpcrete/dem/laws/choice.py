@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-from ...core.by_name import ByName
-from ...core.parameters import Needs
+from ...core.inputs.by_name import ByName
+from ...core.inputs.parameters import Needs
 from .base import ContactLaw
 from .hertz_mindlin import HertzMindlin
 from .linear import Contact
@@ -32,8 +32,8 @@ class LawChoice:
 
     contact: Annotated[
         ContactLaw | None,
-        f"law of all contacts in place of the scene's own: {', '.join(SHORT.classes)}, or package.module:Class of your "
-        "own. Its parameters are then --contact-NAME, which --help lists beside it",
+        f"Law of all contacts, which replaces the scene's own: {', '.join(SHORT.classes)}, or package.module:Class of "
+        "a law of your own. The options --contact-NAME set its parameters; --help with this option lists them",
         SHORT,
     ] = None
 
@@ -46,6 +46,7 @@ class WallLawChoice:
     """
 
     wall_contact: Annotated[
-        ContactLaw | None, "likewise the law of contacts with pipe and piston alone; default: as contact, if given",
+        ContactLaw | None, "Law of the contacts with pipe and piston only, chosen as contact; default: the law in "
+                           "contact, if it is given",
         SHORT,
     ] = None  # fmt: skip

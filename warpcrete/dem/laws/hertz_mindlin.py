@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 
 from ...core.errors import between, positive
-from ...core.parameters import Above, OneOf, Within
+from ...core.inputs.parameters import Above, OneOf, Within
 from ...kernels.common.types import types
 from ...kernels.dem.contact_law import contact_functions
 from .base import ContactLaw, OnDevice, damping_ratio
@@ -27,13 +27,15 @@ RESCALE = wp.constant(0)
 class HertzMindlin(ContactLaw):
     """Elastic spheres: F_n = 4/3 E* sqrt(R* d) d, k_s = 8 G* sqrt(R* d), Coulomb friction, constant restitution."""
 
-    effective_modulus: Annotated[float, "E* [Pa]; 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2", Above()]
-    effective_shear_modulus: Annotated[float, "G* [Pa]; 1/G* = (2 - nu1)/G1 + (2 - nu2)/G2", Above()]
-    friction: Annotated[float, "Coulomb coefficient", Within(0)] = 0.3
-    restitution: Annotated[float, "of a normal impact, 0 to 1, at any speed", Within(0, 1),
+    effective_modulus: Annotated[float, "Effective modulus E* [Pa]; 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2", Above()]
+    effective_shear_modulus: Annotated[
+        float, "Effective shear modulus G* [Pa]; 1/G* = (2 - nu1)/G1 + (2 - nu2)/G2", Above()
+    ]
+    friction: Annotated[float, "Coulomb friction coefficient", Within(0)] = 0.3
+    restitution: Annotated[float, "Coefficient of restitution of a normal impact, 0 to 1, at any speed", Within(0, 1),
                            OnDevice("damping", damping_ratio)] = 0.9  # fmt: skip
-    unloading: Annotated[str, "shear force while the normal load falls: rescale with the tangent stiffness, or hold "
-                         "(can create energy)", OneOf(UNLOADINGS)] = "rescale"  # fmt: skip
+    unloading: Annotated[str, "Shear force while the normal load falls: rescale (in proportion to the tangent "
+                              "stiffness) or hold (can create energy)", OneOf(UNLOADINGS)] = "rescale"  # fmt: skip
 
     @classmethod
     def of(

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import numpy as np
 import warp as wp
 
-from ...core.parameters import Above, OneOf, Within
+from ...core.inputs.parameters import Above, OneOf, Within
 from ...kernels.common.types import types
 from ...kernels.dem.contact_law import contact_functions
 from .base import ContactLaw, OnDevice
@@ -21,13 +21,23 @@ class Contact(ContactLaw):
     """Linear contact between two materials: springs, Coulomb slider and dashpots; the default law."""
 
     effective_modulus: Annotated[
-        float, "E* [Pa]; k_n = A E*/L with A = pi r^2, r the smaller radius, L the centres' distance at touch", Above()
+        float,
+        "Effective modulus E* [Pa]; k_n = A E*/L with A = pi r^2, r the smaller radius, L the distance of the "
+        "centres at touch",
+        Above(),
     ] = 1e5
-    stiffness_ratio: Annotated[float, "k_n / k_s", Above(), OnDevice("shear_to_normal", lambda r: 1.0 / r)] = 2.0
-    friction: Annotated[float, "Coulomb coefficient", Within(0)] = 0.05
-    normal_damping_ratio: Annotated[float, "normal dashpot over the critical one; see damping_ratio", Within(0)] = 0.5
-    shear_damping_ratio: Annotated[float, "shear dashpot over the critical one", Within(0)] = 0.0
-    dashpot: Annotated[str, "full, no-tension (normal total never pulls), slip-cut (no shear dashpot in slip), both",
+    stiffness_ratio: Annotated[
+        float, "Ratio of normal to shear stiffness, k_n / k_s", Above(), OnDevice("shear_to_normal", lambda r: 1.0 / r)
+    ] = 2.0
+    friction: Annotated[float, "Coulomb friction coefficient", Within(0)] = 0.05
+    normal_damping_ratio: Annotated[
+        float, "Damping of the normal dashpot as a fraction of critical damping; see damping_ratio", Within(0)
+    ] = 0.5
+    shear_damping_ratio: Annotated[
+        float, "Damping of the shear dashpot as a fraction of critical damping", Within(0)
+    ] = 0.0
+    dashpot: Annotated[str, "Mode of the dashpots: full, no-tension (the total normal force never pulls), slip-cut "
+                            "(no shear dashpot in slip), both",
                        OneOf(DASHPOTS)] = "full"  # fmt: skip
 
     @property

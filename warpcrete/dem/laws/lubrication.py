@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 import warp as wp
 
-from ...core.parameters import Within
+from ...core.inputs.parameters import Within
 from ...kernels.common.types import types
 from ...kernels.dem.contact_law import contact_functions
 from .base import ContactLaw
@@ -25,9 +25,11 @@ class LubricationLayer(ContactLaw):
 
     called = "layer"
 
-    contact: Annotated[Contact, "spring, dashpot and friction"] = field(default_factory=Contact)
-    yield_stress: Annotated[float, "tau_L0 [Pa], on pi r^2 of every contact", Within(0)] = 0.0
-    viscosity: Annotated[float, "eta_L [Pa s/m], viscosity of the layer over its thickness", Within(0)] = 0.0
+    contact: Annotated[Contact, "Law that supplies spring, dashpot and friction"] = field(default_factory=Contact)
+    yield_stress: Annotated[
+        float, "Yield stress tau_L0 of the layer [Pa], on the area pi r^2 of every contact", Within(0)
+    ] = 0.0
+    viscosity: Annotated[float, "Viscosity eta_L of the layer divided by its thickness [Pa s/m]", Within(0)] = 0.0
 
     @property
     def stress_scale(self) -> float:

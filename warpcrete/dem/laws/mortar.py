@@ -20,7 +20,7 @@ from typing import Annotated, Any
 import numpy as np
 import warp as wp
 
-from ...core.parameters import Above, Within
+from ...core.inputs.parameters import Above, Within
 from ...kernels.common.types import types
 from ...kernels.dem.contact_law import contact_functions
 from .base import ContactLaw, OnDevice
@@ -32,18 +32,20 @@ class BinghamMortar(ContactLaw):
 
     called = "mortar"
 
-    effective_modulus: Annotated[float, "E* of the cores [Pa]", Above()] = 1e7
-    stiffness_ratio: Annotated[float, "normal over shear stiffness, of cores and shells", Above(),
+    effective_modulus: Annotated[float, "Effective modulus E* of the cores [Pa]", Above()] = 1e7
+    stiffness_ratio: Annotated[float, "Ratio of normal to shear stiffness of cores and shells", Above(),
                                OnDevice("shear_to_normal", lambda r: 1.0 / r)] = 2.0  # fmt: skip
-    friction: Annotated[float, "Coulomb coefficient of the cores", Within(0)] = 0.3
-    normal_damping_ratio: Annotated[float, "dashpot of the cores over the critical one", Within(0)] = 0.5
-    shell_fraction: Annotated[float, "thickness of the two shells over the distance of the centres at touch",
+    friction: Annotated[float, "Coulomb friction coefficient of the cores", Within(0)] = 0.3
+    normal_damping_ratio: Annotated[
+        float, "Damping of the cores' dashpot as a fraction of critical damping", Within(0)
+    ] = 0.5
+    shell_fraction: Annotated[float, "Thickness of the two shells over the distance of the centres at touch",
                               Above(), Within(0, 0.5)] = 0.1  # fmt: skip
-    shell_modulus: Annotated[float, "stiffness of the mortar against compression [Pa]", Above()] = 1e4
-    yield_stress: Annotated[float, "tau_0 of the mortar [Pa]", Within(0)] = 50.0
-    plastic_viscosity: Annotated[float, "mu of the mortar [Pa s]", Within(0)] = 5.0
-    tension: Annotated[float, "pull that a shell bears over tau_0 A; 0: none", Within(0)] = math.sqrt(3)
-    bending: Annotated[float, "moment that a shell bears over tau_0 A r; 0: spheres roll freely", Within(0)] = (
+    shell_modulus: Annotated[float, "Stiffness of the mortar against compression [Pa]", Above()] = 1e4
+    yield_stress: Annotated[float, "Yield stress tau_0 of the mortar [Pa]", Within(0)] = 50.0
+    plastic_viscosity: Annotated[float, "Plastic viscosity mu of the mortar [Pa s]", Within(0)] = 5.0
+    tension: Annotated[float, "Tensile strength of a shell over tau_0 A; 0: no tension", Within(0)] = math.sqrt(3)
+    bending: Annotated[float, "Largest moment of a shell over tau_0 A r; 0: spheres roll freely", Within(0)] = (
         4 / math.sqrt(3) / math.pi
     )
 

@@ -17,7 +17,7 @@ from typing import Annotated, Any
 
 import warp as wp
 
-from ...core.parameters import Within
+from ...core.inputs.parameters import Within
 from ...kernels.common.types import types
 from ...kernels.dem.contact_law import contact_functions
 from .base import ContactLaw
@@ -36,8 +36,8 @@ class PlasticMortar(BinghamMortar):
 
     called = "plastic"
 
-    tension: Annotated[float, "pull that a shell bears besides its slider, over tau_0 A", Within(0)] = 2.5
-    bending: Annotated[float, "moment that a shell bears over tau_0 A r; 0: spheres roll freely", Within(0)] = 0.0
+    tension: Annotated[float, "Tensile strength of a shell in addition to its slider, over tau_0 A", Within(0)] = 2.5
+    bending: Annotated[float, "Largest moment of a shell over tau_0 A r; 0: spheres roll freely", Within(0)] = 0.0
 
     def gripped(self, grip: float) -> ContactLaw:
         return replace(super().gripped(grip), bending=ROLLS_NOT)  # otherwise a lone sphere would roll away on the wall

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 import warp as wp
 
-from ...core.parameters import Within
+from ...core.inputs.parameters import Within
 from ...kernels.common.types import types
 from ...kernels.dem.contact_law import contact_functions
 from .base import ContactLaw
@@ -27,9 +27,11 @@ class RollingResistance(ContactLaw):
 
     called = "rolling"
 
-    contact: Annotated[Contact, "springs, dashpots and friction"] = field(default_factory=Contact)
-    rolling_friction: Annotated[float, "mu_r, moment over normal force and R", Within(0)] = 0.1
-    rolling_damping_ratio: Annotated[float, "dashpot against rolling over the critical one", Within(0)] = 0.3
+    contact: Annotated[Contact, "Law that supplies springs, dashpots and friction"] = field(default_factory=Contact)
+    rolling_friction: Annotated[float, "Rolling friction mu_r: largest moment over normal force and R", Within(0)] = 0.1
+    rolling_damping_ratio: Annotated[
+        float, "Damping of the rolling dashpot as a fraction of critical damping", Within(0)
+    ] = 0.3
 
     rolls = True
 

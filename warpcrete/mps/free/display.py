@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...core.display import OTHER, Colour, Curve, Display, DrawnWall, Plot
-from ...core.paint import on_palette
+from ...core.drawing.display import OTHER, Colour, Curve, Display, DrawnWall, Plot
+from ...core.drawing.paint import on_palette
 from ..grid.geometry import MIRROR, WALL
 from .scene import Points
 
@@ -121,7 +121,7 @@ class FreeDisplay(Display):
 
     def plots(self) -> tuple[Plot, ...]:
         """Return curves of the concrete's width, height and speed over time, or for a funnel of what remains in it."""
-        word = "spread" if self._axial else "way of the front"
+        word = "spread" if self._axial else "position of the front"
         if self.simulation.scene.test == "funnel":
             return (
                 Plot(

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from ...core.device.footprint import footprint
 from ...core.errors import InstabilityError
-from ...core.footprint import footprint
-from ...core.forecast import Forecast, Probe, median_time, timed
+from ...core.run.forecast import Forecast, Probe, median_time, timed
 from ..forecast import TAKEN, step_time
 from .quantities import funnel_estimate
 from .scene import FreeScene
@@ -55,7 +55,7 @@ def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None,
         memory={name: float(size) for name, size in footprint(**flow.holdings, rest=simulation).items() if size},
         time_step=mean,
         limits={},
-        governing="the error of a step and a cell's way in it; the mean is told"
+        governing="step error and a cell's length per step; this is the mean step"
         if scene.step_error
         else "choice: solves are implicit, so that viscosity and pressure set no limit",
         steps=steps,
@@ -80,18 +80,26 @@ def _course(scene: FreeScene, device: str, precision: str) -> tuple[float, float
     if scene.test == "funnel":
         estimate = funnel_estimate(scene)
         if estimate is None:
-            return scene.duration, mean, ["its yield stress may hold the concrete in the funnel"]
+            return scene.duration, mean, ["the yield stress may hold the concrete in the funnel"]
         return min(LONGER * estimate, scene.duration), mean, []
     if scene.depth:
         # A coarser copy would not resolve the obstacles that the concrete must pass.
-        return scene.duration, mean, ["the time until it rests is not foretold: this is the longest"]
+        return (
+            scene.duration,
+            mean,
+            ["the time until the concrete rests is not predicted; the longest allowed time is assumed"],
+        )
     height = scene.extent[1, 1]
     spacing = min(max(scene.spacing, height / COARSE), min(np.ptp(scene.extent, axis=0)) / 4)
     simulation = FreeSimulation(replace(scene, spacing=spacing), device=device, precision=precision)
     try:
         run = simulation.run()
     except InstabilityError as error:
-        return scene.duration, mean, [f"a coarser copy of this flow stops: {error}"]
+        return (
+            scene.duration,
+            mean,
+            [f"the simulated time is uncertain, because a coarser copy of this flow stopped: {error}"],
+        )
     finally:
         simulation.release()
     reached = float(run.result["simulated_time"]["value"])
@@ -99,4 +107,4 @@ def _course(scene: FreeScene, device: str, precision: str) -> tuple[float, float
         # The finer flow has the same error in a step, but its concrete crosses the smaller cells in less time.
         passed = np.diff(run.series["time"]) * run.series["fastest"][1:] / scene.spacing
         mean = reached / float(np.maximum(np.diff(run.series["steps"]), passed).sum())
-    return reached, mean, [] if run.result["at_rest"] else [f"not at rest within {reached:g} s"]
+    return reached, mean, [] if run.result["at_rest"] else [f"the concrete is not at rest within {reached:g} s"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 
-from ...core.knobs import Knob, precisions, scaled
+from ...core.inputs.knobs import Knob, precisions, scaled
 from .scene import FreeConcrete
 
 

@@ -76,7 +76,12 @@ def free_layout(scene: FreeScene) -> GridLayout:
     places, mass = fill_cells(room, abreast, concrete)
     layer, none = (scene.concrete.slip_viscosity, scene.concrete.slip_yield), (STICKS, 0.0)
     if len(places) == 0:
-        refuse("outline", scene.outline, "holds no concrete: walls fill it", "move it, or the walls")
+        refuse(
+            "outline",
+            scene.outline,
+            "must contain concrete, but walls fill all of it",
+            "move the outline, or the walls",
+        )
     size = float(np.ptp(scene.extent, axis=0).min())
     return GridLayout(
         kind=Kind(axes, axial=scene.axial, cut=True),

@@ -1,6 +1,6 @@
 """Registration of free-surface flows with the rest of the program."""
 
-from ...core.method import Method
+from ...core.run.method import Method
 from ..stepping import run_abreast
 from .display import FreeDisplay
 from .forecast import forecast

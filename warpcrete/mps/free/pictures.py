@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.run_loop import Run
+from ...core.run.run_loop import Run
 from ...core.units import number
 from ...theory.vessels import heap_depth
 from .scene import FreeScene
@@ -55,9 +55,9 @@ def _curves(scene: FreeScene) -> list[tuple[str, float, str]]:
     if scene.test == "funnel":
         return [("inside", 1e2, "remaining")]
     if scene.test == "lbox":
-        return [("front", 1e3, "way of the front"), ("near_depth", 1e3, "depth at the gate"),
+        return [("front", 1e3, "position of the front"), ("near_depth", 1e3, "depth at the gate"),
                 ("far_depth", 1e3, "depth at the end")]  # fmt: skip
-    return [("spread", 1e3, "spread" if scene.axial else "way of the front"), ("top", 1e3, "highest point")]
+    return [("spread", 1e3, "spread" if scene.axial else "position of the front"), ("top", 1e3, "highest point")]
 
 
 def draw(simulation: Any, run: Run, colouring: str | None) -> Any:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.method import Quantity
-from ...core.run_loop import Run
+from ...core.run.method import Quantity
+from ...core.run.run_loop import Run
 from ...core.units import number
 from ...geometry.sections import section_area
 from ...theory.vessels import box_at_rest, funnel_time, heap_at_rest, long_heap_spread, tall_cone_slump
@@ -169,7 +169,7 @@ QUANTITIES = (
     Quantity("spread_heap", "m", _spread_of_heap),
     Quantity("t500", "s", lambda k: k.when("spread", T500) if k.is_slump else None, "T500", None, True),
     Quantity("funnel_time", "s", lambda k: k.when("screen", LIGHT, True) if k.is_funnel else None, "funnel time",
-             _with_time("funnel_time", "ducts in a row"), True),
+             _with_time("funnel_time", "row of ducts"), True),
     Quantity("funnel_time_theory", "s", lambda k: funnel_estimate(k.scene) if k.is_funnel else None),
     Quantity("remaining", "1", lambda k: k.last("inside") if k.is_funnel else None, "remaining",
              lambda run: f"{100 * run.result['remaining']:.1f} %"),

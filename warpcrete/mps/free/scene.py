@@ -8,11 +8,11 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from ...core.concretes import is_file
-from ...core.device import PRECISIONS
+from ...core.device.device import PRECISIONS
+from ...core.drawing.html import Parametrised
 from ...core.errors import between, one_of, positive, refuse
-from ...core.html import Parametrised
-from ...core.parameters import Above, Declared, OneOf, Within
+from ...core.inputs.concretes import is_file
+from ...core.inputs.parameters import Above, Declared, OneOf, Within
 from ...geometry.walls import Wall
 from ...theory.pipe import Concrete
 from ..column import ConcreteParameters
@@ -37,23 +37,31 @@ Points = tuple[tuple[float, float], ...]
 class FreeSettings(Declared):
     """Settings of the simulation of a free-surface flow."""
 
-    duration: Annotated[float, "simulated time, at most: a run ends when the concrete rests [s]", Above()] = 60.0
-    rest_speed: Annotated[float, "at rest: the fastest goes slower than this, and did a second ago [m/s]", Above()] = (
-        2e-4
+    duration: Annotated[float, "Longest simulated time; the run ends earlier when the concrete rests [s]", Above()] = (
+        60.0
     )
-    time_step: Annotated[float, "longest; every step, where step_error is 0 [s]", Above()] = 2e-2
+    rest_speed: Annotated[
+        float,
+        "Speed below which the fastest concrete must be, now and a second earlier, to count as at rest [m/s]",
+        Above(),
+    ] = 2e-4
+    time_step: Annotated[float, "Longest time step; every time step if step_error is 0 [s]", Above()] = 2e-2
     step_error: Annotated[float, STEP_ERROR, Within(0, 0.5)] = 1e-3
-    gravity: Annotated[float, "[m/s2]", Above()] = 9.81
+    gravity: Annotated[float, "Gravitational acceleration [m/s2]", Above()] = 9.81
     regularisation: Annotated[
         float,
-        "beta of the regularised Bingham law [s]: what is below the yield stress creeps by one over this",
+        "Parameter beta of the regularised Bingham law [s]; concrete below the yield stress creeps at a rate of 1/beta",
         Above(),
     ] = 1e5
-    tolerance: Annotated[float, "of the pressure solve: residual over that at its start", Within(1e-12, 0.5)] = 1e-3
-    maximum_iterations: Annotated[int, "of a solve, before the run ends with an error", Within(1)] = 5000
-    precision: Annotated[str, "float32 or float64", OneOf(PRECISIONS)] = "float32"
-    sample_interval: Annotated[float, "simulated time between two rows of the series [s]", Above()] = 0.02
-    seed: Annotated[int, "nothing is random", Within(0)] = 0
+    tolerance: Annotated[
+        float, "Tolerance of the pressure solve: residual over the residual at its start", Within(1e-12, 0.5)
+    ] = 1e-3
+    maximum_iterations: Annotated[
+        int, "Largest number of iterations of a solve; the run ends with an error beyond it", Within(1)
+    ] = 5000
+    precision: Annotated[str, "Precision: float32 or float64", OneOf(PRECISIONS)] = "float32"
+    sample_interval: Annotated[float, "Simulated time between two rows of the series [s]", Above()] = 0.02
+    seed: Annotated[int, "Random seed; without effect, because nothing in this flow is random", Within(0)] = 0
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -114,16 +122,21 @@ class FreeScene(Parametrised, FreeSettings):
             positive(name, getattr(self, name), "m")
         between("depth", self.depth, 0, np.inf, "m")
         if self.axial and self.depth:
-            refuse("depth", self.depth, "is that of a room in space, not about an axis", "take 0")
+            refuse("depth", self.depth, "must be 0 for a flow about an axis; only a flow in space has a depth", "use 0")
         if self.walls and not self.depth:
-            refuse("walls", f"{len(self.walls)}", "are walls in space", "give the room a depth, or take blocks")
+            refuse(
+                "walls",
+                f"{len(self.walls)}",
+                "must be empty for a flow in a plane or about an axis",
+                "give the room a depth, or use blocks",
+            )
         for name, kind in self.sides.items():
             one_of("sides", name, [side for pair in SIDES for side in pair])
             one_of(f"sides[{name}]", kind, (WALL, MIRROR, BARE))
             if name in SIDES[1] and not self.depth:
-                refuse("sides", name, "is a side of a room in space", "give the room a depth, or leave it out")
+                refuse("sides", name, "exists only in space", "give the room a depth, or leave it out")
             if name == "left" and self.axial:
-                refuse("sides", name, "is the axis", "leave it out")
+                refuse("sides", name, "is the axis and cannot be chosen", "leave it out")
         for name in ("outline", "gate", *(f"blocks[{n}]" for n in range(len(self.blocks)))):
             points = self.blocks[int(name[7:-1])] if name.startswith("blocks") else getattr(self, name)
             if name == "gate" and not points:
@@ -131,7 +144,10 @@ class FreeScene(Parametrised, FreeSettings):
             corners = np.array(points, dtype=float)
             if corners.ndim != 2 or corners.shape[0] < 3 or corners.shape[1] != 2 or not np.isfinite(corners).all():
                 refuse(
-                    name, points, "must be three corners or more, finite, of two numbers each [m]", "name them in turn"
+                    name,
+                    points,
+                    "must be three or more corners, each of two finite numbers [m]",
+                    "list the corners in order",
                 )
         missing = [key for key in NEEDED.get(self.test, ()) if key not in self.dimensions]
         if missing:
@@ -139,22 +155,41 @@ class FreeScene(Parametrised, FreeSettings):
         if self.test == "lbox" and not self.depth:
             refuse("depth", self.depth, "must be above 0 for test 'lbox'", "give half the box's width")
         if np.any(np.ptp(self.extent, axis=0) <= 0):
-            refuse("outline", self.outline, f"must lie within the room, {self.width:g} by {self.height:g} m", "move it")
+            refuse(
+                "outline",
+                self.outline,
+                f"must lie within the room, {self.width:g} by {self.height:g} m",
+                "move the outline",
+            )
         for wall in self.walls:
             if wall.motion is not None:
-                refuse(f"{wall.name}.motion", "given", "walls of a flow with a free surface stand still")
+                refuse(
+                    f"{wall.name}.motion",
+                    "given",
+                    "must be left out, because walls of a flow with a free surface stand still",
+                )
         between("lift_speed", self.lift_speed, 0, np.inf, "m/s")
         if self.gate and not self.lift_speed:
-            refuse("lift_speed", self.lift_speed, "never lifts the gate", "take some 0.1 m/s, or no gate")
+            refuse(
+                "lift_speed",
+                self.lift_speed,
+                "must be above 0, because there is a gate to lift",
+                "use about 0.1 m/s, or no gate",
+            )
         smallest = min(np.ptp(self.extent, axis=0))
         if self.spacing > smallest / 4:
-            refuse("spacing", self.spacing, "must leave four cells across the concrete at the start",
-                   f"take {smallest / 4:.3g} m or less")  # fmt: skip
+            refuse(
+                "spacing",
+                self.spacing,
+                "must leave at least four cells across the concrete at the start",
+                f"use {smallest / 4:.3g} m or less",
+            )
         check_interval(self)
         fall = float(np.sqrt(2 * self.gravity * self.extent[1, 1]))
         if not self.step_error and self.time_step * fall > self.spacing:
-            refuse("time_step", self.time_step, f"lets concrete that falls at {fall:.3g} m/s pass more than a cell",
-                   f"take {self.spacing / fall:.2g} s or less")  # fmt: skip
+            refuse("time_step", self.time_step, f"must be shorter, because concrete that falls at {fall:.3g} m/s "
+                                                "passes more than a cell per step",
+                   f"use {self.spacing / fall:.2g} s or less")  # fmt: skip
 
     @property
     def extent(self) -> np.ndarray:

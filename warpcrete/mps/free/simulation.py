@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import InstabilityError
-from ...core.method import results_of
-from ...core.provenance import arrays_hash, provenance
-from ...core.run_loop import Run
+from ...core.run.method import results_of
+from ...core.run.provenance import arrays_hash, provenance
+from ...core.run.run_loop import Run
 from ...core.units import quantity
 from ..grid.flow import GridFlow
 from ..grid.state import GridState, check_memory
@@ -64,12 +64,12 @@ class FreeSimulation(FlowRun):
         at = f"t = {row['time']:.6g} s"
         for name, value in row.items():
             if not math.isfinite(value):
-                raise InstabilityError(f"{at}: {name} is not a finite number; take a smaller time step")
+                raise InstabilityError(f"{at}: {name} is not a finite number; use a smaller time step")
         room = self.scene.width - 2 * self.flow.state.layout.spacing
         if self.scene.test == "slump" and self.flow.steps and reach(self.flow) > room:
             raise InstabilityError(
-                f"{at}: the concrete has reached the edge of the plate, {self.scene.width:g} m from its middle; take a "
-                "larger one (plate_radius)"
+                f"{at}: the concrete has reached the edge of the plate, {self.scene.width:g} m from its middle; use a "
+                "larger plate (plate_radius)"
             )
 
     @property

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ...core.device import parallel
-from ...core.launching import Launcher, Stage, Step, launch, parameter_names
+from ...core.device.device import parallel
+from ...core.device.launching import Launcher, Stage, Step, launch, parameter_names
 from ...kernels.common.control import HALTED
 from ...kernels.common.reductions import BLOCK
 from ...kernels.mps.conjugate_gradient import (

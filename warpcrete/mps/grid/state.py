@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ...core.device import MEMORY_FRACTION, memory_free, scalar_of
+from ...core.device.device import MEMORY_FRACTION, memory_free, scalar_of
 from ...core.errors import CapacityError
 from ...kernels.common.control import FLAGS
 from ...kernels.mps.grid.cells import CLOCK, DRIVE, DT, FORCE, INSIDE, WANTED, cells_struct, grid_structs
@@ -182,7 +182,7 @@ def check_memory(cells: tuple[int, ...], device: Any, precision: str) -> None:
     if needed > MEMORY_FRACTION * free:
         raise CapacityError(
             f"cells = {slots}: need about {needed / 2**30:.3g} GiB on {device}, which has {free / 2**30:.3g} GiB "
-            "free; take a coarser spacing, or a device with more memory"
+            "free; use a coarser spacing, or a device with more memory"
         )
 
 

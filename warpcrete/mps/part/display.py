@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...core.display import GLASS, Curve, Display, DrawnWall, Plot, Points, Profile
-from ...core.paint import on_palette
+from ...core.drawing.display import GLASS, Curve, Display, DrawnWall, Plot, Points, Profile
+from ...core.drawing.paint import on_palette
 from ...geometry.mesh_parts import together
 from .layout import Frame
 from .probes import loss_along
@@ -95,7 +95,7 @@ class PartDisplay(Display):
 
     def profiles(self) -> tuple[Profile, ...]:
         """Return the pressure along the axis, with that of straight pipes by theory."""
-        return (Profile("pressure", "Pressure [kPa] over the way along the axis [m]", (
+        return (Profile("pressure", "Pressure [kPa] over the position along the axis [m]", (
             Points("this run", self._pressures, OURS), Points("theory", self._expected, THEORY),
         )),)  # fmt: skip
 

@@ -6,9 +6,9 @@ import math
 from dataclasses import replace
 from typing import Any
 
+from ...core.device.footprint import footprint
 from ...core.errors import InstabilityError, SceneError
-from ...core.footprint import footprint
-from ...core.forecast import Forecast, Probe, median_time, timed
+from ...core.run.forecast import Forecast, Probe, median_time, timed
 from ..forecast import TAKEN, step_time
 from .scene import FEWEST, PartScene
 from .simulation import PartSimulation
@@ -36,7 +36,7 @@ def forecast(scene: PartScene, device: Any, precision: str, threads: int | None,
         device="",
         counts=simulation.flow.counts,
         features={
-            "dimensions": "half of it, in space" if scene.is_half else "in space",
+            "dimensions": "half of the part, in space" if scene.is_half else "in space",
             "walls": "mesh" if scene.wall is not None else "exact",
             "slip layer": f"{scene.concrete.slip_viscosity:g} Pa s/m, {scene.concrete.slip_yield:g} Pa",
             "yield stress": f"{scene.concrete.yield_stress:g} Pa, regularised",
@@ -70,9 +70,11 @@ def _duration(scene: PartScene, device: str, precision: str) -> tuple[float, lis
         simulation = PartSimulation(coarser, device=device, precision=precision)
         run = simulation.run()
     except (InstabilityError, SceneError) as error:
-        return scene.duration, [f"a coarser copy of this flow stops: {error}"]
+        return scene.duration, [
+            f"the simulated time is uncertain, because a coarser copy of this flow stopped: {error}"
+        ]
     finally:
         if simulation is not None:
             simulation.release()
     reached = float(run.result["simulated_time"]["value"])
-    return reached, [] if run.result["steady"] else [f"not steady within {reached:g} s"]
+    return reached, [] if run.result["steady"] else [f"the pressure is not steady within {reached:g} s"]

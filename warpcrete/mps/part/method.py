@@ -1,6 +1,6 @@
 """Registration of flows through parts of a line with the rest of the program."""
 
-from ...core.method import Method
+from ...core.run.method import Method
 from ..stepping import run_abreast
 from .display import PartDisplay
 from .forecast import forecast

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.run_loop import Run
+from ...core.run.run_loop import Run
 from .scene import PartScene
 
 
@@ -26,10 +26,10 @@ def plot_part(run: Run) -> Any:
     along.plot(s, 1e-3 * pressure, label=f"after {run.series['time'][-1]:.3g} s")
     fine = np.linspace(0, scene.axis.length, 60)
     theory = [1e-3 * scene.friction(x, scene.axis.length) for x in fine[:-1]] + [0.0]
-    along.plot(fine, theory, "k--", linewidth=0.9, label="as straight pipes, theory")
+    along.plot(fine, theory, "k--", linewidth=0.9, label="straight pipes, theory")
     for name, begin, end in _shaded(scene):
         along.axvspan(begin, end, color="0.9", zorder=0.5, label=name)
-    along.set(xlabel="along the axis [m]", ylabel="friction ahead [kPa]", ylim=(0, None))
+    along.set(xlabel="position along the axis [m]", ylabel="friction ahead [kPa]", ylim=(0, None))
     along.legend(frameon=False, fontsize=8)
     course.plot(run.series["time"][1:], 1e-3 * run.series["pressure"][1:])
     course.set(xlabel="time [s]", ylabel="pressure at the start [kPa]")

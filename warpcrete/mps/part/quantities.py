@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.method import Quantity
-from ...core.run_loop import Run
+from ...core.run.method import Quantity
+from ...core.run.run_loop import Run
 from ...core.units import number
 from .scene import PartScene
 
@@ -52,14 +52,14 @@ def _gradient_words(name: str):
 
 def _pressure_words(run: Run) -> str:
     theory = number(run.result["pressure_theory"])
-    return f"{number(run.result['pressure']) / 1e3:.4g} kPa   (all of it as straight pipe: {theory / 1e3:.4g})"
+    return f"{number(run.result['pressure']) / 1e3:.4g} kPa   (the whole part as straight pipe: {theory / 1e3:.4g})"
 
 
 def _middle_words(run: Run) -> str:
     found = run.result
     return (
-        f"{number(found['middle_loss']) / 1e3:.3g} kPa, {found['middle_ratio']:.3f} times straight pipe of that length "
-        "and bore"
+        f"{number(found['middle_loss']) / 1e3:.3g} kPa, {found['middle_ratio']:.3f} times the loss of straight pipe "
+        "of the same length and bore"
     )
 
 
@@ -85,6 +85,9 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
     parts = run.result.get("parts", ()) if run.scene.parts else ()
     for count, part in enumerate(parts, 1):
         ours, theory = number(part["loss"]), number(part["loss_theory"])
-        yield f"part {count}", f"{ours / 1e3:.4g} kPa, {ours / theory:.3f} times straight pipe   ({part['what']})"
+        yield (
+            f"part {count}",
+            (f"{ours / 1e3:.4g} kPa, {ours / theory:.3f} times the loss of straight pipe   ({part['what']})"),
+        )
     if run.finished and not run.result["steady"]:
-        yield "not steady", f"the pressure still changes after {run.series['time'][-1]:.3g} s"
+        yield "not steady", f"the pressure was still changing after {run.series['time'][-1]:.3g} s"

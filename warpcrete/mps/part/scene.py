@@ -9,10 +9,10 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from ...core.device import PRECISIONS
+from ...core.device.device import PRECISIONS
+from ...core.drawing.html import Parametrised
 from ...core.errors import between, positive, refuse
-from ...core.html import Parametrised
-from ...core.parameters import Above, Declared, OneOf, Within
+from ...core.inputs.parameters import Above, Declared, OneOf, Within
 from ...geometry.axis import Arc, Axis, Line
 from ...geometry.bores import Bores
 from ...geometry.inner_surface import InnerSurface, equal_radii
@@ -39,19 +39,28 @@ ALONG = 60
 class PartSettings(Declared):
     """Settings of the simulation of a flow through a part."""
 
-    duration: Annotated[float, "simulated time at most: a run ends when the pressure is steady [s]", Above()] = 2.0
-    time_step: Annotated[float, "longest; every step, where step_error is 0 [s]", Above()] = 5e-3
+    duration: Annotated[
+        float, "Longest simulated time; the run ends earlier when the pressure is steady [s]", Above()
+    ] = 2.0
+    time_step: Annotated[float, "Longest time step; every time step if step_error is 0 [s]", Above()] = 5e-3
     step_error: Annotated[float, STEP_ERROR, Within(0, 0.5)] = 0.0
-    gravity: Annotated[float, "[m/s2]", Within(0, 1e4)] = 9.81
-    regularisation: Annotated[float, "beta of the regularised Bingham law [s]", Above()] = 100.0
-    tolerance: Annotated[float, "of the pressure solve: residual over that at its start", Within(1e-12, 0.5)] = 1e-3
-    maximum_iterations: Annotated[int, "of a solve, before the run ends with an error", Within(1)] = 5000
-    steadiness: Annotated[
-        float, "steady: the pressure changes by less than this part in ten steps, and in the ten before", Above()
+    gravity: Annotated[float, "Gravitational acceleration [m/s2]", Within(0, 1e4)] = 9.81
+    regularisation: Annotated[float, "Parameter beta of the regularised Bingham law [s]", Above()] = 100.0
+    tolerance: Annotated[
+        float, "Tolerance of the pressure solve: residual over the residual at its start", Within(1e-12, 0.5)
     ] = 1e-3
-    precision: Annotated[str, "float32 or float64", OneOf(PRECISIONS)] = "float32"
-    sample_interval: Annotated[float, "simulated time between two rows of the series [s]", Above()] = 0.02
-    seed: Annotated[int, "nothing is random", Within(0)] = 0
+    maximum_iterations: Annotated[
+        int, "Largest number of iterations of a solve; the run ends with an error beyond it", Within(1)
+    ] = 5000
+    steadiness: Annotated[
+        float,
+        "Steadiness: largest relative change of the pressure in ten steps, and in the ten before, that counts "
+        "as steady",
+        Above(),
+    ] = 1e-3
+    precision: Annotated[str, "Precision: float32 or float64", OneOf(PRECISIONS)] = "float32"
+    sample_interval: Annotated[float, "Simulated time between two rows of the series [s]", Above()] = 0.02
+    seed: Annotated[int, "Random seed; without effect, because nothing in this flow is random", Within(0)] = 0
 
 
 @dataclass(frozen=True)
@@ -119,10 +128,17 @@ class PartScene(Parametrised, PartSettings):
             if isinstance(piece, Arc):
                 if piece.radius <= wide.max():
                     refuse("elbow radius", piece.radius, "must exceed the pipe's radius",
-                           f"take more than {wide.max():g} m")  # fmt: skip
-                between("angle", piece.angle, 1e-3, 0.75 * np.pi, "rad", "a sharper turn meets itself")
+                           f"use more than {wide.max():g} m")  # fmt: skip
+                between(
+                    "angle",
+                    piece.angle,
+                    1e-3,
+                    0.75 * np.pi,
+                    "rad",
+                    "use a wider turn, so that the pipe does not cross itself",
+                )
                 if np.ptp(wide) > 1e-9 * wide.max():
-                    refuse("bores", wide.tolist(), "may not change in a bend", "put the taper before or behind it")
+                    refuse("bores", wide.tolist(), "must be constant in a bend", "put the taper before or behind it")
             begin += piece.length
         if self.bores.places[-1] > self.axis.length * (1 + 1e-9):
             refuse("taper", self.bores.places[-1], f"must end in the part, which is {self.axis.length:g} m long")
@@ -130,19 +146,20 @@ class PartScene(Parametrised, PartSettings):
         least = 2 * self.narrowest
         if self.spacing > least / FEWEST:
             refuse("spacing", self.spacing, f"must leave {FEWEST} cells across the narrowest bore, {least:.4g} m",
-                   f"take {least / FEWEST:.3g} m or less")  # fmt: skip
+                   f"use {least / FEWEST:.3g} m or less")  # fmt: skip
         begin, end = self.middle
         for length, at in ((begin, 0.0), (self.axis.length - end, self.axis.length)):
             wanted = (2 if end > begin else 1) * CLEAR * float(self.bore(at)) + LEFT * self.spacing
             if length < wanted * (1 - 1e-9):  # lengths are differences and so carry rounding errors
-                share = "" if end > begin else ", half of it,"
-                refuse("straight", length, f"is too short for a straight stretch{share} to be measured in [m]",
-                       f"take {wanted:.3g} m or more")  # fmt: skip
+                share = "" if end > begin else ", half of the pipe"
+                refuse("straight", length, f"is too short to measure the loss of a straight stretch{share}",
+                       f"use {wanted:.3g} m or more")  # fmt: skip
         fastest = self.velocity * (2 * self.radius / least) ** 2
         if not self.step_error and self.time_step * fastest > self.spacing:
-            refuse("time_step", self.time_step, f"lets concrete of {fastest:.3g} m/s pass more than a cell",
-                   f"take {self.spacing / fastest:.2g} s or less")  # fmt: skip
-        between("duration", self.duration, self.time_step, np.inf, "s", "one time step at least")
+            refuse("time_step", self.time_step, f"must be shorter, because concrete that flows at {fastest:.3g} m/s "
+                                                "passes more than a cell per step",
+                   f"use {self.spacing / fastest:.2g} s or less")  # fmt: skip
+        between("duration", self.duration, self.time_step, np.inf, "s", "use at least one time step")
         check_interval(self)
 
     def _measured_bores(self) -> tuple[np.ndarray, np.ndarray] | None:
@@ -160,8 +177,8 @@ class PartScene(Parametrised, PartSettings):
         straight = (s <= begin) | (s >= end)
         object.__setattr__(self, "_round", bool(np.all(np.abs(reach / radii[:, None] - 1)[straight] < ROUND)))
         if abs(radii[0] / self.radius - 1) > 0.1:
-            refuse("radius", self.radius, f"is not that of the mesh, {radii[0]:.4g} m at the start",
-                   "give its radius, or the scale of its unit (0.001 for mm)")  # fmt: skip
+            refuse("radius", self.radius, f"must equal the mesh's radius at its start, {radii[0]:.4g} m",
+                   "give the mesh's radius, or the scale of its unit (0.001 for mm)")  # fmt: skip
         return s, radii
 
     @property

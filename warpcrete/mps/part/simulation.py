@@ -9,10 +9,10 @@ import math
 from typing import Any
 
 from ...core.errors import InstabilityError
-from ...core.method import results_of
-from ...core.provenance import arrays_hash, provenance
-from ...core.run import Table
-from ...core.run_loop import Run
+from ...core.run.method import results_of
+from ...core.run.provenance import arrays_hash, provenance
+from ...core.run.run import Table
+from ...core.run.run_loop import Run
 from ...core.units import quantity
 from ..grid.flow import GridFlow
 from ..grid.state import GridState, check_memory
@@ -59,7 +59,7 @@ class PartSimulation(FlowRun):
         """Raise :class:`InstabilityError` if the row shows that the state is no longer meaningful."""
         for name, value in row.items():
             if not math.isfinite(value):
-                raise InstabilityError(f"t = {row['time']:.6g} s: {name} is not a finite number; take a smaller time "
+                raise InstabilityError(f"t = {row['time']:.6g} s: {name} is not a finite number; use a smaller time "
                                        "step, or longer straight ends")  # fmt: skip
 
     def ended_early(self) -> bool:

@@ -1,0 +1,132 @@
+"""Devices of a run: their memory and cores, the two floating-point precisions, and how work is divided on them."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import warp as wp
+
+from ..errors import DeviceError, one_of, refuse
+
+PRECISIONS = ("float32", "float64")
+SCALARS = dict(zip(PRECISIONS, (wp.float32, wp.float64), strict=True))
+MEMORY_FRACTION = 0.9
+"""Fraction of the free memory that a run may use."""
+
+_every_device_parallel = False
+
+
+def parallel(device: Any) -> bool:
+    """Return whether work on a device is divided as on a GPU: into one independent task per body.
+
+    Otherwise, on a CPU, a few tasks loop over many bodies each. Full neighbour lists, launch sizes, graphs and the
+    parallel solver depend on this choice.
+    """
+    return bool(device.is_cuda) or _every_device_parallel
+
+
+@contextmanager
+def share_out_like_a_gpu() -> Iterator[None]:
+    """Make the CPU divide work as a GPU does, as far as it can, while the block runs.
+
+    This is slow. It lets tests run the GPU's code paths on a machine without a GPU.
+    """
+    global _every_device_parallel
+    before, blocks = _every_device_parallel, wp.config.enable_cpu_blocks
+    _every_device_parallel = wp.config.enable_cpu_blocks = True
+    try:
+        yield
+    finally:
+        _every_device_parallel, wp.config.enable_cpu_blocks = before, blocks
+
+
+def find_device(name: str | None) -> Any:
+    """Return the Warp device with a name (`cpu`, `cuda`, `cuda:0`); None selects a GPU if there is one.
+
+    Raises :class:`DeviceError` if there is no such device.
+    """
+    quiet_init()
+    available = [str(device) for device in wp.get_devices()]
+    if name is None:
+        return wp.get_device("cuda:0" if wp.is_cuda_available() else "cpu")
+    if name.startswith("cuda") and not wp.is_cuda_available():
+        raise DeviceError(f"device = {name!r}: no usable CUDA GPU was found; use one of {', '.join(available)}")
+    try:
+        return wp.get_device(name)
+    except ValueError as error:
+        raise DeviceError(f"device = {name!r}: must be one of {', '.join(available)}") from error
+
+
+def quiet_init() -> None:
+    """Start Warp without its banner, its compile messages and its warning about a missing NVIDIA driver."""
+    wp.config.log_level = wp.LOG_ERROR
+    try:
+        ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+        wp.init()
+        return
+    except OSError:
+        pass
+    # Warp's native code writes its driver warning directly to the process's standard error, regardless of settings, so
+    # redirect standard error for a moment.
+    sys.stderr.flush()
+    kept, sink = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(sink, 2)
+        wp.init()
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(sink)
+
+
+def scalar_of(precision: str) -> Any:
+    """Return Warp's scalar type for a precision; raises :class:`SceneError` for an unknown precision."""
+    one_of("precision", precision, PRECISIONS)
+    return SCALARS[precision]
+
+
+def default_threads() -> int:
+    """Return the number of CPU cores that this process may use, by its affinity and its container's quota."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    try:
+        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text(encoding="utf-8").split()
+        cores = min(cores, max(1, int(quota) // int(period)))
+    except (OSError, ValueError):  # The file does not exist, or it states no quota.
+        pass
+    return cores
+
+
+def checked_threads(threads: int | None) -> int:
+    """Return `threads`, or the number of usable cores if `threads` is None.
+
+    Raises :class:`SceneError` unless `threads` is between 1 and the number of the machine's cores.
+    """
+    if threads is None:
+        return default_threads()
+    cores = os.cpu_count() or 1
+    if not 1 <= threads <= cores:
+        refuse("threads", threads, f"must be in [1, {cores}], the number of cores of this machine")
+    return threads
+
+
+def memory_free(device: Any) -> float:
+    """Return the free memory of a device [B]; for a CPU, the available main memory, or infinity if unknown."""
+    if device.is_cuda:
+        return float(device.free_memory)
+    try:
+        with open("/proc/meminfo", encoding="utf-8") as file:
+            for line in file:
+                if line.startswith("MemAvailable"):
+                    return 1024.0 * float(line.split()[1])
+    except OSError:
+        pass
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    except (AttributeError, ValueError, OSError):
+        return float("inf")

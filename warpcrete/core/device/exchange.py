@@ -1,0 +1,213 @@
+"""Transfers of small arrays between host and GPU through page-locked memory.
+
+Several arrays, such as flags and clocks, are copied with one launch, which takes less time than a single ordinary copy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from .graphs import AtOnce, captured
+from .interpreter_priority import waiting
+
+KEPT = 2048
+"""Maximum number of array sets for which page-locked memory is kept; a batch of 128 runs reads about 600 sets."""
+
+
+class Beside:
+    """Page-locked memory for a set of GPU arrays, and copies of the whole set in either direction as one launch.
+
+    From the second time on, the copies are a CUDA graph, which the host launches in less time than a single copy. The
+    graph refers to the arrays by address and does not keep them alive.
+    """
+
+    def __init__(self, arrays: Sequence[wp.array], device: Any) -> None:
+        self._device = device
+        self._memory = [wp.empty(a.shape, dtype=a.dtype, device="cpu", pinned=True) for a in arrays]
+        self.views = [memory.numpy() for memory in self._memory]
+        """Page-locked memory as NumPy arrays: the data copied from the device, or the data to copy to the device."""
+        self.written = 0
+        """Serial number of the last write that used this page-locked memory; :class:`Exchange` counts the writes."""
+        self._copied, self._graph = False, None
+
+    def take(self, arrays: Sequence[wp.array]) -> None:
+        """Copy the arrays into this page-locked memory, in stream order.
+
+        Pass the same arrays each time, because a graph of the copies is reused.
+        """
+        self._launch(lambda: self.copy(arrays))
+
+    def copy(self, arrays: Sequence[wp.array]) -> None:
+        """Copy the arrays into this page-locked memory one by one; a graph capture may record these copies."""
+        for memory, array in zip(self._memory, arrays):
+            wp.copy(memory, array)
+
+    def give(self, arrays: Sequence[wp.array]) -> None:
+        """Copy this page-locked memory to the arrays, in stream order.
+
+        Pass the same arrays each time, because a graph of the copies is reused.
+        """
+
+        def copy() -> None:
+            for array, memory in zip(arrays, self._memory):
+                wp.copy(array, memory)
+
+        self._launch(copy)
+
+    def _launch(self, copy: Callable[[], None]) -> None:
+        if not self._copied or not any(array.size for array in self._memory):
+            copy()
+            self._copied = True
+            return
+        if self._graph is None:
+            self._graph = captured(self._device, copy)
+        wp.capture_launch(self._graph)
+
+
+class _Copying:
+    """Stage that copies arrays into page-locked memory."""
+
+    def __init__(self, beside: Beside, arrays: Sequence[wp.array]) -> None:
+        self._beside, self._arrays = beside, arrays
+
+    def record(self) -> None:
+        """Do nothing, because copies need no preparation."""
+
+    def __call__(self) -> None:
+        self._beside.copy(self._arrays)
+
+
+class Reading:
+    """Launch of several stages, followed by copies of the arrays that they write to the host."""
+
+    def __init__(self, stages: Sequence[Any], arrays: Sequence[wp.array], device: Any) -> None:
+        self._device, self._arrays = device, tuple(arrays)
+        self._beside = Beside(arrays, device) if device.is_cuda else None
+        self._done = wp.Event(device) if device.is_cuda else None
+        copies = [] if self._beside is None else [_Copying(self._beside, self._arrays)]
+        self._launch = AtOnce([*stages, *copies], device)
+
+    def begin(self) -> Callable[[], list[np.ndarray]]:
+        """Launch the stages and copies; return a function that waits for the copied arrays and returns them.
+
+        Call the returned function before `begin` is called again, because both use the same host memory.
+        """
+        self._launch()
+        if self._beside is None:
+            copies = [array.numpy().copy() for array in self._arrays]
+            return lambda: copies
+        self._device.stream.record_event(self._done)
+        return self._wait
+
+    def _wait(self) -> list[np.ndarray]:
+        assert self._beside is not None
+        with waiting():
+            wp.synchronize_event(self._done)
+        return [view.copy() for view in self._beside.views]
+
+
+class Exchange:
+    """Access of the host to arrays of one device; on a GPU by asynchronous copies, on a CPU directly."""
+
+    def __init__(self, device: Any) -> None:
+        self.device = device
+        self._kept: dict[Any, Beside] = {}
+        self._asked: tuple[wp.array, ...] = ()
+        self._beside_asked: Beside | None = None
+        self._answered: Any = wp.Event(device) if device.is_cuda else None
+        # Writes have serial numbers. `_written` is the number of the last write, `_before_asked` that of the last write
+        # before the pending read, and `_arrived` that of the last write that is known to be complete.
+        self._written = self._before_asked = self._arrived = 0
+
+    def read(self, *arrays: wp.array) -> list[np.ndarray]:
+        """Return copies of arrays after all work launched so far; the host waits once for all of them."""
+        if not self.device.is_cuda:
+            return [array.numpy().copy() for array in arrays]
+        beside = self._beside("read", arrays)
+        beside.take(arrays)
+        self._wait()
+        return [view.copy() for view in beside.views]
+
+    def begin(self, *arrays: wp.array) -> Callable[[], list[np.ndarray]]:
+        """Start an asynchronous read; return a function that waits for the copied arrays and returns them.
+
+        The copies hold the values of now. Several reads may be in flight, but call the returned function before the
+        same arrays are read in this way again, because both reads use the same host memory.
+        """
+        if not self.device.is_cuda:
+            copies = [array.numpy().copy() for array in arrays]
+            return lambda: copies
+        beside = self._beside("begun", arrays)
+        beside.take(arrays)
+        done = self.device.stream.record_event()
+
+        def wait() -> list[np.ndarray]:
+            with waiting():
+                wp.synchronize_event(done)
+            return [view.copy() for view in beside.views]
+
+        return wait
+
+    def ask(self, *arrays: wp.array) -> None:
+        """Start an asynchronous read, whose values :meth:`answer` returns; only one may be in flight."""
+        self._asked = arrays
+        if self.device.is_cuda:
+            before = self._written
+            # Keep a reference to this memory: the cache may drop it when it needs room for another set of arrays.
+            self._beside_asked = self._beside("asked", arrays)
+            self._beside_asked.take(arrays)
+            self._answered = self.device.stream.record_event(self._answered)
+            self._before_asked = before
+
+    @property
+    def answered(self) -> bool:
+        """Whether the values of the asynchronous read have arrived."""
+        return not self.device.is_cuda or self._answered.is_complete
+
+    def answer(self) -> list[np.ndarray]:
+        """Wait for the asynchronous read that :meth:`ask` started, and return copies of its arrays.
+
+        On a GPU, the copies hold the values at the time of `ask`.
+        """
+        if not self.device.is_cuda:
+            return [array.numpy().copy() for array in self._asked]
+        assert self._beside_asked is not None
+        with waiting():
+            wp.synchronize_event(self._answered)
+        self._arrived = max(self._arrived, self._before_asked)
+        return [view.copy() for view in self._beside_asked.views]
+
+    def write(self, *pairs: tuple[wp.array, np.ndarray]) -> None:
+        """Set arrays to values, after all work launched so far."""
+        if not self.device.is_cuda:
+            for array, values in pairs:
+                array.assign(values)
+            return
+        arrays = [array for array, _ in pairs]
+        beside = self._beside("written", arrays)
+        if beside.written > self._arrived:  # A copy from this memory may still be in flight.
+            self._wait()
+        for view, (_, values) in zip(beside.views, pairs):
+            view[...] = values
+        # Number the write before its launch, so that a copy in flight has a number even if the launch is interrupted.
+        self._written += 1
+        beside.written = self._written
+        beside.give(arrays)
+
+    def _wait(self) -> None:
+        with waiting():
+            wp.synchronize_stream(self.device.stream)
+        self._arrived = self._written
+
+    def _beside(self, use: str, arrays: Sequence[wp.array]) -> Beside:
+        key = use, *((array.ptr, array.shape, array.dtype) for array in arrays)
+        if key not in self._kept:
+            if len(self._kept) == KEPT:
+                self._wait()
+                self._kept.clear()
+            self._kept[key] = Beside(arrays, self.device)
+        return self._kept[key]

@@ -1,0 +1,37 @@
+"""Exclusive prefix sums on a device, which give the start of each row from the lengths of all rows.
+
+The sums use kernels of this package, so that any graph can contain them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from ...kernels.common.reductions import BLOCK
+from ...kernels.common.scanning import EACH, scanning_kernels
+from .device import parallel
+from .launching import Stage
+
+
+def scan_stages(values: wp.array, before: wp.array) -> list[Stage]:
+    """Return stages that write to `before[i]` the sum of all values in front of `values[i]`.
+
+    Both arrays have shape (n,) and are on one device.
+    """
+    device: Any = values.device
+    count = len(values)
+    kernels = scanning_kernels(not parallel(device))
+    named = {"count": count, "values": values, "before": before}
+    if not parallel(device):
+        return [Stage(kernels.spread, 1, named, device)]
+    # The first stage stores the sum of each block of values. The second stage adds the sums of all previous blocks to
+    # the sum of the previous values in the same block.
+    blocks = -(-count // (EACH * BLOCK))
+    partial = wp.zeros(blocks, dtype=wp.float64, device=device)
+    added = {"count": count, "values": values, "partial": partial}
+    return [
+        Stage(kernels.add_up, blocks * BLOCK, added, device, block=BLOCK),
+        Stage(kernels.spread, blocks * BLOCK, {**added, "before": before}, device, block=BLOCK),
+    ]

@@ -1,0 +1,319 @@
+"""Data that recorders draw of a run by any method: bodies, walls, plots over time and space, and a camera view."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..device.recorder_thread import Later
+from ..errors import one_of
+from .paint import Paint, packed
+from .snapshots import Moment, moment_of, on_host
+
+Colour = tuple[int, int, int, int]
+"""Colour as red, green, blue and opacity, each from 0 to 255."""
+GLASS: Colour = (150, 165, 180, 22)
+PISTON: Colour = (190, 110, 60, 255)
+OTHER: Colour = (150, 165, 180, 120)
+
+
+@dataclass(frozen=True)
+class DrawnWall:
+    """Wall as a triangle mesh in the wall's own frame."""
+
+    name: str
+    vertices: np.ndarray
+    """Positions of the vertices [m], shape (v, 3)."""
+    faces: np.ndarray
+    """Vertex indices of the triangles, shape (f, 3)."""
+    moves: bool
+    colour: Colour
+
+
+@dataclass(frozen=True)
+class Prototype:
+    """Shape of rigid bodies at unit size, as a clump of spheres; several bodies share one shape."""
+
+    name: str
+    offsets: np.ndarray
+    """Centres of the clump's spheres at unit size, relative to the centroid, shape (k, 3)."""
+    radii: np.ndarray
+    """Radii of the clump's spheres at unit size, shape (k,)."""
+    extent: float
+    """Largest distance of the clump's surface from its centroid, at unit size."""
+
+
+@dataclass(frozen=True)
+class RigidBodies:
+    """Shapes and sizes of rigid bodies, in the order of the bodies' permanent numbers."""
+
+    prototypes: tuple[Prototype, ...]
+    prototype: np.ndarray
+    """Index of each body's shape in `prototypes`, shape (n,)."""
+    sizes: np.ndarray
+    """Size of each body [m], by which its unit-size shape is multiplied, shape (n,)."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Positions, orientations and velocities of rigid bodies, in the order of the bodies' permanent numbers."""
+
+    positions: np.ndarray
+    """Positions of the bodies [m], shape (n, 3)."""
+    orientations: np.ndarray
+    """Orientations of the bodies as unit quaternions (x, y, z, w), shape (n, 4)."""
+    velocities: np.ndarray
+    """Velocities of the bodies [m/s], shape (n, 3)."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Curve of a quantity over time, in a plot."""
+
+    name: str
+    """Last part of the curve's path in a recording, after the path of its plot."""
+    label: str
+    """Text in the plot's legend, with the unit."""
+    value: Callable[[dict[str, float]], float | None]
+    """Function that takes a row of the series and returns the value to draw, or None to draw nothing."""
+    colour: tuple[int, int, int] | None = None
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Plot of one or more quantities over time."""
+
+    path: str
+    title: str
+    curves: tuple[Curve, ...]
+
+
+@dataclass(frozen=True)
+class Points:
+    """Curve of a quantity over a spatial coordinate, at the time that is drawn."""
+
+    name: str
+    """Last part of the curve's path in a recording, after the path of its profile."""
+    read: Callable[[], tuple[np.ndarray, np.ndarray]]
+    """Function that returns coordinates and values, each of shape (n,), in the units stated in the profile's title."""
+    colour: tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Plot of one or more quantities over a spatial coordinate."""
+
+    path: str
+    title: str
+    """Title that names the quantities on both axes and their units."""
+    curves: tuple[Points, ...]
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Lines between bodies, such as force chains."""
+
+    ends: np.ndarray
+    """End points of the lines [m], shape (n, 2, 3)."""
+    forces: np.ndarray
+    """Forces that the lines carry [N], shape (n,)."""
+    radii: np.ndarray
+    """Radii with which the lines are drawn [m], shape (n,)."""
+    colours: np.ndarray
+    """Colours of the lines as RGB bytes, shape (n, 3)."""
+
+
+class Display(ABC):
+    """Simulation as recorders draw it, with bodies coloured by the quantity `colouring`.
+
+    `colouring` is one of `colourings`; None selects the attribute `preferred`. Raises :class:`SceneError` for another
+    value.
+    """
+
+    colourings: ClassVar[tuple[str, ...]]
+    noun: ClassVar[str]
+    """Word for the bodies, such as "particles", under which recordings store them."""
+    has_network: ClassVar[bool] = False
+    """Whether there are lines between bodies to draw."""
+
+    def __init__(self, simulation: Any, colouring: str | None = None) -> None:
+        self.simulation = simulation
+        self.colouring = self.preferred if colouring is None else colouring
+        one_of("colour", self.colouring, self.colourings)
+        self._sources: dict[str, Callable[[], Any]] = {}
+        self._taken: Moment | None = None
+        self._give_way: Callable[[], None] = lambda: None
+        self._complete = False
+
+    def read(self, path: str) -> np.ndarray:
+        """Return an array of the state by its path, such as "bodies.velocity", at the time that is drawn."""
+        return self.once(path, lambda: attrgetter(path)(self.simulation.state))
+
+    def once(self, name: str, source: Callable[[], Any]) -> Any:
+        """Return the result of `source`, which depends on the state at the time that is drawn.
+
+        While a snapshot is drawn, the value stored under `name` in the snapshot is returned instead. All displays of a
+        simulation share the values of a snapshot, so do not write to them. A Warp array is returned as a NumPy array.
+        """
+        if self._taken is not None:
+            self._give_way()
+            return self._taken.read(name)
+        self._sources[name] = source
+        return on_host(source())
+
+    def worked_out(self, name: Hashable, work: Callable[[], Any]) -> Any:
+        """Return the result of `work`, which processes values of the snapshot that is drawn.
+
+        The result is stored under `name`, so that it is computed once for all displays of the simulation. Do not write
+        to the result.
+        """
+        if self._taken is None:
+            return work()
+        known = self._taken.worked_out
+        if name not in known:  # Two threads may both compute the value; their results are equal.
+            known[name] = work()
+        return known[name]
+
+    @property
+    def time(self) -> float:
+        """Simulated time that is drawn [s]."""
+        return self.simulation.stepper.time if self._taken is None else self._taken.time
+
+    def draw(self, later: Later, job: Callable[[float, int], None]) -> None:
+        """Let `job` draw the present state; its arguments are the simulated time [s] and the number of steps.
+
+        The first job runs at once and shows which values it reads. For a later job, these values are read now into a
+        snapshot, and the recorder thread `later` runs the job.
+        """
+        time, steps = self.simulation.stepper.time, self.simulation.stepper.steps
+        if not later.beside or not self._complete:
+            later.wait()
+            job(time, steps)
+            self._complete = True
+            return
+        moment, self._give_way = moment_of(self.simulation, self._sources), later.give_way
+
+        def drawn() -> None:
+            self._taken = moment
+            try:
+                job(time, steps)
+            finally:
+                self._taken = None
+
+        later.do(drawn)
+
+    @property
+    def preferred(self) -> str:
+        """Colouring that is used if the user chooses none."""
+        return self.colourings[0]
+
+    @abstractmethod
+    def radii(self) -> np.ndarray:
+        """Return the radii of all spheres [m], shape (n,); the radii never change."""
+
+    @abstractmethod
+    def centres(self) -> np.ndarray:
+        """Return the centres of all spheres [m], shape (n, 3)."""
+
+    @abstractmethod
+    def colours(self) -> np.ndarray:
+        """Return the colours of all spheres as RGB bytes, shape (n, 3)."""
+
+    def packed_colours(self) -> np.ndarray:
+        """Return the colours of all spheres as one number each, shape (n,): see :func:`.paint.packed`."""
+        return packed(self.colours())
+
+    def fields(self) -> dict[str, np.ndarray]:
+        """Return quantities of all spheres in SI units by name, each of shape (n,) or (n, 3)."""
+        return {}
+
+    @abstractmethod
+    def plots(self) -> tuple[Plot, ...]:
+        """Return the plots over time that are shown next to the scene."""
+
+    def profiles(self) -> tuple[Profile, ...]:
+        """Return the plots over the radius or along the pipe that are shown next to the scene."""
+        return ()
+
+    def scale(self) -> tuple[str, float, float] | None:
+        """Return the colour scale's title with its unit, and the values at both ends of the scale.
+
+        Return None if colours show categories instead of a quantity.
+        """
+        return None
+
+    def things(self) -> dict[str, np.ndarray]:
+        """Return the colour of each category as RGB bytes (3,), by name; empty if colours show a quantity."""
+        return {}
+
+    @abstractmethod
+    def walls(self) -> list[DrawnWall]:
+        """Return the walls that can be drawn."""
+
+    @abstractmethod
+    def bounds(self) -> np.ndarray:
+        """Return the lowest and highest corner of everything that is drawn [m], shape (2, 3)."""
+
+    direction: ClassVar[tuple[float, float, float]] = (0.2, -0.95, 0.24)
+    """Direction from the scene to the camera."""
+
+    def paint(self) -> Paint | None:
+        """Return the colours of painted walls, such as worn ones, on a scale that only grows.
+
+        Return None if no wall is painted.
+        """
+        return None
+
+    def wall_values(self, number: int) -> np.ndarray | None:
+        """Return the painted quantity at the vertices of a drawn wall, shape (v,), in the displayed unit.
+
+        Return None for a wall of a single colour.
+        """
+        return None
+
+    def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the current position [m] (3,) and orientation (x, y, z, w) of a drawn wall."""
+        return np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
+
+    def rigid_bodies(self) -> RigidBodies | None:
+        """Return the shapes of the bodies; return None if the bodies are single particles."""
+        return None
+
+    def pose(self) -> Pose:
+        """Return the current positions, orientations and velocities of the rigid bodies.
+
+        Raises TypeError if there are no rigid bodies.
+        """
+        raise TypeError(f"{type(self).__name__} does not draw rigid bodies")
+
+    def body_colours(self) -> np.ndarray:
+        """Return the colours of all bodies as RGB bytes, shape (n, 3)."""
+        return self.colours()
+
+    def network(self) -> dict[str, Lines]:
+        """Return groups of lines between bodies by name; their width and colour show the force in each line."""
+        return {}
+
+    @property
+    def cut(self) -> float | None:
+        """Coordinate y of an upright plane through the middle of the scene [m]; None if no cut is needed.
+
+        Only parts behind this plane are drawn, which shows the inside of a pipe or vessel.
+        """
+        lower, upper = self.bounds()
+        return float(0.5 * (lower[1] + upper[1]))
+
+    def view(self, distance: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return a camera position and the point to look at, both of shape (3,) [m].
+
+        The camera looks from one side, from a distance of `distance` times the size of the scene.
+        """
+        lower, upper = self.bounds()
+        centre = 0.5 * (lower + upper)
+        size = max(float(np.linalg.norm(upper - lower)), 0.1)
+        return centre + distance * size * np.array(self.direction), centre

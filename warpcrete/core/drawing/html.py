@@ -1,0 +1,32 @@
+"""HTML tables for notebooks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from typing import Any
+
+from ..inputs.origin import changed_fields
+
+
+def html_table(rows: Iterable[Sequence[Any]], head: Sequence[Any] = (), caption: str = "") -> str:
+    """Return rows of cells as an HTML table, with an optional header row and caption."""
+    found = [f'<caption style="text-align: left">{escape(caption)}</caption>'] if caption else []
+    if head:
+        found.append("<tr>" + "".join(f"<th>{escape(str(cell))}</th>" for cell in head) + "</tr>")
+    for row in rows:
+        found.append("<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>")
+    return f"<table>{''.join(found)}</table>"
+
+
+class Parametrised:
+    """Base class of objects that a notebook shows as a table of their parameters."""
+
+    parameters: Mapping[str, Any]
+
+    def _repr_html_(self) -> str:
+        """Return the parameters that have a value as an HTML table."""
+        rows = [(name, value) for name, value in self.parameters.items() if value is not None and value != ""]
+        if rows and (changed := changed_fields(self)):
+            rows.append(("changed after creation", ", ".join(changed)))
+        return html_table(rows, caption=repr(self))

@@ -1,0 +1,139 @@
+"""Concretes by name or from a file, with the parameters that each simulation method takes from them.
+
+A file is YAML or JSON with up to two sections of parameters, both in SI units:
+
+- `elements`: parameters of scenes with discrete elements, which `warpcrete run pipe --help` lists under aggregate,
+  contacts and bonds;
+- `flow`: the five constants of a Bingham fluid with a slip layer.
+
+A section `mix` may take the place of both; it describes the concrete by amounts with units, from which
+:mod:`warpcrete.mix` derives the parameters.
+
+The key `base` names another concrete, whose sections the values in this file complete or replace. The keys `source` and
+`calibrated` say where the numbers come from.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from ..errors import known_names, one_line, refuse, suggested
+from .text_files import name_of, read_mapping, within
+
+SHIPPED = Path(__file__).parents[2] / "measured" / "concretes"
+FILES = (".yaml", ".yml", ".json")
+SECTIONS = ("elements", "flow")
+TEXTS = ("name", "source", "calibrated", "base")
+KEYS = (*TEXTS, *SECTIONS, "mix")
+LONGEST_CHAIN = 10
+"""Maximum number of concretes in a chain in which each one is the base of the next."""
+
+
+@dataclass(frozen=True)
+class MixSection:
+    """Section `mix` of a concrete's file, not yet evaluated, and the file's values that override the mix's results."""
+
+    values: Any
+    folder: Path
+    elements: Mapping[str, Any]
+    flow: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class NamedConcrete:
+    """Parameters of a concrete for each simulation method, and the source of the numbers."""
+
+    name: str
+    source: str = ""
+    calibrated: str = ""
+    """Which parameters were fitted, and to which measurement; empty if all values are published or measured."""
+    elements: Mapping[str, Any] = field(default_factory=dict)
+    """Parameters of discrete elements, in SI units; empty if unknown."""
+    flow: Mapping[str, float] = field(default_factory=dict)
+    """Constants of a Bingham fluid with a slip layer, in SI units; empty if unknown."""
+    mix: MixSection | None = None
+
+
+def shipped() -> tuple[str, ...]:
+    """Return the names of the concretes that come with the package."""
+    return tuple(sorted(path.stem for path in SHIPPED.glob("*.yaml")))
+
+
+def is_file(name: str) -> bool:
+    """Return whether the name of a concrete is the path of a YAML or JSON file."""
+    return Path(name).suffix.lower() in FILES
+
+
+def concrete(name: str) -> NamedConcrete:
+    """Return the concrete with a shipped name or from a file.
+
+    Raises :class:`SceneError` if there is no such concrete, or if its file has errors.
+    """
+    if is_file(name):
+        return _read(Path(name), 0)
+    if name not in shipped():
+        refuse("concrete", name, f"must be one of {', '.join(shipped())}, or the path of a .yaml file",
+               suggested(name, shipped()))  # fmt: skip
+    return _shipped(name)
+
+
+@functools.cache
+def _shipped(name: str) -> NamedConcrete:
+    return _read(SHIPPED / f"{name}.yaml", 0)
+
+
+def _read(path: Path, depth: int) -> NamedConcrete:
+    given = read_mapping(path, "concrete")
+    if depth > LONGEST_CHAIN:
+        refuse(
+            "concrete base",
+            str(path),
+            f"is part of a chain of more than {LONGEST_CHAIN} bases or of a loop",
+            "shorten the chain of bases",
+        )
+    for key in given:
+        if key not in KEYS:
+            with within(given, key):
+                refuse("concrete", str(path), f"has the unknown key {key!r}", known_names(key, KEYS))
+    texts = {key: one_line(str(given[key])) for key in TEXTS if given.get(key) is not None}
+    sections = {}
+    for section in SECTIONS:
+        found = given.get(section) or {}
+        if not isinstance(found, Mapping):
+            with within(given, section):
+                refuse(f"concrete {section}", found, "must hold 'name: value' lines",
+                       "indent them below the name of the section")  # fmt: skip
+        sections[section] = dict(found)
+    mix = MixSection(given["mix"], path.parent, **sections) if "mix" in given else None
+    if "base" in texts:
+        base = _base(texts.pop("base"), path, depth)
+        # Values in this file take precedence over values that follow from the mix of its base.
+        if mix is None and base.mix is not None:
+            mix = replace(base.mix, **{section: {**getattr(base.mix, section), **sections[section]}
+                                       for section in SECTIONS})  # fmt: skip
+        sections = {section: dict(getattr(base, section)) | sections[section] for section in SECTIONS}
+        texts.setdefault("source", base.source)
+    if mix is None and not any(sections.values()):
+        refuse("concrete", str(path), "defines no properties", "add a section elements, flow or mix, or a base")
+    return NamedConcrete(**{"name": name_of(path), **texts}, **sections, mix=mix)
+
+
+def _base(name: str, path: Path, depth: int) -> NamedConcrete:
+    if is_file(name):
+        return _read(path.parent / name, depth + 1)
+    if name not in shipped():
+        refuse("concrete base", name, f"must be one of {', '.join(shipped())}, or a .yaml file in "
+               f"the folder of {path.name}", suggested(name, shipped()))  # fmt: skip
+    return _read(SHIPPED / f"{name}.yaml", depth + 1)
+
+
+def known_only(section: str, values: Mapping[str, Any], known: Collection[str], name: str) -> dict[str, Any]:
+    """Return the values of a section of the concrete `name`; refuse a value whose key is not in `known`."""
+    for key in values:
+        if key not in known:
+            refuse(f"concrete {section}", key, f"is an unknown parameter (in {name})", known_names(key, known))
+    return dict(values)

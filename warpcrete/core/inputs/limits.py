@@ -1,0 +1,152 @@
+"""Limits of parameters and of amounts in files: what is possible and what is usual, each with a reason.
+
+A value outside the possible range is refused, and a value outside the usual range causes a warning. Both messages
+suggest the unit that was probably meant. The limits hold for scene functions, files and the command. Objects at a lower
+level, such as :class:`warpcrete.theory.pipe.Concrete`, take any number that their own rules allow, so that the physics
+can be tested at its extremes.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+
+from ..errors import PlausibilityWarning, refuse
+from .amounts import UNITS
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Limits of a quantity's magnitude in the internal unit; zero is always allowed."""
+
+    low: float
+    high: float
+    why: str
+    """Reason for the limits."""
+    usual: tuple[float, float] | None = None
+    """Range outside which a warning is given."""
+    unit: str = ""
+    """Unit of the limits. Limits that belong to a name apply only to quantities with this unit."""
+
+
+LIMITS = {
+    # Limits by unit. No pump, pipe, mix or concrete test comes near these numbers; beyond them, sums may overflow.
+    "m": Limit(1e-7, 1e4, "a cement grain is 1e-5 m, the longest pumping lines are 2000 m"),
+    "m2": Limit(1e-12, 1e6, "the cross-section of a pipe is 0.01 m2"),
+    "m/s": Limit(1e-9, 1e3, "concrete is pumped at 0.1 to 3 m/s"),
+    "m/s2": Limit(1e-9, 1e4, "gravity is 9.81 m/s2, centrifuges reach 1000 times as much"),
+    "s": Limit(1e-12, 1e8, "time steps are microseconds, concrete sets within a day"),
+    "1/s": Limit(1e-9, 1e6, "concrete is sheared at 1 to 100 1/s"),
+    "Pa": Limit(1e-9, 1e13, "slip layers have a yield stress of some Pa, diamond a modulus of 1e12 Pa"),
+    "Pa/s": Limit(1e-9, 1e6, "the yield stress of fresh concrete grows by 0.1 to 2 Pa/s at rest"),
+    "Pa s": Limit(1e-6, 1e9, "air has a viscosity of 2e-5 Pa s, pitch of 1e8 Pa s"),
+    "Pa s/m": Limit(1e-6, 1e13, "slip layers have 100 to 10000 Pa s/m"),
+    "kg/m3": Limit(50.0, 3e4, "foams have a density of 100 kg/m3, osmium of 22600 kg/m3"),
+    "m3/s": Limit(1e-12, 1.0, "the largest concrete pumps deliver 0.06 m3/s (200 m3/h)"),
+    "m2/N": Limit(1e-30, 1.0, "steel has a wear coefficient of 1e-13 to 1e-12 m2/N"),
+    "degrees": Limit(1e-6, 360.0, "a full turn has 360 degrees"),
+    "": Limit(1e-12, 1e9, "ratios are near 1"),
+    # Limits by name, for quantities whose usual magnitude is known more precisely.
+    "diameter": Limit(1e-3, 10.0, "concrete pipes have diameters of 0.05 to 0.2 m", (0.01, 1.0), "m"),
+    "flow": Limit(1e-12, 1.0, "the largest concrete pumps deliver 0.06 m3/s (200 m3/h)", (1e-7, 0.12), "m3/s"),
+    "velocity": Limit(1e-6, 100.0, "concrete is pumped at 0.1 to 3 m/s", (1e-4, 10.0), "m/s"),
+    "density": Limit(300.0, 2.5e4, "foamed concrete has 400 kg/m3, concrete 1800 to 2600, steel 7850",
+                     (900.0, 8000.0), "kg/m3"),
+    "bulk_density": Limit(300.0, 2.5e4, "foamed concrete has 400 kg/m3, normal concrete 2000 to 2600",
+                          (900.0, 8000.0), "kg/m3"),
+    "viscosity": Limit(1e-5, 1e8, "concrete has 5 to 1000 Pa s, water 0.001", (1e-3, 1e5), "Pa s"),
+    "yield_stress": Limit(1e-6, 1e9, "concrete has 10 to 3000 Pa", (1e-3, 1e5), "Pa"),
+    "slip_viscosity": Limit(1e-3, 1e12, "slip layers have 100 to 10000 Pa s/m; use a large value for no slip", None,
+                            "Pa s/m"),
+    "slip_yield": Limit(1e-6, 1e9, "slip layers have 0 to 500 Pa", (1e-3, 1e5), "Pa"),
+    "length": Limit(1e-4, 1e4, "the longest pumping lines are 2000 m", None, "m"),
+    "bend_radius": Limit(1e-4, 1e4, "bends of pumping lines have radii of 0.2 to 5 m", (0.02, 50.0), "m"),
+    "size_max": Limit(1e-5, 1.0, "coarse aggregate has sizes of 4 to 63 mm", (1e-4, 0.3), "m"),
+    "size_min": Limit(1e-6, 1.0, "coarse aggregate has sizes of 4 to 63 mm", (1e-5, 0.3), "m"),
+    "pressure": Limit(1e-9, 1e9, "the strongest concrete pumps reach 5e7 Pa (500 bar)", (1.0, 1e8), "Pa"),
+    "modulus": Limit(1e-1, 1e12, "granite has 5e10 Pa; simulated grains are softer", None, "Pa"),
+    "bond_modulus": Limit(1e-3, 1e12, "steel has 2e11 Pa", None, "Pa"),
+    "spacing": Limit(1e-6, 10.0, "cells have sizes of 1 to 20 mm", None, "m"),
+    "duration": Limit(1e-9, 1e7, "concrete sets within a day, 1e5 s", None, "s"),
+    "gravity": Limit(1e-6, 1e4, "gravity is 9.81 m/s2, centrifuges reach 1000 times as much", None, "m/s2"),
+    "time_step": Limit(1e-12, 1e3, "time steps are 1e-7 to 0.02 s", None, "s"),
+    "sample_interval": Limit(1e-9, 1e6, "samples are 0.001 to 1 s apart", None, "s"),
+    "regularisation": Limit(1e-9, 1e12, "usual values are 100 to 1e5 s", None, "s"),
+    "slump": Limit(1e-5, 3.0, "the cone is 0.3 m high", (1e-4, 0.3), "m"),
+    "spread": Limit(1e-2, 10.0, "the cone spreads to 0.2 to 0.9 m", (0.1, 2.0), "m"),
+    "rest": Limit(1e-6, 1e6, "concrete sets within a day, 1e5 s", (1e-3, 4e4), "s"),
+}  # fmt: skip
+"""Limits by the name of a quantity, or by its unit for all other quantities."""
+LARGEST_INTEGER = 2**31 - 1
+"""Largest integer that a parameter may have, because kernels and arrays count with 32 bits."""
+LARGEST_SEED = 2**63 - 1
+FASTEST = 10.0
+"""Mean flow velocity above which a warning is given [m/s]; concrete is pumped at 0.1 to 3 m/s."""
+
+
+def limit_of(name: str, unit: str) -> Limit | None:
+    """Return the limits that belong to a quantity's name, if its unit matches, else those of the unit, or None."""
+    unit = "" if unit in ("1", "m3/m3") else unit
+    named = LIMITS.get(name)
+    if named is not None and named.unit and named.unit == unit:
+        return named
+    return LIMITS.get(unit)
+
+
+def check_limit(field: str, value: float, unit: str, name: str = "") -> None:
+    """Refuse an impossible value of `field`, and warn about an unlikely one.
+
+    The limits are those of the quantity `name` [default: `field`].
+    """
+    limit = limit_of(name or field, unit)
+    if limit is None:
+        return
+    shown = f" {unit}" if unit not in ("", "1", "m3/m3") else ""
+    if not math.isfinite(value):
+        refuse(field, value, f"must be a finite number{shown}")
+    size = abs(value)
+    if size and not limit.low <= size <= limit.high:
+        refuse(field, value, f"is impossible: must be {limit.low:g} to {limit.high:g}{shown} ({limit.why})",
+               _meant(value, unit, limit))  # fmt: skip
+    if size and limit.usual is not None and not limit.usual[0] <= size <= limit.usual[1]:
+        meant = _meant(value, unit, limit)
+        warn(f"{field} = {value:g}{shown}: is unusual: {limit.why}{f'; {meant}' if meant else ''}")
+
+
+def check_whole(field: str, value: int) -> None:
+    """Refuse an integer that is too large for a counter or a seed."""
+    most = LARGEST_SEED if field == "seed" else LARGEST_INTEGER
+    if abs(value) > most:
+        refuse(field, value, f"must be at most {most}")
+
+
+def check_velocity(field: str, value: float, velocity: float) -> None:
+    """Refuse or warn about a value of `field` that leads to an impossible or unlikely mean velocity.
+
+    `value` is the value in the message, and `velocity` is the mean velocity of the concrete [m/s].
+    """
+    limit = LIMITS["velocity"]
+    if not velocity <= limit.high:
+        refuse(field, value, f"makes the concrete flow at {velocity:.3g} m/s, but at most {limit.high:g} m/s is "
+               f"possible ({limit.why})", "check the units of flow and diameter")  # fmt: skip
+    if velocity > FASTEST:
+        warn(f"{field} = {value:g}: makes the concrete flow at {velocity:.3g} m/s, which is unusual: {limit.why}")
+
+
+def warn(text: str) -> None:
+    """Give a :class:`PlausibilityWarning` with one line of text."""
+    warnings.warn(text, PlausibilityWarning, stacklevel=3)
+
+
+def _meant(value: float, unit: str, limit: Limit) -> str:
+    """Return another unit in which a number would be usual, as a question; empty if there is none."""
+    low, high = limit.usual or (limit.low, limit.high)
+    if limit.usual is None and limit_of("", unit) is limit:
+        return ""  # Limits by unit are too wide to suggest another unit.
+    if not 1e-2 <= abs(value) <= 1e6:
+        return ""  # A number of this size is unusual in any unit.
+    for other, factor in UNITS.get(unit, {}).items():
+        if factor != 1.0 and low <= abs(value) * factor <= high:
+            return f"{value:g} {other}?"
+    return ""

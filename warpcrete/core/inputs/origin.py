@@ -1,0 +1,147 @@
+"""Origin of a scene: arguments of its scene function, files that were read, and whether the scene was changed since.
+
+A frozen scene can still be changed, because `dataclasses.replace` copies it with other fields and arrays are mutable.
+The record of a changed scene must not claim that the arguments describe the scene.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import RunFolderError, refuse
+from .fingerprints import fingerprint
+
+LONGEST_LIST = 20
+"""Maximum number of elements of an array or list that a record writes out."""
+
+PACKAGE = Path(__file__).resolve().parents[2]
+
+_files: ContextVar[dict[str, str] | None] = ContextVar("files", default=None)
+
+
+@contextmanager
+def files_read() -> Iterator[dict[str, str]]:
+    """Collect the SHA-256 of every input file that is read inside the block, by absolute path."""
+    found: dict[str, str] = {}
+    token = _files.set(found)
+    try:
+        yield found
+    finally:
+        _files.reset(token)
+        if (outer := _files.get()) is not None:
+            outer.update(found)
+
+
+def note_file(path: Path) -> None:
+    """Register an input file with :func:`files_read`; skip files of this package, which its version identifies."""
+    found, whole = _files.get(), path.resolve()
+    if found is not None and PACKAGE not in whole.parents:
+        found[str(whole)] = digest_of(whole)
+
+
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of a file, or an empty text if the file cannot be read."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return ""
+
+
+def changed_files(files: Mapping[str, str]) -> list[str]:
+    """Return the paths of files that are missing or do not match their SHA-256."""
+    return [path for path, digest in files.items() if digest_of(Path(path)) != digest]
+
+
+def check_files(where: Path, files: Mapping[str, str]) -> None:
+    """Raise :class:`RunFolderError` if an input file of a scene has changed since the record `where` was written."""
+    if changed := changed_files(files):
+        gone = not Path(changed[0]).is_file()
+        raise RunFolderError(
+            f"'{where}': its scene was made with '{changed[0]}', which {'is missing' if gone else 'has changed'}; "
+            "restore the file, or start a new run"
+        )
+
+
+class Arguments(dict[str, Any]):
+    """Arguments of a scene function by name, with fingerprints of the scene that the function made.
+
+    `function` is the name of the scene function, and `fields` has the fingerprint of each field of the scene. `files`
+    has the SHA-256 of each file that the function read. `lost` has the names of arguments whose values cannot be
+    written as text.
+    """
+
+    function: str = ""
+    fields: Mapping[str, str] = {}
+    files: Mapping[str, str] = {}
+    lost: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls, scene: Any, function: str, values: Mapping[str, Any], files: Mapping[str, str], lost: tuple[str, ...]
+    ) -> Arguments:
+        """Return the arguments `values` with fingerprints of `scene`, which was just made from them."""
+        made = cls(values)
+        made.function, made.files, made.lost = function, dict(files), lost
+        made.fields = {"parameters": fingerprint(values), **_fingerprints(scene)}
+        return made
+
+
+def _fingerprints(scene: Any) -> dict[str, str]:
+    return {f.name: fingerprint(getattr(scene, f.name)) for f in dataclasses.fields(scene) if f.name != "parameters"}
+
+
+def changed_fields(scene: Any) -> list[str]:
+    """Return the names of fields in which a scene differs from what its scene function made.
+
+    For a scene that was built by hand, without a scene function, return the names of all fields.
+    """
+    made = scene.parameters
+    now = _fingerprints(scene)
+    if not isinstance(made, Arguments) or not made.function:
+        return list(now)
+    now["parameters"] = fingerprint(dict(made))
+    return list(dict.fromkeys([*made.lost, *(name for name, value in now.items() if made.fields.get(name) != value)]))
+
+
+def arguments_of(scene: Any) -> Mapping[str, Any]:
+    """Return the arguments from which a scene can be made again; empty if it was changed or built by hand."""
+    return {} if changed_fields(scene) else scene.parameters
+
+
+def check_named(scene: Any) -> None:
+    """Refuse a scene with an object, such as a contact law, that other processes cannot make from its class name."""
+    made = scene.parameters
+    hidden = [name for name, value in made.items() if isinstance(value, str) and value.startswith("__main__:")]
+    for name in (*made.lost, *hidden):
+        refuse(name, made[name], "cannot be recreated in another run or process",
+               "define its class in a module file, and declare all its fields")  # fmt: skip
+
+
+def readable(value: Any) -> Any:
+    """Return a value as readable JSON: dataclasses as their fields, large arrays as shape and digest."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = {f.name: readable(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        return {"type": f"{type(value).__module__}:{type(value).__qualname__}", **fields}
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, str | int | float | None):
+        return value
+    if isinstance(value, np.ndarray):
+        if value.size <= LONGEST_LIST and value.dtype != object:
+            return value.tolist()
+        return f"array {value.dtype} {value.shape}, SHA-256 {fingerprint(value)[:16]}"
+    if isinstance(value, Mapping):
+        return {str(key): readable(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        if len(value) <= LONGEST_LIST:
+            return [readable(item) for item in value]
+        return f"{len(value)} entries, SHA-256 {fingerprint(value)[:16]}"
+    return f"{type(value).__module__}:{type(value).__qualname__}, SHA-256 {fingerprint(value)[:16]}"

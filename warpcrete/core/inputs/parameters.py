@@ -1,0 +1,457 @@
+"""Declared parameters: dataclass fields whose annotations give type, help text, unit and rules.
+
+A field is annotated as `Annotated[type, help, rule, ...]` or `Annotated[type | None, help, rule, ...]`. The help text
+contains the unit in brackets. These fields define the checks of a dataclass (:class:`Declared`), the keywords of a
+scene function (:func:`scene_function`) and the options of the command.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import inspect
+import math
+import os
+import re
+import sys
+import textwrap
+import types
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Generic, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from ..errors import SceneError, known_names, one_of, quoted, refuse
+from .amounts import UNITS, amount
+from .limits import check_limit, check_whole
+from .origin import Arguments, files_read
+
+WORDS = {float: "a number", int: "a whole number", str: "text", bool: "True or False"}
+
+NUMERIC = re.compile(r"\s*[-+]?\.?\d")
+"""Pattern of the beginning of a text that is meant as a number."""
+
+P = ParamSpec("P")
+S = TypeVar("S")
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Above:
+    """Rule that a value must be a finite number above `lower`."""
+
+    lower: float = 0.0
+    hint: str = ""
+
+    def check(self, name: str, value: Any, unit: str) -> None:
+        if not math.isfinite(value) or value <= self.lower:
+            refuse(name, value, f"must be a finite number above {self.lower:g}{unit}", self.hint)
+
+
+@dataclass(frozen=True)
+class Within:
+    """Rule that a value must be a finite number in [lower, upper]."""
+
+    lower: float = -math.inf
+    upper: float = math.inf
+    hint: str = ""
+
+    def check(self, name: str, value: Any, unit: str) -> None:
+        if math.isfinite(value) and self.lower <= value <= self.upper:
+            return
+        span = f"in [{self.lower:g}, {self.upper:g}]" if math.isfinite(self.upper) else "finite"
+        if math.isfinite(self.lower) and not math.isfinite(self.upper):
+            span = f"finite and at least {self.lower:g}"
+        refuse(name, value, f"must be {span}{unit}", self.hint)
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """Rule that a value must be one of `choices`, which are words or numbers."""
+
+    choices: tuple[Any, ...]
+
+    def check(self, name: str, value: Any, unit: str) -> None:
+        one_of(name, value, self.choices)
+
+
+@dataclass(frozen=True)
+class Needs:
+    """Rule that a parameter has a meaning only if `test` holds for the value of another parameter, `field`."""
+
+    field: str
+    test: Callable[[Any], bool]
+    words: str
+    """Condition for the other parameter, in words that follow its name in a message."""
+
+
+@dataclass(frozen=True)
+class FileIf:
+    """Rule that a text for which `test` holds names a file.
+
+    The text is stored as an absolute path, which is valid in any working folder.
+    """
+
+    test: Callable[[str], bool]
+
+
+@dataclass(frozen=True)
+class Alias:
+    """Another name of a parameter; `convert` turns a value given under this name into the parameter's value."""
+
+    name: str
+    convert: Callable[[Any], Any] | None = None
+
+
+class Spread:
+    """Rule of a parameter, such as `contact`, whose value has parameters of its own, such as `contact_FIELD`.
+
+    See :mod:`warpcrete.core.inputs.by_name`.
+    """
+
+    def fields(self, field: Field, value: Any) -> dict[str, Field]:
+        """Return the parameters that belong to a value of `field`, by name."""
+        raise NotImplementedError
+
+    def assembled(self, field: Field, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return parameters in which the value of `field` is built from all parameters that belong to it."""
+        raise NotImplementedError
+
+    def written(self, field: Field, value: Any) -> tuple[dict[str, Any], bool]:
+        """Return plain values for a value of `field`, and whether `assembled` makes an equal value from them."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Field:
+    """Declared parameter, as parsed from the annotation of a dataclass field."""
+
+    name: str
+    kind: Any
+    optional: bool
+    """Whether None is an allowed value."""
+    help: str
+    rules: tuple[Any, ...]
+    default: Any
+    """Default value; `dataclasses.MISSING` if there is none."""
+    group: str
+    """First line of the docstring of the class that declares the field; it is the heading of a group in help texts."""
+
+    @property
+    def unit(self) -> str:
+        """Unit from the brackets in the help text, with a leading space; empty if there is none."""
+        found = re.search(r"\[([^\]]+)\]", self.help)
+        return f" {found.group(1)}" if found else ""
+
+    @property
+    def units(self) -> str:
+        """Unit of the field as a key of :data:`UNITS`, which lists the units that a user may write."""
+        return self.unit.strip() if self.unit.strip() in UNITS else "1"
+
+    def of_kind(self, kind: type[T]) -> Iterator[T]:
+        """Return those rules of the field that are instances of `kind`."""
+        return (rule for rule in self.rules if isinstance(rule, kind))
+
+    def converted(self, value: Any, name: str) -> Any:
+        """Return `value` converted to the field's type; raises :class:`SceneError` if that is impossible.
+
+        NumPy numbers become Python numbers, integers become floats if the field is a float, and texts such as "125 mm"
+        become numbers in the field's unit.
+        """
+        if isinstance(value, np.generic):
+            value = value.item()
+        if value is None and self.optional:
+            return None
+        value = self.number(value, name)
+        if self.kind is float and isinstance(value, int) and not isinstance(value, bool):
+            try:
+                return float(value)
+            except OverflowError:
+                refuse(name, value, "is too large to compute with", "use SI units")
+        if self.kind is int and isinstance(value, int) and not isinstance(value, bool):
+            check_whole(name, value)
+        if self.kind is float and isinstance(value, float):
+            return value + 0.0  # The sum turns -0.0 into 0.0.
+        if self.kind is str and hasattr(value, "__fspath__"):
+            return str(value)
+        if not isinstance(value, self.kind) or (isinstance(value, bool) and self.kind is not bool):
+            words = WORDS.get(self.kind, f"a {self.kind.__name__}")
+            refuse(name, value, f"must be {words}{' or None' if self.optional else ''}")
+        if isinstance(value, str) and "\0" in value:
+            refuse(name, value, "contains a NUL character", "remove it")
+        if any(rule.test(value) for rule in self.of_kind(FileIf)):
+            return os.path.realpath(value)
+        return value
+
+    def number(self, value: Any, name: str) -> Any:
+        """Return a text such as "125 mm" as a number in the field's unit; return anything else unchanged."""
+        if self.kind is float and isinstance(value, str) and NUMERIC.match(value):
+            return amount(name, value, self.units)
+        return value
+
+    def check_limits(self, value: Any, name: str) -> None:
+        """Refuse a number that is impossible in any scene, and warn about an unlikely number."""
+        if isinstance(value, float):
+            check_limit(name, value, self.unit.strip(), self.name)
+
+    def check(self, value: Any, name: str) -> None:
+        """Raise :class:`SceneError` if `value` breaks a rule of the field."""
+        if value is not None:
+            for rule in self.rules:
+                if isinstance(rule, Above | Within | OneOf):
+                    rule.check(name, value, self.unit)
+
+
+@functools.cache
+def declared_fields(owner: type) -> dict[str, Field]:
+    """Return the annotated fields of a dataclass by name, first those of its bases, each in order of definition."""
+    hints = get_type_hints(owner, include_extras=True)
+    own = [base for base in owner.__mro__ if dataclasses.is_dataclass(base)]
+    found: dict[str, Field] = {}
+    defaults = {f.name: f.default for f in dataclasses.fields(owner)}
+    for base in [*own[1:], owner]:
+        group = (inspect.getdoc(base) or "").partition("\n")[0]
+        for name in inspect.get_annotations(base):
+            if name in defaults and hasattr(hints[name], "__metadata__") and name not in found:
+                kind, text, *rules = get_args(hints[name])
+                optional = get_origin(kind) in (Union, types.UnionType)
+                if optional:
+                    kind = next(k for k in get_args(kind) if k is not type(None))
+                found[name] = Field(name, kind, optional, text, tuple(rules), defaults[name], group)
+    return found
+
+
+class Declared:
+    """Base class of frozen dataclasses that convert and check their annotated fields when an object is made."""
+
+    called: ClassVar[str] = ""
+    """Word that error messages put before the name of a field."""
+
+    def __post_init__(self) -> None:
+        for name, field in declared_fields(type(self)).items():
+            shown = f"{self.called} {name}".strip()
+            value = field.converted(getattr(self, name), shown)
+            object.__setattr__(self, name, value)
+            field.check(value, shown)
+
+    @classmethod
+    def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
+        """Return the section of a concrete's file that has parameters of this class, and the names allowed there."""
+        return "", ()
+
+    @classmethod
+    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return parameters that follow from the given ones, such as those of a concrete that is given by name."""
+        return {}
+
+    def check_needed(self) -> None:
+        """Refuse parameters that differ from their defaults although they have no effect."""
+        for name, field in declared_fields(type(self)).items():
+            for rule in field.of_kind(Needs):
+                if getattr(self, name) != field.default and not rule.test(getattr(self, rule.field)):
+                    refuse(name, getattr(self, name), f"has no effect unless {rule.field} {rule.words}",
+                           f"leave it out, or change {rule.field}")  # fmt: skip
+
+
+def _listed(fields: Iterable[Field]) -> str:
+    """Return the text about parameters for `help()`, by group, with type, default, help text and unit of each."""
+    lines: list[str] = []
+    group = ""
+    for field in fields:
+        if field.group != group:
+            group = field.group
+            lines += ["", group.rstrip(".")]
+        kind = WORDS.get(field.kind, field.kind.__name__)
+        default = "required" if field.default is dataclasses.MISSING else f"default {field.default!r}"
+        lines += [f"    {field.name}: {kind}, {default}", *textwrap.wrap(field.help, 100, initial_indent=8 * " ",
+                                                                         subsequent_indent=8 * " ")]  # fmt: skip
+    return "\n".join(["Parameters, all by name:", *lines])
+
+
+class SceneFunction(Generic[P, S]):
+    """Function that makes a scene from keywords, which are the fields of the dataclass `parameters`.
+
+    The decorator :func:`scene_function` creates such functions.
+    """
+
+    def __init__(self, parameters: type, build: Callable[[Any], S]) -> None:
+        self.parameters, self._build = parameters, build
+        self.description = inspect.getdoc(build) or ""
+        self.__doc__ = f"{self.description}\n\n{_listed(declared_fields(parameters).values())}"
+        self.__name__ = getattr(build, "__name__", "scene")
+        kind = inspect.Parameter.KEYWORD_ONLY
+        self.__signature__ = inspect.Signature(
+            [
+                inspect.Parameter(f.name, kind, default=f.default, annotation=f.kind | None if f.optional else f.kind)
+                for f in declared_fields(parameters).values()
+            ]
+        )
+
+    def __repr__(self) -> str:
+        return f"<scene function {self.name}>"
+
+    @property
+    def module(self) -> types.ModuleType:
+        """Module in which the function is defined, together with the scene's checks and knobs."""
+        return sys.modules[self._build.__module__]
+
+    def __call__(self, *args: P.args, **given: P.kwargs) -> S:
+        known = declared_fields(self.parameters)
+        if args:
+            refuse("parameters", args, "must be given by name", f"the names are {', '.join(known)}")
+        values = self.assembled(self.completed(given))
+        for name in values:
+            if name not in known:
+                refuse("parameter", name, f"is not a parameter of scene {self.name}",
+                       known_names(name, known))  # fmt: skip
+        try:
+            for name, value in values.items():  # Check each value by itself before values are combined.
+                made = known[name].converted(value, name)
+                known[name].check(made, name)
+                known[name].check_limits(made, name)
+            parameters = self.parameters(**values)
+            parameters.check_needed()
+            with files_read() as files:
+                scene = self._build(parameters)
+                values, lost = self._written(parameters)
+            object.__setattr__(scene, "parameters", Arguments.of(scene, self.name, values, files, lost))
+            return scene
+        except MemoryError as error:
+            raise SceneError(
+                f"scene {self.name}: needs more memory than is available; reduce it, or make its bodies or cells larger"
+            ) from error
+        except (OverflowError, ZeroDivisionError) as error:
+            numbers = {name: value for name, value in values.items()
+                       if (isinstance(value, float) and value and math.isfinite(value))
+                       or (isinstance(value, int) and 0 < value.bit_length() < 1000)}  # fmt: skip
+            if not numbers:
+                raise
+            name = max(numbers, key=lambda each: abs(math.log(abs(numbers[each]))))
+            raise SceneError(f"{name} = {quoted(numbers[name])}: is too large to compute with; use SI units") from error
+
+    @property
+    def name(self) -> str:
+        """Name of the scene in the command."""
+        return self._build.__module__.rpartition(".")[2].replace("_", "-")
+
+    def _written(self, parameters: Any) -> tuple[dict[str, Any], tuple[str, ...]]:
+        """Return parameters as plain values, and the names of parameters that these values cannot reproduce."""
+        values: dict[str, Any] = {}
+        lost = []
+        for name, field in declared_fields(self.parameters).items():
+            values[name] = getattr(parameters, name)
+            for rule in field.of_kind(Spread):
+                plain, same = rule.written(field, values[name])
+                values |= plain
+                lost += [] if same else [name]
+        return values, tuple(lost)
+
+    def fields(self, given: Mapping[str, Any]) -> dict[str, Field]:
+        """Return the declared fields, and the fields that belong to given values, such as those of a contact law."""
+        known = dict(declared_fields(self.parameters))
+        for name, field in list(known.items()):
+            for rule in field.of_kind(Spread):
+                known |= {key: each for key, each in rule.fields(field, given.get(name)).items() if key not in known}
+        return known
+
+    def assembled(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return parameters in which each object is built from the parameters that belong to it.
+
+        Raises :class:`SceneError` for a parameter that belongs to no object.
+        """
+        found = dict(values)
+        for field in declared_fields(self.parameters).values():
+            for rule in field.of_kind(Spread):
+                found = rule.assembled(field, found)
+                for name in found:
+                    if name.startswith(f"{field.name}_") and name not in declared_fields(self.parameters):
+                        value = values.get(field.name)
+                        own = ", ".join(rule.fields(field, value))
+                        hint = f"its parameters are {own}" if own else f"leave it out, or change {field.name}"
+                        refuse(name, found[name], f"has no effect with {field.name} = {value!r}", hint)
+        return found
+
+    def plain(self, scene: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the arguments that a scene was made of, without parameters that were left at their defaults."""
+        names = self.completed(given)
+        declared = declared_fields(self.parameters)
+        return {name: value for name, value in scene.parameters.items() if name in names or name not in declared}
+
+    def declared(self, given: Mapping[str, Any]) -> Any:
+        """Return the dataclass of parameters: the given values, values that follow from these, and defaults."""
+        return self.parameters(**self.assembled(self.completed(given)))
+
+    def completed(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return parameters by their own names, together with parameters that follow from the given ones.
+
+        For example, the name of a concrete implies its parameters. Implied parameters that have no effect are left out.
+        """
+        values = self.resolved(given)
+        implied = {name: value for name, value in self.parameters.implied(values).items() if name not in values}
+        if not implied:
+            return values
+        meant = self._meant(implied | values)
+        return values | {name: value for name, value in implied.items() if name in meant}
+
+    def meaningful(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the given parameters by their own names, without those that have no effect."""
+        values = self.resolved(given)
+        meant = self._meant({**self.parameters.implied(values), **values})
+        return {name: value for name, value in values.items() if name in meant}
+
+    def _meant(self, values: dict[str, Any]) -> dict[str, Any]:
+        """Return those of `values` that have an effect in combination with each other."""
+        known = declared_fields(self.parameters)
+        spread = {name: field for name, field in known.items() if any(field.of_kind(Spread))}
+
+        def meant(name: str) -> bool:
+            if name not in known and any(name.startswith(f"{each}_") for each in spread):
+                return name in self.fields({each: values[each] for each in spread if each in values})
+            rules = known[name].of_kind(Needs) if name in known else iter(())
+            return all(rule.test(converted(rule.field)) for rule in rules)
+
+        def converted(name: str) -> Any:
+            return held(name) if name in spread else known[name].converted(held(name), name)
+
+        def held(name: str) -> Any:
+            return values.get(name, known[name].default)
+
+        while any(not meant(name) for name in values):  # A removed parameter may be a condition for others.
+            values = {name: value for name, value in values.items() if meant(name)}
+        return values
+
+    def resolved(self, given: Mapping[str, Any]) -> dict[str, Any]:
+        """Return parameters by their own names instead of aliases, and texts such as "125 mm" as numbers."""
+        return resolved(declared_fields(self.parameters), given)
+
+
+def resolved(known: Mapping[str, Field], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values of fields by the fields' own names instead of aliases, and texts such as "125 mm" as numbers."""
+    values: dict[str, Any] = dict(given)
+    for name, field in known.items():
+        if name in values:
+            values[name] = field.number(values[name], name)
+        for alias in field.of_kind(Alias):
+            if alias.name in values:
+                value = field.number(values.pop(alias.name), alias.name)
+                if name in values:
+                    refuse(alias.name, value, f"is another name of {name}, which is given too", "leave out one of them")
+                try:
+                    values[name] = alias.convert(value) if alias.convert and value is not None else value
+                except TypeError as error:
+                    raise SceneError(f"{alias.name} = {value!r}: {error}") from error
+    return values
+
+
+def scene_function(parameters: Callable[P, T]) -> Callable[[Callable[[T], S]], SceneFunction[P, S]]:
+    """Return a decorator that turns a function of one :class:`Declared` dataclass into a function of its fields.
+
+    The resulting :class:`SceneFunction` takes the fields as keywords, accepts their aliases and has the dataclass as
+    attribute `parameters`. It refuses values that have the wrong type, are out of range or have no effect.
+    """
+
+    def decorate(build: Callable[[T], S]) -> SceneFunction[P, S]:
+        return SceneFunction(parameters, build)  # type: ignore[arg-type]
+
+    return decorate

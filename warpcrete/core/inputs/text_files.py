@@ -1,0 +1,219 @@
+"""Readers for every file that a user can name, and for the text files in run folders.
+
+Each function accepts only regular files up to a maximum size. It turns every error into one line that names the file
+and, if known, the line in the file.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import re
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NoReturn
+
+from ..errors import RunFolderError, SceneError, refuse
+from .origin import note_file
+from .yaml_files import LONGEST_NUMBER, FileList, Unreadable, parsed_yaml
+
+MOST_SETTINGS = 200_000
+"""Maximum size of a YAML or JSON file that a user writes [B]; the YAML parser reads about 80 kB per second."""
+MOST_TEXT = 500_000_000
+"""Maximum size of a table, or of a text file in a run folder [B]."""
+MOST_MESH = 2_000_000_000
+"""Maximum size of a mesh file [B]; a binary STL file of this size has 40 million triangles."""
+KINDS = ((stat.S_ISDIR, "a directory"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISCHR, "a device"),
+         (stat.S_ISBLK, "a device"), (stat.S_ISSOCK, "a socket"))  # fmt: skip
+
+
+@contextmanager
+def within(container: Any, key: Any) -> Iterator[None]:
+    """Add file name and line number of an entry to each :class:`SceneError` that is raised inside the block.
+
+    The entry is `container[key]`, and the container is a :class:`FileMapping` or a :class:`FileList`.
+    """
+    try:
+        yield
+    except SceneError as error:
+        lines = getattr(container, "lines", None)
+        known = key in lines if isinstance(lines, dict) else lines is not None and 0 <= key < len(lines)
+        if lines is None or not known or getattr(error, "located", False):
+            raise
+        located = type(error)(f"{container.path.name}, line {lines[key]}: {error}")
+        located.located = True  # type: ignore[attr-defined]
+        raise located from error
+
+
+def check_file(path: Path | str, field: str, most: int = MOST_MESH, hint: str = "") -> Path:
+    """Return `path` if it is a regular file of at most `most` bytes.
+
+    For any other path, raise :class:`SceneError` about the parameter `field`.
+    """
+    try:
+        _checked(Path(path), most)
+    except Unreadable as error:
+        refuse(field, str(path), error.reason, hint or error.hint)
+    note_file(Path(path))
+    return Path(path)
+
+
+def name_of(path: Path | str) -> str:
+    """Return the name of a file without its extension, as text that can be encoded as UTF-8 in any locale."""
+    name = Path(path).stem
+    try:
+        return os.fsencode(name).decode("utf-8", "replace")  # The locale may not be UTF-8.
+    except UnicodeEncodeError:
+        return name
+
+
+def read_mapping(path: Path, field: str) -> dict[str, Any]:
+    """Return the mapping in a YAML or JSON file.
+
+    If that is impossible, raise :class:`SceneError` about the parameter `field` that named the file.
+    """
+    try:
+        text = _text(path, MOST_SETTINGS)
+        found = parsed_json(text) if path.suffix.lower() == ".json" else parsed_yaml(text, path)
+        if not isinstance(found, dict):
+            raise Unreadable(
+                f"contains {_kind_of(found)} instead of 'key: value' lines", "compare it with a shipped file"
+            )
+    except Unreadable as error:
+        refuse(field, str(path), error.reason, error.hint)
+    note_file(path)
+    return found
+
+
+def read_rows(path: Path, field: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    """Return the header of a CSV file, and each non-empty row with its line number.
+
+    Raises :class:`SceneError` about the parameter `field` if rows and header differ in length, or if a column appears
+    twice.
+    """
+    try:
+        rows = _rows(_text(path, MOST_TEXT))
+    except Unreadable as error:
+        refuse(field, str(path), error.reason, error.hint)
+    note_file(path)
+    return rows
+
+
+def saved_text(path: Path) -> str:
+    """Return the text of a file that the program wrote; raises :class:`RunFolderError` if that is impossible."""
+    try:
+        return _text(path, MOST_TEXT)
+    except Unreadable as error:
+        raise RunFolderError(f"'{path}': cannot be read ({error.reason})") from error
+
+
+def saved_json(path: Path) -> dict[str, Any]:
+    """Return the object in a JSON file of the program; raises :class:`RunFolderError` if that is impossible."""
+    try:
+        found = parsed_json(_text(path, MOST_TEXT))
+    except Unreadable as error:
+        raise RunFolderError(f"'{path}': cannot be read ({error.reason})") from error
+    if not isinstance(found, dict):
+        raise RunFolderError(f"'{path}': does not contain a JSON object; restore the file")
+    return found
+
+
+def _checked(path: Path, most: int) -> int:
+    """Return the size of a regular file [B]; raises :class:`Unreadable` for other paths and for large files."""
+    if "\0" in str(path):
+        raise Unreadable("contains a NUL character", "give the path of a file")
+    try:
+        found = os.stat(path)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise Unreadable(f"cannot be read ({reason})", "give the path of a file") from error
+    if not stat.S_ISREG(found.st_mode):
+        kind = next((name for test, name in KINDS if test(found.st_mode)), "not a regular file")
+        raise Unreadable(f"cannot be read (it is {kind})", "give the path of a file")
+    if found.st_size > most:
+        raise Unreadable(f"is too large: {found.st_size:,} bytes, at most {most:,} are allowed",
+                          "check that it is the right file")  # fmt: skip
+    return found.st_size
+
+
+def _text(path: Path, most: int) -> str:
+    _checked(path, most)
+    try:
+        with path.open("rb") as file:
+            content = file.read(most + 1)
+    except OSError as error:
+        raise Unreadable(f"cannot be read ({error.strerror or error})", "give the path of a readable file") from error
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise Unreadable("is not UTF-8 text", "save it as UTF-8", line) from error
+    if "\0" in text:
+        raise Unreadable(
+            "contains a NUL character", "check that it is a text file", text.count("\n", 0, text.index("\0")) + 1
+        )
+    return text
+
+
+def _kind_of(value: Any) -> str:
+    kinds = {list: "a list", FileList: "a list", str: "text", type(None): "nothing", bool: "true or false"}
+    return kinds.get(type(value), "a number")
+
+
+def parsed_json(text: str) -> Any:
+    """Return the value of a JSON text; raises :class:`Unreadable` for repeated keys, NaN and syntax errors."""
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        if len(found) < len(pairs):
+            keys = [key for key, _ in pairs]
+            raise Unreadable(f"has the key {next(k for k in keys if keys.count(k) > 1)!r} twice", "remove one of them")
+        return found
+
+    def constant(word: str) -> NoReturn:
+        raise Unreadable(f"is not valid JSON: {word} is not a number", "write finite numbers")
+
+    def whole(word: str) -> int:
+        if len(word) > LONGEST_NUMBER:
+            raise Unreadable(f"contains a number of {len(word)} digits", "write it in the form 1e30")
+        return int(word)
+
+    try:
+        return json.loads(text, object_pairs_hook=unique, parse_constant=constant, parse_int=whole)
+    except json.JSONDecodeError as error:
+        raise Unreadable(
+            f"is not valid JSON: {error.msg}", "write 'key: value' lines in a .yaml file", error.lineno
+        ) from error
+    except RecursionError as error:
+        raise Unreadable("is nested too deeply", "write plain lists and mappings") from error
+
+
+def _rows(text: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    found: list[tuple[int, list[str]]] = []
+    try:
+        for row in reader:
+            found.append((reader.line_num, row))
+    except csv.Error as error:
+        raise Unreadable(f"is not valid CSV: {error}", "give columns separated by commas", reader.line_num) from error
+    found = [(line, row) for line, row in found if any(cell.strip() for cell in row)]
+    if not found:
+        raise Unreadable("contains no rows", "write the names of the columns in the first line")
+    (_, header), rows = found[0], found[1:]
+    if len(header) == 1 and ";" in header[0]:
+        raise Unreadable("separates columns by semicolons", "separate them by commas and use decimal points")
+    names = [re.sub(r"\s*\[.*", "", head).strip() for head in header]
+    for name in names:
+        if name and names.count(name) > 1:
+            raise Unreadable(f"has the column {name!r} twice", "remove one of them")
+    for line, row in rows:
+        if len(row) != len(header):
+            comma = len(row) > len(header)
+            raise Unreadable(f"has {len(row)} values where the header names {len(header)} columns",
+                              "write decimal points, as in 10.3, not commas" if comma else "fill in all columns",
+                              line)  # fmt: skip
+    return header, rows

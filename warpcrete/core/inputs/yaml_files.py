@@ -1,0 +1,189 @@
+"""Reader and writer of YAML 1.2 files: the core schema without tags, with the line number of every entry."""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError
+from ruamel.yaml.nodes import ScalarNode
+from ruamel.yaml.resolver import VersionedResolver
+from ruamel.yaml.scanner import Scanner
+from ruamel.yaml.tag import Tag
+
+from ..errors import one_line
+
+MOST_VALUES = 50_000
+"""Maximum number of values in a YAML file; a value counts once more for each alias that repeats it."""
+DEEPEST = 100
+"""Maximum nesting depth of lists and mappings."""
+LONGEST_NUMBER = 400
+"""Maximum number of characters of a number."""
+WHOLE = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
+DECIMAL = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+NO_NUMBER = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+WORDS = dict.fromkeys(("", "~", "null", "Null", "NULL"), None) | dict.fromkeys(("true", "True", "TRUE"), True)
+WORDS |= dict.fromkeys(("false", "False", "FALSE"), False)
+PLAIN = "plain"
+"""Tag for scalars that have no quotes and no tag."""
+
+
+class FileMapping(dict[str, Any]):
+    """Mapping from a YAML file, with the `path` of the file and the line number of each key in `lines`."""
+
+    path: Path
+    lines: dict[str, int]
+
+
+class FileList(list[Any]):
+    """List from a YAML file, with the `path` of the file and the line number of each entry in `lines`."""
+
+    path: Path
+    lines: list[int]
+
+
+class Unreadable(Exception):
+    """File that cannot be read, with the reason and a hint."""
+
+    def __init__(self, reason: str, hint: str = "", line: int | None = None) -> None:
+        super().__init__(reason)
+        self.reason = one_line(reason if line is None else f"line {line}: {reason}")
+        self.hint = hint
+
+
+class Untagged(VersionedResolver):
+    """YAML resolver that leaves the type of plain scalars to this module, whatever YAML version a file states."""
+
+    def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
+        """Return the tag of a node that has no tag in the file."""
+        if kind is ScalarNode and implicit[0]:
+            return Tag(suffix=PLAIN)
+        return super().resolve(kind, value, implicit)
+
+
+class Shallow(Scanner):
+    """YAML scanner that refuses deep nesting, because its time would grow with the square of the depth."""
+
+    def fetch_flow_collection_start(self, *arguments: Any, **named: Any) -> None:
+        """Begin a list or mapping in brackets; raises :class:`Unreadable` if it is nested too deeply."""
+        if len(self.flow_context) >= DEEPEST:
+            raise Unreadable("is nested too deeply", "write plain lists and mappings")
+        super().fetch_flow_collection_start(*arguments, **named)
+
+
+def parsed_yaml(text: str, path: Path) -> Any:
+    """Return the value of a YAML text: mappings, lists, texts, finite numbers, true, false or None.
+
+    Keys are always texts. Mappings and lists store `path`, the path of the file. Raises :class:`Unreadable` for any
+    other content.
+    """
+    parser = YAML(typ="safe", pure=True)
+    parser.Resolver, parser.Scanner = Untagged, Shallow
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # Ignore warnings about anchors that are defined twice.
+            node = parser.compose(text)
+        return None if node is None else _Values(path).value(node)
+    except Unreadable:
+        raise
+    except RecursionError as error:
+        raise Unreadable("is nested too deeply", "write plain lists and mappings") from error
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        reason = " ".join(f"is not valid YAML: {error.problem or error.context or 'it cannot be read'}".split())
+        line = None if mark is None else mark.line + 1
+        raise Unreadable(reason, "write 'key: value' lines", line) from error
+    except Exception as error:  # Parts of the YAML parser may raise any exception.
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise Unreadable(f"is not valid YAML: {reason}", "write 'key: value' lines") from error
+
+
+class _Values:
+    """Converter of the nodes of one YAML file into Python values."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.values = 0
+        self.open: set[int] = set()
+        """Identities of the collections that are being read, to find a collection that contains itself."""
+
+    def value(self, node: Any) -> Any:
+        line = node.start_mark.line + 1
+        self.values += 1
+        if self.values > MOST_VALUES:
+            raise Unreadable(f"contains more than {MOST_VALUES:,} values", "check that it is the right file")
+        if isinstance(node.value, str):
+            return self._scalar(node, line)
+        if not str(node.tag).endswith((":map", ":seq")):
+            raise Unreadable(f"has the tag {node.tag}, which is not supported", "remove it", line)
+        if id(node) in self.open:
+            raise Unreadable("has an alias that refers to itself", "write out its contents", line)
+        self.open.add(id(node))
+        try:
+            if str(node.tag).endswith(":seq"):
+                return self._list(node, line)
+            return self._mapping(node, line)
+        finally:
+            self.open.discard(id(node))
+
+    def _list(self, node: Any, line: int) -> FileList:
+        if any(isinstance(each, tuple) for each in node.value):
+            raise Unreadable("has the tag !!seq before a mapping", "remove it", line)
+        found = FileList(self.value(each) for each in node.value)
+        found.path, found.lines = self.path, [each.start_mark.line + 1 for each in node.value]
+        return found
+
+    def _mapping(self, node: Any, line: int) -> FileMapping:
+        if any(not isinstance(each, tuple) for each in node.value):
+            raise Unreadable("has the tag !!map before a list", "remove it", line)
+        found = FileMapping()
+        found.path, found.lines = self.path, {}
+        for key, value in node.value:
+            line = key.start_mark.line + 1
+            if not isinstance(key.value, str) or not str(key.tag).endswith((PLAIN, ":str")):
+                raise Unreadable("has a key that is not text", "write 'key: value' lines", line)
+            if key.value in found:
+                raise Unreadable(f"has the key {one_line(key.value, 100)!r} twice, first in line "
+                                  f"{found.lines[key.value]}", "remove one of them", line)  # fmt: skip
+            found[key.value] = self.value(value)
+            found.lines[key.value] = line
+        return found
+
+    def _scalar(self, node: Any, line: int) -> Any:
+        text = node.value
+        if str(node.tag).endswith(":str"):
+            return text
+        if node.tag != PLAIN:
+            tag = str(node.tag).replace("tag:yaml.org,2002:", "!!")
+            raise Unreadable(f"has the tag {tag} before {one_line(text, 60)!r}", "remove it", line)
+        if text in WORDS:
+            return WORDS[text]
+        if NO_NUMBER.fullmatch(text):
+            raise Unreadable(f"has {text}, which is not a finite number", "write a finite number", line)
+        if not text[:1].isdigit() and text[:1] not in ("+", "-", "."):
+            return text
+        if not (DECIMAL.fullmatch(text) or WHOLE.fullmatch(text)):
+            return text
+        if len(text) > LONGEST_NUMBER:
+            raise Unreadable(f"has a number of {len(text)} digits", "write it in the form 1e30", line)
+        if WHOLE.fullmatch(text):
+            return int(text, {"0o": 8, "0x": 16}.get(text[:2], 10))
+        value = float(text)
+        if value in (float("inf"), float("-inf")):
+            raise Unreadable(f"has {text}, which is too large for a number", "write a finite number", line)
+        return value
+
+
+def yaml_text(data: dict[str, Any]) -> str:
+    """Return a mapping as YAML text, with its keys in their order."""
+    writer = YAML(typ="safe", pure=True)
+    writer.default_flow_style = False
+    writer.allow_unicode = True
+    writer.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    out = io.StringIO()
+    writer.dump(data, out)
+    return out.getvalue()

@@ -1,0 +1,160 @@
+"""Checkpoint files, which hold the complete state of a run; an interrupted write never leaves half a file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import warnings
+import zipfile
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import RunFolderError
+from ..inputs.fingerprints import fingerprint
+from .files import cannot_write, partial_of
+from .provenance import processor, versions
+
+FORMAT = 7
+
+
+def write_beside(path: Path, scene: Any, device: Any, precision: str, contents: dict[str, Any]) -> None:
+    """Write a checkpoint of a run of `scene` to a partial file next to `path`; :func:`commit` puts it in place.
+
+    `contents` holds numbers, texts, arrays and dictionaries of these. The file is a NumPy archive (npz) with a SHA-256
+    digest of its contents. The previous checkpoint stays at `path` until `commit`. If a recorder fails to write its
+    part, the run can therefore go on from a state that all recorders have on disk. Raises :class:`RunFolderError` if
+    the file cannot be written.
+    """
+    arrays: dict[str, np.ndarray] = {}
+    text = {
+        "warpcrete checkpoint": FORMAT,
+        "scene": fingerprint(scene),
+        "device": _kind(device),
+        "precision": precision,
+        "processor": processor(),
+        "versions": versions(),
+        "contents": {key: _flatten(value, key, arrays) for key, value in contents.items()},
+    }
+    arrays["text"] = np.frombuffer(json.dumps(text).encode(), dtype=np.uint8)
+    arrays["digest"] = np.frombuffer(_digest(arrays), dtype=np.uint8)
+    try:
+        with partial_of(path).open("wb") as file:
+            np.savez(file, **arrays)  # type: ignore[arg-type]
+            file.flush()
+            os.fsync(file.fileno())
+    except BaseException as error:
+        discard(path)
+        if isinstance(error, OSError):
+            raise cannot_write(path, error) from error
+        raise
+
+
+def commit(path: Path) -> None:
+    """Replace the checkpoint at `path` by the partial file that :func:`write_beside` wrote.
+
+    Raises :class:`RunFolderError` if the system refuses this.
+    """
+    try:
+        partial_of(path).replace(path)
+    except OSError as error:
+        raise cannot_write(path, error) from error
+
+
+def discard(path: Path) -> None:
+    """Remove the partial file that :func:`write_beside` wrote; keep the checkpoint at `path`."""
+    with suppress(OSError):
+        partial_of(path).unlink(missing_ok=True)
+
+
+def read(path: Path, scene: Any, device: Any, precision: str) -> dict[str, Any]:
+    """Return the contents of a checkpoint of the same scene, kind of device, precision and package versions.
+
+    Raises :class:`RunFolderError` with the reason if the file is missing, damaged or belongs to another run. A
+    different processor only causes a warning, because results may then differ in the last bits.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = dict(file)
+    except FileNotFoundError:
+        raise RunFolderError(f"'{path}': does not exist; start the run again") from None
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
+        raise RunFolderError(f"'{path}': is damaged or not a checkpoint; start the run again") from error
+    if "text" not in arrays or "digest" not in arrays:
+        raise RunFolderError(f"'{path}': is not a checkpoint of warpcrete")
+    wanted = arrays.pop("digest").tobytes()
+    if _digest(arrays) != wanted:
+        raise RunFolderError(f"'{path}': is damaged (its contents do not match its digest); start the run again")
+    text = json.loads(arrays.pop("text").tobytes())
+    if text.get("warpcrete checkpoint") != FORMAT:
+        found = text.get("warpcrete checkpoint")
+        raise RunFolderError(
+            f"'{path}': has checkpoint format {found!r}, but this version reads {FORMAT}; start the run again"
+        )
+    if text["versions"] != versions():
+        raise RunFolderError(
+            f"'{path}': was written by {_shown(text['versions'])}, but {_shown(versions())} is installed; resume with "
+            "the old versions, or start the run again"
+        )
+    for what, found, here in (
+        ("precision", text["precision"], precision),
+        ("device", text["device"], _kind(device)),
+        ("scene", text["scene"], fingerprint(scene)),
+    ):
+        if found != here:
+            shown = "another scene" if what == "scene" else f"{what} {found!r}, not {here!r}"
+            raise RunFolderError(
+                f"'{path}': belongs to {shown}; resume with the settings with which the run was started"
+            )
+    if text["processor"] != processor():
+        warnings.warn(
+            f"'{path}': was written on {text['processor']}; the run continues on {processor()}, and results may differ "
+            "in the last digits from those of an uninterrupted run",
+            stacklevel=2,
+        )
+    return {key: _unflatten(value, arrays) for key, value in text["contents"].items()}
+
+
+def remove(path: Path) -> None:
+    """Remove a checkpoint, and the partial file that an interrupted write may have left."""
+    path.unlink(missing_ok=True)
+    discard(path)
+
+
+def _kind(device: Any) -> str:
+    return "cuda" if device.is_cuda else "cpu"
+
+
+def _shown(found: dict[str, str]) -> str:
+    return ", ".join(f"{name} {number}" for name, number in found.items())
+
+
+def _digest(arrays: dict[str, np.ndarray]) -> bytes:
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name}{array.dtype}{array.shape}".encode() + array.tobytes())
+    return digest.digest()
+
+
+def _flatten(value: Any, name: str, arrays: dict[str, np.ndarray]) -> Any:
+    """Return `value` as JSON data; move arrays to `arrays` and leave a reference by name in their place."""
+    if isinstance(value, np.ndarray):
+        arrays[name] = value
+        return {"array": name}
+    if isinstance(value, dict):
+        return {"items": {key: _flatten(item, f"{name}/{key}", arrays) for key, item in value.items()}}
+    if isinstance(value, np.generic):
+        return value.item()
+    return value
+
+
+def _unflatten(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+    if isinstance(value, dict):
+        if "array" in value:
+            return arrays[value["array"]]
+        return {key: _unflatten(item, arrays) for key, item in value["items"].items()}
+    return value

@@ -1,0 +1,201 @@
+"""Writing of files that are complete or absent, reading of JSON records, and checks of new folders."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from ..errors import DiskFullError, RunFolderError, quoted
+from ..inputs.text_files import saved_json
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Error numbers of a disk, a quota or a process limit that leaves no space for a file."""
+PARTIAL = ".warpcrete-partial-"
+"""Prefix of the name of a file that is not complete yet; no other program uses this prefix."""
+PROBE = 1 << 16
+"""Size of the test file that must fit into a folder with free space [B]."""
+MARGIN = 1 << 20
+"""Free space that must remain in addition to the expected size of a file [B]."""
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Yield a temporary path next to `path`, whose file replaces `path` at the end of the block.
+
+    If the block fails, the temporary file is removed. An error of the operating system becomes a
+    :class:`RunFolderError` that names the file.
+    """
+    partial = partial_of(path)
+    try:
+        yield partial
+        partial.replace(path)
+    except OSError as error:
+        raise cannot_write(path, error) from error
+    finally:
+        with suppress(OSError):
+            partial.unlink(missing_ok=True)
+
+
+def partial_of(path: Path) -> Path:
+    """Return the temporary path at which a file is written until it is complete."""
+    return path.with_name(f"{PARTIAL}{path.name}")
+
+
+def cannot_write(path: Path, error: Exception) -> RunFolderError:
+    """Return the error for a file that cannot be written; a :class:`DiskFullError` if there is no space for it.
+
+    Libraries that write files themselves may not report why they failed. A test file then shows whether the folder has
+    free space.
+    """
+    known = isinstance(error, OSError) and error.errno is not None
+    needed = MARGIN + (2 * path.stat().st_size if path.exists() else 0)
+    cause = error if known else room_in(path.parent, needed) or error
+    reason = getattr(cause, "strerror", None) or " ".join(str(cause).split()) or type(cause).__name__
+    kind = DiskFullError if is_full(cause) else RunFolderError
+    return kind(f"'{path}': cannot be written ({reason}); files written so far are kept")
+
+
+def is_full(error: BaseException) -> bool:
+    """Return whether a full disk, an exceeded quota or a process limit caused an error."""
+    return isinstance(error, DiskFullError) or (isinstance(error, OSError) and error.errno in FULL)
+
+
+def room_in(folder: Path, needed: int = 0) -> OSError | None:
+    """Return the system's error if a small file, or one of `needed` bytes, does not fit into a folder, else None."""
+    probe = partial_of(folder / "probe")
+    try:
+        with probe.open("wb") as file:
+            file.write(bytes(PROBE))
+            if shutil.disk_usage(folder).free < needed:
+                return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    except OSError as error:
+        return error
+    finally:
+        with suppress(OSError):
+            probe.unlink(missing_ok=True)
+    return None
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write JSON to a file; a reader never sees half a file.
+
+    NaN and infinity become null.
+    """
+    with whole_file(path) as partial:
+        partial.write_text(json.dumps(_finite(data), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _finite(data: Any) -> Any:
+    # JSON has no NaN and no infinity, so a value that was not measured becomes null.
+    if isinstance(data, dict):
+        return {key: _finite(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_finite(value) for value in data]
+    if isinstance(data, float) and not np.isfinite(data):
+        return None
+    return data
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Return the object in a JSON file; raises :class:`RunFolderError` if the file cannot be read."""
+    return saved_json(path)
+
+
+RECORD_KINDS: dict[str, type] = {
+    "scene": str, "parameters": dict, "files": dict, "device": str, "precision": str, "command": dict, "modified": dict,
+    "threads": int, "cases": list, "name": str, "varied": dict, "quantities": list, "knobs": list, "repeat": int,
+    "provenance": dict, "finest": dict, "points": list, "paper": str, "columns": list, "rows": list, "targets": dict,
+    "settings": dict, "rounds": list,
+}  # fmt: skip
+"""Required types of the entries in a record, which is the JSON file that stores the request for a run, study,
+trade-off, calibration or reproduction."""
+
+
+LEFT_OUT = {"device", "precision", "threads", "columns", "rows"}
+"""Entries of a record that may be null, because the user left them at their defaults."""
+
+
+def read_record(path: Path) -> dict[str, Any]:
+    """Return the record in a JSON file.
+
+    Raises :class:`RunFolderError` if the file cannot be read or an entry has the wrong type.
+    """
+    record = read_json(path)
+    cases = record.get("cases")
+    within = [record, record.get("command"), *(cases if isinstance(cases, list) else [])]
+    for place, part in enumerate(within):
+        if not isinstance(part, dict):
+            if place == 1 and "command" not in record:
+                continue
+            _refuse_entry(path, "command" if place == 1 else "cases", part)
+        for name, kind in RECORD_KINDS.items():
+            if name in part and not isinstance(part[name], kind) and not (part[name] is None and name in LEFT_OUT):
+                _refuse_entry(path, name, part[name])
+    return record
+
+
+def _refuse_entry(path: Path, name: str, value: Any) -> NoReturn:
+    raise RunFolderError(f"'{path}': is damaged: its entry {name!r} is {quoted(value)}; restore the file, or "
+                         "start again in a new folder")  # fmt: skip
+
+
+def check_new(folder: Path) -> None:
+    """Refuse an output folder that is not empty, or that cannot be created and written to.
+
+    The check creates the folder for a moment and leaves nothing behind. Raises :class:`RunFolderError`.
+    """
+    try:
+        there = folder.exists() or folder.is_symlink()
+    except OSError as error:
+        raise RunFolderError(
+            f"out = '{folder}': cannot be used as a folder ({error.strerror}); choose another path"
+        ) from error
+    if there and not is_empty(folder):
+        raise RunFolderError(f"out = '{folder}': exists already; choose a new folder (runs are never overwritten)")
+    made: list[Path] = []
+    probe = folder / "probe"
+    try:
+        for parent in reversed([folder, *folder.absolute().parents]):
+            if not parent.exists():
+                parent.mkdir()
+                made.append(parent)
+        probe.touch()
+    except OSError as error:
+        raise RunFolderError(f"out = '{folder}': cannot be created ({error.strerror}); choose another path") from error
+    finally:
+        with suppress(OSError):
+            probe.unlink(missing_ok=True)
+        for path in reversed(made):
+            with suppress(OSError):
+                path.rmdir()
+
+
+LOCK = ".lock"
+"""Name of the lock file, which the process that writes into a folder keeps locked."""
+
+
+def is_empty(folder: Path) -> bool:
+    """Return whether a folder is empty, apart from a lock file or partial files of a killed process."""
+    return folder.is_dir() and all(path.name == LOCK or path.name.startswith(PARTIAL) for path in folder.iterdir())
+
+
+def remove_partial(folder: Path) -> None:
+    """Remove the incomplete files that a killed process left in a folder."""
+    for path in folder.glob(f"{PARTIAL}*"):
+        path.unlink(missing_ok=True)
+
+
+def next_folder(name: str, root: Path = Path("runs")) -> Path:
+    """Return the first folder name `runs/NAME-NNN` that does not exist yet."""
+    number = 1
+    while (root / f"{name}-{number:03d}").exists():
+        number += 1
+    return root / f"{name}-{number:03d}"

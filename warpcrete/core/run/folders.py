@@ -1,0 +1,148 @@
+"""Exclusive write access to folders, by a lock that the system releases whenever the owning process ends."""
+
+from __future__ import annotations
+
+import os
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from ..errors import RunFolderError
+from .files import LOCK, cannot_write, check_new, is_empty, remove_partial
+
+fcntl: Any
+try:
+    import fcntl
+except ImportError:  # Folders are not locked on systems other than POSIX.
+    fcntl = None
+
+GRACE = 2.0
+"""Time that the processes of a run that was just killed get to end [s]."""
+
+
+class Hold:
+    """Exclusive right to write into a folder, until it is released or the process ends.
+
+    Readers need no lock. The lock belongs to the open lock file: a copy of the folder is not locked, and the lock file
+    that a killed process leaves behind blocks nobody.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Lock the folder; raises :class:`RunFolderError` with the owner's name if another process holds the lock."""
+        self.folder = folder
+        self.made: list[Path] = []
+        """Folders that were created for this lock: new parents, the outermost first, and the locked folder itself."""
+        self._path = folder / LOCK
+        self._file = self._locked()
+        os.ftruncate(self._file, 0)
+        owner = f"process {os.getpid()} on {socket.gethostname()} since {time.strftime('%Y-%m-%d %H:%M:%S')}"
+        with suppress(OSError):  # On a full disk, the lock file does not name its owner.
+            os.write(self._file, owner.encode())
+        remove_partial(folder)
+
+    def _locked(self) -> int:
+        end = time.monotonic() + GRACE
+        while True:
+            try:
+                file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            except OSError as error:
+                raise cannot_write(self._path, error) from error
+            if _lock(file) and _is_at(file, self._path):
+                return file
+            owner = os.read(file, 200).decode(errors="replace")
+            os.close(file)
+            if time.monotonic() > end:
+                raise RunFolderError(
+                    f"'{self.folder}': is in use by {owner or 'another process'}; wait until it ends, or choose "
+                    "another folder"
+                )
+            time.sleep(0.05)
+
+    def release(self) -> None:
+        """Release the lock, so that other processes can write; further calls do nothing."""
+        if self._file >= 0:
+            with suppress(OSError):
+                self._path.unlink(missing_ok=True)
+            os.close(self._file)
+            self._file = -1
+
+    def remove(self) -> None:
+        """Release the folder, then remove those folders that were created for it and are empty."""
+        self.release()
+        for path in reversed(self.made):
+            with suppress(OSError):
+                path.rmdir()
+
+    def __del__(self) -> None:
+        if getattr(self, "_file", -1) >= 0:
+            os.close(self._file)
+
+
+def _lock(file: int) -> bool:
+    if fcntl is None:
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # The file system has no locks, so the folder counts as locked.
+        return True
+    return True
+
+
+def _is_at(file: int, path: Path) -> bool:
+    """Return whether an open lock file still exists at `path`; its last owner may have removed or replaced it."""
+    try:
+        there = path.stat()
+    except OSError:
+        return False
+    return os.path.samestat(os.fstat(file), there)
+
+
+@contextmanager
+def held(folder: Path, record: str) -> Iterator[None]:
+    """Lock an existing folder while the block runs.
+
+    Raises :class:`RunFolderError` if the folder does not contain the file `record`, or if another process holds the
+    lock.
+    """
+    if not (folder / record).is_file():
+        missing = f"holds no {record}" if folder.is_dir() else "is not a folder"
+        raise RunFolderError(f"'{folder}': {missing}; give the folder of an interrupted run")
+    hold = Hold(folder)
+    try:
+        yield
+    finally:
+        hold.release()
+
+
+def make_folder(folder: Path) -> Hold:
+    """Create a new folder with its parents, and return the lock on the folder.
+
+    Raises :class:`RunFolderError` if the folder contains files or cannot be created.
+    """
+    check_new(folder)
+    made = [path for path in (*reversed(folder.absolute().parents), folder) if not path.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunFolderError(f"out = '{folder}': cannot be created ({error.strerror}); choose another path") from error
+    hold = Hold(folder)
+    if not is_empty(folder):  # Another run has used the folder first.
+        hold.release()
+        check_new(folder)
+    hold.made = made
+    return hold
+
+
+@contextmanager
+def new_folder(folder: Path) -> Iterator[None]:
+    """Create and lock a new folder while the block runs; remove the created folders that stay empty."""
+    hold = make_folder(folder)
+    try:
+        yield
+    finally:
+        hold.remove()

@@ -1,0 +1,47 @@
+"""Times at which recorders take frames."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import positive
+
+LEAST, SLOWEST = 30, 0.04
+"""Minimum number of frames of a run, and longest simulated time between two frames [s]; both are defaults."""
+
+
+class Frames:
+    """Schedule of frames: every `interval` seconds of simulated time, or by default about 25 frames per second.
+
+    With the default, a run of the `expected` duration [s] has at least 30 frames; in a run that lasts longer than
+    expected, the time between frames grows. Frames coincide with samples of the run, unless the run can stop between
+    samples; then two frames are at least `step` seconds apart.
+    """
+
+    def __init__(self, interval: float | None, expected: float, step: float = np.inf) -> None:
+        if interval is not None:
+            positive("frame_interval", interval, "s")
+        self._given, self._expected, self._step = interval, expected, step
+        own = min(SLOWEST, expected / LEAST) if expected > 0 else SLOWEST
+        self.interval = own if interval is None else interval
+        """Simulated time between two frames at the start of the run [s]."""
+        self.next = 0.0
+        """Simulated time at which the next frame is due [s]."""
+        self.taken(0.0)
+
+    def due(self, time: float) -> bool:
+        """Return whether a frame is due at the sample at `time` [s]."""
+        return time >= self.next - 1e-9
+
+    def before(self, sample: float) -> bool:
+        """Return whether a frame is due before the sample at time `sample` [s], and the run can stop for it."""
+        return self.next < sample - self._step
+
+    def taken(self, time: float) -> None:
+        """Set the time of the next frame, after a frame was taken at `time` [s]."""
+        if self._given is None and time > self._expected:
+            self.next = time + min(SLOWEST, time / LEAST)
+        else:
+            self.next = self.interval * (np.floor(time / self.interval + 1e-9) + 1)
+        if np.isfinite(self._step):
+            self.next = max(self.next, time + self._step)

@@ -1,0 +1,128 @@
+"""Interface between a simulation method and the rest of the program, and the quantities that result from a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..drawing.display import Display
+from ..units import number, quantity, shown
+from .forecast import Forecast, Probe
+from .run_loop import Run, Simulation
+
+Progress = Callable[[str, float], None]
+"""Callback for progress, which is called with the name of a phase and the fraction done."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Number that results from a run: an entry of result.json and, with a `label`, a line in the command's report."""
+
+    name: str
+    unit: str
+    of: Callable[[Any], float | None]
+    """Function that computes the value from the method's data about a run; it returns None if the quantity is
+    undefined."""
+    label: str = ""
+    """Name of the quantity in the report; without a label, the quantity is not reported."""
+    words: Callable[[Run], str] | None = None
+    """Function that takes a run and returns the text in the report, in place of value and unit."""
+    compared: bool = False
+    """Whether studies show the quantity in their table and figure."""
+    rare: bool = False
+    """Whether studies show the quantity only if its value is above 0 in some case."""
+
+    @property
+    def title(self) -> str:
+        """Column heading of the quantity in tables."""
+        return self.name.removesuffix("_pressure").replace("_", " ")
+
+
+def results_of(quantities: Sequence[Quantity], known: Any) -> dict[str, Any]:
+    """Return entries of result.json: quantities with a unit as `{"value", "unit"}`, pure numbers as such.
+
+    `known` is the method's data about a run, which is passed to the function `of` of each quantity.
+    """
+    found: dict[str, Any] = {}
+    for each in quantities:
+        value = each.of(known)
+        if value is not None:
+            found[each.name] = float(value) if each.unit == "1" else quantity(value, each.unit)
+    return found
+
+
+def report_of(quantities: Sequence[Quantity], run: Run) -> Iterator[tuple[str, str]]:
+    """Yield label and text of every quantity of a run that has a label."""
+    for each in quantities:
+        if each.label and each.name in run.result:
+            factor, unit = shown(each.unit)
+            value = number(run.result[each.name]) * factor
+            yield each.label, each.words(run) if each.words else f"{value:.4g} {unit}"
+
+
+@dataclass(frozen=True)
+class Method:
+    """Simulation method, with its functions for results, pictures and forecasts; a scene's type selects the method.
+
+    The module `warpcrete/methods.py` lists all methods.
+    """
+
+    name: str
+    simulation: type[Simulation]
+    quantities: tuple[Quantity, ...]
+    display: type[Display]
+    picture: str
+    """File name of the picture in a run folder."""
+    draw: Callable[[Any, Run, str], Any]
+    """Function that takes (simulation, run, colouring) and returns a Matplotlib figure, or None if there is nothing to
+    draw."""
+    show: Callable[[Run], Any]
+    """Function that takes a run and returns a Matplotlib figure for notebooks."""
+    report: Callable[[Run], Iterator[tuple[str, str]]]
+    """Function that takes a run and yields label and text of each line that the command prints after the quantities."""
+    forecast: Callable[[Any, Any, str, int | None, Probe], Forecast]
+    """Function that takes (scene, device, precision, threads, probe) and returns the expected cost of a run. The probe
+    measures times of a prepared simulation."""
+    run_many: Callable[[Sequence[Any], Sequence[Path | None], Progress], list[Run | BaseException]]
+    """Function that runs several simulations on one device, each from its checkpoint if it has one. It returns a run or
+    an error for each simulation."""
+    more_pictures: Callable[[Run], Mapping[str, Any]] = lambda run: {}
+    """Function that takes a run and returns further Matplotlib figures for its folder, by file name; a figure is None
+    if there is nothing to draw."""
+    expected: Callable[[Any], Mapping[str, float]] = lambda scene: {}
+    """Function that takes a scene and returns the quantities that closed-form solutions predict, by name."""
+
+    @property
+    def scene_type(self) -> type:
+        """Type of the scenes that this method simulates."""
+        return self.simulation.scene_type
+
+    @property
+    def compared(self) -> tuple[Quantity, ...]:
+        """Quantities that studies show in their table and figure."""
+        return tuple(each for each in self.quantities if each.compared)
+
+
+def run_in_turn(
+    simulations: Sequence[Any], checkpoints: Sequence[Path | None], progress: Progress
+) -> list[Run | BaseException]:
+    """Run simulations one after the other, each from its checkpoint if it has one.
+
+    Return a run or an error for each simulation.
+    """
+    outcomes: list[Run | BaseException] = []
+    for done, (simulation, checkpoint) in enumerate(zip(simulations, checkpoints)):
+        try:
+            if simulation.stop_requested:
+                raise KeyboardInterrupt
+            if checkpoint is not None:
+                simulation.begin(checkpoint)
+            outcomes.append(simulation.run())
+        except (Exception, KeyboardInterrupt) as error:
+            outcomes.append(error)
+        finally:
+            simulation.release()
+        progress("running", (done + 1) / len(simulations))
+    return outcomes

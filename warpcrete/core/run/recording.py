@@ -1,0 +1,118 @@
+"""Management of a run's recorders: calls to them, failures of single recorders, and errors of writing to disk."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Any
+
+from ..errors import DiskFullError
+from .files import is_full
+from .recorder import Recorder
+from .run import Run
+
+
+class Recording:
+    """Group of a run's recorders, which are called one after the other, expendable recorders last."""
+
+    def __init__(self, simulation: Any, recorders: Sequence[Recorder]) -> None:
+        self.simulation = simulation
+        self.recorders = sorted(recorders, key=lambda recorder: recorder.expendable)
+        self.active: list[Recorder] = []
+        """Recorders that have started and have not failed, in the order in which they are called."""
+        self.failures: list[Exception] = []
+        """Errors of recorders that kept the run from writing its data to disk or from ending properly."""
+        self._states: dict[str, Any] = {}  # recorders' states at the last checkpoint, by class name
+
+    def begin(self, states: dict[str, Any]) -> None:
+        """Start every recorder, or resume it if `states` has its state from a checkpoint."""
+        self._states = dict(states)
+        for recorder in self.recorders:
+            self.active.append(recorder)
+            state = states.get(kind_of(recorder))
+            if state is None:
+                self._call(recorder, "start")
+            else:
+                self._call(recorder, "resume", state)
+
+    def call(self, method: str, *arguments: Any) -> None:
+        """Call a method of every recorder; drop an expendable recorder that fails, with a warning."""
+        for recorder in list(self.active):
+            self._call(recorder, method, *arguments)
+
+    def states(self) -> dict[str, Any]:
+        """Return the data that each recorder needs to go on from this time, by the recorder's class name.
+
+        A recorder that was dropped keeps its data from an earlier checkpoint.
+        """
+        for recorder in list(self.active):
+            self._states[kind_of(recorder)] = self._call(recorder, "checkpoint")
+        return {kind: state for kind, state in self._states.items() if state is not None}
+
+    def _call(self, recorder: Recorder, method: str, *arguments: Any) -> Any:
+        try:
+            return getattr(recorder, method)(self.simulation, *arguments)
+        except Exception as error:
+            if not recorder.expendable or is_full(error):
+                raise
+            self.active.remove(recorder)
+            self._warn(recorder, error)
+            with suppress(Exception):  # Keep what the failed recorder has recorded so far.
+                recorder.finish(self.simulation, None)  # type: ignore[arg-type]
+            return self._states.get(kind_of(recorder))
+
+    def finish(self, run: Run) -> None:
+        """Let every recorder write its data to disk, and add errors that matter for the run to `failures`."""
+        essential = [recorder for recorder in self.active if not recorder.expendable]
+        for recorder in [*reversed(essential), *reversed(self.active[len(essential) :])]:
+            self._end(recorder, "finish", run)
+
+    def tidy(self, run: Run) -> None:
+        """Let every recorder remove or join files that a complete run does not need."""
+        for recorder in self.active:
+            self._end(recorder, "tidy", run)
+
+    def _end(self, recorder: Recorder, method: str, run: Run) -> None:
+        try:
+            getattr(recorder, method)(self.simulation, run)
+        except Exception as error:
+            if recorder.expendable and not is_full(error):
+                self._warn(recorder, error)
+                return
+            self.failures.append(error)
+            run.finished = run.result["finished"] = False
+
+    def call_off(self) -> None:
+        """Let essential recorders note on disk that the run is not complete, if no checkpoint shows this."""
+        for recorder in self.active:
+            if not recorder.expendable:
+                with suppress(Exception):
+                    recorder.write(self.simulation)
+
+    def close(self) -> None:
+        """Let every recorder release its resources."""
+        for recorder in self.recorders:
+            recorder.close(self.simulation)
+
+    @staticmethod
+    def _warn(recorder: Recorder, error: Exception) -> None:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        warnings.warn(f"{kind_of(recorder)} failed, and the run continues without it: {reason}", stacklevel=2)
+
+
+def kind_of(recorder: Recorder) -> str:
+    """Return the class name of a recorder, by which a checkpoint identifies it."""
+    return type(recorder).__name__
+
+
+def full_disk(errors: Sequence[Exception], kept: float | None) -> DiskFullError:
+    """Return the error for a run that a full disk ended, from the recorders' `errors`.
+
+    `kept` is the simulated time of the state on disk [s], or None if there is no state on disk.
+    """
+    first = " ".join(str(errors[0]).split()).partition("; files written so far")[0]
+    more = [text.partition(": ")[0] for text in dict.fromkeys(map(str, errors[1:])) if not text.startswith(first)]
+    missing = f"; neither can {', '.join(more)}" if more else ""
+    state = "no checkpoint was saved" if kept is None else f"the checkpoint at t = {kept:.6g} s is saved"
+    return DiskFullError(f"{first}{missing}; {state}; free some space, then continue with --resume")

@@ -1,0 +1,524 @@
+"""Run loop that all simulation methods share: samples, frames, checkpoints, interruptions and recorders.
+
+Each method provides a subclass of :class:`Simulation`; :mod:`warpcrete.methods` lists them.
+"""
+
+from __future__ import annotations
+
+import time as wall_clock
+import warnings
+from abc import abstractmethod
+from collections.abc import Callable, Generator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar
+
+import numpy as np
+
+from ..device.device import checked_threads, find_device, scalar_of
+from ..device.launching import telling
+from ..drawing.display import Display
+from ..errors import InstabilityError, RunFolderError, SceneError, WarpcreteError, between, refuse
+from . import checkpoint
+from .files import is_full
+from .frames import Frames
+from .progress import ProgressBar
+from .recorder import Recorder, says
+from .recording import Recording, full_disk
+from .run import Run
+
+Progress = Callable[[str, float, dict[str, Any]], None]
+"""Callback for progress. Its arguments are the phase (`packing`, `settling` or `running`, and `compiling` between these
+if it takes a while), the fraction done and a few current figures."""
+
+
+@dataclass(frozen=True)
+class Until:
+    """Request to step a run until the end of the step that reaches `time` [s]."""
+
+    time: float
+
+
+Coroutine = Generator[Any, None, Any]
+"""Generator for a run, or for a part of it. Each `yield` requests the time up to which the run must be stepped, and the
+generator goes on when the state has reached this time. The caller can therefore take the steps of many runs together.
+"""
+
+
+S = TypeVar("S", bound="Simulation")
+
+
+class Simulation:
+    """Simulation of a scene on a device, with recorders, from t = 0 to its end; the scene's type selects the method.
+
+    `device` is Warp's name of a device; None selects a GPU if there is one, else the CPU. `precision` is `float32` or
+    `float64`; None takes the scene's own. `threads` is the number of threads on a CPU; None takes one for each core,
+    and equal numbers give results that are equal to the bit. `frame_interval` is the simulated time between two
+    recorded frames [s]; None takes the default of :class:`warpcrete.core.run.frames.Frames`. `progress` is True for a
+    progress bar, or a callback.
+
+    The file `checkpoint_path` is written at the start, then every `checkpoint_every` seconds of wall time (0: at every
+    sample), at an interruption and at the end. It is removed when everything else is on disk. The `recorders` of a run
+    with checkpoints must be of different classes, because a resumed run identifies them by class.
+
+    Raises :class:`SceneError` and :class:`DeviceError`. A run may raise :class:`InstabilityError`, and
+    :class:`DiskFullError` if the disk is full.
+    """
+
+    scene_type: ClassVar[type]
+    """Type of the scenes that a subclass simulates."""
+    kinds: ClassVar[list[type[Simulation]]] = []
+    """Subclasses, one for each simulation method."""
+    stepper: Any
+    """Object with `time` [s], `steps`, and a method `advance(until)` that steps the state to a time [s]."""
+    shares_cores = False
+    """Whether other runs use the cores that the threads of this run leave free."""
+
+    def __init_subclass__(cls, **settings: Any) -> None:
+        super().__init_subclass__(**settings)
+        if "scene_type" in cls.__dict__:
+            missing = [name for name in vars(Simulation) if getattr(getattr(cls, name), "__isabstractmethod__", False)]
+            if missing:
+                raise TypeError(f"{cls.__name__} lacks {', '.join(missing)}")
+            Simulation.kinds.append(cls)
+
+    def __new__(cls: type[S], scene: Any, **settings: Any) -> S:
+        kind: Any = cls
+        if cls is Simulation:
+            kind = next((kind for kind in Simulation.kinds if isinstance(scene, kind.scene_type)), cls)
+        wanted = getattr(kind, "scene_type", None)
+        if wanted is None or not isinstance(scene, wanted):
+            known = [wanted] if wanted else [kind.scene_type for kind in Simulation.kinds]
+            hint = (
+                "warpcrete.Simulation accepts every scene"
+                if wanted
+                else "create one with a function of warpcrete.scenes"
+            )
+            refuse("scene", type(scene).__name__, f"must be a {' or a '.join(t.__name__ for t in known)}", hint)
+        return super().__new__(kind)
+
+    def __init__(
+        self,
+        scene: Any,
+        *,
+        device: str | None = None,
+        precision: str | None = None,
+        threads: int | None = None,
+        recorders: Sequence[Recorder] = (),
+        frame_interval: float | None = None,
+        progress: Progress | bool = False,
+        checkpoint_path: Path | None = None,
+        checkpoint_every: float = 60.0,
+    ) -> None:
+        between("checkpoint_every", checkpoint_every, 0, np.inf, "s")
+        self.scene = scene
+        self.device = find_device(device)
+        self.precision = precision or scene.precision
+        scalar_of(self.precision)
+        self.threads = checked_threads(threads)
+        self.recorders = list(recorders)
+        self._recording = Recording(self, self.recorders)
+        self.checkpoint_path, self.checkpoint_every = checkpoint_path, checkpoint_every
+        self.stop_requested = False
+        self.finishing = False
+        self._progress: Progress = (
+            ProgressBar() if progress is True else progress or (lambda phase, fraction, figures: None)
+        )
+        self._spent: dict[str, float] = {}
+        self._ran = False
+        self.over = False
+        """Whether the last step has been taken, so that only recordings may still be incomplete."""
+        self._saved = wall_clock.perf_counter()  # wall-clock time at which the last checkpoint was written or read [s]
+        self.goes_on = False
+        """Whether the run goes on from a checkpoint, in an existing folder."""
+        self._kept: float | None = None  # simulated time of the state in the checkpoint [s]
+        self._ran_before = 0.0  # wall time until the checkpoint from which this run goes on [s]
+        self._samples = 0  # number of rows after the row at t = 0
+        self.sampled = 0.0, 0
+        """Simulated time [s] of the last row, and number of steps that this object had taken by then."""
+        self._left: float | None = None  # fraction of the run done at a sample that is incomplete
+        self._resumed: dict[str, Any] | None = None
+        self.frames = Frames(frame_interval, self.expected_duration, self.frame_step)
+        self.set_up()
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of scene {self.scene.name!r} on {self.device}, {self.precision}>"
+
+    # Members that each simulation method defines.
+
+    @abstractmethod
+    def set_up(self) -> None:
+        """Create the method's data from the scene; refuse a scene that cannot be simulated."""
+
+    @property
+    @abstractmethod
+    def prepared(self) -> bool:
+        """Whether the state at t = 0, or that of a checkpoint, is complete."""
+
+    @abstractmethod
+    def prepare(self) -> None:
+        """Compute everything up to the state at t = 0, such as packing and settling."""
+
+    @property
+    @abstractmethod
+    def rows(self) -> list[dict[str, float]]:
+        """Rows of the series so far, each with a value by column name."""
+
+    @abstractmethod
+    def unit(self, column: str) -> str:
+        """Return the unit of a column of the series."""
+
+    @abstractmethod
+    def measure(self) -> dict[str, float]:
+        """Measure the state and append a row to `rows`; if a row was begun before, complete that row."""
+
+    def begin_measure(self) -> bool:
+        """Begin a row of the present state, if the run may take further steps before the row is complete.
+
+        Return whether a row was begun.
+        """
+        return False
+
+    @abstractmethod
+    def watch_row(self, row: dict[str, float]) -> None:
+        """Raise :class:`InstabilityError` if a row shows that the state is no longer physically meaningful."""
+
+    @abstractmethod
+    def display(self, colouring: str | None = None) -> Display:
+        """Return the display from which recorders draw the simulation, coloured by the quantity `colouring`."""
+
+    @abstractmethod
+    def result(self, finished: bool) -> Run:
+        """Return the results of the run so far, with its quantities."""
+
+    @abstractmethod
+    def state_dict(self) -> dict[str, Any]:
+        """Return the method's part of a checkpoint, which this base class completes."""
+
+    @abstractmethod
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore the state from a `state_dict`; called instead of `prepare`."""
+
+    @abstractmethod
+    def release(self) -> None:
+        """Free the memory on the device; the results of the run remain available."""
+
+    @property
+    def duration(self) -> float:
+        """Maximum simulated time of the whole run [s]."""
+        return self.scene.duration
+
+    @property
+    def expected_duration(self) -> float:
+        """Simulated time that the run will probably take [s]."""
+        return self.duration
+
+    @property
+    def frame_step(self) -> float:
+        """Size of the time steps [s], if it does not depend on where the run stops; otherwise infinity.
+
+        With constant steps, the run can stop for a frame between two samples.
+        """
+        return np.inf
+
+    def ended_early(self) -> bool:
+        """Return whether the run has reached its end before its maximum duration."""
+        return False
+
+    def reaching(self, time: float) -> Coroutine:
+        """Yield requests that step the run to a time [s]; a subclass adds the actions that are due on the way."""
+        yield Until(time)
+
+    # Writing and reading of checkpoints.
+
+    def save(self, path: Path) -> None:
+        """Write a checkpoint of the present state, which takes effect once all recorders have written their data.
+
+        If this fails, the previous checkpoint remains, from which every recorder can go on. Raises
+        :class:`RunFolderError`.
+        """
+        try:
+            self._write_state(path)
+            if self._ran:
+                self._recording.call("write")
+            self._commit_state(path)
+        except BaseException:
+            checkpoint.discard(path)
+            raise
+
+    def _write_state(self, path: Path) -> None:
+        """Write the state to a partial file next to the checkpoint at `path`."""
+        contents = self.state_dict()
+        contents["run"] = {
+            "recorders": self._recording.states() if self._ran else {},
+            "samples": self._samples,
+            "next_frame": self.frames.next,
+            "spent": self._spent | {"running": self._running()},
+            "over": self.over,
+        }
+        checkpoint.write_beside(path, self.scene, self.device, self.precision, contents)
+
+    def _commit_state(self, path: Path) -> None:
+        checkpoint.commit(path)
+        self._kept = self.stepper.time if self._ran else 0.0
+        self._saved = wall_clock.perf_counter()
+
+    def resume(self, path: Path) -> None:
+        """Restore the state from a checkpoint of the same scene, device and precision, instead of calling `prepare`.
+
+        The resumed run gives the same bits as a run without interruption. Raises :class:`RunFolderError` for a file
+        that is no complete checkpoint of this simulation.
+        """
+        self.load_state_dict(self.read_checkpoint(path))
+
+    def read_checkpoint(self, path: Path) -> dict[str, Any]:
+        """Return the `state_dict` in a checkpoint; restore the clocks and the counters of samples and frames."""
+        contents = checkpoint.read(path, self.scene, self.device, self.precision)
+        self._resumed = run = contents["run"]
+        self._samples, self.frames.next = run["samples"], run["next_frame"]
+        self._spent = run["spent"]
+        self._ran_before = self._spent["running"]
+        self.over = run["over"]
+        self.goes_on, self._saved = True, wall_clock.perf_counter()
+        return contents
+
+    # Course of a run, from its preparation to its end.
+
+    def begin(self, path: Path | None = None) -> None:
+        """Prepare the state at t = 0, or restore it from the checkpoint at `path` if this file exists.
+
+        Recorders claim their folders first, so that no other run can write or remove the checkpoint at the same time.
+        """
+        self.goes_on = path is not None and path.is_file()
+        try:
+            self.claim()
+            self.goes_on = path is not None and path.is_file()
+            if path is not None and self.goes_on:
+                self.resume(path)
+            else:
+                self.prepare()
+        except BaseException as error:
+            self.abandon(refused=isinstance(error, SceneError))
+            raise
+
+    def claim(self) -> None:
+        """Let recorders take exclusive resources, such as the run folder."""
+        for recorder in self.recorders:
+            recorder.claim(self)
+
+    def abandon(self, refused: bool = False) -> None:
+        """Release the resources that `claim` took, unless the run has begun.
+
+        For a scene that is `refused`, remove the checkpoint too.
+        """
+        if not self._ran:
+            if refused and not self.goes_on and self.checkpoint_path is not None:
+                with suppress(OSError):
+                    self.checkpoint_path.unlink(missing_ok=True)
+            for recorder in self.recorders:
+                recorder.abandon(self)
+
+    def run(self) -> Run:
+        """Prepare and run the simulation, until its end, `stop_requested` or Ctrl-C; return the results.
+
+        Raises :class:`WarpcreteError` if this simulation has run before.
+        """
+        if self._ran:
+            raise WarpcreteError("this simulation has already run; create a new Simulation for another run")
+        with telling(self.tell):
+            if not self.prepared:
+                self.begin()
+            return drive_alone(self.running(), self.stepper.advance)
+
+    def running(self) -> Coroutine:
+        """Run from t = 0 or from a checkpoint to the end, as a generator that returns the :class:`Run`."""
+        self._ran = True
+        self._recording = Recording(self, self.recorders)
+        self._started = wall_clock.perf_counter()
+        if self._resumed is not None:
+            self._kept = self.stepper.time
+        finished = interrupted = False
+        full: list[Exception] = []  # errors that a full disk caused
+        try:
+            try:
+                if not self.rows:  # Save the state at t = 0 first: packing and settling took long.
+                    self._checkpoint()
+                self._recording.begin((self._resumed or {}).get("recorders", {}))
+                finished = yield from self._loop()
+            except KeyboardInterrupt:
+                interrupted = True
+            except Exception as error:
+                if not is_full(error):
+                    raise
+                full.append(error)
+        finally:
+            # Whatever ended the run, complete the sample that was begun and write all results.
+            failures = self._recording.failures
+            try:
+                self._complete()
+            except KeyboardInterrupt:
+                interrupted = True
+            except InstabilityError:  # The run has already ended for another reason.
+                pass
+            except Exception as error:
+                failures.append(error)
+            self._spent["running"] = self._running()
+            self.finishing = True
+            run = self._end(finished, interrupted)
+        if full := [*full, *filter(is_full, failures)]:
+            raise full_disk(full, self._kept) from full[0]
+        if failures:
+            raise failures[0]
+        return run
+
+    def _end(self, finished: bool, interrupted: bool) -> Run:
+        """Write everything to disk, the most important data first; remove the checkpoint if nothing is missing.
+
+        The last state takes effect as a checkpoint when all recorders have finished. A run that is then killed while
+        its recordings are joined need not repeat the last steps. If a recorder fails, the run can go on from the
+        previous checkpoint without loss of data.
+        """
+        recording, path = self._recording, self.checkpoint_path
+        written = False
+        if finished and path is not None:
+            self.over = True
+            with suppress(OSError, RunFolderError):
+                self._write_state(path)
+                written = True
+        run = self.result(finished)
+        run.interrupted = interrupted
+        run.finished = run.result["finished"] = run.finished and not recording.failures
+        recording.finish(run)
+        if written and path is not None:
+            if run.finished:
+                with suppress(OSError, RunFolderError):
+                    self._commit_state(path)
+            checkpoint.discard(path)
+        if run.finished:
+            recording.tidy(run)
+        if finished and not run.finished and self._kept is None:
+            recording.call_off()
+        if run.finished and path is not None:
+            checkpoint.remove(path)
+        recording.close()
+        if isinstance(self._progress, ProgressBar):
+            self._progress.close()
+        return run
+
+    def _loop(self) -> Coroutine:
+        interval, duration, stepper = self.scene.sample_interval, self.duration, self.stepper
+        if self.over:
+            self.ended_early()  # This call sets the reason for the end of the run.
+            return True
+        if not self.rows:
+            self.sampled = stepper.time, stepper.steps
+            self._sample()
+            self._frame()
+        samples = max(1, int(np.ceil(duration / interval - 1e-9)))
+        for number in range(self._samples + 1, samples + 1):
+            if self.stop_requested:
+                self._complete()
+                self._checkpoint()
+                return False
+            goal = min(number * interval, duration)
+            while self.recorders and self.frames.before(goal):
+                yield from self.reaching(self.frames.next)
+                self._frame()
+            yield from self.reaching(goal)
+            self._complete()  # If no step was taken, the previous sample is still incomplete.
+            self._samples, self.sampled = number, (stepper.time, stepper.steps)
+            # If possible, launch the next steps before this sample is complete; the stepper then calls `_complete`.
+            if number < samples and self._goes_on():
+                self._left = number / samples
+                if self._frame_is_due():
+                    self._frame()
+                stepper.meanwhile = self._complete
+                continue
+            row = self._sample()
+            ended = self.ended_early()
+            if self.frames.due(stepper.time) or number == samples or ended:
+                self._frame()
+            if ended:
+                return True
+            if number < samples:
+                self._checkpoint_if_due()
+            self._tell_of(row, number / samples)
+        return True
+
+    def _goes_on(self) -> bool:
+        """Return whether the next steps may be launched before the current sample is complete; if so, begin the sample.
+
+        This is the case if nothing else needs the present state: recorders read rows only, a frame that is due is drawn
+        from a snapshot, no checkpoint is due and no stop is requested.
+        """
+        kinds = [type(recorder) for recorder in self.recorders]
+        return (
+            not self.stop_requested
+            and all(says(kind, "sample", "rows_alone") for kind in kinds)
+            and not (self._frame_is_due() and not all(says(kind, "frame", "draws_alone") for kind in kinds))
+            and (self.checkpoint_path is None or wall_clock.perf_counter() - self._saved < self.checkpoint_every)
+            and self.begin_measure()
+        )
+
+    def _frame_is_due(self) -> bool:
+        return bool(self.recorders) and self.frames.due(self.sampled[0])
+
+    def _complete(self) -> None:
+        """Complete a sample that was begun before the last steps, if there is one."""
+        fraction, self._left = self._left, None
+        if fraction is not None:
+            self._tell_of(self._sample(), fraction)
+
+    def _sample(self) -> dict[str, float]:
+        row = self.measure()
+        self._recording.call("sample", row)
+        self.watch_row(row)
+        return row
+
+    def _tell_of(self, row: dict[str, float], fraction: float) -> None:
+        pressure = {name: row[name] for name in ("pressure",) if name in row}
+        self.tell("running", fraction, steps_per_s=self.sampled[1] / max(self._running(), 1e-9), **pressure)
+
+    def _frame(self) -> None:
+        self._recording.call("frame")
+        self.frames.taken(self.stepper.time)
+
+    def _checkpoint(self) -> None:
+        if self.checkpoint_path is not None:
+            try:
+                self.save(self.checkpoint_path)
+            except RunFolderError as error:  # The previous checkpoint is still there.
+                if is_full(error):
+                    raise
+                warnings.warn(f"the checkpoint could not be written: {error}", stacklevel=2)
+        self._saved = wall_clock.perf_counter()
+
+    def _checkpoint_if_due(self) -> None:
+        if wall_clock.perf_counter() - self._saved >= self.checkpoint_every:
+            self._checkpoint()
+
+    def _running(self) -> float:
+        return self._ran_before + (wall_clock.perf_counter() - self._started if self._ran else 0.0)
+
+    def tell(self, phase: str, fraction: float, **figures: Any) -> None:
+        """Report progress to the callback."""
+        self._progress(phase, fraction, figures)
+
+
+def drive_alone(coroutine: Coroutine, advance: Callable[[float], None]) -> Any:
+    """Run a generator that yields :class:`Until` requests, and return its result.
+
+    The function `advance` steps the state to a time [s]. Its errors are raised inside the generator.
+    """
+    try:
+        goal = next(coroutine)
+        while True:
+            try:
+                advance(goal.time)
+            except BaseException as error:
+                goal = coroutine.throw(error)
+            else:
+                goal = next(coroutine)
+    except StopIteration as end:
+        return end.value

@@ -1,0 +1,127 @@
+"""Rerun's viewer, on this screen or in a browser; by default, only this machine can connect to it."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import socket
+import subprocess
+import sys
+import time
+import urllib.parse
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import rerun_cli
+
+from ..errors import RunFolderError, refuse
+from .processes import tied
+
+LOOPBACK = "127.0.0.1"
+WEB, DATA = 9090, 9876
+"""Preferred ports of the web page and of the data; other ports are used if these are occupied."""
+READY = 20.0
+"""Longest time to wait until a server accepts connections [s]."""
+
+
+def rerun_tool() -> str:
+    """Return the path of Rerun's executable."""
+    return str(Path(rerun_cli.__file__).with_name("rerun.exe" if sys.platform == "win32" else "rerun"))
+
+
+@dataclass(frozen=True)
+class Viewer:
+    """Viewer that can be started, with its command and the sockets on which it listens."""
+
+    command: list[str]
+    address: str
+    """URL that a browser opens, or that a run sends its recording to."""
+    listens: tuple[tuple[str, int], ...] = field(default=())
+    """Host and port of each socket on which the viewer listens."""
+
+    def start(self) -> subprocess.Popen[bytes]:
+        """Start the viewer without its log, and wait until it listens.
+
+        Raises :class:`RunFolderError` if the viewer does not start.
+        """
+        process = subprocess.Popen(
+            self.command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            env=os.environ | {"RUST_LOG": "off"},
+        )  # fmt: skip
+        end = time.monotonic() + READY
+        while not all(map(_answers, self.listens)):
+            if process.poll() is not None or time.monotonic() > end:
+                process.kill()
+                raise RunFolderError(
+                    f"the Rerun viewer did not start at {self.address}; try '{' '.join(self.command)}'"
+                )
+            time.sleep(0.05)
+        return process
+
+
+def web_viewer(recordings: Sequence[Path], bind: str = LOOPBACK) -> Viewer:
+    """Return a server for recordings and for the web page that shows them; the server ends with this process."""
+    web, data = _free_port(bind, WEB), _free_port(bind, DATA)
+    host = _host(bind)
+    source = urllib.parse.quote(f"rerun+http://{host}:{data}/proxy", safe="")
+    command = [rerun_tool(), *map(str, recordings), "--serve-web", *_ports(bind, data), "--web-viewer-port", str(web)]
+    return Viewer(tied(command), f"http://{host}:{web}?url={source}", ((bind, web), (bind, data)))
+
+
+def screen_viewer(recordings: Sequence[Path] = (), bind: str = LOOPBACK) -> Viewer:
+    """Return a viewer in a window, which also receives data from runs and stays open after this process ends."""
+    data = _free_port(bind, DATA)
+    command = [rerun_tool(), *map(str, recordings), *_ports(bind, data), "--expect-data-soon"]
+    return Viewer(command, f"rerun+http://{_host(bind)}:{data}/proxy", ((bind, data),))
+
+
+def has_screen() -> bool:
+    """Return whether this machine can open a window."""
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def _ports(bind: str, data: int) -> list[str]:
+    return ["--bind", bind, "--port", str(data)]
+
+
+def _host(bind: str) -> str:
+    """Return the host name by which others reach the address of a socket."""
+    address = ipaddress.ip_address(bind)
+    if address.is_unspecified:
+        return socket.gethostname()
+    return f"[{bind}]" if address.version == 6 else bind
+
+
+def _family(bind: str) -> socket.AddressFamily:
+    try:
+        return socket.AF_INET6 if ipaddress.ip_address(bind).version == 6 else socket.AF_INET
+    except ValueError:
+        refuse(
+            "bind", bind, "must be an IP address of this machine", f"use {LOOPBACK} for access from this machine only"
+        )
+
+
+def _free_port(bind: str, wanted: int) -> int:
+    """Return the `wanted` port if it is free, else another free port."""
+    family = _family(bind)
+    for port in (wanted, 0):
+        with socket.socket(family) as probe:
+            try:
+                probe.bind((bind, port))
+                return probe.getsockname()[1]
+            except OSError as error:
+                if not port:
+                    refuse("bind", bind, f"is not an address of this machine ({error.strerror})", f"use {LOOPBACK}")
+    raise AssertionError
+
+
+def _answers(place: tuple[str, int]) -> bool:
+    host, port = place
+    if ipaddress.ip_address(host).is_unspecified:
+        host = "::1" if ":" in host else LOOPBACK
+    try:
+        socket.create_connection((host, port), 0.2).close()
+    except OSError:
+        return False
+    return True

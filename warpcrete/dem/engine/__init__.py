@@ -1,0 +1,5 @@
+"""The time stepping of discrete elements: arrays on the device, neighbour lists, bonds, batches and the stable step.
+
+Modules here import `dem.scene` and `dem.laws`, but no measurement. Start with `stepper`, go on with `stages`, which
+holds the algorithm of one step, and with `neighbors` for the lists.
+"""

@@ -1,0 +1,317 @@
+"""Batch of one or many scenes: their arrays joined end to end, and the kernel launches that advance them together.
+
+The scenes of a batch share kernels and launches only; each has its own parameters, walls, clock, flags and neighbour
+lists. A scene halts itself on the device when its lists no longer cover every possible contact, when it has reached its
+goal, or when it has failed. Every kernel skips halted scenes, so no contact is missed however many steps are queued,
+and a scene gives bitwise identical results alone and in a batch. A finished scene still costs a little time: see
+`regrouping`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ...core.device.device import parallel
+from ...core.device.exchange import Exchange
+from ...core.device.graphs import AtOnce
+from ...core.device.launching import (
+    DEFAULT_BLOCK,
+    Launcher,
+    Size,
+    Stage,
+    Step,
+    by_one_thread,
+    graph_sizes,
+    parameter_names,
+)
+from ...core.errors import refuse
+from ...kernels.common.control import ESTIMATED, FAILED, GOAL, HALTED, STALE, WAITS
+from ...kernels.dem.motion import sync_kernel
+from ...kernels.dem.probes import WALL_COLUMNS, wall_probe
+from .batch_arrays import JointArrays
+from .launch_planner import NEVER, WAIT, Ahead
+from .model import Model
+from .rest import Structure
+from .state import State
+from .subcycling import Subcycles
+
+PER_THREAD = 500
+"""Minimum number of spheres for each CPU thread; with fewer, waiting at barriers costs more than a thread gains.
+
+In a small pipe, two threads took 0.67 to 1.0 of one thread's time for 1000 spheres, and 1.25 to 2 times as long for
+500.
+"""
+
+
+def batch_key(model: Model) -> tuple:
+    """Return a key of the features that kernels depend on; models with equal keys can share a batch."""
+    worn = len(model.walls) if model.features.wear else 0
+    return model.features, model.analytic_walls, worn, model.scalar, str(model.device)
+
+
+class Batch(JointArrays):
+    """Scenes with the same features on one device, with joint arrays of which each scene's arrays are slices.
+
+    `models` and `states` have one entry for each scene. On a CPU, `threads` threads share the work of a single scene:
+    each takes a chunk of neighbouring bodies. A batch of several scenes or of few spheres uses fewer threads. Raises
+    :class:`SceneError` if the scenes need different features.
+    """
+
+    def __init__(self, models: list[Model], states: list[State], *, threads: int = 1) -> None:
+        model = models[0]
+        if len({batch_key(m) for m in models}) > 1:
+            refuse(
+                "batch",
+                len(models),
+                "must contain only scenes that need the same features; run the others in a batch of their own",
+            )
+        for s, state in enumerate(states):
+            state.taken_into(self, s)
+        if parallel(model.device) or len(models) > 1:
+            threads = 1
+        spheres = sum(s.sphere_count for s in states)
+        super().__init__(models, states, max(1, min(threads, spheres // PER_THREAD)))
+        self.subcycles = Subcycles(self)
+        self.structure = Structure(self) if self.features.structure else None
+        self.exchange = Exchange(self.device)
+        self._launcher = Launcher(self.threads, self.device)
+        self.barrier = self._launcher.barrier
+        self.version = 0
+        """Version of the recorded launches, incremented whenever arrays or chunks change."""
+        self._chunks: tuple[int, ...] = ()
+        self.rechunked: set[int] = set()
+        """Numbers of the scenes whose division into CPU chunks no longer matches their neighbour lists."""
+        self.ahead = Ahead(self.parallel, self.count)
+        self._flags: np.ndarray | None = None
+        self._clock: np.ndarray | None = None
+        self._walls: np.ndarray | None = None
+        self._wall_reading: AtOnce | None = None
+        self._unsent = self._row_unsent = False
+        self._step: list[list[Any]] | None = None
+        self._rebuild: AtOnce | None = None
+        self._between: AtOnce | None = None
+        self._sync: Stage | None = None
+        self.split()
+
+    def split(self) -> None:
+        """Divide bodies and spheres into one chunk for each CPU thread, following the present order of the bodies."""
+        before = self._chunks
+        if self.threads == 1:
+            self.body_chunks = np.array([0, self.body_count])
+            self.sphere_chunks = np.array([0, self.sphere_count])
+        else:
+            first = self.bodies.first.numpy()
+            wanted = self.sphere_count * np.arange(self.threads + 1) // self.threads
+            self.body_chunks = np.searchsorted(first, wanted)
+            self.sphere_chunks = first[self.body_chunks]
+        chunks = [int(c) for c in self.sphere_chunks]
+        for s, state in enumerate(self.states):
+            own = chunks if self.count == 1 else [0, state.sphere_count]
+            if state.chunks != own:
+                self.rechunked.add(s)
+            state.chunks = own
+        self._chunks = (*self.body_chunks.tolist(), *self.sphere_chunks.tolist())
+        if self._chunks != before:
+            self.invalidate_graphs()
+
+    def stage(
+        self, kernel: Any, dim: Size, *, beside: bool = False, meets: bool = False, every: int = 1,
+        block: int | None = None, **named: Any,
+    ) -> Stage:  # fmt: skip
+        """Return a recorded launch of `kernel` over `dim` tasks.
+
+        `named` gives arguments by the kernel's parameter names; missing ones are the batch's attributes of the same
+        name. `beside`, `meets`, `every` and `block` have the meaning described in :class:`Stage`.
+        """
+        for name in parameter_names(kernel):
+            if name not in named:
+                named[name] = getattr(self, name)
+        return Stage(kernel, dim, named, self.device, beside=beside, meets=meets, every=every, block=block)
+
+    def invalidate_graphs(self) -> None:
+        """Discard recorded launches, because they refer to arrays or chunks that have been replaced."""
+        self._launcher.invalidate_graphs()
+        self.ahead.captured()
+        self.version += 1
+        self._step = self._rebuild = self._between = None
+        self._sync = None
+        self._wall_reading = None
+
+    def use_step(self, step: list[list[Any]], rebuild: AtOnce | None, between: AtOnce | None) -> None:
+        """Set the stages of one step, one list for each thread; they stay valid while `has_step` is True.
+
+        A GPU launches `between` after each piece of steps: it rebuilds lists and estimates stable steps. It launches
+        `rebuild` instead, which rebuilds lists only, when no scene needs estimates.
+        """
+        self._step, self._rebuild, self._between = step, rebuild, between
+
+    @property
+    def has_step(self) -> bool:
+        """Whether the stages of a step have been set and still match the arrays and chunks."""
+
+        return self._step is not None
+
+    def goal(self, s: int, *, steps: int = NEVER, until: float = np.inf, interval: int = NEVER) -> None:
+        """Let scene `s` continue until it has completed `steps` steps or has reached the time `until` [s].
+
+        The stable step is estimated every `interval` steps. The scene must not have reached either goal yet.
+        """
+        goal = until, min(interval, NEVER)
+        if goal != (self.rows["until"][s], self.rows["interval"][s]):
+            self.rows["until"][s], self.rows["interval"][s] = goal
+            self._row_unsent = True
+        row = self.host_flags()[s]
+        row[int(GOAL)] = steps
+        row[int(HALTED)] = int(WAITS) if row[int(STALE)] != 0 or row[int(FAILED)] != 0 else 0
+        self._unsent = True
+
+    def outdate(self, scenes: Sequence[int] | np.ndarray) -> None:
+        """Mark the neighbour lists of `scenes` as stale, so that the scenes halt until their lists are rebuilt."""
+        flags = self.host_flags()
+        for s in scenes:
+            flags[s, int(STALE)] = 1
+            flags[s, int(HALTED)] = flags[s, int(HALTED)] or int(WAITS)
+        self._unsent = True
+
+    def estimated(self, s: int, steps: int) -> None:
+        """Note that the stable step of scene `s` was estimated after `steps` completed steps."""
+        self.host_flags()[s, int(ESTIMATED)] = steps
+        self._unsent = True
+
+    def host_flags(self) -> np.ndarray:
+        """Return the control flags of all scenes; changes to this array are sent to the device with the next launch."""
+        if self._flags is None:
+            self._look()
+        assert self._flags is not None
+        return self._flags
+
+    def host_clock(self) -> np.ndarray:
+        """Return the present clocks of all scenes for reading, shape (scenes, CLOCK)."""
+        if self._clock is None:
+            self._look()
+        assert self._clock is not None
+        return self._clock
+
+    def _look(self) -> None:
+        """Read flags and clocks from the device; on a CPU, use views of the arrays, which are always up to date."""
+        if self.parallel:
+            flags, self._clock = self.exchange.read(self.flags, self.scenes.clock)
+            # Flags that the host already holds may contain changes that have not been sent yet.
+            self._flags = flags if self._flags is None else self._flags
+        else:
+            self._flags, self._clock = self.flags.numpy(), self.scenes.clock.numpy()
+
+    def host_walls(self, s: int) -> np.ndarray:
+        """Return the present values of the walls of scene `s`, shape (walls, WALL_COLUMNS)."""
+        if self._walls is None:
+            (self._walls,) = self.exchange.read(self.wall_values())
+        return self.own_walls(s, self._walls)
+
+    def wall_values(self) -> wp.array:
+        """Write the values of all walls to `wall_array` on the device; they are valid until the next call."""
+        if self._wall_reading is None:
+            self._wall_reading = AtOnce([self.wall_stage()], self.device)
+        self._wall_reading()
+        return self.wall_array
+
+    @cached_property
+    def wall_array(self) -> wp.array:
+        """Device array of the walls' values, shape (walls, WALL_COLUMNS)."""
+        return wp.zeros((self.wall_count, WALL_COLUMNS), dtype=wp.float64, device=self.device)
+
+    def wall_stage(self) -> Stage:
+        """Return the launch that writes the walls' values to `wall_array`."""
+        reading = {"walls": self.walls, "wall_values": self.wall_array}
+        return Stage(wall_probe(self.scalar), self.wall_count, reading, self.device, block=DEFAULT_BLOCK)
+
+    def own_walls(self, s: int, values: np.ndarray) -> np.ndarray:
+        """Return the rows of `values` that belong to scene `s`; `values` has one row for each wall of the batch."""
+        first = int(self.rows["walls"][s])
+        return values[first : first + int(self.rows["wall_count"][s])]
+
+    def device_changed(self) -> None:
+        """Send pending host changes to the device and discard host copies that a launch makes out of date."""
+        unsent = [(self.scenes.row, self.rows)] if self._row_unsent else []
+        if self.parallel and self._unsent:
+            assert self._flags is not None
+            unsent.append((self.flags, self._flags))
+        if unsent:
+            self.exchange.write(*unsent)
+        # The copies are discarded after the write, so that an interrupted write loses no pending changes.
+        if self.parallel:
+            self._flags = self._clock = None
+        self._walls = None
+        self._unsent = self._row_unsent = False
+
+    def launch(self) -> None:
+        """Launch steps until some scene needs attention; on a GPU the steps run while Python continues."""
+        pieces = self.ahead.pieces(self.host_flags(), self.host_clock(), self.rows)
+        interval = self.rows["interval"][self.host_flags()[:, int(HALTED)] == 0].min(initial=NEVER)
+        self.device_changed()
+        rounds = 0 if self.parallel else self.subcycles.rounds  # a GPU runs all rounds of a step in one kernel
+        largest = self.ahead.largest_graph(self.threads, rounds)
+        flags = np.empty((0, 0)) if self.parallel else self.host_flags()
+        assert self._step is not None
+        between = self._rebuild if interval == NEVER else self._between
+
+        def ended() -> bool:
+            return bool(flags[:, int(HALTED)].all())
+
+        try:
+            for count in pieces:
+                # On a GPU, the steps up to the next estimate and the estimate itself form one graph, which saves
+                # launches.
+                whole = self.parallel and count in (interval, WAIT) and count <= largest
+                sizes = [count] if whole else graph_sizes(count, largest)
+                behind = between if whole and self.device.is_cuda else None
+                self._launcher.replay(self._step, self._alone, sizes, ended, behind)
+                if between is not None and behind is None:
+                    between()
+        finally:  # the bodies must match their spheres even after an interruption
+            for stage in self.sync_stages():
+                stage()
+        self.ahead.stepped(sum(pieces))
+        self.exchange.ask(self.flags, self.scenes.clock)
+
+    def rebuild(self) -> None:
+        """Rebuild the neighbour lists now, with the recorded launch that a GPU otherwise uses between steps."""
+        assert self._rebuild is not None
+        self.outdate(range(self.count))
+        self.device_changed()
+        self._rebuild()
+        self.device_changed()
+
+    @property
+    def settled(self) -> bool:
+        """Whether the device has finished everything that was launched."""
+        return self.exchange.answered
+
+    def settle(self) -> np.ndarray:
+        """Wait for the launched steps to finish and return a copy of all flags."""
+        if self.parallel:
+            self._flags, self._clock = self.exchange.answer()
+        return self.host_flags().copy()
+
+    def _alone(self) -> Step:
+        assert self._step is not None
+        return by_one_thread(self._step)
+
+    def in_parts(self, stages: list[Stage]) -> None:
+        """Launch one stage for each chunk, each on its own CPU thread."""
+        self._launcher.apart(stages)
+
+    def sync_stages(self) -> list[Stage]:
+        """Return the stages that copy the motion of single spheres to their bodies.
+
+        If every body is a single sphere, steps move only the spheres, because that is faster. Scenes with clumps need
+        no such stage.
+        """
+        if self.features.clumps or not self.sphere_count:
+            return []
+        self._sync = self._sync or self.stage(sync_kernel(self.scalar), self.sphere_count)
+        return [self._sync]

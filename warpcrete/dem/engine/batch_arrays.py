@@ -1,0 +1,298 @@
+"""Device arrays of a batch, in which the arrays of all scenes are joined end to end."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ...core.device.device import parallel
+from ...core.errors import CapacityError
+from ...geometry.surfaces import Surfaces
+from ...geometry.walls import MeshWall
+from ...kernels.common.types import types
+from ...kernels.common.walls import FIXED, MESH
+from ...kernels.dem.bond_parallel import MOST_ROWS
+from ...kernels.dem.structs import array_structs, scene_struct
+from .launch_planner import NEVER
+from .links import carry_links, even_pairs, make_links
+from .model import Model
+from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
+
+MAXIMUM_ENTRIES = 2**31 - 2**20  # maximum length of a list, whose indices are 32-bit integers
+FULL = 0.9
+"""Fill level above which a scene's arrays grow when those of another scene of the batch must grow.
+
+Growing arrays discards all recorded launches of the batch, so scenes that will soon need more room grow at the same
+time.
+"""
+
+
+class JointArrays:
+    """Device arrays of a batch of scenes with the same features."""
+
+    flags: wp.array
+    """Control flags of all scenes, shape (scenes, FLAGS)."""
+    scenes: Any
+    """Clocks and parameters of all scenes, a struct of `kernels/dem/structs.py`, as are the next six attributes."""
+    bodies: Any
+    spheres: Any
+    slots: Any
+    pairs: Any
+    candidates: Any
+    walls: Any
+    corners: wp.array
+    """Corners of all meshes, each in its wall's frame [m], shape (corners,)."""
+    faces: wp.array
+    """Corner indices of each triangle, shape (faces, 3)."""
+    across: wp.array
+    """Neighbours of each triangle across its edges, as in :class:`Surfaces`, shape (faces, 6)."""
+    ring_start: wp.array
+    """First entry of each row of `ring`, and the end of the last row, shape (rows + 1,)."""
+    ring: wp.array
+    """Triangles and corners around each corner, and around each edge of three or more triangles, end to end."""
+    face_wall: wp.array
+    """Index of the wall of each triangle, shape (faces,)."""
+    pair_parameters: wp.array
+    """Parameters of the contact laws between bodies, as in :class:`Model`, for all scenes end to end."""
+    wall_parameters: wp.array
+    """Parameters of the contact laws of bodies with walls, for all scenes end to end."""
+    bond_parameters: wp.array
+    """Parameters of the kinds of bonds, for all scenes end to end."""
+    segments: wp.array
+    """Straight and curved segments of the axes of pipes and drives, for all scenes end to end."""
+    drive_axis: wp.array
+    """First and end index of the segments of each group's axis, shape (groups, 2)."""
+    drive_force: wp.array
+    """Driving force on each body of a group along that axis [N], shape (groups,)."""
+    rows: np.ndarray
+    """Host copy of `scenes.row`."""
+    slot_scene: wp.array
+    """Scene index of every entry of `pairs.start`, shape (spheres + scenes,)."""
+
+    def __init__(self, models: list[Model], states: list[State], threads: int) -> None:
+        """Join the arrays of all models and states, with separate wall forces for each of `threads` CPU threads."""
+        model = models[0]
+        self.models, self.states = models, states
+        self.features, self.scalar, self.device = model.features, model.scalar, model.device
+        self.parallel = parallel(self.device)
+        self.threads = threads
+        self.count = len(models)
+        self.body_count = sum(s.body_count for s in states)
+        self.sphere_count = sum(s.sphere_count for s in states)
+        self.wall_count = sum(len(m.walls) for m in models)
+        self.structs = array_structs(self.scalar)
+        if self.parallel:
+            even_pairs(states)
+        self.capacity = np.array([len(s.pairs.other) for s in states])
+        """Allocated number of entries of each scene's pair arrays, shape (scenes,)."""
+        self.face_capacity = np.array([len(s.candidates.face) for s in states])
+        """Allocated number of each scene's mesh candidates, that is, triangles near a sphere, shape (scenes,)."""
+        self.load_capacity = np.array([len(s.pairs.load) for s in states])
+        """Allocated number of each scene's bond loads; unused if contacts heal, because then every pair has a load."""
+        self._join_states()
+        self._join_models()
+        self._place_pairs()
+        self.links = make_links(self)
+
+    @abstractmethod
+    def invalidate_graphs(self) -> None:
+        """Discard recorded launches, because arrays have been replaced."""
+
+    def _join_states(self) -> None:
+        """Join the arrays of all states, replace the originals by slices, and allocate the arrays of the batch."""
+        for struct in STRUCTS:
+            setattr(self, struct, getattr(self.structs, struct.capitalize())())
+        for struct, names in state_fields(self.structs).items():
+            for name in names:
+                joint = self._join([getattr(state, struct) for state in self.states], name)
+                setattr(getattr(self, struct), name, joint)
+        self.flags = self._join(self.states, "flags")
+        n = self.sphere_count
+        counts = [s.sphere_count for s in self.states]
+        vec4 = self.structs.Spheres.vars["clear"].type.dtype
+        self.spheres.scene = self._numbers(counts)
+        self.spheres.clear = wp.zeros(n if self.features.analytic else 0, dtype=vec4, device=self.device)
+        self.bodies.scene = self._numbers([s.body_count for s in self.states])
+        self.slot_scene = self._numbers([n + 1 for n in counts])
+
+    def _join(self, parts: list[Any], name: str) -> wp.array:
+        """Join the arrays `name` of all parts and replace them by slices of the joint array."""
+        arrays = [getattr(part, name) for part in parts]
+        if len(arrays) == 1:
+            return arrays[0]
+        joint = wp.empty((sum(len(a) for a in arrays), *arrays[0].shape[1:]), dtype=arrays[0].dtype, device=self.device)
+        first = 0
+        for part, array in zip(parts, arrays):
+            if array.size:  # arrays of a scene without walls may have no columns
+                view = joint[first : first + len(array)]
+                wp.copy(view, array)
+                setattr(part, name, view)
+            first += len(array)
+        return joint
+
+    def _join_models(self) -> None:
+        models = self.models
+        self._given: list[dict[str, Any]] = [{} for _ in models]
+        self.rows = np.zeros(self.count, dtype=scene_struct(self.scalar).numpy_dtype())
+        segments = [m.segments.numpy() for m in models]
+        first_segment = np.concatenate([[0], np.cumsum([len(s) for s in segments])])
+        tables, drives, surfaces = [], [], Surfaces()
+        first = dict.fromkeys(("bodies", "spheres", "walls", "laws", "bonds", "groups"), 0)
+        for s, (model, state) in enumerate(zip(models, self.states)):
+            for name, value in first.items():
+                self.rows[name][s] = value
+            table = model.wall_table.numpy().copy()[: len(model.walls)]
+            table["first"] += first_segment[s]
+            table["last"] += first_segment[s]
+            self.rows["faces"][s] = surfaces.face_count
+            for w, wall in enumerate(model.walls):
+                if isinstance(wall, MeshWall):
+                    assert table["kind"][w] == int(MESH)
+                    vertices, faces, _ = wall.surface
+                    table["first_face"][w] = surfaces.add(vertices, faces, first["walls"] + w)
+            tables.append(table)
+            drives.append(model.drive_axis.numpy() + first_segment[s])
+            self._describe(s, model, state, still=bool(np.all(table["motion"][: model.analytic_walls] == int(FIXED))))
+            first["bodies"] += state.body_count
+            first["spheres"] += state.sphere_count
+            first["walls"] += len(model.walls)
+            first["laws"] += len(model.pair_parameters)
+            first["bonds"] += len(model.bond_parameters)
+            first["groups"] += len(model.groups)
+        for name in ("pair_parameters", "wall_parameters", "bond_parameters", "drive_force", "segments"):
+            setattr(self, name, self._chained([getattr(model, name) for model in models]))
+        self.drive_axis = self._array(np.concatenate(drives), wp.int32)
+        self.scenes.row = self._array(self.rows, scene_struct(self.scalar))
+        self.walls.scene = self._numbers([len(m.walls) for m in models])
+        self.walls.table = self._array(np.concatenate(tables), models[0].wall_table.dtype)
+        self.walls.rest_position = self._chained([m.rest_position for m in models])
+        self.walls.step_force = wp.zeros((self.threads, self.wall_count, 6), dtype=wp.int64, device=self.device)
+        self.corners = self._array(surfaces.corners(), types(self.scalar).vec3)
+        self.faces = self._array(surfaces.faces(), wp.int32, 2)
+        self.across = self._array(surfaces.across(), wp.int32, 2)
+        self.ring_start = self._array(surfaces.ring_start(), wp.int32)
+        self.ring = self._array(surfaces.ring(), wp.int32)
+        self.face_wall = self._array(surfaces.owner(), wp.int32)
+
+    def _describe(self, s: int, model: Model, state: State, *, still: bool) -> None:
+        """Set the constants in the parameter row of scene `s`; `still` says that no plane or pipe ever moves."""
+        row = self.rows
+        row["body_count"][s], row["sphere_count"][s] = state.body_count, state.sphere_count
+        row["wall_count"][s], row["analytic"][s] = len(model.walls), model.analytic_walls
+        row["still"][s] = still
+        row["materials"][s] = len(model.materials)
+        row["gravity"][s] = model.scene.gravity
+        row["speed_limit"][s] = model.scene.watch.speed
+        row["largest_radius"][s] = state.largest_radius
+        row["growth_end"][s] = 1.0
+        row["until"][s], row["interval"][s] = np.inf, NEVER
+        row["wall_stiffness"][s] = np.pi * model.stress_scale * state.largest_radius
+
+    def _chained(self, arrays: list[wp.array]) -> wp.array:
+        """Return the arrays joined end to end; they are constants, so a single one is shared, not copied."""
+        if len(arrays) == 1:
+            return arrays[0]
+        joint = wp.empty(sum(len(a) for a in arrays), dtype=arrays[0].dtype, device=self.device)
+        first = 0
+        for array in arrays:
+            if len(array):
+                wp.copy(joint[first : first + len(array)], array)
+                first += len(array)
+        return joint
+
+    def _array(self, values: Any, dtype: Any, dimensions: int = 1) -> wp.array:
+        if len(values) == 0:
+            return wp.zeros((0,) * dimensions, dtype=dtype, device=self.device)
+        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
+
+    def _numbers(self, counts: list[int]) -> wp.array:
+        return self._array(np.repeat(np.arange(self.count), counts), wp.int32)
+
+    def set(self, s: int, **numbers: Any) -> None:
+        """Change parameters in the row of scene `s`, by the names of `SceneRow`."""
+        if numbers.items() <= self._given[s].items():  # scenes often repeat the same settings
+            return
+        if any(np.any(self.rows[name][s] != self.rows.dtype[name].type(value)) for name, value in numbers.items()):
+            for name, value in numbers.items():
+                self.rows[name][s] = value
+            self.scenes.row.assign(self.rows)
+        self._given[s] |= numbers
+
+    def _place_pairs(self) -> None:
+        self.rows["pairs"] = np.concatenate([[0], np.cumsum(self.capacity)[:-1]])
+        self.rows["candidates"] = np.concatenate([[0], np.cumsum(self.face_capacity)[:-1]])
+        loads = self.capacity if self.features.healing else self.load_capacity
+        self.rows["loads"] = np.concatenate([[0], np.cumsum(loads)[:-1]])
+        self.scenes.row.assign(self.rows)
+
+    def reserve_pairs(self, wanted: np.ndarray) -> None:
+        """Enlarge the pair arrays to at least `wanted` entries for each scene; their contents are kept.
+
+        Raises :class:`CapacityError` if the arrays would be too long.
+        """
+        if not np.any(wanted > self.capacity):
+            return
+        used = [name for name in PAIR_ARRAYS if name in pair_bytes(self.models[0])]
+        if self.features.healing and np.any(wanted > MOST_ROWS):
+            raise CapacityError(
+                f"bonds = {wanted.max()}: too many listed pairs may bond; one scene can hold at most "
+                f"{MOST_ROWS}; use fewer or larger aggregates"
+            )
+        before, old = self.links, self.capacity.copy()
+        # The results of links take most of the memory. They are rewritten before they are read, so the old ones can go.
+        before.pull = None
+        self._regrow("pairs", used, self.capacity, wanted)
+        self.links = make_links(self)
+        if self.parallel:
+            carry_links(before, old, self.links, self.capacity)
+
+    def reserve_loads(self, s: int, wanted: int) -> None:
+        """Enlarge the bond loads to at least `wanted` rows for scene `s`.
+
+        Scenes without bonds will probably create theirs soon, so they get room in proportion to their number of
+        spheres.
+        """
+        spheres = self.rows["sphere_count"].astype(np.int64)
+        each = np.where(self.load_capacity <= 1, wanted * spheres // max(spheres[s], 1), 0)
+        each[s] = wanted
+        self._regrow("pairs", ["load"], self.load_capacity, each)
+
+    def reserve_faces(self, wanted: np.ndarray) -> None:
+        """Enlarge the mesh candidates (triangles near a sphere) to at least `wanted` entries for each scene."""
+        self._regrow("candidates", ["face"], self.face_capacity, wanted)
+
+    def _regrow(self, struct: str, names: list[str], capacity: np.ndarray, wanted: np.ndarray) -> None:
+        if not np.any(wanted > capacity):
+            return
+        old = np.concatenate([[0], np.cumsum(capacity)])
+        grown = wanted > FULL * capacity
+        capacity[grown] = (wanted[grown] + wanted[grown] // 4 + 64) // 2 * 2
+        if struct == "pairs" and self.features.healing:  # every entry has a numbered row of load
+            np.minimum(capacity, MOST_ROWS, out=capacity)
+        new = np.concatenate([[0], np.cumsum(capacity)])
+        # On a GPU, two entries share a link with up to four rows of results, so there are twice as many rows as
+        # entries.
+        most = MAXIMUM_ENTRIES // 2 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES
+        if new[-1] > most:
+            raise CapacityError(
+                f"{struct}: {self.sphere_count} spheres need {new[-1]} entries, but at most {most} "
+                "are possible; use fewer spheres"
+            )
+        for name in names:
+            before = getattr(getattr(self, struct), name)
+            after = wp.zeros(int(new[-1]), dtype=before.dtype, device=self.device)
+            for s, state in enumerate(self.states):
+                kept = int(old[s + 1] - old[s])
+                if kept:
+                    wp.copy(after, before, int(new[s]), int(old[s]), kept)
+                view = after
+                if self.count > 1:
+                    empty = new[s] == new[s + 1]  # Warp cannot slice an empty array
+                    view = after[:1] if empty else after[int(new[s]) : int(new[s + 1])]
+                setattr(getattr(state, struct), name, view)
+            setattr(getattr(self, struct), name, after)
+        self._place_pairs()
+        self.invalidate_graphs()

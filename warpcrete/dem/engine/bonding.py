@@ -1,0 +1,114 @@
+"""Create bonds between bodies, change the properties of bonds, and assign their rows of load.
+
+The load of a bond (its forces and moments) is stored in a row of `pairs.load`. The integer `pairs.bond` of a listed
+pair encodes the bond's kind and that row. A bond keeps its row when neighbour lists are rebuilt, until it breaks. In a
+half list (CPU), a pair across the border of two chunks is computed once by each thread, so every bond has two rows, one
+for each thread. If contacts can heal, any listed pair may bond, so every entry of the list has a row of its own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...core.device.launching import launch
+from ...core.errors import CapacityError
+from ...kernels.dem.bond_parallel import KIND_BITS, MOST_KINDS, MOST_ROWS
+from ...kernels.dem.bonding import bond_kernels
+from ..scene.scene import Bonds
+from .model import Model
+from .pairs import listed_pairs
+from .state import State
+
+
+def make_bonds(model: Model, state: State, bonds: Bonds, kind: int, group: int = -1) -> int:
+    """Bond, without load, every unbonded listed pair whose gap is at most `bonds.gap` [m].
+
+    Only pairs inside body group number `group` are bonded, unless it is -1. Returns the number of bonds of this `kind`
+    afterwards. The neighbour list must be fresh and must reach as far as the gap. Raises :class:`CapacityError` if
+    there are more bonds than can be numbered.
+    """
+    make, _ = bond_kernels(model.scalar)
+    before = state.pairs.bond.numpy().copy()
+    launch(
+        make, state.sphere_count, model.device, kind=kind, healing=model.features.healing, gap=bonds.gap, group=group,
+        bodies=state.bodies, spheres=state.spheres, pairs=state.pairs,
+    )  # fmt: skip
+    if not model.features.healing:
+        _number(state, before)
+    return int(np.count_nonzero(_kinds(state) == kind))
+
+
+def reassign_bonds(model: Model, state: State, old: int, new: int, fraction: float, seed: int) -> int:
+    """Change a random `fraction` of the bonds of kind `old` to kind `new`; return the number of bonds of kind `new`."""
+    _, reassign = bond_kernels(model.scalar)
+    launch(
+        reassign, state.sphere_count, model.device, old_kind=old, new_kind=new, fraction=fraction,
+        seed=seed & 0xFFFFFFFF, spheres=state.spheres, pairs=state.pairs,
+    )  # fmt: skip
+    return int(np.count_nonzero(_kinds(state) == new))
+
+
+def bond_kinds(bond: np.ndarray) -> np.ndarray:
+    """Return the kind of each bond encoded in values of `pairs.bond`.
+
+    Values of 0 (no bond) and below (broken, see `kernels/dem/bond_parallel.py`) are returned unchanged.
+    """
+    return np.where(bond > 0, bond & MOST_KINDS, bond)
+
+
+def bond_rows(bond: np.ndarray) -> np.ndarray:
+    """Return the row of `pairs.load` of each bond encoded in positive values of `pairs.bond`."""
+    return bond >> int(KIND_BITS)
+
+
+def _kinds(state: State) -> np.ndarray:
+    """Return the bond kind of every listed pair, each pair once; values of 0 and below mean no bond."""
+    return bond_kinds(state.pairs.bond.numpy()[listed_pairs(state)[2]])
+
+
+def _number(state: State, before: np.ndarray) -> None:
+    """Assign rows of load to all bonds in the order of the neighbour list.
+
+    `before` holds the earlier values of `pairs.bond`: bonds that existed keep their load, and new ones start without
+    load.
+    """
+    i, j, place = listed_pairs(state)
+    bond = state.pairs.bond.numpy().copy()
+    held = bond[place] > 0
+    i, j, place = i[held], j[held], place[held]
+    apart = 2 if state.model.features.half_list else 1
+    count = apart * len(place)
+    if count > MOST_ROWS:
+        state.pairs.bond.assign(before)
+        raise CapacityError(
+            f"bonds = {len(place)}: one scene can hold at most {MOST_ROWS // apart}; use fewer or larger aggregates"
+        )
+    row = apart * np.arange(len(place), dtype=bond.dtype)
+    load = np.zeros((count, 8), dtype=state.pairs.load.numpy().dtype)
+    kept = before[place] > 0
+    for copy in range(apart):
+        load[row[kept] + copy] = state.pairs.load.numpy()[bond_rows(before[place[kept]])]
+    bond[place] = bond_kinds(bond[place]) | (row << int(KIND_BITS))
+    if apart > 1:
+        _number_copies(state, bond, np.minimum(i, j), np.maximum(i, j), place)
+    state.batch.reserve_loads(state.index, count)
+    state.pairs.bond.assign(bond)
+    if count:
+        state.pairs.load[:count].assign(load)
+
+
+def _number_copies(state: State, bond: np.ndarray, low: np.ndarray, high: np.ndarray, place: np.ndarray) -> None:
+    """Assign the second row of load to the second list entry of each bond across a border of chunks.
+
+    `low` and `high` are the indices of the bonded spheres, and `place` is the first list entry of each bond.
+    """
+    start, other = state.pairs.start.numpy(), state.pairs.other.numpy()[: state.pair_total]
+    # A bonded entry that is not a first entry is the second entry of the pair with the same two spheres.
+    copies = np.flatnonzero(bond[: len(other)] > 0)
+    copies = copies[~np.isin(copies, place)]
+    i = np.searchsorted(start, copies, "right") - 1
+    j = np.where(other[copies] >= 0, other[copies], -1 - other[copies])
+    n = np.int64(state.sphere_count)
+    order = np.argsort(low * n + high)
+    first = place[order[np.searchsorted(low[order] * n + high[order], np.minimum(i, j) * n + np.maximum(i, j))]]
+    bond[copies] = bond_kinds(bond[copies]) | ((bond_rows(bond[first]) + 1) << int(KIND_BITS))

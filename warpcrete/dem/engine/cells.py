@@ -1,0 +1,134 @@
+"""Cell grid of the neighbour search, fitted to the space that the scenes of a batch occupy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ...core.device.launching import Stage
+from ...core.device.scan import scan_stages
+from ...kernels.common.types import types
+from ...kernels.dem.grid import grid_kernels, grid_struct
+
+LOOKED_AT = 4_000
+"""Approximate number of spheres sampled to estimate the extent of a scene."""
+FARTHEST = 1e6
+"""Maximum distance of a sphere from the middle of its scene, in cell widths; larger distances are clipped to this."""
+AMONG = 0.1
+"""Percentage of a scene's spheres that may lie outside its cells at either end of each axis."""
+CELLS = 8
+"""Maximum number of cells per sphere; every rebuild clears all cells, so many empty ones cost time."""
+FEWEST_CELLS = 4096
+MOST_CELLS = {"cpu": 2**18, "cuda": 2**24}
+
+
+class Cells:
+    """Grid with adjacent blocks of cells, one block for each scene.
+
+    Positions wrap around periodically, so every position belongs to a cell. A sphere outside its scene's block, or a
+    grid with too few cells, costs time but cannot change results. The blocks are fitted to the scenes, because in a
+    cubic grid distant parts of a long pipe would wrap onto the same cells and slow down the search.
+    """
+
+    shift: wp.array
+    """Displacement from each scene's own position to its block of cells [m], shape (scenes,)."""
+    grid: Any
+    """Device arrays of the grid, a struct `Grid`."""
+    made: int
+    """Number of times the grid was allocated; a change means that recorded launches refer to old arrays."""
+
+    def __init__(self, batch: Any) -> None:
+        self.batch = batch
+        self.shift = wp.zeros(batch.count, dtype=types(batch.scalar).vec3, device=batch.device)
+        self._bounds = np.zeros((batch.count, 2, 3))
+        self._fitted = np.zeros(batch.count, dtype=bool)
+        self._full = np.array([state.sphere_count > 0 for state in batch.states])
+        self._mean_radius = np.array([state.mean_radius for state in batch.states])
+        """Mean radius of each scene's spheres at full size [m], shape (scenes,)."""
+        self._dims = np.ones(3, dtype=int)
+        self._width = 0.0
+        self.made = 0
+        self._make()
+
+    def _make(self) -> None:
+        device, n, cells = self.batch.device, self.batch.sphere_count, int(self._dims.prod())
+        grid = grid_struct(self.batch.scalar)()
+        grid.dims = wp.vec3i(*self._dims.tolist())
+        grid.per_width = wp.array([1 / self._width if self._width else 1.0], dtype=self.batch.scalar, device=device)
+        for name, size in (("held", cells + 1), ("start", cells + 1), ("cell", n), ("rank", n), ("point", n)):
+            setattr(grid, name, wp.zeros(size, dtype=wp.int32, device=device))
+        self.grid = grid
+        self.made += 1
+
+    def width(self) -> float:
+        """Return the width of a cell [m]: the mean sphere diameter plus the skin of the neighbour lists.
+
+        The largest value of all scenes counts. The few spheres larger than the mean search more than the adjacent
+        cells.
+        """
+        b = self.batch
+        scale = b.scenes.scale.numpy() if b.features.growth else 1.0
+        return float(np.max((2 * self._mean_radius * scale + b.rows["skin"])[self._full]))
+
+    def fit(self, width: float, due: np.ndarray) -> None:
+        """Fit blocks of cells of a `width` [m] to the present spheres of the scenes marked in `due`."""
+        due = (due | ~self._fitted) & self._full
+        if not due.any():
+            return
+        for s in np.flatnonzero(due):
+            self._bounds[s] = self._reach(s, width)
+        self._fitted |= due
+        low, high = np.floor(self._bounds / width).astype(int).transpose(1, 0, 2)
+        sizes = high - low + 2  # one empty cell separates a block from the next
+        # The blocks of all scenes follow one another along the axis in which the largest block is shortest.
+        axis = int(np.argmin(sizes.max(0)))
+        dims = sizes.max(0)
+        dims[axis] = sizes[:, axis].sum()
+        if self.batch.count > 1:
+            low[:, axis] -= np.concatenate([[0], np.cumsum(sizes[:-1, axis])])
+            self.shift.assign(-low * width)
+        most = min(
+            max(CELLS * self.batch.sphere_count, FEWEST_CELLS), MOST_CELLS["cuda" if self.batch.parallel else "cpu"]
+        )
+        # Positions wrap around, so halving the longest side keeps the search correct.
+        while np.prod(dims, dtype=float) > most:
+            dims[np.argmax(dims)] = (dims.max() + 1) // 2
+        if np.all(dims <= self._dims):
+            return
+        # Spheres that spread further should find room for a while, so the grid grows by a quarter more than needed.
+        grown = np.maximum(self._dims, dims + dims // 4)
+        self._dims = grown if np.prod(grown, dtype=float) <= most and np.any(self._dims > 1) else dims
+        self._make()
+
+    def _reach(self, s: int, width: float) -> np.ndarray:
+        """Return the lowest and highest corner of a box around nearly all spheres of a scene [m], shape (2, 3)."""
+        state = self.batch.states[s]
+        stride = max(1, state.sphere_count // LOOKED_AT)
+        some = state.spheres.position[::stride]
+        looked_at = state.scratch("looked_at", some.shape, some.dtype)
+        wp.copy(looked_at, some)
+        (places,) = self.batch.exchange.read(looked_at)
+        places = places[:, :3].astype(float)
+        places = places[np.isfinite(places).all(axis=1)]
+        if not len(places):
+            return np.zeros((2, 3))
+        middle = np.median(places, axis=0)
+        near = np.clip(places - middle, -FARTHEST * width, FARTHEST * width)
+        return middle + np.percentile(near, [AMONG, 100 - AMONG], axis=0)
+
+    def use_width(self, width: float) -> None:
+        """Set the width of a cell [m] for the next rebuild."""
+        if width != self._width:
+            self._width = width
+            self.grid.per_width.fill_(self.batch.scalar(1 / width))
+
+    def stages(self, centre: wp.array) -> list[Stage]:
+        """Return the stages that sort the shifted points `centre` into cells; the array `grid.held` must be zero."""
+        b, kernels = self.batch, grid_kernels(self.batch.scalar)
+        return [
+            b.stage(kernels.count, b.sphere_count, centre=centre, grid=self.grid),
+            *scan_stages(self.grid.held, self.grid.start),
+            b.stage(kernels.put, b.sphere_count, grid=self.grid),
+        ]

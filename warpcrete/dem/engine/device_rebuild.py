@@ -1,0 +1,61 @@
+"""Neighbour list rebuilds that a GPU decides on and performs by itself, inside a CUDA graph, for a single scene."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import warp as wp
+
+from ...core.device.launching import Stage
+from ...kernels.dem.rebuilding import rebuilding_kernels
+
+if TYPE_CHECKING:
+    from .neighbors import NeighborLists
+
+
+class DeviceRebuild:
+    """A rebuild as a part of a CUDA graph; it does nothing while the lists are fresh.
+
+    If bodies are due for re-sorting, or the new lists do not fit the arrays, the lists stay stale and the host builds
+    them.
+    """
+
+    def __init__(self, lists: NeighborLists) -> None:
+        b = lists.batch
+        self.lists = lists
+        self._stages = lists.device_stages()
+        self._asked, self._fits = (wp.zeros(1, dtype=wp.int32, device=b.device) for _ in range(2))
+        kernels = rebuilding_kernels(b.scalar)
+        self.ask = b.stage(kernels.ask, 1, asked=self._asked)
+        self.fit = b.stage(
+            kernels.fit, 1, scanned=lists.scanned, room=self.room(), face_scanned=lists.face_scanned,
+            face_room=int(b.face_capacity[0]), fits=self._fits, built=lists.by_device,
+        )  # fmt: skip
+
+    @staticmethod
+    def possible(batch: Any) -> bool:
+        """Return whether a batch can rebuild on the device: a GPU, a single scene, and grid cells of constant width."""
+        able = not batch.device.is_cuda or wp.is_conditional_graph_supported()
+        return batch.parallel and batch.count == 1 and batch.sphere_count > 0 and not batch.features.growth and able
+
+    def room(self) -> int:
+        """Return the number of list entries that fit the pair arrays."""
+        return int(self.lists.batch.capacity[0])
+
+    def stages(self) -> list[Stage]:
+        """Return the two stages that make the decisions of a rebuild."""
+        return [self.ask, self.fit]
+
+    def record(self) -> None:
+        """Record all launches, which loads their kernels; nothing runs yet."""
+        for stage in (*self._stages, *self.stages()):
+            stage.record()
+
+    def __call__(self) -> None:
+        self.ask()
+        wp.capture_if(self._asked, self._search)
+
+    def _search(self) -> None:
+        self.lists.search_on_device()
+        self.fit()
+        wp.capture_if(self._fits, self.lists.complete_on_device)

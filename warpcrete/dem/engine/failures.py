@@ -1,0 +1,47 @@
+"""Errors of a run that the device has stopped, with the body, the likely cause and the usual cures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...core.errors import InstabilityError
+from .model import Model
+from .state import State
+
+
+def unstable(time: float, body: int, what: str, cures: str = "") -> InstabilityError:
+    """Return the error for a run that has become unstable."""
+    cures = cures or "a smaller time step (safety below 0.8), softer contacts or bonds, more damping"
+    return InstabilityError(f"t = {time:.6g} s, body {body}: {what}; usual cures: {cures}")
+
+
+def failed_body(model: Model, state: State, place: int) -> InstabilityError:
+    """Return the error for a run that the device has stopped because of the body at index `place` of the arrays."""
+    own = np.flatnonzero(state.spheres.body.numpy() == place)
+    velocity, radius = state.spheres.velocity.numpy()[own, :3], state.spheres.position.numpy()[own, 3]
+    body, speeds = int(state.bodies.id.numpy()[place]), np.linalg.norm(velocity, axis=1)
+    ways, speed = state.dt * speeds / radius, f"{speeds.max():.3g} m/s"
+    wall = _wall_passed(model, state, own, radius)
+    if wall:
+        what = f"a speed of {speed} carries it through the mesh wall {wall!r}"
+        cures = "stiffer contacts, slower bodies or walls"
+    elif np.any(ways > 0.999):
+        what = (
+            f"a speed of {speed} moves it by {ways.max():.3g} of its radius in a step of {state.dt:.3g} s, so that "
+            "contacts are missed"
+        )
+        cures = f"a time_step below {0.5 * state.dt / ways.max():.2g} s or an automatic one, or slower bodies"
+    else:
+        limit = model.scene.watch.speed
+        what = f"its speed rises from {speed} above watch.speed = {limit:g} m/s in one step, or is not a number"
+        cures = ""
+    return unstable(state.time, body, what, cures)
+
+
+def _wall_passed(model: Model, state: State, spheres: np.ndarray, radius: np.ndarray) -> str:
+    """Return the name of a mesh that one of these spheres has crossed with its centre; empty if there is none."""
+    if not model.features.meshes:
+        return ""
+    walls, overlap = (getattr(state.slots, name).numpy()[spheres] for name in ("wall", "overlap"))
+    sphere, slot = np.nonzero((walls >= 0) & (overlap > radius[:, None]))
+    return model.walls[walls[sphere[0], slot[0]]].name if len(sphere) else ""

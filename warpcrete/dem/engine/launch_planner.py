@@ -1,0 +1,168 @@
+"""Decide how many time steps the host launches before it reads a batch's flags again.
+
+A launch is asynchronous on a GPU: the host queues several steps and does not wait for them. A scene that needs
+attention halts itself on the device and skips the queued rest. These numbers therefore affect speed only, never
+results.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...kernels.common.control import ESTIMATED, FAILED, GOAL, HALTED, STALE, STEPS
+from ...kernels.dem.clock import CLOSE
+from ...kernels.dem.structs import DT, TIME
+
+LAUNCH = {"cpu": 64, "cuda": 512}
+"""Maximum number of steps launched before the host checks for Ctrl-C, by kind of device."""
+BATCH_LAUNCH = 40
+"""Maximum number of steps queued on a GPU for a batch of several scenes before the host attends to halted scenes."""
+LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 64}
+"""Maximum number of steps in one recorded graph.
+
+On a CPU, recording a graph costs as much as several steps and replaying a graph costs almost nothing. Several CPU
+threads get longer graphs, because they lose time when they meet again between two graphs.
+"""
+OLD = 256
+"""Steps launched without a change of the chunks, after which several CPU threads may use longer graphs.
+
+The chunks are often changed soon after the start, which would make recorded graphs useless.
+"""
+NEVER = 2**31 - 1
+"""Step count that no scene ever reaches."""
+SOONER, LATER = 0.95, 1.1
+"""Factors that adapt the expected lifetime of neighbour lists.
+
+Lists that became stale are expected to last `SOONER` times as many steps next time. The expected lifetime grows by the
+factor `LATER` when lists were still valid at its end.
+"""
+ALONG = 0.6
+"""Fraction of the expected lifetime of neighbour lists, after which they are rebuilt together with another scene's."""
+NOBODY = np.zeros(0, dtype=np.int64)
+WAIT = 20
+"""Maximum number of steps after which a GPU checks by itself whether its lists are stale."""
+BRIEF = 8
+"""Minimum expected lifetime of neighbour lists, in steps."""
+
+
+class Ahead:
+    """Planner of the number of steps per launch, and of the time at which neighbour lists are rebuilt.
+
+    Its choices affect speed only: a scene halts itself where it must, and the kernels in flight skip a halted scene.
+    """
+
+    def __init__(self, parallel: bool, scenes: int) -> None:
+        self.parallel, self.scenes = parallel, scenes
+        # Step count at which the lists of each scene were built, and their expected lifetime in steps.
+        self._built = np.zeros(scenes, dtype=np.int64)
+        self._lasting = np.full(scenes, 64.0 if scenes == 1 else np.inf)
+        # False for scenes whose lists have an unknown age, so that their lifetime cannot be measured.
+        self._whole = np.ones(scenes, dtype=bool)
+        self._since_captured = 0
+        self.rebuilds_itself = False
+        """Whether a GPU rebuilds the lists of its only scene without the host.
+
+        The host still rebuilds lists when bodies must be sorted or when the arrays are too small.
+        """
+
+    def stepped(self, launched: int) -> None:
+        """Add `launched` steps to the count of steps since graphs were last recorded."""
+        self._since_captured += launched
+
+    def captured(self) -> None:
+        """Reset the count of steps since graphs were last recorded."""
+        self._since_captured = 0
+
+    def largest_graph(self, threads: int, rounds: int) -> int:
+        """Return the maximum number of steps in one graph if each step has `rounds` sub-cycling rounds."""
+        kind = "cuda" if self.parallel else "threads" if threads > 1 and self._since_captured > OLD else "cpu"
+        return max(1, LARGEST_GRAPH[kind] // (1 + rounds // 4))
+
+    def due(self, flags: np.ndarray, sort_every: np.ndarray, among: Sequence[int]) -> np.ndarray:
+        """Return the numbers of the scenes whose neighbour lists should be rebuilt now.
+
+        These are the scenes with stale lists. Several scenes on a GPU share the launches of a rebuild, so scenes of
+        `among` whose lists will soon be stale are included: a launch takes almost as long when one of its scenes waits.
+        `flags` are the control flags of all scenes; `sort_every` is the number of steps between sortings.
+        """
+        if not flags[:, int(STALE)].any() and (self.scenes == 1 or not self.parallel):
+            return NOBODY
+        steps, stale = flags[:, int(STEPS)], flags[:, int(STALE)] != 0
+        age = steps - self._built
+        chosen = np.zeros(self.scenes, dtype=bool)
+        chosen[list(among)] = True
+        chosen &= flags[:, int(FAILED)] == 0
+        # A rebuild forced by sorting says nothing about the lifetime of lists.
+        early = (sort_every > 0) & (steps % np.maximum(sort_every, 1) == 0)
+        came = chosen & stale & ~early & self._whole
+        self._lasting[came] = np.maximum((1.0 if self.scenes == 1 else SOONER) * age[came], BRIEF)
+        if self.scenes == 1 or not self.parallel:
+            return np.flatnonzero(stale)
+        outlived = chosen & ~stale & (age >= self._lasting)
+        self._lasting[outlived] *= LATER
+        if not (stale | outlived).any():
+            return NOBODY
+        return np.flatnonzero(stale | outlived | (chosen & (age >= ALONG * self._lasting)))
+
+    def joined(self, s: int, steps: int) -> None:
+        """Note that scene `s` joined the batch after `steps` completed steps, with neighbour lists of unknown age."""
+        self._built[s], self._whole[s] = steps, False
+
+    def built(self, flags: np.ndarray) -> None:
+        """Note that the lists of all scenes marked as stale in `flags` have been rebuilt."""
+        stale = flags[:, int(STALE)] != 0
+        self._built[stale], self._whole[stale] = flags[stale, int(STEPS)], True
+
+    def pieces(self, flags: np.ndarray, clock: np.ndarray, rows: np.ndarray) -> list[int]:
+        """Divide the next launch into pieces and return the number of steps of each piece.
+
+        After each piece a GPU estimates the stable time step of the scenes that need an estimate, and rebuilds the
+        lists that it rebuilds by itself. `flags`, `clock` and `rows` hold one row for each scene of the batch.
+        """
+        # Convert to plain Python numbers: for one scene they are ten times as fast as NumPy, and the GPU idles
+        # meanwhile.
+        untils, intervals, slots, clocks = (
+            rows["until"].tolist(),
+            rows["interval"].tolist(),
+            flags.tolist(),
+            clock.tolist(),
+        )
+        running = [s for s in range(self.scenes) if slots[s][int(HALTED)] == 0]
+        if not running:
+            return []
+        left, estimates = [], []
+        for s in running:
+            slot, (time, dt) = slots[s], (clocks[s][int(TIME)], clocks[s][int(DT)])
+            by_time = (untils[s] - time) / dt - CLOSE if dt > 0 else math.inf
+            left.append(min(by_time, slot[int(GOAL)] - slot[int(STEPS)]))
+            estimates.append(max(intervals[s] - (slot[int(STEPS)] - slot[int(ESTIMATED)]), 1))
+        count = max(1, math.ceil(min(max(left), LAUNCH["cuda" if self.parallel else "cpu"])))
+        if not self.parallel:
+            return [min(count, max(estimates))]
+        piece = min(intervals[s] for s in running)
+        lists = min(self._lasting[s] - (slots[s][int(STEPS)] - self._built[s]) for s in running)
+        if self.scenes > 1:
+            # A scene that waited for new lists is some steps behind the others. The first piece therefore lasts until
+            # every scene needs its next estimate; scenes that need their estimate earlier halt and wait.
+            piece = min(piece, BATCH_LAUNCH)
+            sizes = [min(max(estimates), piece, count)]
+            most = min(BATCH_LAUNCH, lists)
+            while sum(sizes) < count and sum(sizes) + piece <= most:
+                sizes.append(min(piece, count - sum(sizes)))
+            return sizes
+        # When the lists become stale, the rest of the queued steps is idle. The launch therefore ends where the lists
+        # are expected to become stale, judging by their last lifetime.
+        if self.rebuilds_itself:
+            every = max(int(rows["sort_every"][0]), 0) or NEVER
+            count = min(count, every - slots[0][int(STEPS)] % every)
+        else:
+            count = min(count, int(lists) if lists > 0 else max(16, int(self._lasting[0] - lists) // 4))
+        first = min(count, estimates[0])
+        whole, rest = divmod(count - first, piece)
+        sizes = [first, *[piece] * whole, *([rest] if rest else [])]
+        if not self.rebuilds_itself:
+            return sizes
+        return [min(WAIT, size - done) for size in sizes for done in range(0, size, WAIT)]

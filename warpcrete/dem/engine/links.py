@@ -1,0 +1,70 @@
+"""Allocate the struct `Links`, in which a GPU stores one link for each pair of the neighbour lists.
+
+The lists of a GPU contain every pair twice, once for each sphere. A link stands for the pair, so that its contact force
+is computed once and then read by both spheres.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ...kernels.dem.linking import MORE
+from ...kernels.dem.links import pull_rows
+from ...kernels.dem.structs import links_struct
+from .state import State, pair_bytes
+
+
+def even_pairs(states: list[State]) -> None:
+    """Make the length of all pair arrays even, because two list entries, one for each sphere, share one link."""
+    for state in states:
+        for name in pair_bytes(state.model):
+            array = getattr(state.pairs, name)
+            if len(array) % 2:
+                even = wp.zeros(len(array) + 1, dtype=array.dtype, device=array.device)
+                wp.copy(even, array)
+                setattr(state.pairs, name, even)
+
+
+def rows_of(features: Any) -> int:
+    """Return the number of result rows of a link, of four numbers each, for these features."""
+    return pull_rows(features.bonds, features.pair_law.rolls, features.dissipation)
+
+
+def make_links(batch: Any) -> Any:
+    """Allocate empty links for all list entries of a :class:`Batch`; on a CPU the arrays have length 0."""
+    struct = links_struct(batch.scalar)
+    lists = int(batch.capacity.sum()) if batch.parallel else 0
+    few = {"near_count": 2, "outrun": batch.count, "seen_at": batch.count, "seen": batch.sphere_count}
+    few["more"] = int(MORE) * batch.sphere_count
+    sizes = {"pull": rows_of(batch.features) * lists // 2, "end": lists}
+    sizes |= few if batch.parallel else dict.fromkeys(few, 0)
+    links = struct()
+    for name, variable in struct.vars.items():
+        made = wp.zeros(sizes.get(name, lists // 2), dtype=variable.type.dtype, device=batch.device)
+        setattr(links, name, made)
+    if batch.parallel:
+        links.link.fill_(-1)
+        first = np.append(0, np.cumsum(batch.capacity // 2)).tolist()
+        for s in range(1, batch.count):
+            if first[s] < first[s + 1]:
+                links.scene[first[s] : first[s + 1]].fill_(s)
+        # Mark the near links, the pairs close enough to touch soon, as not selected yet.
+        links.outrun.fill_(1)
+        links.near_count.assign(np.array([0, 1], dtype=np.int32))
+    return links
+
+
+def carry_links(before: Any, old: np.ndarray, links: Any, capacity: np.ndarray) -> None:
+    """Copy the links of each scene into enlarged arrays.
+
+    `old` and `capacity` are the numbers of list entries of each scene before and after, shape (scenes,).
+    """
+    wp.copy(links.more, before.more)
+    first, behind = (np.append(0, np.cumsum(each // 2)) for each in (capacity, old))
+    for name, entries in (("link", 1), ("touched", 1), ("end", 2)):  # array and its number of elements per link
+        target, source = getattr(links, name), getattr(before, name)
+        for s in np.flatnonzero(old):
+            wp.copy(target, source, entries * int(first[s]), entries * int(behind[s]), entries * int(old[s]) // 2)

@@ -1,0 +1,39 @@
+"""Compile all kernels of a batch in parallel before its first launch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ...core.device.launching import load
+from ...kernels.dem import probes
+from ...kernels.dem.bonding import bond_kernels
+from ...kernels.dem.motion import sync_kernel
+from .batch import Batch
+from .device_rebuild import DeviceRebuild
+from .neighbors import NeighborLists
+from .stable_step import StableStep
+from .stages import step_stages
+
+
+def load_kernels(lists: NeighborLists, estimate: StableStep) -> None:
+    """Compile the kernels of steps, lists, estimates, samples and bonds, or load them from the cache."""
+    batch = lists.batch
+    if batch.sphere_count:
+        steps = [stage for part in step_stages(batch) for stage in part]
+        rebuild = DeviceRebuild(lists).stages() if DeviceRebuild.possible(batch) else []
+        others = [*_others(batch), *batch.subcycles.kernels(), *rebuild]
+        load([*steps, *lists.kernels(), *estimate.kernels(), *others], batch.device)
+
+
+def _others(batch: Batch) -> list[Any]:
+    """Return the kernels that are launched occasionally: those of samples, bonds and the copy of spheres to bodies."""
+    f, scalar = batch.features, batch.scalar
+    found = [
+        probes.body_probe(scalar),
+        probes.wall_probe(scalar),
+        probes.contact_probe(scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds),
+        *probes.column_kernels(),
+    ]
+    if f.bonds:
+        found += bond_kernels(scalar)
+    return found if f.clumps else [*found, batch.stage(sync_kernel(scalar), batch.sphere_count)]

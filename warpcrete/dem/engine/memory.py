@@ -1,0 +1,85 @@
+"""Estimate the device memory of a run, and check it before the arrays are allocated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import warp as wp
+
+from ...core.device.device import MEMORY_FRACTION, memory_free
+from ...core.errors import CapacityError
+from ...kernels.dem.linking import MORE
+from ...kernels.dem.probes import BODY_COLUMNS, CONTACT_COLUMNS, LANES
+from ..scene.bodies import BodyTable
+from .links import rows_of
+from .model import Model
+from .neighbors import MOST_KEPT
+from .state import State, pair_bytes
+
+BONDED = 4  # bonded pairs per sphere in a dense packing, including reserve for growth
+LISTED = 8  # pairs per sphere in a half list of a dense packing, including reserve; twice as many in a full list
+
+
+def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
+    """Return the memory of a body without spheres, and of a sphere with its listed pairs [B].
+
+    `table` must contain at least one body.
+    """
+    one = BodyTable(
+        *(getattr(table, name)[:1] for name in ("position", "orientation", "velocity", "spin", "size", "template")),
+        table.density[:1], table.material[:1], table.group[:1], table.templates,
+    )  # fmt: skip
+    one = replace(one, template=np.zeros(1, int), templates=(min(table.templates, key=lambda t: len(t.radii)),))
+    state = State(model, one)
+
+    def size(*structs: str) -> int:
+        arrays = [array for struct, _, array in state.arrays() if struct in structs]
+        return sum(a.size * wp.types.type_size_in_bytes(a.dtype) for a in arrays)
+
+    listed = LISTED if model.features.half_list else 2 * LISTED
+    pair = sum(pair_bytes(model).values())
+    scalar = wp.types.type_size_in_bytes(model.scalar)
+    # In addition to the state: the previous neighbour list (for contact history), its row starts, and the cell grid.
+    listing = 2 * listed * pair + 8 * 4 + 3 * scalar + 24
+    # With healing, every list entry has a load, which is counted above. In a half list every bond has two rows of load.
+    if model.features.bonds and not model.features.healing:
+        listing += (2 if model.features.half_list else 1) * BONDED * 8 * scalar
+    estimate = 4 * 6 * scalar
+    probes = 8 * int(CONTACT_COLUMNS) + listed * scalar
+    if model.features.half_list:
+        listing += 4 * listed + 4  # neighbours found by the search, and the index of the first
+    else:
+        listing += 4 * MOST_KEPT  # neighbours found by the search, at most MOST_KEPT
+        # One link for two list entries: its pair, scene and state, a copy of the pair if the link is near, its index at
+        # both entries, and its result rows. Per sphere: the position at the last selection of near links, and the bits
+        # that mark touching neighbours.
+        listing += listed * (24 + 2 * rows_of(model.features) * scalar) + 4 * scalar + 4 * int(MORE)
+    if model.features.subcycling and model.scene.hydration is not None:
+        # Sub-cycled pairs and bodies: a sphere has at most three pairs, of which the hydrated fraction is stiff.
+        listing += 3 * model.scene.hydration.fraction * (44 * scalar + 80) + 30 * scalar
+    if model.features.analytic:
+        listing += 4 * scalar  # position of the sphere when its distance to walls was last measured
+    body = size("bodies") + 3 * 4 + 8 * int(BODY_COLUMNS) + 2 * 8 + 4 * 4
+    return float(body), size("spheres", "slots") / state.sphere_count + listing + estimate + probes
+
+
+def memory_needed(model: Model, table: BodyTable) -> float:
+    """Return an estimate of the device memory that a run with the bodies of `table` needs [B]."""
+    if len(table) == 0:
+        return 0.0
+    body, sphere = bytes_per_body(model, table)
+    sums = 8 * (LANES + 1) * (int(BODY_COLUMNS) + int(CONTACT_COLUMNS))
+    return body * len(table) + sphere * float(table.sphere_counts.sum()) + sums
+
+
+def check_memory(model: Model, table: BodyTable) -> None:
+    """Raise :class:`CapacityError` if the bodies do not fit into the device's free memory."""
+    needed, free = memory_needed(model, table), memory_free(model.device)
+    if needed > MEMORY_FRACTION * free:
+        fitting = int(len(table) * MEMORY_FRACTION * free / needed)
+        raise CapacityError(
+            f"bodies = {len(table)}: need about {needed / 2**30:.3g} GiB on {model.device}, which has "
+            f"{free / 2**30:.3g} GiB free; about {fitting} of them would fit: choose a smaller container or larger "
+            "aggregates, single precision, or a device with more memory"
+        )

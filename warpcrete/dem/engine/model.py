@@ -1,0 +1,346 @@
+"""Translate a scene to a model: the constant arrays of a run on a device, and the features that the scene needs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ...core.device.device import parallel, scalar_of
+from ...core.errors import refuse
+from ...geometry.axis import Axis
+from ...geometry.walls import MeshWall, Prescribed, Wall
+from ...kernels.common.geometry import axis_functions
+from ...kernels.common.walls import wall_struct
+from ...kernels.dem.bond_parallel import MOST_KINDS, bond_functions
+from ..laws import ContactLaw
+from ..scene.scene import MUCH_STIFFER, Bonds, Scene
+from .rest import grown_bonds, has_layer
+
+
+@dataclass(frozen=True)
+class Features:
+    """Features that a scene needs; they determine the stages of a step and the specialisation of kernels."""
+
+    pair_law: type[ContactLaw]
+    """Contact law between bodies."""
+    wall_law: type[ContactLaw]
+    """Contact law between bodies and walls."""
+    mixed: bool
+    """Whether bodies have several materials."""
+    history: bool
+    """Whether contacts between bodies store a shear history."""
+    bonds: bool
+    """Whether contacts are bonded or may become bonded."""
+    healing: bool
+    """Whether new contacts bond on touching."""
+    subcycling: bool
+    """Whether stiff bonds are sub-cycled, that is, integrated with several shorter rounds in each step."""
+    clumps: bool
+    """Whether bodies are moved as clumps: some have several spheres, or sub-cycling requires it."""
+    rotation: bool
+    """Whether bodies rotate; single spheres without friction, shear damping and bonds do not."""
+    drives: bool
+    """Whether forces along a pipe's axis act on groups of bodies."""
+    walls: bool
+    analytic: bool
+    """Whether there are planes or pipes among the walls."""
+    meshes: bool
+    strokes: bool
+    """Whether the prescribed motion of some wall is interrupted by stops, as between pump strokes."""
+    structure: bool
+    """Whether the lubrication layer on the walls gains strength at rest, which slip then wears off."""
+    growth: bool
+    """Whether the sizes of bodies grow, as during packing."""
+    half_list: bool
+    """Whether neighbour lists contain a pair inside a thread's chunk once (CPU) instead of at both spheres (GPU)."""
+    dissipation: bool
+    """Whether dissipated energy is summed up."""
+    wear: bool
+    """Whether the wear of walls by contacts is summed up."""
+
+
+@dataclass(frozen=True, repr=False)
+class Model:
+    """Constant arrays of a scene on a device; nothing changes after construction."""
+
+    scene: Scene
+    device: Any
+    scalar: Any
+    """Floating-point type of the kernels, `wp.float32` or `wp.float64`."""
+    features: Features
+    materials: tuple[str, ...]
+    groups: tuple[str, ...]
+    """Name of each body group, by group number; number 0 means no group."""
+    bond_kinds: tuple[Bonds, ...]
+    """Properties of the bond kinds 1, 2, ...; bonds that gained strength at rest are the last kind."""
+    walls: tuple[Wall, ...]
+    """Walls of the scene in device order: planes and pipes first, then meshes."""
+    analytic_walls: int
+    """Number of planes and pipes among the walls."""
+    pair_parameters: wp.array
+    """Parameters of `features.pair_law`, one row for each pair of the m materials, shape (m * m,)."""
+    wall_parameters: wp.array
+    """Parameters of `features.wall_law`, one row for each pair of a body's and a wall's material, shape (m * m,)."""
+    bond_parameters: wp.array
+    """Parameters of the bond kinds, shape (kinds + 1,); row 0 means no bond."""
+    wall_table: wp.array
+    """Properties of each wall, shape (walls,); without walls it has one unused row."""
+    rest_position: wp.array
+    """Position of each wall at the start [m], shape (walls,)."""
+    segments: wp.array
+    """Lines and arcs of all pipe axes, shape (segments,); without axes it has one unused row."""
+    drive_axis: wp.array
+    """First and end index of the segments of each group's axis, shape (groups, 2); both 0 without a drive."""
+    drive_force: wp.array
+    """Driving force on each body of a group along that axis [N], shape (groups,)."""
+    meshes: tuple[Any, ...]
+    """The ``wp.Mesh`` objects, kept alive because the wall table refers to them by number."""
+
+    def __repr__(self) -> str:
+        return f"<Model of scene {self.scene.name!r} on {self.device}: {len(self.walls)} walls>"
+
+    @property
+    def stress_scale(self) -> float:
+        """Largest stress scale of all contact laws of the scene [Pa]."""
+        return max(c.stress_scale for c in [self.scene.contact, *self.scene.contacts.values()])
+
+
+def build_model(scene: Scene, device: Any, precision: str, *, growth: bool = False) -> Model:
+    """Build the model of a scene for a Warp `device` and a `precision` ("float32" or "float64").
+
+    `growth` prepares for packing, in which sizes grow during the run. Raises :class:`SceneError` if the scene combines
+    contact laws, bonds or materials that the kernels cannot handle.
+    """
+    scalar = scalar_of(precision)
+    analytic = [wall for wall in scene.walls if not isinstance(wall, MeshWall)]
+    meshes = [wall for wall in scene.walls if isinstance(wall, MeshWall)]
+    walls = (*analytic, *meshes)
+    of_bodies = {b.material for b in scene.bodies} | ({scene.fill.material} if scene.fill is not None else set())
+    materials = tuple(sorted(of_bodies | {w.material for w in walls}))
+    contacts = _both_ways(scene, materials)
+    pair_laws = _law_table("bodies", scene, contacts, materials, of_bodies, of_bodies)
+    wall_laws = _law_table("walls", scene, contacts, materials, of_bodies, {w.material for w in walls})
+    groups = ("", *sorted({b.group for b in scene.bodies if b.group}))
+    bond_kinds = _bond_kinds(scene)
+    shapes = [b.template for b in scene.bodies] + list(scene.fill.templates if scene.fill else ())
+    subcycling = not growth and subcycled(scene)
+    # With sub-cycling, a body has the velocity of a round while its spheres have the mean velocity over the step.
+    clumps = subcycling or any(t is not None and len(t.radii) > 1 for t in shapes)
+    features = Features(
+        pair_law=type(pair_laws[0]),
+        wall_law=type(wall_laws[0]),
+        mixed=len(of_bodies) > 1,
+        history=any(c.has_history for c in pair_laws),
+        bonds=bool(bond_kinds),
+        healing=scene.bonds is not None and scene.bonds.healing,
+        subcycling=subcycling,
+        clumps=clumps,
+        rotation=clumps or bool(bond_kinds) or any(c.has_shear for c in (*pair_laws, *wall_laws)),
+        drives=bool(scene.drives),
+        walls=bool(walls),
+        analytic=bool(analytic),
+        meshes=bool(meshes),
+        strokes=any(isinstance(wall.motion, Prescribed) and wall.motion.stops is not None for wall in walls),
+        structure=has_layer(scene, type(wall_laws[0])),
+        growth=growth,
+        half_list=not parallel(device),
+        dissipation=scene.energy_balance,
+        wear=scene.wear is not None and bool(walls) and not growth,
+    )
+    axes = _Axes()
+    table, kept = _wall_rows(walls, materials, axes, scalar, device)
+    drive_axis, drive_force = _drives(scene, groups, axes)
+    return Model(
+        scene=scene,
+        device=device,
+        scalar=scalar,
+        features=features,
+        materials=materials,
+        groups=groups,
+        bond_kinds=bond_kinds,
+        walls=walls,
+        analytic_walls=len(analytic),
+        pair_parameters=_law_rows(pair_laws, scalar, device),
+        wall_parameters=_law_rows(wall_laws, scalar, device),
+        bond_parameters=_bond_rows(bond_kinds, scalar, device),
+        wall_table=table,
+        rest_position=_array([wall.origin for wall in walls], wp.vec3d, device),
+        segments=axes.rows(scalar, device),
+        drive_axis=wp.array(drive_axis, dtype=wp.int32, device=device),
+        drive_force=_array(drive_force, scalar, device),
+        meshes=kept,
+    )
+
+
+def subcycled(scene: Scene) -> bool:
+    """Return whether hydrated bonds are sub-cycled, that is, integrated with several shorter rounds in each step.
+
+    This is so if the scene has hydrated bonds much stiffer than everything else, or if it requests more than one round.
+    Local damping excludes sub-cycling, because it depends on the sum of all forces, which is not known within a round.
+    Rolling resistance excludes sub-cycling, because the rounds do not implement it.
+    """
+    hydration, rounds = scene.hydration, scene.time_step.rounds
+    if hydration is None or scene.bonds is None or scene.local_damping > 0 or rounds == 1:
+        return False
+    if scene.contact.rolls or any(c.rolls for c in scene.contacts.values()):
+        return False
+    laws = [c.stress_scale for c in (scene.contact, *scene.contacts.values())]
+    others = [b.effective_modulus for b in (scene.bonds, *scene.group_bonds.values())]
+    return rounds is not None or hydration.bonds.effective_modulus >= MUCH_STIFFER * max(*laws, *others)
+
+
+class _Axes:
+    """Collector of pipe axes as segments, end to end."""
+
+    def __init__(self) -> None:
+        self._segments: list[dict] = []
+
+    def add(self, axis: Axis) -> tuple[int, int]:
+        """Add the segments of `axis` and return their first and end index."""
+        first = len(self._segments)
+        self._segments.extend(axis.parametrised())
+        return first, len(self._segments)
+
+    def rows(self, scalar: Any, device: Any) -> wp.array:
+        """Return all segments as an array of structs on a device."""
+        Segment = axis_functions(scalar).Segment
+        rows = []
+        for s in self._segments:
+            row = Segment()
+            row.kind = int(s["arc"])
+            row.start, row.tangent, row.outward = s["start"], s["tangent"], s["outward"]
+            row.radius = s["radius"]
+            row.lower, row.upper = max(s["lower"], -1e30), min(s["upper"], 1e30)
+            rows.append(row)
+        return _structs(rows, Segment, device)
+
+
+def _wall_rows(
+    walls: Sequence[Wall], materials: Sequence[str], axes: _Axes, scalar: Any, device: Any
+) -> tuple[wp.array, tuple[Any, ...]]:
+    """Return the device table of the walls, and the ``wp.Mesh`` objects to which it refers."""
+    WallRow = wall_struct(scalar)
+    rows, kept = [], []
+    for wall in walls:
+        row = WallRow()
+        row.material = materials.index(wall.material)
+        wall.fill(row, axes.add)
+        if isinstance(wall, MeshWall):
+            vertices, faces, _ = wall.surface
+            mesh = wp.Mesh(
+                points=wp.array(vertices.astype(np.float32), dtype=wp.vec3, device=device),
+                indices=wp.array(faces.ravel(), dtype=wp.int32, device=device),
+            )
+            kept.append(mesh)
+            row.mesh = mesh.id
+        rows.append(row)
+    return _structs(rows, WallRow, device), tuple(kept)
+
+
+def _drives(scene: Scene, groups: Sequence[str], axes: _Axes) -> tuple[np.ndarray, np.ndarray]:
+    """Return the range of axis segments, and the driving force on each body [N], of every group."""
+    axis, force = np.zeros((len(groups), 2), dtype=np.int32), np.zeros(len(groups))
+    for drive in scene.drives:
+        group = groups.index(drive.group)
+        count = sum(len(b.positions) for b in scene.bodies if b.group == drive.group)
+        axis[group] = axes.add(drive.axis)
+        force[group] = drive.force / count
+    return axis, force
+
+
+def _bond_kinds(scene: Scene) -> tuple[Bonds, ...]:
+    kinds: list[Bonds] = []
+    if scene.bonds is not None:
+        kinds.append(scene.bonds)
+    if scene.hydration is not None:
+        kinds.append(scene.hydration.bonds)
+    grown = grown_bonds(scene)
+    kinds += [*scene.group_bonds.values(), *([grown] if grown is not None else ())]
+    if len(kinds) > MOST_KINDS:
+        refuse(
+            "group_bonds",
+            len(scene.group_bonds),
+            f"must be fewer: a scene has at most {MOST_KINDS} kinds of bonds in all",
+        )
+    return tuple(kinds)
+
+
+def _both_ways(scene: Scene, materials: Sequence[str]) -> dict[tuple[str, str], ContactLaw]:
+    """Return the contact laws that override the scene's default, for both orders of each pair of materials."""
+    contacts = {}
+    for (a, b), contact in scene.contacts.items():
+        for name in (a, b):
+            if name not in materials:
+                refuse("contacts", (a, b), f"must name materials of bodies or walls ({', '.join(materials)})")
+        contacts[a, b] = contacts[b, a] = contact
+    return contacts
+
+
+def _law_table(
+    what: str,
+    scene: Scene,
+    contacts: dict[tuple[str, str], ContactLaw],
+    materials: Sequence[str],
+    ours: Iterable[str],
+    theirs: Iterable[str],
+) -> list[ContactLaw]:
+    """Return a contact law for every pair of materials, as a flattened square table.
+
+    All pairs that can meet must follow one type of law; otherwise :class:`SceneError` is raised. A pair that cannot
+    meet gets the law of a pair that can.
+    """
+    met = [contacts.get((a, b), scene.contact) for a in sorted(ours) for b in sorted(theirs)] or [scene.contact]
+    kinds = sorted({type(c).__name__ for c in met})
+    if len(kinds) > 1:
+        refuse(
+            "contacts",
+            ", ".join(kinds),
+            f"must be one type of law for all contacts with {what}",
+            "contacts between bodies may have another type than those with walls",
+        )
+    law = type(met[0])
+    table = [contacts.get((a, b), scene.contact) for a in materials for b in materials] or met
+    return [c if type(c) is law else met[0] for c in table]
+
+
+def _law_rows(table: list[ContactLaw], scalar: Any, device: Any) -> wp.array:
+    struct = type(table[0]).functions(scalar).Parameters
+    return wp.array([_filled(struct(), c.row()) for c in table], dtype=struct, device=device)
+
+
+def _filled(row: Any, values: dict[str, Any]) -> Any:
+    for name, value in values.items():
+        if isinstance(value, dict):
+            _filled(getattr(row, name), value)
+        else:
+            setattr(row, name, value)
+    return row
+
+
+def _bond_rows(kinds: Sequence[Bonds], scalar: Any, device: Any) -> wp.array:
+    Bond = bond_functions(scalar).Bond
+    rows = [Bond()]
+    for bonds in kinds:
+        row = Bond()
+        row.effective_modulus = bonds.effective_modulus
+        row.shear_to_normal = 1.0 / bonds.stiffness_ratio
+        row.tensile_strength = bonds.tensile_strength
+        row.cohesion = bonds.cohesion
+        row.tan_friction_angle = float(np.tan(np.radians(bonds.friction_angle)))
+        row.radius_multiplier = bonds.radius_multiplier
+        row.moment_factor = bonds.moment_factor
+        rows.append(row)
+    return _structs(rows, Bond, device)
+
+
+def _array(values: Any, dtype: Any, device: Any) -> wp.array:
+    data = np.asarray(values, dtype=float)
+    return wp.array(data, dtype=dtype, device=device) if len(data) else wp.zeros(0, dtype=dtype, device=device)
+
+
+def _structs(rows: list[Any], dtype: Any, device: Any) -> wp.array:
+    return wp.array(rows, dtype=dtype, device=device) if rows else wp.zeros(1, dtype=dtype, device=device)

@@ -1,0 +1,69 @@
+"""Regrouping: move the scenes of a batch that still run to a smaller batch once most of the scenes have ended.
+
+Every kernel visits all scenes of a batch, so ended scenes still cost time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from ...core.device.device import memory_free
+from ...core.device.footprint import footprint
+from .batch import Batch
+from .neighbors import NeighborLists
+from .stable_step import StableStep
+from .state import State
+
+PART = 0.5
+"""Largest share of a batch's spheres that running scenes may hold for the batch to be regrouped."""
+PATIENCE = 20
+"""Number of launches with few running spheres before a batch is regrouped; scenes that end soon do not repay it."""
+ROOM = 0.5
+"""Share of the free memory that the new batch may take, since the old batch stays in memory and other batches grow."""
+SETTINGS = (
+    "local_damping", "skin", "mesh_skin", "sphere_allowance", "growth_rate", "growth_end", "safety", "largest_step",
+    "fixed_step", "until", "interval", "foreseen_speed", "held",
+)  # fmt: skip
+"""Settings of a scene's row that may change during a run and must be carried over."""
+
+
+class Regrouping:
+    """Decision after each launch of a GPU's batch whether its running scenes move to a smaller batch."""
+
+    def __init__(self) -> None:
+        self._few = 0
+
+    def __call__(self, steppers: Sequence[Any]) -> None:
+        """Move the running scenes, given by their steppers, to a batch of their own if that is due."""
+        batch = steppers[0].batch
+        spheres = sum(stepper.state.sphere_count for stepper in steppers)
+        if not batch.parallel or len(steppers) == batch.count or spheres > PART * batch.sphere_count:
+            self._few = 0
+            return
+        self._few += 1
+        if self._few <= PATIENCE:
+            return
+        self._few = 0
+        # Scenes that have ended keep a reference to their old batch, so its memory is not freed.
+        needed = footprint(stepper=steppers[0])["stepper"] * spheres / max(batch.sphere_count, 1)
+        if needed < ROOM * memory_free(batch.device):
+            regroup(steppers)
+
+
+def regroup(steppers: Sequence[Any]) -> None:
+    """Move steppers of one batch to a new batch that holds only them; their results stay the same to the bit."""
+    old = steppers[0].batch
+    old.device_changed()
+    before = [(stepper.index, stepper.state_dict()) for stepper in steppers]
+    states: list[State] = [stepper.state for stepper in steppers]
+    for state in states:
+        state.leave()
+    batch = Batch([stepper.model for stepper in steppers], states)
+    batch.subcycles.abreast = old.subcycles.abreast
+    lists, estimate = NeighborLists(batch), StableStep(batch)
+    for s, (stepper, (index, found)) in enumerate(zip(steppers, before)):
+        batch.set(s, **{name: old.rows[name][index] for name in SETTINGS})
+        stepper.join(lists, estimate, s, resumed=found)
+        if old.structure is not None and batch.structure is not None:
+            batch.structure.take(s, old.structure, index)

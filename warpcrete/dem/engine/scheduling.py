@@ -1,0 +1,261 @@
+"""Scheduling of many scenes: each is a coroutine that yields its next goal, and a batch steps towards all goals.
+
+Only this module knows how the coroutines of runs, packings and single steppers become launches of a batch.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from ...core.device.graphs import AtOnce
+from ...core.device.interpreter_priority import waiting
+from ...core.device.interrupts import put_off
+from ...core.errors import CapacityError
+from ...core.run.run_loop import Coroutine
+from .device_rebuild import DeviceRebuild
+from .regrouping import Regrouping
+from .stages import step_stages
+
+BETWEEN_LOOKS = 50e-6
+"""Time between two polls of the host while no batch has completed its steps [s]."""
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Goal that a coroutine may yield instead of a time: a number of further steps of the current size."""
+
+    count: int
+
+
+class _Scene:
+    """Coroutine of one scene, together with its progress towards the goal that it yielded last."""
+
+    def __init__(self, stepper: Any, coroutine: Coroutine) -> None:
+        self.stepper, self.coroutine = stepper, coroutine
+        self._under_way: Coroutine | None = None
+        self.waiting = False
+        self.error: Exception | None = None  # raised by deferred work while steps were running
+        self.result: Any = None
+
+    def meanwhile(self) -> None:
+        """Do the work that the coroutine deferred until its next steps run on the device."""
+        left, self.stepper.meanwhile = self.stepper.meanwhile, None
+        if left is not None:
+            try:
+                left()
+            except Exception as error:  # raised inside the coroutine once its steps are done
+                self.error = error
+
+    def go_on(self, error: BaseException | None = None) -> None:
+        """Run the coroutine until it needs steps, or to its end; raise `error` inside it if one is given."""
+        self.waiting = False
+        try:
+            while True:
+                if error is None and self._under_way is not None:
+                    try:
+                        next(self._under_way)
+                        self.waiting = True
+                        return
+                    except StopIteration:
+                        self._under_way = None
+                    except (Exception, KeyboardInterrupt) as failure:
+                        error = failure
+                self._under_way = None
+                goal = next(self.coroutine) if error is None else self.coroutine.throw(error)
+                error = None
+                self._under_way = self.stepper.reaching(goal)
+        except StopIteration as end:
+            self.result = end.value
+        except (Exception, KeyboardInterrupt) as failure:
+            self.result = failure
+
+
+class _Drive:
+    """Scenes of one batch in progress, launch by launch."""
+
+    def __init__(self, scenes: dict[int, tuple[Any, Coroutine]], stream: Any, *, regroups: bool) -> None:
+        self._members = {number: _Scene(*pair) for number, pair in scenes.items()}
+        self._stream = stream
+        self._regroup = Regrouping() if regroups else None
+        self._launched: Any = None  # the batch of the latest launch
+        self.stop: KeyboardInterrupt | None = None
+
+    @property
+    def waiting(self) -> list[_Scene]:
+        """Scenes that have a goal ahead, in the order of their places in the batch."""
+        return sorted((m for m in self._members.values() if m.waiting), key=lambda member: member.stepper.index)
+
+    @property
+    def under_way(self) -> bool:
+        """True if any scene has a goal ahead."""
+        return any(member.waiting for member in self._members.values())
+
+    @property
+    def results(self) -> dict[int, Any]:
+        """Return values or exceptions of the coroutines, by the scenes' numbers."""
+        return {number: member.result for number, member in self._members.items()}
+
+    @property
+    def settled(self) -> bool:
+        """True if the device has completed the latest launch."""
+        return self._launched.settled
+
+    def begin(self, stop: KeyboardInterrupt | None) -> None:
+        """Run all coroutines to their first goals, or, after an interruption, to their ends."""
+        self.stop = stop
+        with self._on_stream():
+            for member in self._members.values():
+                self._go_on(member, self.stop)
+
+    def launch(self) -> None:
+        """Launch the next steps."""
+        self._do(self._launch)
+
+    def look(self) -> None:
+        """Wait for the launched steps, then continue the coroutines whose scenes have reached their goals."""
+        self._do(self._look)
+
+    def interrupt(self, stop: KeyboardInterrupt) -> None:
+        """Raise an interruption inside every coroutine that is waiting."""
+        self.stop = stop
+        self._do(lambda: None)
+
+    def _on_stream(self) -> AbstractContextManager:
+        return nullcontext() if self._stream is None else wp.ScopedStream(self._stream, sync_enter=False)
+
+    def _go_on(self, member: _Scene, error: BaseException | None = None) -> None:
+        member.go_on(error)
+        if not member.waiting:
+            if isinstance(member.result, KeyboardInterrupt):
+                self.stop = member.result
+            elif getattr(member.result, "interrupted", False):
+                self.stop = self.stop or KeyboardInterrupt()
+
+    def _do(self, what: Callable[[], None]) -> None:
+        with self._on_stream():
+            try:
+                if self.stop is None and self.under_way:
+                    what()
+            except KeyboardInterrupt as interruption:
+                self.stop = interruption
+            except CapacityError as full:  # the neighbour lists are full, which affects all scenes of the batch
+                for member in self.waiting:
+                    self._go_on(member, full)
+            if self.stop is not None:
+                for member in self.waiting:
+                    self._go_on(member, self.stop)
+
+    def _launch(self) -> None:
+        waiting = self.waiting
+        steppers = [member.stepper for member in waiting]
+        if self._regroup is not None:
+            with put_off():
+                self._regroup(steppers)
+        stepper = steppers[0]
+        self._launched = batch = stepper.batch
+        if not batch.has_step:
+            batch.use_step(step_stages(batch), *self._by_device(stepper))
+        batch.launch()
+        with put_off():
+            for member in waiting:
+                member.meanwhile()
+
+    @staticmethod
+    def _by_device(stepper: Any) -> tuple[AtOnce | None, AtOnce | None]:
+        """Return two launches that a GPU inserts between steps: list rebuilds alone, and with step size estimates.
+
+        Only a batch of one scene can rebuild its lists on the device.
+        """
+        batch = stepper.batch
+        batch.ahead.rebuilds_itself = DeviceRebuild.possible(batch)
+        if not batch.parallel:
+            return None, None
+        rebuild = []
+        if batch.ahead.rebuilds_itself:
+            stepper.lists.lay_out_cells()
+            rebuild = [DeviceRebuild(stepper.lists)]
+        return AtOnce(rebuild, batch.device) if rebuild else None, stepper.stable_step.by_device(rebuild)
+
+    def _look(self) -> None:
+        waiting, flags = self.waiting, self._launched.settle()
+        stepper = waiting[0].stepper
+        for member in waiting:
+            error, member.error = member.error or member.stepper.trouble(flags[member.stepper.index]), None
+            if error is not None:
+                self._go_on(member, error)
+        batch, running = stepper.batch, [m.stepper.index for m in waiting if m.waiting]
+        if len(outdated := batch.ahead.due(flags, batch.rows["sort_every"], running)):
+            with put_off():
+                batch.outdate(outdated)
+                stepper.lists()
+        ready = [m for m in waiting if m.waiting and m.stepper.reached(flags[m.stepper.index])]
+        estimate = stepper.stable_step
+        try:
+            estimate.foresee([m.stepper.index for m in ready if m.stepper.wants_estimate()])
+            for member in ready:
+                self._go_on(member, self.stop)
+        finally:
+            estimate.forget()
+
+
+def drive(scenes: dict[int, tuple[Any, Coroutine]]) -> dict[int, Any]:
+    """Run the coroutines of all scenes of one batch to their ends; `scenes` maps numbers to steppers and coroutines.
+
+    Returns by number what each coroutine returned or raised. Steppers may have moved to other batches afterwards, so
+    they must not be driven together again. An interruption (Ctrl-C) is raised inside every coroutine that is waiting.
+    """
+    (results,) = drive_abreast([(scenes, None)])
+    return results
+
+
+def drive_abreast(
+    groups: Sequence[tuple[dict[int, tuple[Any, Coroutine]], Any]], *, regroups: bool = True
+) -> list[dict[int, Any]]:
+    """Run :func:`drive` for several batches at the same time, each on its own GPU stream (None: the default stream).
+
+    While some batches step, the host serves others. This requires that the host reads arrays only through an
+    `Exchange`, because ``numpy()`` waits for all streams. With `regroups`, a batch is made smaller once most of its
+    scenes have ended.
+    """
+    drives = [_Drive(*group, regroups=regroups) for group in groups]
+    stop: KeyboardInterrupt | None = None
+    launched: list[_Drive] = []
+
+    def each(act: Callable[[_Drive], None], members: Iterable[_Drive]) -> None:
+        nonlocal stop
+        for one in members:
+            act(one)
+            stop = stop or one.stop
+
+    each(lambda one: one.begin(stop), drives)
+    while under_way := [one for one in drives if one.under_way]:
+        try:
+            if stop is not None:
+                for one in under_way:
+                    one.interrupt(stop)
+                continue
+            each(_Drive.launch, [one for one in under_way if one not in launched])
+            launched = [one for one in under_way if one.under_way]
+            ready = [one for one in launched if len(launched) == 1 or one.settled]
+            if not ready:
+                with waiting():
+                    time.sleep(BETWEEN_LOOKS)
+            each(_Drive.look, ready)
+            launched = [one for one in launched if one not in ready]
+        except KeyboardInterrupt as interruption:
+            stop = interruption
+    return [one.results for one in drives]
+
+
+def drive_one(stepper: Any, coroutine: Coroutine) -> Any:
+    """Run one scene's coroutine; return what it returns, raise what it raises."""
+    result = drive_abreast([({0: (stepper, coroutine)}, None)], regroups=False)[0][0]
+    if isinstance(result, BaseException):
+        raise result
+    return result

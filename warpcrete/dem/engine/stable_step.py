@@ -1,0 +1,156 @@
+"""Estimate of the largest stable time step of a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ...core.device.graphs import AtOnce
+from ...core.device.launching import Stage
+from ...geometry.walls import Driven
+from ...kernels.dem.gathering import ESTIMATE_LANES, gather_kernel
+from ...kernels.dem.stable_step import (
+    begin_kernel,
+    keep_kernel,
+    reduce_kernel,
+    settle_kernel,
+)
+from ...kernels.dem.stiffness import estimate_struct
+from ..scene.scene import Scene
+from .batch import Batch
+
+
+class StableStep:
+    """Estimate of a scene's largest stable step from its masses and current stiffness, bonds included.
+
+    It sets the scene's `clock[STABLE]` and, from that and the settings in the scene's row, `clock[DT]`. An automatic
+    step is also short enough that impacts with little dissipation keep their energy to about 1 %, and that fast bodies
+    move by no more than a fraction of their radius per step.
+    """
+
+    def __init__(self, batch: Batch) -> None:
+        self.batch = batch
+        variables = estimate_struct(batch.scalar).vars
+
+        def zeros(name: str, shape: int | tuple[int, ...]) -> wp.array:
+            return wp.zeros(shape, dtype=variables[name].type.dtype, device=batch.device)
+
+        self._estimate = estimate_struct(batch.scalar)()
+        self._estimate.sums = zeros("sums", (batch.sphere_count, 4))
+        self._estimate.wall_load = zeros("wall_load", (batch.threads, batch.wall_count, 2))
+        self._estimate.smallest = zeros("smallest", (batch.threads, batch.count))
+        self._estimate.finest = zeros("finest", (batch.threads, batch.count))
+        self._estimate.fastest = zeros("fastest", (batch.threads, batch.count))
+        self._asked = wp.zeros(batch.count, dtype=wp.int32, device=batch.device)
+        self._asked_before = np.zeros(batch.count, dtype=np.int32)
+        self._due = wp.zeros(batch.count, dtype=wp.int32, device=batch.device)
+        self._recorded: dict[int, Callable[[], None]] = {}
+        self._version = -1
+        self._known: set[int] = set()
+
+    def __call__(self, s: int) -> None:
+        """Estimate the stable step of scene `s`, unless :meth:`foresee` has just done so."""
+        if s in self._known:
+            self._known.discard(s)
+            return
+        self._estimate_for([s])
+
+    def foresee(self, scenes: list[int]) -> None:
+        """Estimate several scenes that need it before their next step; a GPU does all in the time of one."""
+        if len(scenes) > 1 and self.batch.parallel:
+            self._estimate_for(scenes)
+            self._known = set(scenes)
+
+    def forget(self) -> None:
+        """Discard precomputed estimates that were not used."""
+        self._known.clear()
+
+    def _estimate_for(self, scenes: list[int]) -> None:
+        asked = np.zeros(self.batch.count, dtype=np.int32)
+        asked[scenes] = 1
+        if not np.array_equal(asked, self._asked_before):
+            self._asked.assign(asked)
+            self._asked_before = asked
+        self.batch.device_changed()
+        self._launch(scenes[0])()
+        self.batch.device_changed()
+
+    def by_device(self, first: Sequence[Any] = ()) -> AtOnce:
+        """Return a launch that estimates all scenes in need of it and lets them continue, without the host.
+
+        Only a GPU uses this launch. The stages `first` are launched before the estimate.
+        """
+        return AtOnce([*first, *(stage for phase in self._phases(-1, True) for stage in phase)], self.batch.device)
+
+    def kernels(self) -> list[Stage]:
+        """Return all stages of an estimate, so that their kernels can be compiled."""
+        return [stage for phase in self._phases(-1 if self.batch.parallel else 0, False) for stage in phase]
+
+    def _launch(self, s: int) -> Callable[[], None]:
+        if self._version != self.batch.version:  # old launches would keep outdated arrays in memory
+            self._recorded.clear()
+            self._version = self.batch.version
+        # A CPU estimates one scene at a time, chunk by chunk; a GPU estimates all scenes with the same launch.
+        key = -1 if self.batch.parallel else s
+        if key not in self._recorded:
+            self._recorded[key] = self._made(self._phases(key, False))
+        return self._recorded[key]
+
+    def _made(self, phases: list[list[Stage]]) -> Callable[[], None]:
+        b = self.batch
+        if b.threads == 1:
+            return AtOnce([stage for phase in phases for stage in phase], b.device)
+
+        def phase_by_phase() -> None:
+            for phase in phases:
+                if len(phase) > 1:
+                    b.in_parts(phase)
+                else:
+                    phase[0]()
+
+        return phase_by_phase
+
+    def _phases(self, which: int, by_device: bool) -> list[list[Stage]]:
+        """Return the stages for one scene, or for all due scenes (-1), in phases whose stages may run in parallel."""
+        b, f = self.batch, self.batch.features
+        own = {"due": self._due, "estimate": self._estimate}
+        begin = {"asked": self._asked, "by_device": by_device, **own}
+        lanes = ESTIMATE_LANES if b.device.is_cuda else 1
+        gather = gather_kernel(b.scalar, f.pair_law, f.wall_law, f.half_list, f.bonds, f.subcycling, lanes)
+        reduce = reduce_kernel(b.scalar, f.pair_law, f.wall_law, f.half_list)
+        sphere, body = (int(b.rows[name][which]) for name in ("spheres", "bodies"))
+        chunks, count = list(pairwise(b.states[which].chunks)), b.states[which].body_count
+        if which < 0:
+            sphere, body, chunks, count = 0, 0, [(0, b.sphere_count)], b.body_count
+        own_bodies = [(0, count)] if b.threads == 1 else list(pairwise(b.body_chunks.tolist()))
+
+        def smallest(stiff: bool) -> list[list[Stage]]:
+            return [
+                [b.stage(begin_kernel(b.scalar), b.count, **begin)],
+                [
+                    b.stage(gather, lanes * (last - first), begin=sphere + first, first=sphere + first,
+                            last=sphere + last, part=k, stiff=stiff, **own)
+                    for k, (first, last) in enumerate(chunks)
+                ],
+                # Without bodies only the largest allowed size limits the step.
+                [b.stage(reduce, last - first, begin=body + first, part=k, stiff=stiff, **own)
+                 for k, (first, last) in enumerate(own_bodies)],
+            ]  # fmt: skip
+
+        rounds = {"subcycled": b.subcycles.arrays}
+        settle = b.stage(settle_kernel(b.scalar, f.subcycling), b.count, by_device=by_device, **own, **rounds)
+        phases = [*smallest(False), [settle]]
+        if f.subcycling:
+            phases = [*smallest(True), [b.stage(keep_kernel(b.scalar), b.count, **own, **rounds)], *phases]
+        return [*([stage] for stage in b.sync_stages()), *phases] if by_device else phases
+
+
+def foreseen_speed(scene: Scene, horizon: float) -> float:
+    """Return the speed that walls may reach, plus the speed that forces can give within `horizon` [s]; in m/s."""
+    gained = [float(np.linalg.norm(scene.gravity))]
+    gained += [abs(w.motion.force) / w.motion.mass for w in scene.walls if isinstance(w.motion, Driven)]
+    return max((wall.top_speed() for wall in scene.walls), default=0.0) + max(gained) * horizon

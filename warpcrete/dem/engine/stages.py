@@ -1,0 +1,163 @@
+"""Stages of one step of the discrete element method: contacts, walls, meshes, motion of walls and bodies, and clock."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Any
+
+from ...core.device.launching import Stage, members
+from ...kernels.common.types import SPAN
+from ...kernels.dem.analytic_walls import wall_kernel
+from ...kernels.dem.clock import clock_kernel
+from ...kernels.dem.clump_motion import clump_kernel
+from ...kernels.dem.contacts import contact_kernel
+from ...kernels.dem.links import link_kernel
+from ...kernels.dem.mesh_contacts import mesh_kernel
+from ...kernels.dem.motion import sphere_kernel
+from ...kernels.dem.near import CHOICE_BLOCK, near_kernels
+from ...kernels.dem.surfaces import surface_kernel
+from ...kernels.dem.wall_motion import advance_kernel
+from ...kernels.dem.warps import WARP
+from .batch import Batch
+from .links import rows_of
+
+MANY = 200_000
+"""Number of spheres above which one thread per sphere keeps a GPU busy while lists are built."""
+CHOSEN = 20
+"""Steps between two selections of the near links, equal to the steps between two estimates of the stable step."""
+CLOSE_LINKS = 0.5
+"""Ratio of the link kernel's threads to all links of the lists; if more links are near, a thread takes several."""
+WALL_LANE_BITS = 3
+"""Base-2 logarithm of the largest number of GPU threads that share the planes and pipes of one sphere."""
+WALL_THREADS = 100_000
+"""Largest number of GPU threads for walls when threads share a sphere. More threads would not hide more memory latency:
+a hundred thousand spheres with eight threads each took a tenth longer."""
+LANE_BITS = 2
+"""Base-2 logarithm of the number of GPU threads per clump if clumps are few, or if a link has many values to read."""
+
+
+def tasks(batch: Batch, bodies: int) -> int:
+    """Return the number of kernel tasks for this many bodies; a CPU task takes SPAN bodies as vector lanes."""
+    return -(-bodies // SPAN) if batch.features.half_list else bodies
+
+
+def warp_width(device: Any) -> int:
+    """Return the number of threads that execute the same instructions together (a CUDA warp, or 1)."""
+    return WARP if device.is_cuda else 1
+
+
+def step_stages(batch: Batch) -> list[list[Stage]]:
+    """Return the stages of one step on the batch's current arrays, as one list per thread."""
+    if not batch.features.half_list:
+        return [_full_step(batch)]
+    b, f = batch, batch.features
+    meet = b.barrier()
+    step = []
+    chunks = zip(pairwise(b.sphere_chunks.tolist()), pairwise(b.body_chunks.tolist()))
+    for part, (spheres, bodies) in enumerate(chunks):
+        stages = _half_contacts(b, part, *spheres)
+        stages += meet
+        if part == 0 and f.walls:
+            stages.append(b.stage(advance_kernel(b.scalar, f.strokes), b.wall_count))
+        stages.append(_motion(b, *bodies))
+        stages += meet
+        if f.subcycling:
+            stages += b.subcycles.stages(part)
+        if part == 0:
+            stages.append(b.stage(clock_kernel(b.scalar, f.growth), b.count))
+            if b.structure is not None:
+                stages.append(b.structure.stage())
+        stages += meet
+        step.append(stages)
+    return step
+
+
+def near_stages(batch: Batch) -> list[Stage]:
+    """Return the stages that select a GPU's near links; empty for half lists."""
+    b = batch
+    if b.features.half_list:
+        return []
+    near = near_kernels(b.scalar)
+    whole = -(-len(b.links.link) // CHOICE_BLOCK) * CHOICE_BLOCK
+    return [
+        b.stage(near.see_spheres, max(b.sphere_count, b.count, 2), every=CHOSEN),
+        b.stage(near.choose_near, whole, block=CHOICE_BLOCK, every=CHOSEN),
+    ]
+
+
+def _full_step(batch: Batch) -> list[Stage]:
+    """Return the stages of one GPU step; wall contacts and wall motion run at the same time as spheres and bodies."""
+    b, f, n = batch, batch.features, batch.sphere_count
+    width = warp_width(b.device)
+    stages = near_stages(b)
+    if f.analytic:
+        surfaces = surface_kernel(b.scalar, f.wall_law, f.dissipation, f.wear, width)
+        bits = wall_lane_bits(b)
+        threads = -(-(n << bits) // width) * width
+        stages.append(b.stage(surfaces, threads, count=n, lane_bits=bits, beside=True))
+    if f.meshes:
+        stages.append(_meshes(b, 0, 0, n, beside=True))
+    kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
+    threads = -(-math.ceil(CLOSE_LINKS * len(b.links.link)) // width) * width  # rounded up to whole warps
+    stages += [
+        b.stage(kernel, threads, threads=threads),
+        _motion(b, 0, b.body_count),
+    ]
+    if f.walls:
+        stages.append(b.stage(advance_kernel(b.scalar, f.strokes), b.wall_count, beside=True))
+    stages += [
+        *(b.subcycles.stages(0) if f.subcycling else ()),
+        b.stage(clock_kernel(b.scalar, f.growth), b.count, meets=True),
+        *([b.structure.stage()] if b.structure is not None else []),
+    ]
+    return stages
+
+
+def wall_lane_bits(batch: Batch) -> int:
+    """Return the base-2 logarithm of the number of GPU threads that share the planes and pipes of one sphere."""
+    most = int(batch.rows["analytic"].max())
+    if warp_width(batch.device) == 1 or most <= 2:  # a single thread evaluates two walls as fast
+        return 0
+    bits = min((most - 1).bit_length(), WALL_LANE_BITS)
+    return min(bits, max((WALL_THREADS // max(batch.sphere_count, 1)).bit_length() - 1, 0))
+
+
+def _half_contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage]:
+    """Return the CPU stages for the forces on a chunk of spheres: from each other, planes and pipes, and meshes."""
+    b, f = batch, batch.features
+    contacts = contact_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
+    stages = [b.stage(contacts, tasks(b, last - first), first=first, last=last)]
+    if f.analytic:
+        walls = wall_kernel(b.scalar, f.wall_law, f.dissipation, f.wear)
+        stages.append(b.stage(walls, tasks(b, last - first), first=first, last=last, part=part))
+    if f.meshes:
+        stages.append(_meshes(b, part, first, last))
+    return stages
+
+
+def _meshes(batch: Batch, part: int, first: int, last: int, *, beside: bool = False) -> Stage:
+    b, f = batch, batch.features
+    kernel = mesh_kernel(b.scalar, f.wall_law, f.half_list, f.dissipation, f.wear)
+    named = {"first": first, "last": last, "part": part, **members(kernel, wall=b.walls, slot=b.slots)}
+    return b.stage(kernel, tasks(b, last - first), beside=beside, **named)
+
+
+def _motion(batch: Batch, first: int, last: int) -> Stage:
+    """Return the stage that moves a chunk of bodies once all forces are known."""
+    b, f = batch, batch.features
+    named: dict[str, Any] = {"first": first, "last": last}
+    rows = 0 if f.half_list else rows_of(f)
+    count = tasks(b, last - first)
+    if f.clumps:
+        width = warp_width(b.device)
+        kernel = clump_kernel(
+            b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.subcycling, f.dissipation, rows, width
+        )
+        bits = LANE_BITS if width > 1 and (b.sphere_count < MANY or rows > 2) else 0
+        if not f.half_list:
+            count = -(-(count << bits) // width) * width
+        named |= {"subcycled": b.subcycles.arrays, "lane_bits": bits}
+    else:
+        kernel = sphere_kernel(b.scalar, f.drives, f.growth, f.meshes, f.rotation, f.half_list, f.dissipation, rows)
+    return b.stage(kernel, count, meets=True, **named)

@@ -1,0 +1,317 @@
+"""State: the arrays that change during a run of one scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ...core.errors import refuse
+from ...geometry.rotation import rotate
+from ...kernels.common.control import FLAGS, STEPS
+from ...kernels.dem.mesh_contacts import MESH_SLOTS
+from ...kernels.dem.pairs import ALL_TOUCHED
+from ...kernels.dem.structs import CLOCK, DT, FORCE_SCALE, STABLE, TIME, array_structs
+from ..scene.bodies import BodyTable
+from .model import Model
+
+STRUCTS = ("scenes", "bodies", "spheres", "slots", "pairs", "candidates", "walls")
+"""Structs of arrays that a state has, by the names of its attributes."""
+OF_BATCH = {
+    "scenes": ("row",),
+    "bodies": ("scene",),
+    "spheres": ("scene", "clear"),
+    "walls": ("scene", "table", "rest_position", "step_force"),
+}
+"""Arrays of those structs that only a batch has, because they follow from the models or are unused between steps."""
+NUMBERS = (
+    "body_count", "sphere_count", "largest_radius", "smallest_radius", "mean_radius", "total_mass", "chunks",
+)  # fmt: skip
+"""Attributes of a state, other than arrays, that a checkpoint keeps."""
+
+
+def state_fields(structs: Any) -> dict[str, tuple[str, ...]]:
+    """Return the names of each struct's arrays that belong to a state; `structs` comes from `array_structs`."""
+    found = {}
+    for name in STRUCTS:
+        fields = getattr(structs, name.capitalize()).vars
+        found[name] = tuple(field for field in fields if field not in OF_BATCH.get(name, ()))
+    return found
+
+
+class State:
+    """All data of one scene that change during a run, on the model's device.
+
+    The arrays are members of the structs `scenes` (one row), `bodies`, `spheres`, `slots`, `pairs`, `candidates` and
+    `walls`; `kernels/dem/structs.py` gives their meanings, units and shapes. Bodies and spheres may be re-sorted in
+    memory; `bodies.id` and `spheres.id` are their permanent numbers. The spheres of a body are contiguous. In a batch
+    the arrays are slices of the batch's arrays. Arrays that the scene's features do not need are empty.
+    """
+
+    flags: wp.array
+    """Control flags with the slots of `kernels/common/control.py`, shape (1, FLAGS)."""
+    scenes: Any
+    """Clock and other values that exist once per scene, a struct `Scenes`."""
+    bodies: Any
+    """Arrays of bodies, a struct `Bodies`."""
+    spheres: Any
+    """Arrays of spheres, a struct `Spheres`."""
+    slots: Any
+    """Contacts of spheres with walls, a struct `Slots`."""
+    pairs: Any
+    """Neighbour list with contact history and bonds, a struct `Pairs`."""
+    candidates: Any
+    """Mesh candidates, which are the triangles near each sphere, a struct `Candidates`."""
+    walls: Any
+    """Arrays of walls, a struct `Walls`."""
+
+    def __init__(self, model: Model, table: BodyTable) -> None:
+        self.model = model
+        self.templates = table.templates
+        self.structs = array_structs(model.scalar)
+        for name in STRUCTS:
+            setattr(self, name, getattr(self.structs, name.capitalize())())
+        for name in sorted(set(table.material)):
+            if name not in model.materials:
+                refuse("material", name, f"must be one of {', '.join(model.materials)}")
+        first, offsets, inertia = _shapes(table)
+        self.body_count, self.sphere_count = len(table), int(first[-1])
+        self.largest_radius = float(offsets[:, 3].max(initial=0.0))
+        self.mean_radius = float(offsets[:, 3].mean()) if self.sphere_count else 1.0
+        self.smallest_radius = float(offsets[:, 3].min(initial=np.inf)) if self.sphere_count else 0.0
+        self.total_mass = float(np.sum(table.mass))
+        self.chunks = [0, self.sphere_count]
+        """First sphere of every chunk of a half list, and the end of the last chunk."""
+        self.batch: Any = None
+        """Batch that holds the arrays; None if the state is in no batch."""
+        self.index = 0
+        """Number of the scene in its batch."""
+        self._scratch: dict[str, wp.array] = {}
+        self._launches: tuple[int, dict[str, Any]] = -1, {}
+        self._make_bodies(table, first, inertia)
+        self._make_spheres(table, first, offsets)
+        self._make_pairs()
+        self._make_walls()
+        self._make_scene()
+
+    def _fill(self, struct: str, **arrays: Any) -> None:
+        """Set arrays of a struct from host data, or to zeros where a shape is given."""
+        target = getattr(self, struct)
+        variables = getattr(self.structs, struct.capitalize()).vars
+        for name, value in arrays.items():
+            dtype, device = variables[name].type.dtype, self.model.device
+            if isinstance(value, int | tuple):
+                array = wp.zeros(value, dtype=dtype, device=device)
+            else:
+                array = wp.array(np.ascontiguousarray(value), dtype=dtype, device=device)
+            setattr(target, name, array)
+
+    def _make_bodies(self, table: BodyTable, first: np.ndarray, inertia: np.ndarray) -> None:
+        n = len(table)
+        local_spin = rotate(table.orientation, table.spin, inverse=True)
+        self._fill(
+            "bodies",
+            id=np.arange(n),
+            scene=n,
+            shape=table.template,
+            group=np.array([self.model.groups.index(g) for g in table.group], dtype=int),
+            size=table.size,
+            mass=table.mass,
+            inertia=inertia,
+            position=table.position,
+            rounding=n,
+            velocity=table.velocity,
+            spin=table.spin,
+            orientation=table.orientation,
+            angular_momentum=rotate(table.orientation, local_spin * inertia),
+            first=first,
+        )
+
+    def _make_spheres(self, table: BodyTable, first: np.ndarray, offsets: np.ndarray) -> None:
+        n, f = self.sphere_count, self.model.features
+        body = np.repeat(np.arange(len(table)), np.diff(first)).astype(np.int32)
+        arms = rotate(table.orientation[body], offsets[:, :3])
+        position = np.concatenate([table.position[body] + arms, offsets[:, 3:]], axis=1)
+        carried = table.velocity[body] + np.cross(table.spin[body], arms)
+        material = np.array([self.model.materials.index(m) for m in table.material], dtype=int)
+        self._fill(
+            "spheres",
+            id=np.arange(n),
+            scene=n,
+            body=body,
+            material=material[body],
+            offset=offsets,
+            position=position,
+            velocity=np.concatenate([carried, table.mass[body][:, None]], axis=1),
+            spin=np.pad(table.spin[body], ((0, 0), (0, 1))),
+            built=position,
+            clear=n if f.analytic else 0,
+            force=n,
+            moment=n,
+            touching=np.full(n if not f.half_list or f.history or f.bonds else 0, ALL_TOUCHED),
+            dissipated_energy=n if f.dissipation else 0,
+            broken=n if f.bonds else 0,
+        )
+
+    def _make_pairs(self) -> None:
+        n, f = self.sphere_count, self.model.features
+        used = pair_bytes(self.model)
+        sizes = {name: 1 if name in used else 0 for name in PAIR_ARRAYS}
+        self._fill("pairs", start=n + 1, **sizes | {"load": 1 if f.bonds else 0})
+        self._fill("candidates", start=n + 1 if f.meshes else 0, face=1 if f.meshes else 0)
+
+    def _make_walls(self) -> None:
+        model, n = self.model, self.sphere_count
+        walls = len(model.walls)
+        meshed = n if model.features.meshes else 0
+        worn = (n, walls) if model.features.wear else (0, walls)
+        slots = model.analytic_walls + (MESH_SLOTS if model.features.meshes else 0)
+        self._fill(
+            "slots",
+            touching=n if walls else 0,
+            history=(n, slots),
+            rolling=(n if walls and model.features.wall_law.rolls else 0, slots),
+            normal=(meshed, slots),
+            overlap=(meshed, slots),
+            wall=np.full((meshed, slots), -1) if meshed else (0, slots),
+            worn=worn,
+            worn_at=worn,
+        )
+        rest = model.rest_position.numpy().reshape(-1, 3)
+        normals = [getattr(wall, "normal", (0.0, 0.0, 0.0)) for wall in model.walls]
+        self._fill(
+            "walls",
+            scene=walls,
+            position_exact=rest,
+            position=rest,
+            orientation=np.tile([0.0, 0, 0, 1], (walls, 1)),
+            normal=np.reshape(normals, (-1, 3)),
+            **dict.fromkeys(("velocity_exact", "velocity", "spin", "force", "moment", "impulse", "angular_impulse",
+                             "travel", "work", "moved"), walls),
+        )  # fmt: skip
+
+    def _make_scene(self) -> None:
+        clock = np.zeros((1, CLOCK))
+        typical_force = self.model.stress_scale * (2 * max(self.largest_radius, 1e-12)) ** 2
+        # Forces are summed as integers: 2^62 units hold 2e5 typical forces, and one unit is 5e-14 of a typical force.
+        clock[0, int(FORCE_SCALE)] = 2.0 ** np.floor(np.log2(2.0**44 / typical_force))
+        self._fill("scenes", clock=clock, scale=[1.0], reference_velocity=1)
+        self.flags = wp.zeros((1, FLAGS), dtype=wp.int32, device=self.model.device)
+
+    def arrays(self) -> Iterator[tuple[str, str, wp.array]]:
+        """Yield struct name, array name and array of everything that the state holds."""
+        for struct, names in state_fields(self.structs).items():
+            for name in names:
+                yield struct, name, getattr(getattr(self, struct), name)
+
+    def scratch(self, name: str, shape: tuple[int, ...], dtype: Any) -> wp.array:
+        """Return uninitialised memory for a probe, the same array at every call with this name and shape."""
+        if name not in self._scratch or self._scratch[name].shape != shape:
+            self._scratch[name] = wp.empty(shape, dtype=dtype, device=self.model.device)
+        return self._scratch[name]
+
+    def taken_into(self, batch: Any, index: int) -> None:
+        """Record that this state is scene `index` of `batch`."""
+        self.batch, self.index = batch, index
+        self._launches = -1, {}
+
+    def leave(self) -> None:
+        """Replace the slices of the batch's arrays by copies, so that the state can move to another batch."""
+        for struct, name, array in list(self.arrays()):
+            setattr(getattr(self, struct), name, wp.clone(array))
+        self.flags = wp.clone(self.flags)
+        self.batch = None
+
+    def launches(self, version: int) -> dict[str, Any]:
+        """Return the recorded launches of probes by name, valid for this version of the batch's arrays."""
+        if self._launches[0] != version:
+            self._launches = version, {}
+        return self._launches[1]
+
+    @property
+    def pair_total(self) -> int:
+        """Number of entries of the neighbour list."""
+        return int(self.pairs.start[-1:].numpy()[0])
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self._clock()[int(TIME)]
+
+    @property
+    def steps(self) -> int:
+        """Number of completed steps."""
+        if self.batch is None:
+            return int(self.flags.numpy()[0, int(STEPS)])
+        return int(self.batch.host_flags()[self.index, int(STEPS)])
+
+    @property
+    def dt(self) -> float:
+        """Size of the next step [s]."""
+        return self._clock()[int(DT)]
+
+    @property
+    def stable_step(self) -> float:
+        """Stable step by the latest estimate [s]."""
+        return self._clock()[int(STABLE)]
+
+    def _clock(self) -> list[float]:
+        if self.batch is None:
+            return self.scenes.clock.numpy()[0].tolist()
+        return self.batch.host_clock()[self.index].tolist()
+
+    @property
+    def bytes(self) -> int:
+        """Size of all arrays of the state [B]."""
+        return sum(a.size * wp.types.type_size_in_bytes(a.dtype) for _, _, a in self.arrays())
+
+    def table(self) -> BodyTable:
+        """Return the bodies as they are now, in the order of their permanent numbers."""
+        b = self.bodies
+        order = np.argsort(b.id.numpy())
+        group = b.group.numpy()[order]
+        first = b.first.numpy()[:-1][order]
+        material = self.spheres.material.numpy()[first] if len(order) else []
+        size = b.size.numpy()[order].astype(float) * float(self.scenes.scale.numpy()[0])
+        return BodyTable(
+            position=b.position.numpy()[order].astype(float),
+            orientation=b.orientation.numpy()[order].astype(float),
+            velocity=b.velocity.numpy()[order].astype(float),
+            spin=b.spin.numpy()[order].astype(float),
+            size=size,
+            template=b.shape.numpy()[order].astype(int),
+            density=b.mass.numpy()[order].astype(float) / (np.pi / 6 * size**3),
+            material=[self.model.materials[m] for m in material],
+            group=[self.model.groups[g] for g in group],
+            templates=self.templates,
+        )
+
+
+PAIR_ARRAYS = ("other", "history", "rolling", "bond", "load")
+"""Arrays of `pairs` that may have an entry for each listed pair."""
+
+
+def pair_bytes(model: Model) -> dict[str, int]:
+    """Return the size of one entry of every array that the scene needs for its listed pairs [B]."""
+    f = model.features
+    used = {"other": True, "history": f.history, "rolling": f.pair_law.rolls}
+    # Every list entry has a load row only if bonds heal; otherwise only bonds have one, see `bonding`.
+    used |= {"bond": f.bonds, "load": f.healing}
+    variables = array_structs(model.scalar).Pairs.vars
+    return {name: wp.types.type_size_in_bytes(variables[name].type.dtype) for name in PAIR_ARRAYS if used[name]}
+
+
+def _shapes(table: BodyTable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return each body's first sphere, the spheres' offsets and radii [m], the bodies' principal moments [kg m2]."""
+    first = np.concatenate([[0], np.cumsum(table.sphere_counts)]).astype(np.int32)
+    offsets = np.zeros((int(first[-1]), 4))
+    inertia = np.zeros((len(table), 3))
+    for number, template in enumerate(table.templates):
+        members = np.flatnonzero(table.template == number)
+        rows = (first[members][:, None] + np.arange(len(template.radii))).ravel()
+        unit = np.concatenate([template.offsets, template.radii[:, None]], axis=1)
+        offsets[rows] = (table.size[members][:, None, None] * unit).reshape(-1, 4)
+        inertia[members] = template.inertia * (table.mass[members] * table.size[members] ** 2)[:, None]
+    return first, offsets, inertia

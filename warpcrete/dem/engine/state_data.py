@@ -1,0 +1,101 @@
+"""Conversion of a state to and from checkpoint data, and the hash of a state."""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..scene.bodies import BodyTable, placed_bodies
+from .bonding import bond_kinds, bond_rows
+from .model import Model
+from .pairs import listed_pairs
+from .state import NUMBERS, State, pair_bytes
+
+EMPTY = {("spheres", "force"), ("spheres", "moment")}
+"""Arrays that are zero between two steps, and so are not stored."""
+
+
+def state_dict(state: State) -> dict[str, Any]:
+    """Return everything that the next step depends on: arrays by struct and name, and numbers."""
+    found: dict[str, Any] = {"numbers": {name: getattr(state, name) for name in NUMBERS}, "flags": state.flags.numpy()}
+    for struct, name, array in state.arrays():
+        if (struct, name) not in EMPTY:
+            data = array.numpy()
+            listed = struct == "pairs" and name in pair_bytes(state.model)
+            found.setdefault(struct, {})[name] = data[: max(state.pair_total, 1)] if listed else data
+    return found
+
+
+def restored(model: Model, found: dict[str, Any]) -> State:
+    """Return the state that a `state_dict` describes."""
+    scene = model.scene
+    table = BodyTable.empty()
+    if scene.fill is not None:
+        table.templates = tuple(scene.fill.templates)
+    state = State(model, BodyTable.empty())
+    state.templates = table.joined(placed_bodies(scene)).templates
+    for name, value in found["numbers"].items():
+        setattr(state, name, value)
+    state.flags.assign(found["flags"])
+    for struct, name, array in list(state.arrays()):
+        if (struct, name) in EMPTY:
+            made = wp.zeros(state.sphere_count, dtype=array.dtype, device=model.device)
+        else:
+            data = found[struct][name]
+            if data.size == 0:
+                made = wp.zeros(data.shape[: array.ndim], dtype=array.dtype, device=model.device)
+            else:
+                made = wp.array(data, dtype=array.dtype, ndim=array.ndim, device=model.device)
+        setattr(getattr(state, struct), name, made)
+    return state
+
+
+def state_hash(state: State) -> str:
+    """Return the SHA-256 hash of bodies, contacts, bonds, walls and clock, in the order of permanent numbers.
+
+    Two states with the same hash will move alike to the bit. The hash does not depend on the order of bodies in memory,
+    on listed pairs that do not touch, or on bonds that are permanently broken.
+    """
+    digest = hashlib.sha256()
+    features = state.model.features
+    order = np.argsort(state.bodies.id.numpy())
+    for name in ("position", "rounding", "velocity", "spin", "orientation", "angular_momentum", "size", "mass"):
+        digest.update(np.ascontiguousarray(getattr(state.bodies, name).numpy()[order]).tobytes())
+    i, j, place = listed_pairs(state)
+    ids = state.spheres.id.numpy()
+    position = state.spheres.position.numpy()
+    reach = position[i, 3] + position[j, 3]
+    kept = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
+    bond = state.pairs.bond.numpy()[place] if features.bonds else np.zeros(len(place), np.int32)
+    # Only listed pairs remember that their bond is broken. Without healing this has no effect on the motion.
+    if not features.healing:
+        bond = np.maximum(bond, 0)
+    kept |= bond > 0
+    low, high = np.minimum(ids[i], ids[j])[kept], np.maximum(ids[i], ids[j])[kept]
+    ranks = np.lexsort([high, low])
+    digest.update(np.stack([low, high])[:, ranks].astype(np.int32).tobytes())
+    chosen = place[kept][ranks]
+    if features.history:
+        digest.update(np.ascontiguousarray(state.pairs.history.numpy()[chosen, :3]).tobytes())
+    if features.pair_law.rolls:
+        digest.update(state.pairs.rolling.numpy()[chosen].tobytes())
+    if features.bonds:
+        bond = bond[kept][ranks]
+        digest.update(np.ascontiguousarray(bond_kinds(bond)).tobytes())
+        # Broken bonds carry no load. With healing their rows may hold zeros of either sign, so clear the signs.
+        loads = state.pairs.load.numpy()[bond_rows(np.maximum(bond, 0))]
+        loads[bond <= 0] = 0.0
+        digest.update(loads.tobytes())
+    by_sphere = np.argsort(ids)
+    slots = state.slots
+    for array in (slots.history, slots.rolling, slots.normal, slots.overlap, slots.wall):
+        if len(array) == 0:
+            continue
+        digest.update(np.ascontiguousarray(array.numpy()[by_sphere]).tobytes())
+    for name in ("position_exact", "velocity_exact", "orientation", "spin", "impulse", "travel", "work"):
+        digest.update(getattr(state.walls, name).numpy().tobytes())
+    digest.update(state.scenes.clock.numpy()[0, :3].tobytes())  # simulated time, next and last step size
+    return digest.hexdigest()

@@ -1,0 +1,380 @@
+"""Stepper: step size, goals and bonds of one scene in a batch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import CapacityError, InstabilityError, refuse
+from ...core.run.run_loop import Coroutine, Until
+from ...geometry.walls import MeshWall
+from ...kernels.common.control import ARRIVED, ESTIMATED, FAILED, HALTED, OVERFLOW, STALE, STEPS
+from ...kernels.dem.clock import CLOSE
+from ...kernels.dem.probes import TRAVEL
+from ...kernels.dem.stable_step import LEAP
+from ...kernels.dem.structs import DT_PREVIOUS, TIME
+from ...kernels.dem.subcycling import PART
+from ...kernels.dem.wall_motion import SPEED_LIMIT
+from ..scene.scene import Bonds, TimeStep
+from .batch import Batch
+from .bonding import make_bonds, reassign_bonds
+from .failures import failed_body
+from .loading import load_kernels
+from .model import Model
+from .neighbors import NeighborLists
+from .scheduling import Steps, drive_one
+from .stable_step import StableStep, foreseen_speed
+from .state import State
+from .subcycling import MARGIN, rounds_for
+
+# Skin divided by the mean sphere radius. On a CPU the time of a pumping step is the same from 0.3 to 0.75. A GPU steps
+# so fast that fewer rebuilds pay off if spheres are few: 28,000 spheres take 52, 48, 52 and 65 us per step at skins of
+# 0.7, 1.0, 1.4 and 2.0. From 100,000 spheres on, 1.0 is 2 to 3 % slower than 0.7.
+SKIN = {"cpu": 0.5, "cuda": 0.7, "few": 1.0}
+FEW = 50_000
+MESH_SKIN = 4  # skin of mesh candidates as a multiple of the skin of pairs
+SORT_EVERY = {"cpu": 1000, "cuda": 4000, "few": 16_000}
+"""Steps between two re-sortings of the bodies by the host, which correspond to 13 to 55 builds of the lists. Few bodies
+fit the cache in any order: for 28,000 spheres a step takes 1.3 us less with 16,000 than with 4000, and as long as
+without sorting."""
+
+
+class Stepper:
+    """One scene of a batch: its step size, goals and bonds. A single scene is a batch of one.
+
+    `reaching` is a coroutine, which `scheduling.drive` advances together with those of other scenes. `advance` and
+    `take` step this scene alone.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        state: State,
+        time_step: TimeStep,
+        *,
+        skin: float | None = None,
+        sort_every: int | None = None,
+        threads: int = 1,
+        resumed: dict[str, Any] | None = None,
+        among: tuple[NeighborLists, StableStep, int] | None = None,
+    ) -> None:
+        """Create a stepper in the batch of `among`, or in a batch of its own.
+
+        `among` holds lists and estimate of a batch and the scene's number in it. `resumed` is the `state_dict` of a
+        stepper from which this one continues. `skin` [m] and `sort_every` (steps between two re-sortings) are for
+        tests.
+        """
+        self.model, self.state, self.time_step = model, state, time_step
+        if among is None:
+            batch = Batch([model], [state], threads=threads)
+            among = NeighborLists(batch), StableStep(batch), 0
+            load_kernels(*among[:2])
+        self.running = False  # an unstable fixed step is a SceneError before the run and an InstabilityError in it
+        self.meanwhile: Callable[[], None] | None = None
+        """Deferred work of the run, to be called once while further steps are in flight."""
+        self._skin, self._sort_every = skin, sort_every
+        self._estimated = self._counting = False
+        self._foreseen = -1.0, 0.0
+        fastest = self._fastest_wall(model)
+        self._wall_step = LEAP * state.smallest_radius / fastest if fastest and state.sphere_count else math.inf
+        """Longest step in which a prescribed wall moves no farther than the smallest sphere may [s]."""
+        self.join(*among, resumed=resumed)
+
+    def join(
+        self,
+        lists: NeighborLists,
+        stable_step: StableStep,
+        index: int,
+        *,
+        resumed: dict[str, Any] | None = None,
+    ) -> None:
+        """Become scene `index` of the batch of `lists`; continue from a `state_dict` if one is given."""
+        self.lists, self.stable_step, self.index = lists, stable_step, index
+        self.batch, state = lists.batch, self.state
+        kind = "cpu" if not self.batch.parallel else "few" if state.sphere_count < FEW else "cuda"
+        self.skin = SKIN[kind] * state.mean_radius if self._skin is None else self._skin
+        if resumed is not None:
+            self.skin = resumed["skin"]
+        moving_mesh = any(isinstance(wall, MeshWall) and wall.motion is not None for wall in self.model.walls)
+        self.mesh_skin = MESH_SKIN * self.skin
+        self.batch.set(
+            index,
+            skin=self.skin,
+            sort_every=SORT_EVERY[kind] if self._sort_every is None else self._sort_every,
+            mesh_skin=self.mesh_skin,
+            # The skin is shared between the motion of spheres and the motion of meshes between two builds.
+            sphere_allowance=0.5 * self.mesh_skin if moving_mesh else self.mesh_skin,
+        )
+        if resumed is not None:
+            if math.isfinite(resumed["since_estimate"]):
+                self._estimated = True
+                self.batch.estimated(index, self.steps - int(resumed["since_estimate"]))
+            self.batch.subcycles.load_state_dict(index, resumed["subcycles"])
+        # A run that was not interrupted rebuilds stale lists, and sorts, before the next estimate; do the same here.
+        stale = bool(self.batch.host_flags()[index, int(STALE)])
+        if resumed is None or stale or index in self.batch.rechunked:
+            self.rebuild()
+        else:
+            self.lists.link(index)
+            self.batch.ahead.joined(index, self.steps)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what a stepper needs, in addition to the state, to continue in the same way."""
+        return {
+            "skin": self.skin,
+            "since_estimate": self._since_estimate(),
+            "subcycles": self.batch.subcycles.state_dict(self.index),
+        }
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return self.state.time
+
+    @property
+    def steps(self) -> int:
+        """Completed steps."""
+        return self.state.steps
+
+    @property
+    def dt(self) -> float:
+        """Size of the next step [s]."""
+        return self.state.dt
+
+    def change(self, **settings: float) -> None:
+        """Change `local_damping`, `growth_rate`, `growth_end` or `held` (1: walls stand still) from now on."""
+        self.batch.set(self.index, **settings)
+
+    def rebuild(self) -> None:
+        """Rebuild the neighbour lists of this scene."""
+        self.batch.outdate([self.index])
+        self.lists()
+
+    def bond(self, bonds: Bonds, kind: int, group: int = -1) -> int:
+        """Bond pairs within `bonds.gap` (only inside `group`, if given); return the number of bonds of `kind`."""
+        self.batch.set(self.index, skin=max(self.skin, 1.001 * bonds.gap))
+        self.rebuild()
+        made = make_bonds(self.model, self.state, bonds, kind, group)
+        self.batch.set(self.index, skin=self.skin)
+        self.rebuild()
+        self._estimated = False
+        return made
+
+    def hydrate(self, old: int, new: int, fraction: float, seed: int) -> int:
+        """Change a random fraction of the bonds of kind `old` to kind `new`; return how many have kind `new`."""
+        self._estimated = False
+        made = reassign_bonds(self.model, self.state, old, new, fraction, seed)
+        if self.batch.features.subcycling and made:
+            self._choose_rounds()
+        return made
+
+    def stand(self) -> float:
+        """Apply the scene's rest to bonds and wall layer; return the travel from which slip counts [m]."""
+        scene, model, batch = self.model.scene, self.model, self.batch
+        assert scene.rest is not None
+        if scene.bonds is not None:
+            kind = len(model.bond_kinds)
+            reassign_bonds(model, self.state, 1, kind, 1.0, scene.seed)
+            self.bond(scene.bonds, kind)
+        number = next(k for k, wall in enumerate(model.walls) if wall.name == scene.rest.wall)
+        begun = float(batch.host_walls(self.index)[number, int(TRAVEL)])
+        self.wear_from(begun)
+        return begun
+
+    def wear_from(self, begun: float) -> None:
+        """Give the wall layer its gain from the rest, minus the wear by slip since a travel of `begun` [m]."""
+        if self.batch.structure is not None:
+            self.batch.structure.grow(self.index, begun)
+
+    def _choose_rounds(self) -> None:
+        """Choose the number of rounds in which hydrated bonds are sub-cycled within a step."""
+        subcycles, step = self.batch.subcycles, self.time_step
+        subcycles.collect(self.index)
+        all_else = self.estimate()  # an estimate without hydrated bonds, as long as they have no rounds
+        dt = step.fixed or min(step.safety * PART * all_else, step.largest)
+        ratio = MARGIN * dt / (step.safety * subcycles.stable_step(self.index))
+        subcycles.set_rounds(self.index, step.rounds or rounds_for(ratio))
+
+    def restart_clock(self) -> None:
+        """Set time, step count and the walls' records to zero; the next step begins with half a kick (leapfrog)."""
+        state = self.state
+        self.batch.device_changed()
+        clock = state.scenes.clock.numpy()
+        clock[0, [int(TIME), int(DT_PREVIOUS)]] = 0.0
+        state.scenes.clock.assign(clock)
+        state.flags.zero_()
+        self.batch.device_changed()
+        for name in ("impulse", "angular_impulse", "travel", "work"):
+            getattr(state.walls, name).zero_()
+        state.spheres.dissipated_energy.zero_()
+        state.spheres.broken.zero_()
+        state.slots.worn.zero_()
+        self._estimated = False
+        self.rebuild()
+
+    def stop_motion(self) -> None:
+        """Set all velocities to zero."""
+        bodies, spheres = self.state.bodies, self.state.spheres
+        for array in (bodies.velocity, bodies.spin, bodies.angular_momentum, spheres.spin):
+            array.zero_()
+        velocity = spheres.velocity.numpy().copy()
+        velocity[:, :3] = 0.0
+        spheres.velocity.assign(velocity)
+
+    def estimate(self) -> float:
+        """Return the current stable step without safety factor [s]; infinite for a state without bodies."""
+        self._set_step()
+        self.stable_step(self.index)
+        return self.state.stable_step if self.state.body_count else math.inf
+
+    def _set_step(self) -> None:
+        step = self.time_step
+        horizon = step.interval * step.largest
+        if self._foreseen[0] != horizon:
+            self._foreseen = horizon, foreseen_speed(self.model.scene, horizon)
+        self.batch.set(
+            self.index,
+            safety=step.safety,
+            largest_step=min(step.largest, self._wall_step),
+            fixed_step=step.fixed or 0.0,
+            foreseen_speed=self._foreseen[1],
+        )
+
+    def choose_dt(self) -> float:
+        """Estimate the stable step, set the size of the next steps and return that size [s].
+
+        Raises :class:`InstabilityError`, or before the run :class:`SceneError`, if a fixed step is not stable.
+        """
+        fixed = self.time_step.fixed
+        stable = self.estimate()
+        dt = self.dt
+        if not stable > 0:
+            raise InstabilityError(
+                f"t = {self.time:.6g} s: the stable time step is {stable:.3g} s, which is not above 0; usual cures: "
+                "masses, stiffnesses and dashpots within the range of single precision, or precision float64"
+            )
+        if fixed is not None and fixed > stable * max(1.0, self.time_step.safety):
+            what = f"is above the stable step of this scene, {stable:.3g} s"
+            if self.running:
+                raise InstabilityError(
+                    f"t = {self.time:.6g} s: time_step = {fixed!r} {what}; usual cures: a smaller time_step, or none "
+                    "for an automatic step"
+                )
+            refuse("time_step", fixed, what, "leave it out for an automatic step")
+        self._estimated = True
+        self.batch.estimated(self.index, self.steps)
+        return dt
+
+    def _fastest_wall(self, model: Model) -> float:
+        """Return the speed of the fastest prescribed wall [m/s].
+
+        Raises :class:`SceneError` if one goes further than the smallest radius in a fixed step.
+        """
+        speeds = {wall.name: wall.top_speed() for wall in model.walls}
+        fixed, radius = self.time_step.fixed, self.state.smallest_radius
+        for name, speed in speeds.items():
+            if fixed is not None and self.state.sphere_count and speed * fixed > radius:
+                refuse("time_step", fixed, f"moves the wall {name!r} by {speed * fixed:.3g} m a step, further than the "
+                       f"smallest radius, {radius:.3g} m",
+                       "leave it out for an automatic step, or slow down the wall")  # fmt: skip
+        return max(speeds.values(), default=0.0)
+
+    def _since_estimate(self) -> float:
+        """Return the number of steps since the last estimate; infinite if a new estimate is required."""
+        if not self._estimated:
+            return math.inf
+        flags = self.batch.host_flags()[self.index]
+        return float(flags[int(STEPS)] - flags[int(ESTIMATED)])
+
+    def reaching(self, goal: Until | Steps) -> Coroutine:
+        """Advance to a goal: a time, reached to within one step, or a number of steps of the current size.
+
+        The coroutine yields while the batch must step. It continues once the scene has halted, because it has reached
+        the goal or because its stable step must be estimated and the device has not done that itself.
+        """
+        if isinstance(goal, Steps):
+            yield from self._taking(goal.count)
+            return
+        while True:
+            self._set_step()
+            if self._since_estimate() >= self.time_step.interval:
+                self.choose_dt()
+            if not goal.time - self.time > CLOSE * self.dt:
+                return
+            self._counting = False
+            self.batch.goal(self.index, until=goal.time, interval=self.time_step.interval)
+            yield
+
+    def _taking(self, count: int) -> Coroutine:
+        if not self._estimated:
+            self.choose_dt()
+        if count > 0:
+            self._counting = True
+            self.batch.goal(self.index, steps=self.steps + count)
+            yield
+
+    def wants_estimate(self) -> bool:
+        """Return whether a scene that has taken a number of steps will estimate the stable step before more steps."""
+        self._set_step()
+        return self._counting and self._since_estimate() >= self.time_step.interval
+
+    def advance(self, until: float) -> None:
+        """Step until the simulated time reaches `until` [s], to within one step."""
+        drive_one(self, self._wanting(Until(until)))
+
+    def take(self, count: int) -> None:
+        """Take `count` steps of the current size."""
+        drive_one(self, self._wanting(Steps(count)))
+
+    @staticmethod
+    def _wanting(goal: Until | Steps) -> Coroutine:
+        yield goal
+
+    def trouble(self, flags: np.ndarray) -> Exception | None:
+        """Return the exception that a scene's flags call for, or None."""
+        failed = int(flags[int(FAILED)])
+        if failed < 0:
+            wall = self.model.walls[-1 - failed].name
+            return InstabilityError(
+                f"t = {self.time:.6g} s: driven wall {wall!r} moves faster than {SPEED_LIMIT:g} m/s; usual cures: "
+                "more mass or damping of the wall, a smaller time step"
+            )
+        if failed:
+            return failed_body(self.model, self.state, failed - 1)
+        if flags[int(OVERFLOW)]:
+            return CapacityError(
+                f"at t = {self.time:.6g} s a sphere touches a mesh wall in more than six directions at once; "
+                "use finer aggregates or a coarser mesh"
+            )
+        return None
+
+    def reached(self, flags: np.ndarray) -> bool:
+        """Return whether a scene with these flags has halted at its goal or for an estimate of the stable step."""
+        return int(flags[int(HALTED)]) == int(ARRIVED)
+
+
+def steppers_of(
+    models: list[Model],
+    states: list[State],
+    *,
+    time_steps: list[TimeStep] | None = None,
+    resumed: list[dict[str, Any] | None] | None = None,
+    threads: int = 1,
+) -> list[Stepper]:
+    """Return steppers of scenes that share a batch; their :func:`batch_key` must be equal."""
+    batch = Batch(models, states, threads=threads)
+    among = NeighborLists(batch), StableStep(batch)
+    load_kernels(*among)
+    return [
+        Stepper(
+            model,
+            state,
+            time_steps[s] if time_steps else TimeStep(),
+            resumed=resumed[s] if resumed else None,
+            among=(*among, s),
+        )
+        for s, (model, state) in enumerate(zip(models, states))
+    ]

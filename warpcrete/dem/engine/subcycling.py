@@ -1,0 +1,286 @@
+"""Sub-cycling of stiff bonds: hydrated bonds and their bodies take several rounds within a step of all other contacts.
+
+This is a form of multiple time stepping. The forces of all other contacts stay constant during the rounds of a step;
+`kernels/dem/subcycling.py` explains the method. This module keeps the list of sub-cycled pairs and bodies, the number
+of rounds, and the stages.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ...core.device.launching import Stage
+from ...kernels.common.types import SPAN
+from ...kernels.dem.bond_parallel import HYDRATED
+from ...kernels.dem.locating import locating_kernels
+from ...kernels.dem.structs import subcycled_struct
+from ...kernels.dem.subcycling import RELAXATION, body_kernel, foreseeing_kernel, pair_kernel, rounds_kernel
+from .bonding import bond_kinds
+from .pairs import listed_pairs
+from .state import pair_bytes
+
+MARGIN = 1.1
+"""Allowed growth of the step, as a factor on its initial size, before sub-cycling rounds limit it."""
+ROUND_BLOCK = 128
+"""Threads per block of the GPU kernel that takes all rounds of a step."""
+RESIDENT = 2
+"""Number of blocks of that kernel that always fit on one multiprocessor, however many registers a block needs."""
+OF_BODIES = ("position", "orientation")
+"""Arrays of the sub-cycled bodies on which the next step depends, in addition to the state."""
+OF_ENDS = ("force", "torque")
+"""Arrays with a row for each end of a sub-cycled pair, on which the next step depends."""
+BODY_ARRAYS = (
+    "body_scene", "body_number", "place", "mass", "inertia", "rounding", "velocity", "spin", "angular_momentum",
+    "other_force", "other_torque", *OF_BODIES,
+)  # fmt: skip
+"""Arrays with one row per sub-cycled body; the arrays in `OF_ENDS` have two rows per pair, most others one."""
+
+
+def rounds_for(ratio: float) -> int:
+    """Return the number of rounds for a step that is `ratio` times the stable step of undamped stiff bonds.
+
+    Stiff bonds have dashpots with a relaxation time of RELAXATION times the step. A round of 1/n of the step is then
+    stable if n^2 >= ratio^2 (1 + RELAXATION n); the result is the smallest such whole number.
+    """
+    damped = 0.5 * RELAXATION * ratio * ratio
+    return max(1, math.ceil(damped + math.hypot(damped, ratio)))
+
+
+def round_blocks(count: int, multiprocessors: int, abreast: int) -> int:
+    """Return the number of GPU blocks for the rounds of `count` pairs or bodies, with `abreast` batches at a time.
+
+    The blocks wait for each other after every round, so the blocks of all these batches must be resident together.
+    """
+    return max(1, min(-(-count // ROUND_BLOCK), RESIDENT * multiprocessors // abreast))
+
+
+class Subcycles:
+    """Sub-cycled pairs of a batch, in the order of their spheres' permanent numbers."""
+
+    arrays: Any
+    """Arrays of sub-cycled pairs and bodies, a struct `Subcycled`."""
+
+    def __init__(self, batch: Any) -> None:
+        """Create the sub-cycling of a :class:`Batch`, at first without pairs."""
+        self.batch = batch
+        self._of_scene: list[dict[str, np.ndarray]] = [{} for _ in range(batch.count)]
+        self._rounds = np.zeros(batch.count, dtype=np.int32)
+        self._abreast = 1
+        self._gate = wp.zeros(1, dtype=wp.int32, device=batch.device)
+        self._join()
+
+    @property
+    def rounds(self) -> int:
+        """Largest number of rounds of any scene."""
+        return int(self._rounds.max(initial=0))
+
+    @property
+    def abreast(self) -> int:
+        """Number of batches that may run their rounds on the GPU at the same time."""
+        return self._abreast
+
+    @abreast.setter
+    def abreast(self, count: int) -> None:
+        if count != self._abreast:
+            self._abreast = count
+            self.batch.invalidate_graphs()
+
+    def collect(self, s: int) -> None:
+        """Collect the current hydrated bonds of scene `s`; other scenes do not change."""
+        state = self.batch.states[s]
+        i, j, place = listed_pairs(state)
+        held = bond_kinds(state.pairs.bond.numpy()[place]) == int(HYDRATED)
+        number = state.spheres.id.numpy()
+        ends = np.stack([number[i[held]], number[j[held]]])
+        pairs = np.stack([ends.min(0), ends.max(0)])
+        pairs = pairs[:, np.lexsort(pairs[::-1])]
+        self._take(s, {"lower": pairs[0], "higher": pairs[1]})
+
+    def set_rounds(self, s: int, rounds: int) -> None:
+        """Set the number of rounds in which the pairs of scene `s` are stepped."""
+        self._rounds[s] = rounds
+        self.arrays.rounds.assign(self._rounds)
+        self.batch.invalidate_graphs()
+
+    def stable_step(self, s: int) -> float:
+        """Return the latest estimate of the stable step of these pairs alone, without safety factor [s]."""
+        return float(self.arrays.stable.numpy()[s])
+
+    # Checkpoints.
+
+    def state_dict(self, s: int) -> dict[str, Any]:
+        """Return what the next step of scene `s` depends on; empty if the scene has no such pairs."""
+        found = self._values(s)
+        return {**found, "rounds": int(self._rounds[s])} if found else {}
+
+    def load_state_dict(self, s: int, found: dict[str, Any]) -> None:
+        """Continue from a `state_dict`."""
+        if found:
+            self._rounds[s] = found["rounds"]
+            self._take(s, {name: found[name] for name in ("lower", "higher", *OF_BODIES, *OF_ENDS)})
+
+    def _values(self, s: int) -> dict[str, np.ndarray]:
+        """Return the current device values of a scene's sub-cycled pairs and bodies."""
+        if not self._of_scene[s]:
+            return {}
+        pairs = self._of_scene[s]
+        found = {name: pairs[name] for name in ("lower", "higher")}
+        bodies, ends = sum(self._bodies[:s]), 2 * sum(self._pairs[:s])
+        for name in OF_BODIES:
+            found[name] = getattr(self.arrays, name).numpy()[bodies : bodies + self._bodies[s]].copy()
+        for name in OF_ENDS:
+            found[name] = getattr(self.arrays, name).numpy()[ends : ends + 2 * self._pairs[s]].copy()
+        return found
+
+    def _take(self, s: int, found: dict[str, np.ndarray]) -> None:
+        for other, each in enumerate(self._of_scene):
+            if other != s:
+                each.update(self._values(other))
+        self._of_scene[s] = found
+        self._join()
+        self.locate()
+        self.batch.invalidate_graphs()
+
+    # Arrays.
+
+    def _join(self) -> None:
+        """Create the joint arrays of all scenes."""
+        b = self.batch
+        self._pairs = [len(each.get("lower", ())) for each in self._of_scene]
+        rows = [self._rows(s) for s in range(b.count)]
+        self._bodies = [len(number) for number, _, _ in rows]
+        first_pair = np.concatenate([[0], np.cumsum(self._pairs)])
+        ref = np.concatenate([ref + 2 * first for (_, _, ref), first in zip(rows, first_pair)])
+        counts = np.concatenate([counts for _, counts, _ in rows])
+        # For both ends of each pair: the row of the body, and the row in the list of all ends sorted by body.
+        ends = np.stack([np.repeat(np.arange(len(counts)), counts)[np.argsort(ref)], np.argsort(ref)], axis=1)
+        given: dict[str, Any] = {
+            "rounds": self._rounds,
+            "stable": np.zeros(b.count),
+            "member": np.zeros(b.body_count if b.features.subcycling else 0),
+            "pair_scene": np.repeat(np.arange(b.count), self._pairs),
+            "body_scene": np.repeat(np.arange(b.count), self._bodies),
+            "body_number": np.concatenate([number for number, _, _ in rows]),
+            "start": np.concatenate([[0], np.cumsum(counts)]),
+            "ref": ref,
+            "ends": ends.reshape(-1, 2, 2).transpose(0, 2, 1).reshape(-1, 4),
+        }
+        for s, (number, _, _) in enumerate(rows):
+            if len(number):
+                self._place_bodies(s, number)
+        for name in ("lower", "higher", *OF_BODIES, *OF_ENDS):
+            parts = [each[name] for each in self._of_scene if each]
+            given[name] = np.concatenate(parts) if parts else np.zeros(0)
+        self.pair_count, self.body_count = sum(self._pairs), sum(self._bodies)
+        self.arrays = subcycled_struct(b.scalar)()
+        for name, variable in subcycled_struct(b.scalar).vars.items():
+            if name != "held":
+                dtype, count = variable.type.dtype, self.body_count if name in BODY_ARRAYS else self.pair_count
+                if len(given.get(name, ())):
+                    array = wp.array(np.ascontiguousarray(given[name]), dtype=dtype, device=b.device)
+                else:
+                    array = wp.zeros(0 if name in given else count, dtype=dtype, device=b.device)
+                setattr(self.arrays, name, array)
+        for name in {*pair_bytes(b.models[0]), "load"}:
+            dtype = getattr(b.pairs, name).dtype
+            setattr(self.arrays.held, name, wp.zeros(self.pair_count, dtype=dtype, device=b.device))
+        self._sphere_place = wp.zeros(b.sphere_count if self.pair_count else 0, dtype=wp.int32, device=b.device)
+        self._body_place = wp.zeros(b.body_count if self.pair_count else 0, dtype=wp.int32, device=b.device)
+
+    def _rows(self, s: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return a scene's sub-cycled bodies by permanent number, the number of pair ends of each, and these ends."""
+        pairs = self._of_scene[s]
+        if not pairs:
+            return np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros(0, dtype=int)
+        state = self.batch.states[s]
+        body_of = np.empty(state.sphere_count, dtype=int)
+        body_of[state.spheres.id.numpy()] = state.bodies.id.numpy()[state.spheres.body.numpy()]
+        # Keep the two ends of each pair next to each other, as `ref` numbers them.
+        ends = body_of[np.stack([pairs["lower"], pairs["higher"]], axis=1).ravel()]
+        number, counts = np.unique(ends, return_counts=True)
+        return number, counts, np.argsort(ends, kind="stable")
+
+    def _place_bodies(self, s: int, number: np.ndarray) -> None:
+        """Set positions of bodies that have just become sub-cycled from the state, and the forces on them to zero."""
+        bodies, found = self.batch.states[s].bodies, self._of_scene[s]
+        where = np.argsort(bodies.id.numpy())[number]
+        for name in OF_BODIES:
+            found.setdefault(name, getattr(bodies, name).numpy()[where])
+        for name in OF_ENDS:
+            found.setdefault(name, np.zeros((2 * self._pairs[s], 3)))
+
+    # Launches.
+
+    def locate(self) -> None:
+        """Look up the list entries and rows of all sub-cycled pairs and bodies after a rebuild of the lists."""
+        for stage in self.locating():
+            stage()
+
+    def locating(self) -> list[Stage]:
+        """Return the stages that look up pairs and bodies; empty if no pair is sub-cycled."""
+        return self._locating() if self.pair_count else []
+
+    def _locating(self) -> list[Stage]:
+        b = self.batch
+        kernels = locating_kernels(b.scalar, b.features.half_list, b.features.history)
+        own = {"subcycled": self.arrays, "sphere_place": self._sphere_place, "body_place": self._body_place}
+
+        def stage(kernel: Any, dim: int, *names: str) -> Stage:
+            return b.stage(kernel, dim, **{name: own[name] for name in names})
+
+        return [
+            stage(kernels.note_spheres, b.sphere_count, "sphere_place"),
+            stage(kernels.note_bodies, b.body_count, "body_place", "subcycled"),
+            stage(kernels.locate_bodies, self.body_count, "body_place", "subcycled"),
+            stage(kernels.locate_pairs, self.pair_count, "sphere_place", "subcycled"),
+        ]
+
+    def kernels(self) -> list[Any]:
+        """Return stages with all kernels of the sub-cycling, so that they can be compiled."""
+        if not self.batch.features.subcycling:
+            return []
+        rounds = self._round(0, 0) if self.batch.features.half_list else [self._all_rounds()]
+        return [*self._locating(), *rounds, self._foreseeing(0)]
+
+    def stages(self, part: int) -> list[Any]:
+        """Return one thread's stages for the rounds of a step."""
+        if not self.batch.features.half_list:
+            return [self._all_rounds(), self._foreseeing(part)]
+        meet = self.batch.barrier()
+        rounds = [stage for turn in range(self.rounds) for stage in self._round(part, turn)]
+        return [each for stage in (*rounds, self._foreseeing(part)) for each in (stage, *meet)]
+
+    def _all_rounds(self) -> Stage:
+        """Return the GPU's single stage for all rounds of a step; its blocks must all be resident together."""
+        b, f = self.batch, self.batch.features
+        count = max(self.pair_count, self.body_count)
+        blocks = round_blocks(count, b.device.sm_count, self.abreast) if b.device.is_cuda else 1
+        threads = blocks * (ROUND_BLOCK if b.device.is_cuda else 1)
+        kernel = rounds_kernel(b.scalar, f.pair_law, f.history, f.healing, f.dissipation)
+        return b.stage(
+            kernel, threads if count else 0, block=ROUND_BLOCK, threads=threads, parties=blocks,
+            body_count=self.body_count, pair_count=self.pair_count, subcycled=self.arrays, gate=self._gate,
+        )  # fmt: skip
+
+    def _round(self, part: int, turn: int) -> list[Stage]:
+        b, f = self.batch, self.batch.features
+        pairs = pair_kernel(b.scalar, f.pair_law, f.history, f.healing, f.dissipation)
+        return [
+            self._stage(body_kernel(b.scalar), part, self.body_count, turn=turn),
+            self._stage(pairs, part, self.pair_count, turn=turn),
+        ]
+
+    def _foreseeing(self, part: int) -> Stage:
+        b, f = self.batch, self.batch.features
+        return self._stage(foreseeing_kernel(b.scalar, f.meshes, f.half_list, f.dissipation), part, self.body_count)
+
+    def _stage(self, kernel: Any, part: int, count: int, **named: int) -> Stage:
+        """Return a launch over one thread's share of `count` pairs or bodies."""
+        b = self.batch
+        first, last = count * part // b.threads, count * (part + 1) // b.threads
+        tasks = -(-(last - first) // SPAN) if b.features.half_list else last - first
+        return b.stage(kernel, tasks, first=first, last=last, subcycled=self.arrays, **named)

@@ -1,0 +1,293 @@
+"""Detect and locate the blockage of a pipe during a run, from the motion and the contact forces of the aggregates.
+
+A pipe counts as blocked if a part of the concrete hardly moves although the piston advances, if this lasts longer than
+compression of the concrete behind that part can explain, and if the pressure rises.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ...geometry.meshes import rays
+from ...geometry.walls import MeshWall, PipeWall
+from ..engine.model import Model
+from ..engine.state import State
+from .probes import pair_forces
+
+PARTS = 20
+"""Number of consecutive parts of equal volume into which the concrete is divided; fewer if there are few aggregates."""
+STONES = 5
+"""Minimum number of aggregates in a part."""
+LOOKS = 8
+"""Number of checks during the piston travel for which a part must stand still before the pipe counts as blocked."""
+STANDS = 0.2
+"""Ratio of a part's advance to the piston's advance, below which the part counts as standing still.
+
+In runs without blockage the ratio was at least 0.9 for all parts once they moved. Behind a widening to twice the
+diameter it is 0.25, because the volume flow is constant. In a closed pipe the last part still advances by the
+compression of the concrete ahead of it.
+"""
+GRADIENT = 200e3
+"""Pressure gradient that pumping never reaches [Pa/m]; 5 to 50 kPa/m are usual."""
+OPPOSITE = np.radians(150.0)
+"""Minimum angle around the axis between two wall contacts of a force chain that spans the pipe [rad]."""
+QUADRATURE = 24
+"""Number of directions across the axis in which the bore's radius is measured."""
+
+
+class BlockageWatch:
+    """Watch that checks the concrete at intervals of piston travel and records the first blockage of the pipe."""
+
+    def __init__(self, model: Model, state: State) -> None:
+        self.model, self.state = model, state
+        pipe, blockage = model.scene.pipe, model.scene.blockage
+        assert pipe is not None and blockage is not None
+        self.axis, self.radius = pipe.axis, pipe.radius
+        self.window = blockage.travel or patience(2 * pipe.radius, pipe.concrete_length, model.stress_scale)
+        """Piston travel for which a part must stand still [m]."""
+        self.found: dict[str, float] = {}
+        """Values that describe the blockage, by name as in `_describe`; empty while the pipe is not blocked."""
+        self._looked = -np.inf
+        self._standing: float | None = None
+        self._pressure = 0.0
+        self._places = np.zeros(0)
+        # Permanent numbers of the aggregates (None before the first check) and their volumes [m3].
+        self._numbers: np.ndarray | None = None
+        self._volume = np.zeros(0)
+        self._begun: Callable[[], list[np.ndarray]] | None = None
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the recorded blockage and everything that the next check depends on, for a checkpoint."""
+        return {
+            "found": dict(self.found),
+            "looked": self._looked,
+            "standing": self._standing,
+            "pressure": self._pressure,
+            "places": self._places,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore the watch from a `state_dict`."""
+        self.found, self._places = dict(state["found"]), np.array(state["places"])
+        self._looked, self._pressure = float(state["looked"]), float(state["pressure"])
+        self._standing = None if state["standing"] is None else float(state["standing"])
+
+    def is_due(self, travel: float) -> bool:
+        """Return whether a check is due at the piston travel `travel` [m]."""
+        return not self.found and travel >= self._looked + self.window / LOOKS and self.state.body_count > 0
+
+    @property
+    def may_wait(self) -> bool:
+        """Whether a check may read positions now and be completed after the run has continued.
+
+        This is safe if no part stood still at the previous check, because the check then cannot report a blockage.
+        """
+        return self._standing is None and self._numbers is not None
+
+    def begin(self) -> None:
+        """Start reading the present positions; the next call with a recorded row completes the check if it is due."""
+        self._begun = self._reading()
+
+    def __call__(self, row: dict[str, float]) -> None:
+        """Check for a blockage if the piston has advanced far enough since the last check.
+
+        `row` holds the recorded values of one sample. The check uses the positions read by `begin`, or the present
+        ones.
+        """
+        begun, self._begun = self._begun, None
+        travel = row.get("travel", 0.0)
+        if not self.is_due(travel):
+            return
+        s, volume = self._stones(begun or self._reading())
+        if len(s) < STONES:
+            return
+        if self._looked >= 0:
+            least = least_advance(self._places, s, volume, self.axis.length) / (travel - self._looked)
+            if least >= STANDS:
+                self._standing = None
+            elif self._standing is None:
+                self._standing, self._pressure = self._looked, row["pressure"]
+            elif travel - self._standing >= self.window and row["pressure"] > self._pressure:
+                self.found = self._describe(row, s, volume)
+        self._looked, self._places = travel, s
+
+    def _reading(self) -> Callable[[], list[np.ndarray]]:
+        """Start reading the permanent numbers and positions of all bodies; the returned function waits for them."""
+        bodies = self.state.bodies
+        return self.state.batch.exchange.begin(bodies.id, bodies.position)
+
+    def _stones(self, read: Callable[[], list[np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+        """Return arc lengths [m] and volumes [m3] of the aggregates, in the order of their permanent numbers."""
+        bodies, (number, position) = self.state.bodies, read()
+        place = np.empty(self.state.body_count, dtype=int)
+        place[number] = np.arange(len(place))
+        if self._numbers is None:
+            self._numbers = np.flatnonzero(bodies.group.numpy()[place] == 0)
+            size = bodies.size.numpy()[place][self._numbers].astype(float)
+            self._volume = np.pi / 6 * size**3
+        return self.axis.along(position[place[self._numbers]].astype(float)), self._volume
+
+    def _describe(self, row: dict[str, float], s: np.ndarray, volume: np.ndarray) -> dict[str, float]:
+        assert self._standing is not None
+        wide = 2 * self.radius
+        stations = np.arange(row["travel"], min(float(s.max()), self.axis.length) + 0.25 * wide, 0.25 * wide)
+        forces, places, chains = loads(self.model, self.state, self.axis)
+        at = last_loaded(stations, forces, places)
+        slab = np.abs(s - at) < 0.5 * self.radius
+        solid = volume[slab].sum() / (bore_area(self.model.walls, self.axis, self.radius, at) * self.radius)
+        return {
+            "at": at,
+            "time": row["time"],
+            "travel": self._standing,
+            "pressure": row["pressure"],
+            "pressure_before": self._pressure,
+            "solid_fraction": float(solid),
+            "chains": float(spanning(self.model, self.state, self.axis, at, wide, chains)),
+        }
+
+
+def patience(diameter: float, length: float, modulus: float) -> float:
+    """Return the piston travel [m] for which a part must stand still before the pipe counts as blocked.
+
+    This is the compression of a column of the given `length` [m] and `modulus` [Pa] under a gradient that pumping never
+    reaches, but at least length/20: the soft aggregates of Zhan (2019, 1e5 Pa) are compressed by up to length/20 before
+    their front moves. The upper limit is the pipe `diameter` [m], clipped to between length/10 and length/5.
+    """
+    most = max(min(diameter, length / 5), length / 10)
+    return min(max(length * GRADIENT * length / modulus, length / 20), most)
+
+
+def least_advance(before: np.ndarray, after: np.ndarray, volume: np.ndarray, end: float) -> float:
+    """Return the smallest advance of any part of the concrete [m].
+
+    The advance of a part is the volume-weighted median of the advances of its aggregates. `before` and `after` are arc
+    lengths [m] and `volume` the volumes [m3] of all aggregates, shape (n,). Aggregates that were already past the arc
+    length `end` [m] of the pipe's outlet do not count.
+    """
+    inside = np.flatnonzero(before <= end)
+    if len(inside) == 0:
+        return np.inf
+    # Sort the aggregates along the pipe; the cumulative volume then assigns them to parts of equal volume.
+    order = inside[np.argsort(before[inside])]
+    rank = np.cumsum(volume[order]) - 0.5 * volume[order]
+    parts = max(1, min(PARTS, len(inside) // STONES))
+    part = (parts * rank / volume[order].sum()).astype(int)
+    way, weight = (after - before)[order], volume[order]
+    edges = np.flatnonzero(np.diff(part)) + 1  # aggregates of one part are contiguous after sorting
+    return min(map(_median, np.split(way, edges), np.split(weight, edges)))
+
+
+def _median(values: np.ndarray, weights: np.ndarray) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order[np.searchsorted(total, 0.5 * total[-1])]])
+
+
+def loads(model: Model, state: State, axis: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the axial forces of all touching pairs, the arc lengths between which they act, and the strong contacts.
+
+    Axial forces are the axial parts of the normal forces [N], shape (m,). Arc lengths are those of the two sphere
+    centres, lower first [m], shape (m, 2). Strong contacts carry more than the mean force; they are given as pairs of
+    row indices of bodies, shape (k, 2).
+    """
+    i, j, force = pair_forces(model, state)
+    body, centre = state.spheres.body.numpy(), state.spheres.position.numpy()[:, :3].astype(float)
+    middle = axis.along(0.5 * (centre[i] + centre[j]))
+    _, tangent = axis.at(middle)
+    apart = centre[j] - centre[i]
+    apart /= np.maximum(np.linalg.norm(apart, axis=1), 1e-300)[:, None]
+    lean = np.abs(np.sum(apart * tangent, axis=1))
+    half = 0.5 * np.linalg.norm(centre[j] - centre[i], axis=1) * lean
+    places = np.stack([middle - half, middle + half], axis=1)
+    strong = force > force[force > 0].mean() if np.any(force > 0) else np.zeros(len(force), bool)
+    return force * lean, places, np.stack([body[i], body[j]], axis=1)[strong]
+
+
+def last_loaded(stations: np.ndarray, forces: np.ndarray, places: np.ndarray) -> float:
+    """Return the last station [m] whose cross-section still carries half of the largest axial force.
+
+    `stations` are arc lengths [m]; `forces` [N] and `places` [m] are axial forces and arc lengths as from `loads`.
+    """
+    carried = np.array([forces[(places[:, 0] < s) & (places[:, 1] >= s)].sum() for s in stations])
+    return float(stations[np.flatnonzero(carried >= 0.5 * carried.max())[-1]]) if len(stations) else 0.0
+
+
+def spanning(model: Model, state: State, axis: Any, at: float, length: float, chains: np.ndarray) -> int:
+    """Count the separate networks of strong contacts that connect opposite sides of the wall.
+
+    Only bodies within half a `length` [m] of the station `at` [m] count. `chains` are the strong contacts as from
+    `loads`.
+    """
+    position = state.bodies.position.numpy().astype(float)
+    s = axis.along(position)
+    here = np.abs(s - at) < 0.5 * length
+    # A union-find structure joins bodies that are connected by strong contacts to networks.
+    parent = np.arange(len(position))
+
+    def root(k: int) -> int:
+        while parent[k] != k:
+            parent[k] = parent[parent[k]]
+            k = parent[k]
+        return k
+
+    for a, b in chains:
+        if here[a] and here[b]:
+            parent[root(int(a))] = root(int(b))
+    body, point = wall_contacts(model, state)
+    touching = here[body]
+    body, point = body[touching], point[touching]
+    centre, _, normal, side = axis.frame(axis.along(point))
+    angle = np.arctan2(np.sum((point - centre) * side, 1), np.sum((point - centre) * normal, 1))
+    linked = np.zeros(len(position), bool)
+    linked[chains.ravel()] = True
+    roots = np.array([root(int(b)) for b in body], int)
+    # A network spans the pipe if two of its wall contacts lie on opposite sides of the axis.
+    count = 0
+    for one in np.unique(roots[linked[body]]):
+        mine = angle[(roots == one) & linked[body]]
+        apart = np.abs(np.angle(np.exp(1j * (mine[:, None] - mine[None]))))
+        count += bool(np.any(apart >= OPPOSITE))
+    return count
+
+
+def wall_contacts(model: Model, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Return the row indices of bodies in contact with a pipe or mesh, shape (m,), and the points [m], shape (m, 3)."""
+    centre = state.spheres.position.numpy().astype(float)
+    body, places, points = state.spheres.body.numpy(), [], []
+    for wall in model.walls:
+        if isinstance(wall, PipeWall):
+            nearest = wall.axis.nearest(centre[:, :3])
+            offset = centre[:, :3] - nearest
+            apart = np.linalg.norm(offset, axis=1)
+            touching = np.flatnonzero(apart + centre[:, 3] > wall.radius)
+            places.append(body[touching])
+            points.append(nearest[touching] + wall.radius * (offset / np.maximum(apart, 1e-12)[:, None])[touching])
+    if model.features.meshes:
+        met, normal = state.slots.wall.numpy(), state.slots.normal.numpy().astype(float)
+        sphere, slot = np.nonzero(met >= 0)
+        places.append(body[sphere])
+        points.append(centre[sphere, :3] + centre[sphere, 3:] * normal[sphere, slot])
+    if not places:
+        return np.zeros(0, int), np.zeros((0, 3))
+    return np.concatenate(places), np.concatenate(points)
+
+
+def bore_area(walls: Any, axis: Any, radius: float, at: float) -> float:
+    """Return the cross-sectional area of the bore at the arc length `at` [m2].
+
+    Rays across the axis measure the distance to fixed meshes. Without a closed mesh the area is that of a circle of
+    `radius` [m].
+    """
+    area = np.pi * radius**2
+    point, _, normal, side = axis.frame(at)
+    angle = 2 * np.pi * (np.arange(QUADRATURE) + 0.382) / QUADRATURE
+    directions = np.cos(angle)[:, None] * normal + np.sin(angle)[:, None] * side
+    for wall in walls:
+        if isinstance(wall, MeshWall) and wall.motion is None:
+            reach = rays(wall, np.repeat(point, QUADRATURE, 0), directions, 10 * radius)
+            if np.all(reach >= 0):
+                area = min(area, float(np.pi * np.mean(reach**2)))
+    return area

@@ -1,0 +1,45 @@
+"""Quantities and report text that describe the blockage of a pipe."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from ...core.run.method import Quantity
+from ...core.units import number
+
+
+def _of(name: str) -> Callable[[Any], float | None]:
+    return lambda known: known.blocked.get(name) if known.blocked else None
+
+
+QUANTITIES = (
+    Quantity("blocked", "1", lambda known: None if known.blocked is None else float(bool(known.blocked)),
+             compared=True, rare=True),
+    Quantity("blocked_at", "m", _of("at")),
+    Quantity("blocked_time", "s", _of("time")),
+    Quantity("blocked_from_travel", "m", _of("travel")),
+    Quantity("blocked_pressure", "Pa", _of("pressure")),
+    Quantity("blocked_pressure_before", "Pa", _of("pressure_before")),
+    Quantity("blocked_solid_fraction", "1", _of("solid_fraction")),
+    Quantity("blocked_chains", "1", _of("chains")),
+)  # fmt: skip
+"""Quantities of a blocked pipe.
+
+`blocked` is 0 or 1, so its mean over several seeds is a probability. The others are the blockage's position along the
+axis, the time of detection, the piston travel at which part of the concrete came to a stand, the pressure at detection
+and at that stand, and, at the blockage, the solid fraction and the number of force chains that span the pipe.
+"""
+
+
+def blocked_words(run: Any) -> str:
+    """Return a phrase that says where the pipe of `run` was blocked, with the evidence for the blockage."""
+    found = {name: number(run.result[f"blocked_{name}"]) for name in
+             ("at", "from_travel", "pressure", "pressure_before", "solid_fraction", "chains")}  # fmt: skip
+    spans = f"{found['chains']:.0f} force chains span" if found["chains"] else "no force chain spans"
+    return (
+        f"at {found['at']:.3g} m along the pipe: part of the concrete has stood still since "
+        f"{found['from_travel']:.3g} m of travel, while the pressure rose from {found['pressure_before'] / 1e3:.3g} "
+        f"to {found['pressure'] / 1e3:.3g} kPa; {spans} the section there, at a solid fraction of "
+        f"{found['solid_fraction']:.2f}"
+    )

@@ -1,0 +1,342 @@
+"""Display of discrete elements: the data that recorders and viewers draw of a run."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ...core.drawing.display import (
+    GLASS,
+    OTHER,
+    PISTON,
+    Curve,
+    Display,
+    DrawnWall,
+    Lines,
+    Plot,
+    Points,
+    Pose,
+    Profile,
+    Prototype,
+    RigidBodies,
+)
+from ...core.drawing.paint import Paint, on_palette, packed, rounded_up
+from ...geometry.axis import Axis
+from ...geometry.walls import Prescribed
+from ..engine.pairs import chunks_of, pairs_of
+from ..scene.slices import Stations
+from .probes import largest_forces, listed_forces
+from .stations import COLUMNS, FINEST, body_stresses, stresses_along
+
+COLOURS = {"pipe": GLASS, "piston": PISTON}
+WORN = (255, 255, 255, 215)
+"""Base colour and opacity of worn walls, red, green, blue and alpha; aggregates remain faintly visible behind them."""
+WEAR_PALETTE = "magma_r"
+"""Colour map of wear, different from that of aggregates and pale where a wall is not worn."""
+NANOMETRES = 1e9
+SHOWN = 0.99
+"""Quantile of worn depth at the top of the colour scale, because single patches are worn several times as deep."""
+BONDS = (230, 140, 30)
+OURS, MEAN = (215, 95, 30), (90, 120, 170)
+ALONG = (("along the pipe", "axial_stress", OURS), ("mean normal", "pressure", MEAN))
+"""Stresses plotted along the pipe: label, column of the stations' table, and colour."""
+STRONGEST, THINNEST = 0.12, 0.04
+"""Radii of the lines that show contact forces.
+
+`STRONGEST` is the radius at the top of the colour scale, divided by the size of the largest aggregate. `THINNEST` is
+the smallest radius, for a contact without force, divided by that radius.
+"""
+RINGS = 10
+"""Number of rings of a velocity profile between the axis and the wall."""
+STRETCH = (0.2, 0.8)
+"""Range of the concrete, as fractions of its length, over which a velocity profile is averaged."""
+ENERGIES = {"kinetic_energy": "kinetic [J]", "elastic_energy": "elastic [J]", "bond_energy": "bonds [J]"}
+
+
+class ElementDisplay(Display):
+    """Display of aggregates coloured by largest contact force, speed or size; a clump is drawn as its spheres."""
+
+    colourings: ClassVar = ("force", "speed", "size")
+    noun: ClassVar = "aggregates"
+    has_network: ClassVar = True
+
+    def __init__(self, simulation: Any, colouring: str | None = None) -> None:
+        super().__init__(simulation, colouring)
+        self._upper = self._limit()
+        self._patches: dict[int, np.ndarray] = {}
+        """Patch index of each vertex of a worn wall, by the wall's number."""
+        self._worn_most = 0.0
+        self._along: tuple[float, np.ndarray] | None = None
+        """Time of the last measurement at the stations [s], and its result."""
+        walls = simulation.model.walls
+        self._drawn = [number for number, wall in enumerate(walls) if wall.drawn() is not None]
+
+    def _limit(self) -> float:
+        """Return the top of the colour scale: a large contact force, 1.5 times steady speed, or the largest size."""
+        scene = self.simulation.scene
+        self._largest = largest = float(self.simulation.state.bodies.size.numpy().max(initial=0.0))
+        self._thick = STRONGEST * largest
+        self._strong = 0.05 * scene.contact.stress_scale * largest**2
+        if self.colouring == "size":
+            return largest
+        if self.colouring == "speed":
+            motions = [wall.motion for wall in scene.walls if isinstance(wall.motion, Prescribed)]
+            speeds = [float(np.linalg.norm(motion.velocity)) for motion in motions]
+            nominal = scene.pipe.velocity if scene.pipe is not None else max(speeds, default=0.0)
+            return 1.5 * float(nominal) if nominal else 1.0
+        return self._strong
+
+    def scale(self) -> tuple[str, float, float]:
+        """Return the label of the colour scale with its lowest and highest value."""
+        if self.colouring == "size":
+            return "size [mm]", 0.0, 1e3 * self._upper
+        if self.colouring == "speed":
+            return "speed [cm/s]", 0.0, 100 * self._upper
+        return "largest contact force per aggregate [N]", 0.0, self._upper
+
+    def _sphere_order(self) -> np.ndarray:
+        return self.worked_out("order of spheres", lambda: _places_of(self.read("spheres.id")))
+
+    def _body_order(self) -> np.ndarray:
+        return self.worked_out("order of bodies", lambda: _places_of(self.read("bodies.id")))
+
+    def radii(self) -> np.ndarray:
+        """Return the radii of all spheres [m], in order of permanent numbers, shape (n,)."""
+        return self.read("spheres.position")[self._sphere_order(), 3]
+
+    def centres(self) -> np.ndarray:
+        """Return the centres of all spheres [m], in order of permanent numbers, shape (n, 3)."""
+        return np.take(self.read("spheres.position"), self._sphere_order(), axis=0)[:, :3]
+
+    def colours(self) -> np.ndarray:
+        """Return RGB bytes of all spheres, shape (n, 3); a sphere has the colour of its body."""
+        return np.take(self._painted(), self._bodies_of_spheres(), axis=0)
+
+    def packed_colours(self) -> np.ndarray:
+        """Return the packed colours of all spheres, computed once for each body because there are fewer bodies."""
+        return np.take(packed(self._painted()), self._bodies_of_spheres())
+
+    def _bodies_of_spheres(self) -> np.ndarray:
+        """Return the row index of each sphere's body, in order of the spheres' permanent numbers."""
+        return np.take(self.read("spheres.body"), self._sphere_order())
+
+    def fields(self) -> dict[str, np.ndarray]:
+        """Return, for every sphere, its body's number, velocity [m/s] and largest contact force [N]."""
+        place = self.read("spheres.body")[self._sphere_order()]
+        velocity, force = self.read("bodies.velocity"), self._largest_forces()
+        return {"body": self.read("bodies.id")[place], "velocity": velocity[place, :3], "force": force[place]}
+
+    def _pair_forces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return, for every listed pair, both sphere indices, the index in the pair arrays and the normal force [N]."""
+        model, state = self.simulation.model, self.simulation.state
+        force = self.once("pair forces", lambda: listed_forces(model, state))
+        chunks = self.once("chunks", lambda: chunks_of(state))
+        i, j, place = pairs_of(self.read("pairs.start"), self.read("pairs.other"), chunks)
+        return i, j, place, force[place]
+
+    def _largest_forces(self) -> np.ndarray:
+        """Return the largest contact force on each body [N], in the order of the state's arrays."""
+        model, state = self.simulation.model, self.simulation.state
+        return self.once("largest forces", lambda: largest_forces(model, state))
+
+    def body_colours(self) -> np.ndarray:
+        """Return RGB bytes of all bodies, in order of permanent numbers, shape (n, 3)."""
+        return np.take(self._painted(), self._body_order(), axis=0)
+
+    def _painted(self) -> np.ndarray:
+        """Return RGB bytes of all bodies, in the order of the state's arrays, shape (n, 3)."""
+        return self.worked_out(f"{self.colouring} up to {self._upper}", lambda: on_palette(self._shown(), self._upper))
+
+    def _shown(self) -> np.ndarray:
+        """Return the value that determines the colour of each body, in the order of the state's arrays."""
+        if self.colouring == "size":
+            return self.read("bodies.size").astype(float)
+        if self.colouring == "speed":
+            return np.linalg.norm(self.read("bodies.velocity").astype(float), axis=1)
+        return self._largest_forces()
+
+    def plots(self) -> tuple[Plot, ...]:
+        """Return the plots over time: pressure on the piston and energies."""
+        pressure = Curve(
+            "piston", "piston pressure [kPa]", lambda row: row["pressure"] / 1e3 if "pressure" in row else None,
+            (215, 95, 30),
+        )  # fmt: skip
+        energies = tuple(Curve(name, label, lambda row, n=name: row[n]) for name, label in ENERGIES.items())
+        return Plot("pressure", "Pressure on the piston", (pressure,)), Plot("energy", "Energy", energies)
+
+    def profiles(self) -> tuple[Profile, ...]:
+        """Return the velocity profile across the pipe, and the stresses along it if the scene has stations."""
+        scene, found = self.simulation.scene, []
+        if scene.pipe is not None:
+            title = "Velocity [cm/s] over radius [mm]"
+            found.append(Profile("velocity", title, (Points("aggregates", self._velocities, OURS),)))
+        if scene.stations is not None:
+            curves = tuple(Points(name, lambda c=column: self._stresses(c), colour) for name, column, colour in ALONG)
+            found.append(Profile("pressure", "Pressure [kPa] over the position along the pipe [m]", curves))
+        return tuple(found)
+
+    def _stresses(self, column: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mid-points of all filled slices along the pipe [m], and the stress `column` in them [kPa]."""
+        stations = self.simulation.scene.stations
+        if self._along is None or self._along[0] != self.time:  # one measurement serves all curves of a frame
+            self._along = self.time, self._along_now(stations)
+        values = self._along[1][:, COLUMNS.index(column)]
+        full = np.isfinite(values)
+        return (stations.places - stations.origin)[full], values[full] / 1e3
+
+    def _along_now(self, stations: Stations) -> np.ndarray:
+        """Return the stresses at the stations, shape (slices, columns).
+
+        If the recorded series contains them, its last row is used, which is at most 0.01 s old by default. Otherwise
+        the stresses of the present state are computed.
+        """
+        simulation = self.simulation
+        sampler = getattr(simulation, "sampler", None)
+        if sampler is None:  # nothing is sampled before t = 0
+            return np.full((len(stations.places), len(COLUMNS)), np.nan)
+        if stations.each_row:
+            # A recorded row never changes, so the display needs no copy of it.
+            return self.once("stations", lambda: sampler.log.samples[-1])
+        unit = simulation.scene.contact.stress_scale * self._largest**3
+        stress = self.once("body stresses", lambda: body_stresses(simulation.model, simulation.state, unit))
+        probe, travel = simulation.scene.pressure, 0.0
+        if probe is not None:
+            number = next(k for k, wall in enumerate(simulation.model.walls) if wall.name == probe.wall)
+            travel = float(self.read("walls.travel")[number])
+        s, _, tangent = self._on_axis(stations.axis)
+        return stresses_along(
+            stations, FINEST * unit * stress, s, tangent, self.read("bodies.size").astype(float),
+            self.read("bodies.group") == 0, travel,
+        )  # fmt: skip
+
+    def _on_axis(self, axis: Axis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return arc lengths of all bodies [m], shape (n,), and axis points [m] and tangents there, shape (n, 3)."""
+
+        def found() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            s = axis.along(self.read("bodies.position"))
+            return s, *axis.at(s)
+
+        return self.worked_out(("on", axis), found)
+
+    def _velocities(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mid-radii of rings about the axis [mm] and the mean axial velocity of the bodies in them [cm/s].
+
+        Bodies are weighted by volume. Rings without bodies are omitted.
+        """
+        pipe = self.simulation.scene.pipe
+        position, velocity = self.read("bodies.position"), self.read("bodies.velocity")
+        along, places, tangent = self._on_axis(pipe.axis)
+        low, high = (round(part * max(len(along) - 1, 0)) for part in STRETCH)  # ranks nearest the quantiles
+        ends = np.partition(along, (low, high))[[low, high]] if len(along) else np.zeros(2)
+        # Bodies outside the range get weight 0, which is faster than selecting those inside it.
+        apart = position - places
+        distance = np.sqrt(np.einsum("ij,ij->i", apart, apart))
+        speed = np.einsum("ij,ij->i", velocity[:, :3], tangent)
+        volume = self.read("bodies.size").astype(float) ** 3 * ((along >= ends[0]) & (along <= ends[1]))
+        ring = np.clip(np.nan_to_num(RINGS * distance / pipe.radius), 0, RINGS - 1).astype(int)
+        weight = np.bincount(ring, volume, RINGS)
+        there = weight > 0
+        mean = np.bincount(ring, volume * speed, RINGS)[there] / weight[there]
+        return 1e3 * pipe.radius * (np.arange(RINGS)[there] + 0.5) / RINGS, 100 * mean
+
+    def walls(self) -> list[DrawnWall]:
+        """Return the walls to draw as triangle meshes; infinite planes cannot be drawn."""
+        found = []
+        for number in self._drawn:
+            wall = self.simulation.model.walls[number]
+            vertices, faces = wall.drawn()
+            colour = COLOURS.get(wall.name, OTHER)
+            if (worn := self._worn(number)) is not None:
+                (vertices, faces, _), colour = worn.patches.surface(), WORN
+            found.append(DrawnWall(wall.name, vertices, faces, wall.motion is not None, colour))
+        return found
+
+    def _worn(self, number: int) -> Any:
+        """Return the wear record of a wall; None without wear, or for a plane, which has only one patch."""
+        sampler = getattr(self.simulation, "sampler", None)  # there is no sampler before t = 0
+        if sampler is None or sampler.wear is None or len(sampler.wear.walls[number].done) == 1:
+            return None
+        return sampler.wear.walls[number]
+
+    def paint(self) -> Paint | None:
+        """Return the colour scale of the worn depth [nm], or None if no wall wears.
+
+        The scale ends at a round number above the depth that only one worn patch in a hundred exceeds.
+        """
+        depths = [depth for number in self._drawn if (depth := self._depth(number)) is not None]
+        if not depths:
+            return None
+        most = [float(np.quantile(depth[depth > 0], SHOWN)) for depth in depths if depth.any()]
+        self._worn_most = max(self._worn_most, *most, 0.0)
+        return Paint("worn depth [nm]", WEAR_PALETTE, rounded_up(self._worn_most) if self._worn_most > 0 else 0.0)
+
+    def _depth(self, number: int) -> np.ndarray | None:
+        """Return the worn depth of each patch of a wall [nm], or None if the wall does not wear."""
+        worn = self._worn(number)
+        return None if worn is None else NANOMETRES * self.once(f"wear of {number}", lambda: worn.depth)
+
+    def wall_values(self, number: int) -> np.ndarray | None:
+        """Return the worn depth at the vertices of a drawn wall [nm], or None if the wall does not wear."""
+        depth = self._depth(number := self._drawn[number])
+        if depth is None:
+            return None
+        if number not in self._patches:
+            self._patches[number] = self._worn(number).patches.surface()[2]
+        return depth[self._patches[number]]
+
+    def wall_pose(self, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the position [m], shape (3,), and the orientation quaternion (x, y, z, w) of a drawn wall."""
+        number = self._drawn[number]
+        return (
+            self.read("walls.position").reshape(-1, 3)[number].astype(float),
+            self.read("walls.orientation").reshape(-1, 4)[number].astype(float),
+        )
+
+    def rigid_bodies(self) -> RigidBodies:
+        """Return the shapes and sizes of all bodies, in order of permanent numbers."""
+        state, order = self.simulation.state, self._body_order()
+        prototypes = tuple(Prototype(t.name, t.offsets, t.radii, t.extent) for t in state.templates)
+        return RigidBodies(prototypes, state.bodies.shape.numpy()[order], state.bodies.size.numpy()[order])
+
+    def pose(self) -> Pose:
+        """Return positions, orientations and velocities of all bodies, in order of permanent numbers."""
+        order = self._body_order()
+        names = "position", "orientation", "velocity"
+        return Pose(*(np.take(self.read(f"bodies.{name}"), order, axis=0) for name in names))
+
+    def network(self) -> dict[str, Lines]:
+        """Return the contact network as lines: touching pairs without a bond, and bonds."""
+        i, j, place, force = self._pair_forces()
+        position = self.read("spheres.position")
+        reach = position[i, 3] + position[j, 3]
+        touching = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
+        bonded = np.zeros_like(touching)
+        if self.simulation.model.features.bonds:
+            bonded = self.read("pairs.bond")[place] > 0
+
+        def lines(chosen: np.ndarray) -> Lines:
+            ends = np.stack([position[i[chosen], :3], position[j[chosen], :3]], axis=1)
+            radii = self._thick * np.clip(force[chosen] / self._strong, THINNEST, 1)
+            colours = np.where(force[chosen, None] > 0, on_palette(force[chosen], self._strong), BONDS)
+            return Lines(ends, force[chosen], radii.astype(np.float32), colours.astype(np.uint8))
+
+        return {"contacts": lines(touching & ~bonded), "bonds": lines(bonded)}
+
+    def bounds(self) -> np.ndarray:
+        """Return the lowest and highest corner of a box around the pipe's axis or all spheres [m], shape (2, 3)."""
+        pipe = self.simulation.scene.pipe
+        if pipe is not None:
+            points, _ = pipe.axis.at(np.linspace(0, pipe.axis.length, 50))
+            return np.stack([points.min(0), points.max(0)])
+        position = self.read("spheres.position").astype(float)
+        if len(position) == 0:
+            return np.zeros((2, 3))
+        return np.stack([(position[:, :3] - position[:, 3:]).min(0), (position[:, :3] + position[:, 3:]).max(0)])
+
+
+def _places_of(numbers: np.ndarray) -> np.ndarray:
+    """Return the inverse of a permutation: the index at which each number from 0 to n - 1 is stored."""
+    places = np.empty(len(numbers), dtype=np.intp)
+    places[numbers] = np.arange(len(numbers))
+    return places

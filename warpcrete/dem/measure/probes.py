@@ -1,0 +1,298 @@
+"""Measurements on a state: sums over bodies, contacts and walls, added in a fixed order in double precision."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ...core.device.exchange import Reading
+from ...core.device.graphs import AtOnce, Zero
+from ...core.device.launching import DEFAULT_BLOCK, Size, Stage, parameter_names
+from ...kernels.dem import probes as column
+from ..engine.model import Model
+from ..engine.pairs import listed_pairs
+from ..engine.state import State
+
+
+@dataclass(frozen=True)
+class ContactSums:
+    """Sums over the sphere-sphere contacts of a state; elastic energy and deepest overlap include wall contacts."""
+
+    contacts: int
+    coordination_number: float
+    """Mean number of touching neighbours per body; NaN if it was not requested."""
+    mean_overlap: float
+    """Mean overlap over the smaller radius of the pair."""
+    largest_overlap: float
+    deepest: float
+    """Largest overlap, relative to the depth beyond which a contact law loses its meaning.
+
+    Between spheres this depth is reached where the larger sphere contains the smaller one, or where the centres are
+    only half as far apart as at first touch, whichever comes first. On walls this depth is the radius.
+    """
+    elastic_energy: float
+    """Energy stored in contact springs, walls included, at the middle of the last step [J]."""
+    bond_energy: float
+    """Energy stored in bonds [J]."""
+    bonded: int
+    hydrated: int
+    virial: float
+    """Sum over contacts of normal spring force times the vector between the bodies' centroids [J]."""
+    broken_tension: int
+    """Bonds broken by tension since the start."""
+    broken_shear: int
+
+
+@dataclass(frozen=True)
+class BodySums:
+    """Sums over the bodies of a state."""
+
+    kinetic_energy: float
+    """Kinetic energy at the middle of the last step [J]."""
+    potential_energy: float
+    """Potential energy in gravity, zero at the origin [J]."""
+    momentum: np.ndarray
+    """Total momentum at the middle of the last step [kg m/s], shape (3,)."""
+    mass: float
+    """Total mass [kg]."""
+    centroid: np.ndarray
+    """Centroid of all bodies [m], shape (3,)."""
+    drive_force: np.ndarray
+    """Sum of the forces of the axis drives [N], shape (3,)."""
+    drive_power: float
+    """Power of the axis drives [W]."""
+    reach: float
+    """Largest absolute coordinate of a body [m]."""
+
+
+def body_sums(model: Model, state: State) -> BodySums:
+    """Return energies, momentum and drive forces of all bodies."""
+    if state.body_count:
+        launched(state, "bodies", lambda: _body_stages(model, state))
+    return _bodies_of(state, *_read(state, "bodies"))
+
+
+def contact_sums(model: Model, state: State, *, coordination: bool = False) -> ContactSums:
+    """Return number, overlaps, energies and bonds of all contacts; the coordination number only on request."""
+    if state.sphere_count:
+        launched(state, "contacts", lambda: _contact_stages(model, state))
+    return _contacts_of(state, *_read(state, "contacts"), coordination)
+
+
+Sums = tuple[BodySums, ContactSums, np.ndarray]
+
+
+def begin_sums(model: Model, state: State) -> Callable[[], Sums]:
+    """Start measuring bodies, contacts and walls as they are now; return a function that waits for the sums.
+
+    A GPU measures everything with one launch. The returned function must be called once; it returns the sums over
+    bodies, the sums over contacts, and the values of each wall, shape (walls, WALL_COLUMNS).
+    """
+    batch, index = state.batch, state.index
+    recorded = state.launches(batch.version)
+    if "row" not in recorded:
+        stages = [batch.wall_stage()]
+        if state.body_count:
+            stages += _body_stages(model, state) + _contact_stages(model, state)
+        sums_of = [_sums(state, each, columns) for each, columns in COLUMNS.items() if state.body_count]
+        recorded["row"] = Reading(stages, [batch.wall_array, *sums_of], batch.device)
+    wait = recorded["row"].begin()
+
+    def sums() -> Sums:
+        walls, *found = wait()
+        bodies, contacts = found or [np.zeros(columns) for columns in COLUMNS.values()]
+        return _bodies_of(state, bodies), _contacts_of(state, contacts, False), batch.own_walls(index, walls)
+
+    return sums
+
+
+COLUMNS = {"bodies": int(column.BODY_COLUMNS), "contacts": int(column.CONTACT_COLUMNS)}
+
+
+def _read(state: State, *what: str) -> list[np.ndarray]:
+    """Read the sums of "bodies" or "contacts" from the device, one array for each name in `what`."""
+    if state.body_count == 0:
+        return [np.zeros(COLUMNS[each]) for each in what]
+    return state.batch.exchange.read(*(_sums(state, each, COLUMNS[each]) for each in what))
+
+
+def _bodies_of(state: State, total: np.ndarray) -> BodySums:
+    if state.body_count == 0:
+        return BodySums(0.0, 0.0, np.zeros(3), 0.0, np.zeros(3), np.zeros(3), 0.0, 0.0)
+    mass = state.total_mass
+    return BodySums(
+        kinetic_energy=float(total[column.KINETIC]),
+        potential_energy=float(total[column.POTENTIAL]),
+        momentum=total[column.MOMENTUM : column.MOMENTUM + 3],
+        mass=mass,
+        centroid=total[column.LIFT : column.LIFT + 3] / mass,
+        drive_force=total[column.DRIVEN : column.DRIVEN + 3],
+        drive_power=float(total[column.DRIVE_POWER]),
+        reach=float(total[column.REACH]),
+    )
+
+
+def _contacts_of(state: State, total: np.ndarray, coordination: bool) -> ContactSums:
+    if state.sphere_count == 0:
+        return ContactSums(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0, 0.0, 0, 0)
+    contacts = int(total[column.CONTACTS])
+    return ContactSums(
+        contacts=contacts,
+        coordination_number=2 * len(touching_bodies(state)) / state.body_count if coordination else float("nan"),
+        mean_overlap=float(total[column.OVERLAP_SUM] / contacts) if contacts else 0.0,
+        largest_overlap=float(total[column.OVERLAP_MAX]),
+        deepest=float(total[column.DEPTH_MAX]),
+        elastic_energy=float(total[column.ELASTIC_ENERGY]),
+        bond_energy=float(total[column.BOND_ENERGY]),
+        bonded=int(total[column.BONDED]),
+        hydrated=int(total[column.BONDED_HYDRATED]),
+        virial=float(total[column.VIRIAL]),
+        broken_tension=int(total[column.BROKEN_TENSION]),
+        broken_shear=int(total[column.BROKEN_SHEAR]),
+    )
+
+
+def _body_stages(model: Model, state: State) -> list[Stage]:
+    n = state.body_count
+    values = state.scratch("body rows", (n, int(column.BODY_COLUMNS)), wp.float64)
+    probe = scene_stage(state, column.body_probe(model.scalar), n, values=values)
+    return [probe, *_adding(state, "bodies", values, n, column.BODY_MAXIMA)]
+
+
+def _contact_stages(model: Model, state: State) -> list[Stage]:
+    values, n = _contact_rows(state)[0], state.sphere_count
+    return [*_probing(model, state), *_adding(state, "contacts", values, n, column.CONTACT_MAXIMA)]
+
+
+def _sums(state: State, what: str, columns: int) -> wp.array:
+    return state.scratch(f"{what}, sums", (columns,), wp.float64)
+
+
+def _adding(state: State, what: str, values: wp.array, rows: int, maxima: tuple[int, ...]) -> list[Stage]:
+    """Return stages that sum every column, or take the maximum of the columns `maxima`.
+
+    The order of the additions depends only on the number of rows, so that the sums are reproducible to the bit.
+    """
+    columns = values.shape[1]
+    lanes = state.scratch(f"{what}, lanes", (column.LANES, columns), wp.float64)
+    partial, whole = column.column_kernels()
+    bits = sum(1 << c for c in maxima)
+    return [
+        scene_stage(state, partial, (column.LANES, columns), values=values, rows=rows, maxima=bits, lanes=lanes),
+        scene_stage(state, whole, columns, lanes=lanes, maxima=bits, sums=_sums(state, what, columns)),
+    ]
+
+
+def scene_stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
+    """Return a launch over one scene of a batch; unnamed kernel parameters are the batch's attributes of that name."""
+    batch = state.batch
+    given = {"s": state.index, **named}
+    bound = {name: given[name] if name in given else getattr(batch, name) for name in parameter_names(kernel)}
+    return Stage(kernel, dim, bound, batch.device, block=DEFAULT_BLOCK)
+
+
+def launched(state: State, what: str, make: Callable[[], list[Any]]) -> None:
+    """Launch the stages that `make` returns, recorded at the first call and again when the batch's arrays change."""
+    recorded = state.launches(state.batch.version)
+    if what not in recorded:
+        recorded[what] = AtOnce(make(), state.batch.device)
+    recorded[what]()
+
+
+def _contact_rows(state: State) -> tuple[wp.array, wp.array]:
+    """Return the arrays of the contact probe: a row per sphere by permanent number, and a force per list entry."""
+    values = state.scratch("contact rows", (state.sphere_count, int(column.CONTACT_COLUMNS)), wp.float64)
+    return values, state.scratch("pair forces", (len(state.pairs.other),), state.model.scalar)
+
+
+def _probing(model: Model, state: State) -> list[Stage]:
+    f = model.features
+    values, forces = _contact_rows(state)
+    probe = column.contact_probe(model.scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds)
+    base = int(state.batch.rows["spheres"][state.index])
+    return [
+        scene_stage(
+            state, probe, last - first, first=base + first, last=base + last, values=values, pair_normal_force=forces
+        )
+        for first, last in pairwise(state.chunks)
+    ]
+
+
+def _measure_contacts(state: State) -> tuple[wp.array, wp.array]:
+    launched(state, "contact rows", lambda: _probing(state.model, state))
+    return _contact_rows(state)
+
+
+def deepest_sphere(model: Model, state: State) -> int:
+    """Return the permanent number of the body that has the deepest overlap."""
+    rows = _measure_contacts(state)[0].numpy()
+    sphere = int(np.flatnonzero(state.spheres.id.numpy() == int(rows[:, column.DEPTH_MAX].argmax()))[0])
+    return int(state.bodies.id.numpy()[state.spheres.body.numpy()[sphere]])
+
+
+def listed_forces(model: Model, state: State) -> np.ndarray:
+    """Return the normal force of each entry of the neighbour list [N], shape (pairs,).
+
+    A pair that is listed in the rows of both spheres has its force at one of the two entries, and zero at the other.
+    """
+    return _measure_contacts(state)[1].numpy().copy() if state.sphere_count else np.zeros(0)
+
+
+def largest_forces(model: Model, state: State) -> wp.array:
+    """Return the largest normal contact force on each body [N], shape (n,), in the order of the state's arrays.
+
+    The next call overwrites the returned array.
+    """
+    loads = state.scratch("loads", (state.body_count,), model.scalar)
+    if state.sphere_count:
+        launched(state, "loads", lambda: [Zero(loads), *_probing(model, state), _load_stage(model, state, loads)])
+    return loads
+
+
+def _load_stage(model: Model, state: State, loads: wp.array) -> Stage:
+    forces = _contact_rows(state)[1]
+    return scene_stage(
+        state, column.load_probe(model.scalar), state.sphere_count, pair_normal_force=forces, loads=loads
+    )
+
+
+def pair_forces(model: Model, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return both sphere indices of every touching pair, each pair once, and the normal force of its spring [N]."""
+    if not state.sphere_count:
+        return np.zeros(0, int), np.zeros(0, int), np.zeros(0)
+    force = _measure_contacts(state)[1].numpy()
+    i, j, place = listed_pairs(state)
+    carried = force[place].astype(float)
+    return i[carried > 0], j[carried > 0], carried[carried > 0]
+
+
+def touching_bodies(state: State) -> np.ndarray:
+    """Return each pair of touching bodies once, as indices into the body arrays, shape (m, 2)."""
+    i, j, _ = listed_pairs(state)
+    position = state.spheres.position.numpy()
+    touching = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < position[i, 3] + position[j, 3]
+    body = state.spheres.body.numpy()
+    a, b = body[i[touching]].astype(np.int64), body[j[touching]].astype(np.int64)
+    # Encode each pair as one number, because sorting rows of two takes seven times as long.
+    number = np.unique(np.minimum(a, b) * state.body_count + np.maximum(a, b))
+    return np.stack(np.divmod(number, max(state.body_count, 1)), axis=1)
+
+
+def fastest_body(model: Model, state: State) -> int:
+    """Return the permanent number of the body with the largest speed, or of one whose motion is not finite."""
+    speed = np.linalg.norm(state.bodies.velocity.numpy(), axis=1)
+    if not len(speed):
+        return -1
+    wrong = np.flatnonzero(~np.isfinite(speed + state.bodies.spin.numpy().sum(axis=1)))
+    place = int(wrong[0]) if len(wrong) else int(np.argmax(speed))
+    return int(state.bodies.id.numpy()[place])
+
+
+def farthest_body(state: State) -> int:
+    """Return the permanent number of the body with the largest absolute coordinate."""
+    return int(state.bodies.id.numpy()[np.abs(state.bodies.position.numpy()).max(1).argmax()])

@@ -1,0 +1,331 @@
+"""Results of a discrete element run: named numbers, each with its unit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.run.method import Quantity
+from ...core.run.run_loop import Run
+from ...core.units import number
+from ...geometry.walls import Wall
+from ..scene.scene import Scene
+from ..scene.strokes import held, peaks
+from .blockage_results import QUANTITIES as OF_BLOCKAGE
+from .blockage_results import blocked_words
+from .probes import ContactSums
+from .sampling import STORED
+from .segregation import QUANTITIES as OF_SEGREGATION
+from .segregation import words as segregation_words
+from .stations import StationLog, losses
+from .vessel_measures import QUANTITIES as OF_VESSELS
+from .wear import WearMap
+from .wear_results import QUANTITIES as OF_WEAR
+from .wear_results import report as report_wear
+
+WINDOW = 0.2
+"""Final fraction of the travel over which the pressure at the end is averaged."""
+LEVEL = 0.1
+"""Largest relative change of the pressure on a plateau. It applies to the difference between the means over the final
+window and over an equal window before it, and to the rise of a straight line through the final window."""
+NOISE = 2.0
+"""Allowed rise of the pressure in the final window, in standard deviations of its noise: a noisy pressure may rise or
+fall by chance in a short window."""
+MEDIAN = 1.4826
+"""Ratio of standard deviation to median absolute value for a normal distribution with mean 0."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """Data of a run from which its results are computed."""
+
+    scene: Scene
+    walls: Sequence[Wall]
+    series: dict[str, np.ndarray]
+    mass: float
+    """Total mass of all bodies [kg]."""
+    contacts: ContactSums
+    """Contacts at the end of the run, coordination number included."""
+    wear: WearMap | None = None
+    blocked: dict[str, float] | None = None
+    """Findings of a :class:`BlockageWatch`; empty if the pipe was not blocked, None if nobody watched."""
+    log: StationLog | None = None
+    """Measurements at stations along the pipe."""
+
+    def along(self, name: str) -> float | None:
+        """Return a quantity measured along the pipe, by a name of :func:`warpcrete.dem.measure.stations.losses`."""
+        if self.log is None or not self.pumped:
+            return None
+        return losses(self.log.stations, self.log.table(self.window), self.scene.gravity).get(name)
+
+    @property
+    def pumped(self) -> bool:
+        """True if the run has a pressure, with two samples or more, and the piston has moved."""
+        return "pressure" in self.series and len(self.series["pressure"]) > 1 and self.series["travel"][-1] > 0
+
+    @property
+    def peak(self) -> int:
+        """Index of the sample with the largest pressure."""
+        return int(np.argmax(self.series["pressure"]))
+
+    @property
+    def window(self) -> np.ndarray:
+        """Mask of the samples in the final part WINDOW of the travel, or of the last stroke, shape (samples,)."""
+        return self.series["travel"] >= self.window_begin
+
+    @property
+    def window_begin(self) -> float:
+        """Travel at which the final window begins [m]."""
+        travel = self.series["travel"][-1]
+        begun = stroke_begun(self.scene, travel)
+        return begun + (1 - WINDOW) * (travel - begun)
+
+    @property
+    def on_plateau(self) -> bool:
+        """True if the pressure is on a plateau in the final window.
+
+        The piston must have moved at its final speed throughout that window, see also :func:`is_level`.
+        """
+        if not self.pumped:
+            return False
+        travel, pressure = self.series["travel"], self.series["pressure"]
+        if not past_ramp(self.scene, travel[-1]):
+            return False
+        gone = travel[-1] - stroke_begun(self.scene, travel[-1])
+        return is_level(travel, pressure, self.window_begin, WINDOW * gone)
+
+    @property
+    def restarted(self) -> bool:
+        """True if the last stroke has begun, after a stop."""
+        pipe = self.scene.pipe
+        return self.pumped and pipe is not None and pipe.stops is not None and len(self.peaks) > pipe.stops.count
+
+    @property
+    def peaks(self) -> list[float]:
+        """Largest pressure of each stroke [Pa]."""
+        return peaks(self.scene.pipe, self.series)
+
+    @property
+    def held(self) -> float | None:
+        """Pressure held at the end of the pause before the last stroke [Pa]; None if no sample falls into it."""
+        found = held(self.scene.pipe, self.series)[-1]
+        return found if np.isfinite(found) else None
+
+
+def is_level(travel: np.ndarray, pressure: np.ndarray, begin: float, width: float) -> bool:
+    """Return whether a pressure is on a plateau from a travel of `begin` [m] on, compared with the `width` [m] before.
+
+    The mean after `begin` and the mean before it must agree to LEVEL times the former. The least-squares line through
+    the part after `begin` may rise or fall by that much, or by NOISE times the noise. The mean of the last quarter may
+    differ from that of the whole part by the same amount. The noise is the median distance from the line, so that a
+    pressure that jumps at its end does not count as noisy.
+    """
+    late, ahead = travel >= begin, (travel >= begin - width) & (travel < begin)
+    if not ahead.any() or np.count_nonzero(late) < 2:
+        return False
+    mean = float(pressure[late].mean())
+    x = travel[late] - travel[late].mean()
+    slope = float(x @ pressure[late]) / max(float(x @ x), 1e-300)
+    noise = MEDIAN * float(np.median(np.abs(pressure[late] - mean - slope * x)))
+    change = abs(slope) * float(np.ptp(x))
+    last = float(pressure[travel >= begin + 0.75 * (travel[-1] - begin)].mean())
+    allowed = max(LEVEL * abs(mean), NOISE * noise)
+    level = abs(mean - float(pressure[ahead].mean())) <= LEVEL * abs(mean)
+    return level and change <= allowed and abs(last - mean) <= allowed
+
+
+def stroke_begun(scene: Scene, travel: float) -> float:
+    """Return the travel at which the current stroke began when the piston has travelled `travel` [m]."""
+    return scene.pipe.begun(travel) if scene.pipe is not None else 0.0
+
+
+def past_ramp(scene: Scene, travel: float) -> bool:
+    """Return whether, at this travel [m], the piston has had its final speed throughout the final window."""
+    return scene.pipe is None or (1 - WINDOW) * (travel - scene.pipe.begun(travel)) >= scene.pipe.ramp
+
+
+def momentum_balance(known: Known) -> float:
+    """Return the relative error of the momentum balance of a run.
+
+    This is the impulse of walls, drives and gravity minus the change of momentum, divided by the largest of these.
+    It covers the second half of the run, or all of it for fewer than four samples; NaN for a single sample.
+    """
+    series = known.series
+    last = len(series["time"]) - 1
+    if last < 1:
+        return float("nan")
+    first = (last + 1) // 2 if last >= 3 else 0
+    span = series["time"][last] - series["time"][first]
+    residual, size = np.zeros(3), np.zeros(3)
+    for axis, letter in enumerate("xyz"):
+        drive = np.trapezoid(series[f"drive_{letter}"][first:], series["time"][first:])
+        wall = [-np.diff(series[f"{w.name}_impulse_{letter}"][[first, last]])[0] for w in known.walls]
+        gravity = known.mass * known.scene.gravity[axis] * span
+        change = series[f"momentum_{letter}"][last] - series[f"momentum_{letter}"][first]
+        residual[axis] = gravity + drive + sum(wall) - change
+        size[axis] = max([abs(gravity), abs(drive), *map(abs, wall)])
+    return float(np.linalg.norm(residual) / max(np.linalg.norm(size), 1e-300))
+
+
+def free_energy(series: dict[str, np.ndarray]) -> np.ndarray:
+    """Return the energy stored in bodies, contacts and bonds minus the work of walls and drives [J].
+
+    Only dissipation changes this energy.
+    """
+    return sum(series[name] for name in STORED) - series["wall_work"] - series["drive_work"]
+
+
+def energy_balance(known: Known) -> float | None:
+    """Return the relative error of the energy balance: stored and dissipated energy minus work, end against start.
+
+    The error is relative to the work, the dissipation or the largest energy of motion and springs, whichever is
+    largest. The result is None if dissipation was not summed (`Scene.energy_balance`), and NaN if nothing ever moved.
+    """
+    series = known.series
+    if "dissipated_energy" not in series:
+        return None
+    if len(series["time"]) < 2:
+        return float("nan")
+    lost = series["dissipated_energy"][-1] - series["dissipated_energy"][0]
+    residual = np.diff(free_energy(series)[[0, -1]])[0] + lost
+    work = abs(series["wall_work"][-1] + series["drive_work"][-1])
+    moving = float(np.max(series["kinetic_energy"] + series["elastic_energy"] + series["bond_energy"]))
+    size = max(work, abs(lost), moving)
+    return float(residual / size) if size > 0 else float("nan")
+
+
+def _beside(run: Run, name: str) -> str:
+    """Return the published value of a pressure as a remark, or an empty text if there is none."""
+    published = run.scene.published
+    value = getattr(published, name) if published else None
+    return "" if value is None else f"   ({published.source}: {value / 1e3:.2f} kPa)"
+
+
+def _peak_words(run: Run) -> str:
+    peak, at = number(run.result["peak_pressure"]), number(run.result["peak_travel"])
+    return f"{peak / 1e3:.2f} kPa at {at:.3f} m of piston travel{_beside(run, 'peak')}"
+
+
+def _plateau_words(run: Run) -> str:
+    return f"{number(run.result['plateau_pressure']) / 1e3:.2f} kPa{_beside(run, 'plateau')}"
+
+
+def _gradient_words(name: str):
+    def words(run: Run) -> str:
+        return f"{number(run.result[name]) / 1e3:.3g} kPa/m"
+
+    return words
+
+
+def _middle_words(run: Run) -> str:
+    loss, ratio = number(run.result["middle_loss"]) / 1e3, run.result["middle_ratio"]
+    return f"{loss:.3g} kPa, {ratio:.2f} times the loss of an equally long straight pipe next to it"
+
+
+def no_plateau(run: Run) -> str:
+    """Return the reason why a run with a pressure has no plateau; empty if it has one."""
+    if "end_pressure" not in run.result or "plateau_pressure" in run.result:
+        return ""
+    travel, pipe = float(run.series["travel"][-1]), run.scene.pipe
+    if past_ramp(run.scene, travel):
+        change = f"{100 * LEVEL:.0f} %"
+        return (
+            f"none: the pressure still changes by more than {change} within a fifth of the travel; move the piston "
+            "further"
+        )
+    if past_ramp(run.scene, pipe.travel):
+        return "none: the run was stopped before the piston had moved steadily for long enough"
+    gone = travel - pipe.begun(travel)
+    return (
+        f"none: of {gone:.4g} m of travel the last {WINDOW * gone:.3g} m must come after the ramp of "
+        f"{pipe.ramp:g} m; move the piston {pipe.ramp / (1 - WINDOW):.3g} m or more, or shorten the ramp"
+    )
+
+
+def _restart_words(run: Run) -> str:
+    restart = number(run.result["restart_pressure"])
+    steady = number(run.result[_steady(run)])
+    return (
+        f"{restart / 1e3:.2f} kPa, {restart / steady:.3g} times the pressure at the end; "
+        f"first peak {number(run.result['first_peak_pressure']) / 1e3:.2f} kPa"
+    )
+
+
+def _steady(run: Run) -> str:
+    return "plateau_pressure" if "plateau_pressure" in run.result else "end_pressure"
+
+
+def _pumped(of):
+    return lambda known: of(known) if known.pumped else None
+
+
+def _restarted(of):
+    return lambda known: of(known) if known.restarted else None
+
+
+def _level(of):
+    return lambda known: of(known) if known.on_plateau else None
+
+
+QUANTITIES = (
+    *OF_VESSELS,
+    Quantity("peak_pressure", "Pa", _pumped(lambda k: k.series["pressure"][k.peak]), "peak pressure",
+             _peak_words, True),
+    Quantity("peak_travel", "m", _pumped(lambda k: k.series["travel"][k.peak])),
+    Quantity("plateau_pressure", "Pa", _level(lambda k: k.series["pressure"][k.window].mean()), "plateau pressure",
+             _plateau_words, True),
+    Quantity("plateau_scatter", "Pa", _level(lambda k: k.series["pressure"][k.window].std())),
+    Quantity("plateau_from_travel", "m", _level(lambda k: k.series["travel"][k.window][0])),
+    Quantity("end_pressure", "Pa", _pumped(lambda k: k.series["pressure"][k.window].mean())),
+    Quantity("first_peak_pressure", "Pa", _restarted(lambda k: k.peaks[0])),
+    Quantity("held_pressure", "Pa", _restarted(lambda k: k.held), "pressure held at the stop"),
+    Quantity("restart_pressure", "Pa", _restarted(lambda k: k.peaks[-1]), "peak of the restart", _restart_words, True),
+    Quantity("restart_over_end", "1",
+             _restarted(lambda k: k.peaks[-1] / k.series["pressure"][k.window].mean())),
+    Quantity("gradient", "Pa/m", lambda k: k.along("gradient"), "friction", _gradient_words("gradient"), True),
+    Quantity("upstream_gradient", "Pa/m", lambda k: k.along("upstream_gradient"), "friction upstream",
+             _gradient_words("upstream_gradient"), True),
+    Quantity("middle_loss", "Pa", lambda k: k.along("middle_loss"), "bend, taper", _middle_words, True),
+    Quantity("middle_ratio", "1", lambda k: k.along("middle_ratio"), compared=True),
+    Quantity("downstream_gradient", "Pa/m", lambda k: k.along("downstream_gradient"), "friction downstream",
+             _gradient_words("downstream_gradient"), True),
+    Quantity("flux_ratio", "1", lambda k: k.along("flux_ratio"), "outflow over inflow",
+             lambda run: f"{100 * run.result['flux_ratio']:.0f} %"),
+    Quantity("wall_stress", "Pa", lambda k: k.along("wall_stress")),
+    Quantity("upstream_wall_stress", "Pa", lambda k: k.along("upstream_wall_stress")),
+    Quantity("downstream_wall_stress", "Pa", lambda k: k.along("downstream_wall_stress")),
+    Quantity("coordination_number", "1", lambda k: k.contacts.coordination_number),
+    Quantity("largest_overlap", "1", lambda k: k.series["largest_overlap"].max()),
+    Quantity("momentum_balance_error", "1", momentum_balance),
+    Quantity("energy_balance_error", "1", energy_balance),
+    *OF_WEAR,
+    *OF_BLOCKAGE,
+    *OF_SEGREGATION,
+)  # fmt: skip
+
+
+def report(run: Run) -> Iterator[tuple[str, str]]:
+    """Yield titles and texts of the summary that are not quantities: missing plateau, blockage, wear and packing."""
+    if words := no_plateau(run):
+        end = number(run.result["end_pressure"])
+        yield "plateau pressure", words
+        yield "pressure at the end", f"{end / 1e3:.2f} kPa"
+    vessel = run.scene.vessel
+    if vessel is not None and run.finished and not run.result["at_rest"] and "funnel_time" not in run.result:
+        yield "not at rest", f"{1e3 * number(run.result['rest_speed']):.2g} mm/s at {run.series['time'][-1]:.3g} s"
+    if run.result.get("blocked"):
+        yield "BLOCKED", blocked_words(run)
+    if "segregation" in run.result:
+        yield "segregation", segregation_words(run)
+    yield from report_wear(run)
+    packing = run.packing  # type: ignore[attr-defined]
+    if packing:
+        yield (
+            "packing",
+            (
+                f"{packing.bodies} aggregates, solid fraction {packing.solid_fraction:.3f}, "
+                f"{packing.coordination_number:.1f} neighbours each"
+            ),
+        )

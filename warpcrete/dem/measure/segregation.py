@@ -1,0 +1,180 @@
+"""Segregation of aggregate in a pipe: volume fractions near axis and wall, in front and rear; place of large stones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ...core.run.method import Quantity
+from ..engine.model import Model
+from ..engine.state import State
+
+UNITS = dict.fromkeys(
+    ("aggregate_inner", "aggregate_outer", "aggregate_front", "aggregate_rear", "large_inner", "large_outer", "mixing"),
+    "1",
+)
+"""Columns of the series with their unit: volume fractions of aggregate in the inner and outer half of the radius, and
+in the front and rear half of the concrete; share of stones above the mean size in the aggregate of the inner and outer
+half of the radius; Lacey's mixing index of large and small stones."""
+POINTS = 64
+"""Number of points in each sphere among which its volume is distributed."""
+ENDS = 0.05
+"""Fraction of the aggregate left out at either end of the concrete, where it is packed less densely."""
+RINGS, STATIONS = 3, 5
+"""Cells of the mixing index: rings of equal area across, and stretches with equal numbers of stones along the pipe."""
+
+
+Stones = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Centres (n, 3) and radii (n,) of spheres [m], volume that each represents (n,) [m3], size of its body (n,) [m]."""
+
+
+def ball_points(count: int = POINTS) -> np.ndarray:
+    """Return points spread evenly through a unit ball, shape (count, 3): a Fibonacci spiral in equal-volume shells."""
+    k = np.arange(count) + 0.5
+    z = 1 - 2 * k / count
+    turn = np.pi * (1 + np.sqrt(5)) * k
+    # The irrational stride avoids a correlation between radius and latitude.
+    radius = np.cbrt((k * (np.sqrt(2) - 1)) % 1.0)
+    flat = np.sqrt(1 - z**2)
+    return radius[:, None] * np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
+
+
+def stones_of(state: State) -> Stones:
+    """Return the spheres of the aggregate by permanent number, and divide each clump's volume among its spheres."""
+    order = np.argsort(state.spheres.id.numpy())
+    body = state.spheres.body.numpy()[order]
+    order, body = (array[state.bodies.group.numpy()[body] == 0] for array in (order, body))
+    place = state.spheres.position.numpy()[order].astype(float)
+    size = state.bodies.size.numpy().astype(float)
+    cube = place[:, 3] ** 3
+    share = cube / np.bincount(body, cube, minlength=len(size))[body]
+    return place[:, :3], place[:, 3], np.pi / 6 * size[body] ** 3 * share, size[body]
+
+
+def measured(
+    axis: Any, radius: float, stones: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+) -> dict[str, float]:
+    """Return the segregation columns of one row for stones from :func:`stones_of` in a pipe of given radius [m]."""
+    centre, reach, volume, size = stones
+    # The series must hold finite numbers, so an empty pipe gives zeros.
+    if len(volume) == 0:
+        return dict.fromkeys(UNITS, 0.0)
+    s = axis.along(centre)
+    on_axis, tangent, _, _ = axis.frame(s)
+    points = ball_points()
+    shift = reach[:, None, None] * points[None]
+    ahead = np.einsum("npc,nc->np", shift, tangent)
+    across = (centre - on_axis)[:, None] + shift - ahead[:, :, None] * tangent[:, None]
+    apart = np.linalg.norm(across, axis=2).ravel()
+    along = (s[:, None] + ahead).ravel()
+    weight = np.repeat(volume / len(points), len(points))
+    begin, end = _quantiles(s, volume, (ENDS, 1 - ENDS))
+    inside = (along >= begin) & (along <= end)
+    large = np.repeat(are_large(size, volume), len(points))
+    section, length = np.pi * radius**2, end - begin
+    inner, front = apart < 0.5 * radius, along > 0.5 * (begin + end)
+
+    def total(chosen: np.ndarray) -> float:
+        return float(weight[chosen & inside].sum())
+
+    def share(chosen: np.ndarray) -> float:
+        return total(chosen & large) / total(chosen) if total(chosen) > 0 else 0.0
+
+    return {
+        "aggregate_inner": total(inner) / (0.25 * section * length),
+        "aggregate_outer": total(~inner) / (0.75 * section * length),
+        "aggregate_front": total(front) / (0.5 * section * length),
+        "aggregate_rear": total(~front) / (0.5 * section * length),
+        "large_inner": share(inner),
+        "large_outer": share(~inner),
+        "mixing": mixing(s, np.linalg.norm(centre - on_axis, axis=1) / radius, are_large(size, volume)),
+    }
+
+
+def _quantiles(values: np.ndarray, weights: np.ndarray, parts: tuple[float, ...]) -> list[float]:
+    order = np.argsort(values, kind="stable")
+    rank = np.cumsum(weights[order]) - 0.5 * weights[order]
+    return [float(np.interp(part * weights.sum(), rank, values[order])) for part in parts]
+
+
+def are_large(size: np.ndarray, volume: np.ndarray) -> np.ndarray:
+    """Return a mask of the stones that are larger than the volume-weighted mean size."""
+    return size > (1 + 1e-6) * np.average(size, weights=volume)
+
+
+def mixing(s: np.ndarray, apart: np.ndarray, large: np.ndarray) -> float:
+    """Return Lacey's mixing index of large and small stones: 0 if separate, 1 if mixed at random (Lacey 1954).
+
+    The index is (s0^2 - s^2) / (s0^2 - sr^2). Here s^2 is the variance of the share of `large` stones, by number, over
+    cells of rings and stretches. With the overall share p, s0^2 = p (1 - p) is the variance of separate stones, and
+    sr^2 = s0^2 / n that of a random mix with n stones per cell. `s` is the arc length [m], and `apart` the distance
+    from the axis divided by the pipe's radius.
+    """
+    p = float(large.mean())
+    if not 0 < p < 1:
+        return 1.0  # stones of one size cannot segregate
+    ring = np.minimum((RINGS * apart**2).astype(int), RINGS - 1)
+    rank = np.argsort(np.argsort(s, kind="stable"), kind="stable")
+    cell = ring * STATIONS + rank * STATIONS // len(s)
+    count = np.bincount(cell, minlength=RINGS * STATIONS)
+    share = np.bincount(cell, large, RINGS * STATIONS)[count > 0] / count[count > 0]
+    count = count[count > 0]
+    variance = float(np.sum(count * (share - p) ** 2) / count.sum())
+    apart_wholly = p * (1 - p)
+    by_chance = apart_wholly * len(count) / count.sum()  # mean of s0^2 / n, weighted with the stones of each cell
+    return (apart_wholly - variance) / (apart_wholly - by_chance) if apart_wholly > by_chance else 1.0
+
+
+def row_of(model: Model, state: State) -> dict[str, float]:
+    """Return the segregation columns of one row, for a scene that has a pipe."""
+    pipe = model.scene.pipe
+    assert pipe is not None
+    return measured(pipe.axis, pipe.radius, stones_of(state))
+
+
+def _at(name: str, place: int) -> Callable[[Any], float | None]:
+    return lambda known: float(known.series[name][place]) if name in known.series else None
+
+
+def _outward(place: int) -> Callable[[Any], float | None]:
+    """Return a function for the outer minus the inner volume fraction, divided by their mean, in row `place`."""
+
+    def found(known: Any) -> float | None:
+        if "aggregate_inner" not in known.series:
+            return None
+        inner, outer = (known.series[f"aggregate_{name}"][place] for name in ("inner", "outer"))
+        return float((outer - inner) / (0.25 * inner + 0.75 * outer))
+
+    return found
+
+
+def _large_outward(known: Any) -> float | None:
+    if "large_inner" not in known.series:
+        return None
+    return float(known.series["large_outer"][-1] - known.series["large_inner"][-1])
+
+
+QUANTITIES = (
+    Quantity("aggregate_inner", "1", _at("aggregate_inner", -1)),
+    Quantity("aggregate_outer", "1", _at("aggregate_outer", -1)),
+    Quantity("aggregate_front", "1", _at("aggregate_front", -1)),
+    Quantity("aggregate_rear", "1", _at("aggregate_rear", -1)),
+    Quantity("segregation", "1", _outward(-1)),
+    Quantity("segregation_at_start", "1", _outward(0)),
+    Quantity("size_segregation", "1", _large_outward),
+    Quantity("mixing", "1", _at("mixing", -1)),
+)
+"""Results at the end of a run: volume fractions; outer minus inner fraction divided by the mean, also at the start,
+since stones keep a distance from the wall; share of large stones in the outer minus that in the inner half of the
+radius; Lacey's index."""
+
+
+def words(run: Any) -> str:
+    """Return the summary of segregation for the report of a run."""
+    start, end, sizes = (100 * run.result[name] for name in ("segregation_at_start", "segregation", "size_segregation"))
+    return (
+        f"aggregate in the outer minus the inner half of the radius: {end:+.3g} % ({start:+.3g} % at the start); "
+        f"large stones in the aggregate, likewise: {sizes:+.3g} %; mixing index {run.result['mixing']:.3g}"
+    )

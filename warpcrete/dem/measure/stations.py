@@ -1,0 +1,402 @@
+"""Stations along a pipe: mean stress, wall stress, solid fraction and velocity in slices of the pipe, at every sample.
+
+The mean stress in a slice follows Love and Weber: the sum over contacts of force times branch vector, divided by the
+volume. If a contact reaches from one slice into the next, each slice gets its part of the branch (Goldhirsch, Granular
+Matter 12 (2010) 239, with a box as the averaging function). Wall contacts count too, so that a slice reaches to the
+wall.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from operator import attrgetter
+
+import numpy as np
+import warp as wp
+
+from ...core.device.graphs import Zero
+from ...core.device.launching import Stage
+from ...geometry.axis import Axis
+from ...kernels.common.types import types
+from ...kernels.dem.stations import STRESSES, force_probe, stress_probe
+from ..engine.model import Model
+from ..engine.pairs import chunks_of, pairs_of
+from ..engine.state import State
+from ..scene.slices import FEWEST, Stations
+from .probes import launched, scene_stage
+
+RINGS = 5
+"""Number of rings of equal width over which a velocity profile is averaged."""
+FRONT = 0.98
+"""Fraction of the solid volume that lies behind the front; beyond the front the concrete does not fill the pipe."""
+FARTHEST = 8
+"""Ratio of all bodies to the farthest bodies, among which the front is searched."""
+PLACES = ("place", "radius")
+MEASURED = ("pressure", "axial_stress", "wall_stress", "solid_fraction", "bulk_density", "velocity")
+PROFILE = tuple(f"velocity_{(2 * ring + 1) / (2 * RINGS):.1f}R" for ring in range(RINGS))
+COLUMNS = (*MEASURED, *PROFILE)
+SEEN = ("spheres.id", "spheres.position", "spheres.velocity", "spheres.body", "bodies.group", "bodies.size",
+        "bodies.mass", "bodies.position", "pairs.start", "pairs.other", "slots.wall")  # fmt: skip
+"""Arrays of a state that a measurement reads, apart from the forces."""
+UNITS = {"place": "m", "radius": "m", "pressure": "Pa", "axial_stress": "Pa", "wall_stress": "Pa",
+         "solid_fraction": "1", "bulk_density": "kg/m3", "velocity": "m/s"} | dict.fromkeys(PROFILE, "m/s")  # fmt: skip
+"""Units of the columns of a table of stations. `pressure` is the mean normal stress, `axial_stress` the normal stress
+along the pipe, which carries the piston's push. Both are positive in compression. `wall_stress` acts along the wall
+against the flow. `velocity` is the mean velocity of the solids along the pipe; the names of its ring columns end with
+the ring's mean radius in pipe radii."""
+
+
+@dataclass
+class StationLog:
+    """Measurements at the stations, sample by sample."""
+
+    stations: Stations
+    samples: list[np.ndarray] = field(default_factory=list)
+    """Measurements of each sample, shape (slices, COLUMNS); NaN in slices that concrete did not fill."""
+
+    def add(self, model: Model, state: State, travel: float) -> None:
+        """Measure all slices now, with the piston at a travel of `travel` [m], and append the sample."""
+        self.samples.append(measured(self.stations, model, state, travel))
+
+    def table(self, chosen: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the means over the chosen samples by column; NaN in slices that were not full in all of them."""
+        found = np.mean(np.array(self.samples)[chosen], axis=0)
+        stations = self.stations
+        table = {"place": stations.places - stations.origin, "radius": stations.bores.at(stations.places)}
+        return table | {name: found[:, number] for number, name in enumerate(COLUMNS)}
+
+
+def measured(stations: Stations, model: Model, state: State, travel: float) -> np.ndarray:
+    """Return the columns of all slices now, shape (slices, COLUMNS); NaN in slices that concrete does not fill."""
+    axis, edges = stations.axis, np.array(stations.edges)
+    found = np.full((len(edges) - 1, len(COLUMNS)), np.nan)
+    seen = seen_of(model, state)
+    spheres = _Spheres(seen, axis)
+    if not np.any(spheres.solid):
+        return found
+    full = spheres.filled(edges, travel)
+    volumes = stations.volumes
+    found[:, :2] = _stresses(stations, seen, spheres) / volumes[:, None]
+    found[:, 2] = spheres.wall_shear(stations, seen) / stations.surfaces()
+    ring = np.minimum((RINGS * spheres.apart / stations.bores.at(spheres.s)).astype(int), RINGS - 1)
+    member = [ring == number for number in range(RINGS)]
+    columns = np.stack([np.ones(len(ring)), spheres.density, spheres.speed, *member, *member], axis=1)
+    columns[:, 3 + RINGS :] *= spheres.speed[:, None]
+    sums = spheres.in_slices(edges, columns)
+    found[:, 3:5] = sums[:, :2] / volumes[:, None]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found[:, 5] = sums[:, 2] / sums[:, 0]
+        found[:, 6:] = sums[:, 3 + RINGS :] / sums[:, 3 : 3 + RINGS]
+    found[~full] = np.nan
+    return found
+
+
+FINEST = 2.0**-40
+"""Resolution of :func:`body_stresses` as a fraction of its unit: sums of thousands of contacts keep nine digits, and
+64-bit integers hold up to a million units."""
+
+
+def body_stresses(model: Model, state: State, unit: float) -> wp.array:
+    """Return force times branch vector of every body's contacts, half of each pair's, as integers, shape (bodies, 6).
+
+    The columns are xx, yy, zz, xy, yz and zx in multiples of `FINEST` times `unit` [J], in the order of the state's
+    arrays. The array is on the device, and the next call overwrites it.
+    """
+    stress = state.scratch("body stresses", (state.body_count, int(STRESSES)), wp.int64)
+    if state.sphere_count:
+        scale = 1 / (FINEST * unit)
+        launched(
+            state,
+            f"body stresses in {unit!r}",
+            lambda: [Zero(stress), *_force_stages(model, state), _stress_stage(model, state, scale, stress)],
+        )
+    return stress
+
+
+def _stress_stage(model: Model, state: State, scale: float, stress: wp.array) -> Stage:
+    pair_push, wall_push, wall_arm = _arrays(state)
+    return scene_stage(state, stress_probe(model.scalar), state.sphere_count, scale=scale, pair_push=pair_push,
+                       wall_push=wall_push, wall_arm=wall_arm, stress=stress)  # fmt: skip
+
+
+def stresses_along(
+    stations: Stations,
+    stress: np.ndarray,
+    s: np.ndarray,
+    tangent: np.ndarray,
+    size: np.ndarray,
+    fills: np.ndarray,
+    travel: float,
+) -> np.ndarray:
+    """Return the mean normal stress and the stress along the pipe in all slices [Pa], shape (slices, 2).
+
+    These are the first two columns of :func:`measured`, except that each body's stress is spread evenly over its size.
+    Slices that concrete does not fill are NaN.
+
+    The arguments describe bodies: `stress` (n, 6) [J] as from :func:`body_stresses`, arc lengths `s` (n,) [m], the
+    `tangent` of the axis there (n, 3), `size` (n,) [m], and `fills` (n,), which is False for bodies of a plug.
+    """
+    edges, t = np.array(stations.edges), tangent
+    along = np.einsum("ij,ij,ij->i", stress[:, :3], t, t)
+    along += 2 * np.einsum("ij,ij,ij->i", stress[:, 3:], t, t[:, [1, 2, 0]])
+    each = np.stack([stress[:, :3].sum(axis=1) / 3, along], axis=1)
+    found = _shared(s - 0.5 * size, s + 0.5 * size, each, edges) / stations.volumes[:, None]
+    found[~_between(edges, travel, s, np.where(fills, size**3, 0.0))] = np.nan
+    return found
+
+
+def _between(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.ndarray) -> np.ndarray:
+    """Return a mask of the slices between a piston at `travel` [m] and the front of bodies at arc lengths `s` [m]."""
+    whole = float(volume.sum())
+    if whole == 0:
+        return np.zeros(len(edges) - 1, bool)
+    return (edges[:-1] >= travel) & (edges[1:] <= _front(s, volume, FRONT * whole))
+
+
+def _front(s: np.ndarray, volume: np.ndarray, behind: float) -> float:
+    """Return the arc length [m] up to which the bodies have a total volume of `behind`."""
+    # Sort only the farthest bodies: sorting all of them takes four times as long as this whole function.
+    far = len(s) // FARTHEST
+    last = np.argpartition(s, len(s) - far)[len(s) - far :] if far else np.arange(len(s))
+    before = float(volume.sum() - volume[last].sum()) if far else 0.0
+    if before >= behind:
+        last, before = np.arange(len(s)), 0.0
+    order = last[np.argsort(s[last], kind="stable")]
+    return float(s[order[np.searchsorted(before + np.cumsum(volume[order]), behind)]])
+
+
+def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[float, float, float]) -> dict[str, float]:
+    """Return the friction losses along a pipe from a table of stations, after subtraction of the weight.
+
+    For a straight pipe these are the gradient [Pa/m] and the wall stress [Pa]. Otherwise they are the same for the
+    straight stretches before and behind the middle, by line fits that leave out one radius at their ends. In addition,
+    `middle_loss` [Pa] is the axial stress lost over the middle between these lines, and `middle_ratio` is that loss
+    divided by the loss in a straight pipe of the same length. Friction rises with pressure, so the straight pipe's
+    gradient is the logarithmic mean of 4 tau / d at both ends of the middle, which is exact if friction rises linearly
+    with pressure. `flux_ratio` is the solid volume flux downstream divided by that upstream. Results for which too few
+    slices are full are left out.
+    """
+    s = stations.places
+    slope = table["bulk_density"] * (stations.axis.at(s)[1] @ np.array(gravity))
+    steps = 0.5 * (slope[1:] + slope[:-1]) * np.diff(s)
+    weight = np.concatenate([[0.0], np.cumsum(np.where(np.isfinite(steps), steps, 0.0))])
+    stress, shear = table["axial_stress"] - weight, table["wall_stress"]
+    flux = table["velocity"] * table["solid_fraction"] * table["radius"] ** 2
+
+    def lines(low: float, high: float) -> _Straight | None:
+        here = stations.clear(low, high) & np.isfinite(stress)
+        if np.count_nonzero(here) < FEWEST:
+            return None
+        return _Straight(*(np.polyfit(s[here], each[here], 1) for each in (stress, shear)),
+                         float(shear[here].mean()), float(flux[here].mean()))  # fmt: skip
+
+    stretches = [lines(*ends) for ends in stations.straights]
+    if stations.middle is None:
+        found = stretches[0]
+        return {} if found is None else {"gradient": -found.stress[0], "wall_stress": found.mean}
+    begin, end = stations.middle
+    before, behind = stretches
+    result: dict[str, float] = {}
+    for name, found in (("upstream", before), ("downstream", behind)):
+        if found is not None:
+            result |= {f"{name}_gradient": -found.stress[0], f"{name}_wall_stress": found.mean}
+    if before is not None and behind is not None:
+        loss = float(np.polyval(before.stress, begin) - np.polyval(behind.stress, end))
+        there = [2 * np.polyval(line.shear, place) / stations.bores.at(place)
+                 for line, place in ((before, begin), (behind, end))]  # fmt: skip
+        result |= {"middle_loss": loss, "flux_ratio": behind.flux / before.flux}
+        if min(there) > 0:
+            result["middle_ratio"] = loss / (_logarithmic_mean(*map(float, there)) * (end - begin))
+    return result
+
+
+@dataclass
+class _Straight:
+    """Line fits over arc length of the measurements in a straight stretch, and means."""
+
+    stress: np.ndarray
+    shear: np.ndarray
+    mean: float
+    """Mean wall stress [Pa]."""
+    flux: float
+
+
+def _logarithmic_mean(a: float, b: float) -> float:
+    return a if abs(a - b) < 1e-6 * a else (a - b) / math.log(a / b)
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Host copies of the arrays that a measurement reads; on a CPU they are the run's own arrays."""
+
+    model: Model
+    chunks: list[int] | None
+    arrays: Mapping[str, np.ndarray]
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.arrays[name]
+
+
+def seen_of(model: Model, state: State) -> Seen:
+    """Return the arrays of a state as it is now, with the forces of all contacts."""
+    _probe(model, state)
+    arrays = {path: attrgetter(path)(state) for path in SEEN}
+    arrays |= zip(("pair pushes", "wall pushes", "wall arms"), _arrays(state))
+    return Seen(model, chunks_of(state), {name: each.numpy() for name, each in arrays.items()})
+
+
+class _Spheres:
+    """Spheres of a state in the order of permanent numbers; spheres of a plug do not count as filling the pipe."""
+
+    def __init__(self, seen: Seen, axis: Axis) -> None:
+        self.order = np.argsort(seen["spheres.id"])
+        position = seen["spheres.position"].astype(float)[self.order]
+        body = seen["spheres.body"][self.order]
+        self.centre, self.radius, self.body = position[:, :3], position[:, 3], body
+        self.nearest, self.s = axis.projected(self.centre)
+        self.tangent = axis.at(self.s)[1]
+        self.apart = np.linalg.norm(self.centre - self.nearest, axis=1)
+        self.solid = seen["bodies.group"][body] == 0
+        # Overlaps inside a clump count once, so its spheres share its volume in proportion to their own volumes.
+        own = self.radius**3
+        whole = np.bincount(body, own, len(seen["bodies.size"]))[body]
+        size = seen["bodies.size"].astype(float)[body]
+        self.share = np.where(self.solid, np.pi / 6 * size**3 * own / whole, 0.0)
+        self.density = seen["bodies.mass"].astype(float)[body] / (np.pi / 6 * size**3)
+        velocity = seen["spheres.velocity"].astype(float)[self.order, :3]
+        self.speed = np.einsum("ij,ij->i", velocity, self.tangent)
+        self.middle = seen["bodies.position"].astype(float)
+
+    def filled(self, edges: np.ndarray, travel: float) -> np.ndarray:
+        """Return a mask of the slices between a piston at `travel` [m] and the front, shape (slices,)."""
+        return _between(edges, travel, self.s, self.share)
+
+    def in_slices(self, edges: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return sums over slices of columns (n, k), shape (slices, k), weighted with solid volume [m3].
+
+        The weight is the part of a sphere's solid volume inside the slice, which planes across the axis cut out.
+        """
+        found = np.zeros((len(edges) - 1, columns.shape[1]))
+        for here, slices in _reached(self.s - self.radius, self.s + self.radius, edges):
+            # Fraction of a sphere's volume below a plane that is z radii above its centre.
+            z = [np.clip((edges[slices + k] - self.s[here]) / self.radius[here], -1, 1) for k in (0, 1)]
+            below, under = (0.25 * (2 + 3 * height - height**3) for height in z)
+            volume = self.share[here] * (under - below)
+            for column in range(columns.shape[1]):
+                found[:, column] += np.bincount(slices, volume * columns[here, column], len(found))
+        return found
+
+    def wall_shear(self, stations: Stations, seen: Seen) -> np.ndarray:
+        """Return the force along the wall against the flow in each slice [N], shape (slices,)."""
+        push, arm, wall = _wall_pushes(seen, self.order)
+        total = np.zeros(len(stations.edges) - 1)
+        number = [w.name for w in seen.model.walls].index(stations.wall)
+        for slot in range(push.shape[1]):
+            here = (wall[:, slot] == number) & self.solid & np.any(arm[:, slot] != 0, axis=1)
+            n = arm[here, slot] / np.linalg.norm(arm[here, slot], axis=1, keepdims=True)
+            along = push[here, slot] - np.einsum("ij,ij->i", push[here, slot], n)[:, None] * n
+            # Take the direction along the wall, which in a cone is not the direction along the axis.
+            way = self.tangent[here] - np.einsum("ij,ij->i", self.tangent[here], n)[:, None] * n
+            way /= np.linalg.norm(way, axis=1, keepdims=True)
+            drag = -np.einsum("ij,ij->i", along, way)
+            total += _shared(self.s[here], self.s[here], drag[:, None], np.array(stations.edges))[:, 0]
+        return total
+
+
+def _stresses(stations: Stations, seen: Seen, spheres: _Spheres) -> np.ndarray:
+    """Return contact sums of each slice [J], shape (slices, 2): isotropic part and axial component of the stress.
+
+    The columns are a third of the sum of force times branch vector, and its component along the pipe. Both are
+    positive where contacts push.
+    """
+    edges, axis = np.array(stations.edges), stations.axis
+    body_s = axis.along(spheres.middle)
+    i, j, place = pairs_of(seen["pairs.start"], seen["pairs.other"], seen.chunks)
+    force = seen["pair pushes"][place]
+    acts = np.flatnonzero(force.any(axis=1))
+    i, j, force = i[acts], j[acts], force[acts]
+    number, body = seen["spheres.id"].astype(np.int64), seen["spheres.body"]
+    order = np.argsort(np.minimum(number[i], number[j]) * len(number) + np.maximum(number[i], number[j]))
+    first, second, force = body[i[order]], body[j[order]], force[order].astype(float)
+    branch = spheres.middle[second] - spheres.middle[first]
+    total = _of_contacts(axis, edges, body_s[first], body_s[second], force, branch)
+    pushes, arms, _ = _wall_pushes(seen, spheres.order)
+    for slot in range(pushes.shape[1]):
+        here = np.any(arms[:, slot] != 0, axis=1)
+        point = spheres.centre[here] + arms[here, slot]
+        middle = spheres.middle[spheres.body[here]]
+        total += _of_contacts(axis, edges, body_s[spheres.body[here]], axis.along(point), pushes[here, slot],
+                              point - middle)  # fmt: skip
+    return total
+
+
+def _of_contacts(
+    axis: Axis, edges: np.ndarray, begin: np.ndarray, end: np.ndarray, force: np.ndarray, branch: np.ndarray
+) -> np.ndarray:
+    tangent = axis.at(0.5 * (begin + end))[1]
+    along = -np.einsum("ij,ij->i", force, tangent) * np.einsum("ij,ij->i", branch, tangent)
+    each = np.stack([-np.einsum("ij,ij->i", force, branch) / 3, along], axis=1)
+    return _shared(begin, end, each, edges)
+
+
+def _shared(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Return sums of values (n, k) in slices (m,), each value spread evenly between two arc lengths [m]."""
+    # A wall contact across the pipe has no length along it. Give it a small one that does not vanish by rounding.
+    width = np.maximum(np.abs(end - begin), 1e-6)
+    low = 0.5 * (begin + end - width)
+    found = np.zeros((len(edges) - 1, values.shape[1]))
+    for here, slices in _reached(low, low + width, edges):
+        inside = np.minimum(low[here] + width[here], edges[slices + 1]) - np.maximum(low[here], edges[slices])
+        part = np.maximum(inside, 0.0) / width[here]
+        for column in range(values.shape[1]):
+            found[:, column] += np.bincount(slices, part * values[here, column], len(found))
+    return found
+
+
+def _reached(low: np.ndarray, high: np.ndarray, edges: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield arrays of overlapping spans and slices: first each span with its first slice, then with its second, etc."""
+    first, last = (np.searchsorted(edges, end, "right") - 1 for end in (low, high))
+    for step in range(int(np.max(last - first, initial=-1)) + 1):
+        slices = first + step
+        here = np.flatnonzero((slices <= last) & (slices >= 0) & (slices < len(edges) - 1))
+        yield here, slices[here]
+
+
+def _wall_pushes(seen: Seen, order: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return wall forces [N], arms from the sphere centres [m] and wall numbers, by sphere in `order` and by slot."""
+    push, arm = (seen[name].astype(float)[order] for name in ("wall pushes", "wall arms"))
+    wall = np.broadcast_to(np.arange(push.shape[1]), push.shape[:2]).copy()
+    if seen.model.features.meshes:
+        first = seen.model.analytic_walls
+        wall[:, first:] = seen["slots.wall"][order][:, first:]
+    return push, arm, wall
+
+
+def _arrays(state: State) -> tuple[wp.array, wp.array, wp.array]:
+    vec3 = types(state.model.scalar).vec3
+    slots = state.slots.history.shape[1]
+    return (
+        state.scratch("pair pushes", (len(state.pairs.other),), vec3),
+        state.scratch("wall pushes", (state.sphere_count, slots), vec3),
+        state.scratch("wall arms", (state.sphere_count, slots), vec3),
+    )
+
+
+def _probe(model: Model, state: State) -> None:
+    """Compute the contact forces into their arrays."""
+    launched(state, "forces", lambda: _force_stages(model, state))
+
+
+def _force_stages(model: Model, state: State) -> list[Stage]:
+    f = model.features
+    pair_push, wall_push, wall_arm = _arrays(state)
+    kernel = force_probe(model.scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds)
+    base = int(state.batch.rows["spheres"][state.index])
+    return [
+        scene_stage(state, kernel, last - first, first=base + first, last=base + last, pair_push=pair_push,
+                    wall_push=wall_push, wall_arm=wall_arm)
+        for first, last in pairwise(state.chunks)
+    ]  # fmt: skip

@@ -1,0 +1,96 @@
+"""Watch over a run, which stops it when its state has become meaningless."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import warp as wp
+
+from ..engine.failures import unstable
+from ..engine.model import Model
+from ..engine.state import State
+from .probes import deepest_sphere, farthest_body, fastest_body
+from .sampling import STORED
+
+CALM = 0.8
+"""Fraction of a limit below which the next row is not expected to exceed it."""
+COARSEST = 1e-3  # largest rounding of positions over the smallest radius; an overlap of 1 % then keeps one digit
+
+
+class Watch:
+    """Check of every row of the series against the scene's limits; the device checks speeds in every step.
+
+    The checks cost a few additions per sample, because the series contains overlaps and energies anyway.
+    """
+
+    def __init__(self, model: Model, state: State) -> None:
+        self.model, self.state = model, state
+        self.limits = model.scene.watch
+        self.rounding = float(np.finfo(np.float64 if model.scalar is wp.float64 else np.float32).eps)
+        # Ignore energies below those that lift all bodies by a hundredth of the smallest radius.
+        mass = state.total_mass
+        self.floor = 0.01 * mass * float(np.linalg.norm(model.scene.gravity)) * state.smallest_radius
+        self.least = math.inf
+        self.scale = 0.0  # largest energy in play so far [J]
+
+    def state_dict(self) -> dict[str, float]:
+        """Return the reference energies with which later rows are compared."""
+        return {"least": self.least, "scale": self.scale}
+
+    def load_state_dict(self, state: dict[str, float]) -> None:
+        """Continue from a `state_dict`."""
+        self.least, self.scale = state["least"], state["scale"]
+
+    def is_calm(self, row: dict[str, float]) -> bool:
+        """Return whether a checked row is so far from all limits that the next row will hardly exceed one."""
+        limits = self.limits
+        calm = limits.overlap is None or row["deepest_overlap"] < CALM * limits.overlap
+        calm = calm and self._resolution(row) < CALM * COARSEST
+        return calm and (limits.energy is None or _free(row) - self.least < CALM * limits.energy * self.scale)
+
+    def _resolution(self, row: dict[str, float]) -> float:
+        """Return the rounding of positions divided by the smallest sphere's radius."""
+        return self.rounding * row["reach"] / self.state.smallest_radius if self.state.body_count else 0.0
+
+    def __call__(self, row: dict[str, float]) -> None:
+        """Raise :class:`InstabilityError` if a row exceeds a limit; the message names time, body and cures."""
+        time, limits = row["time"], self.limits
+        broken = [name for name, value in row.items() if not math.isfinite(value)]
+        if broken:
+            raise unstable(time, fastest_body(self.model, self.state), f"{broken[0]} is not a finite number")
+        deepest = row["deepest_overlap"]
+        if limits.overlap is not None and deepest > limits.overlap:
+            raise unstable(
+                time,
+                deepest_sphere(self.model, self.state),
+                f"the overlap is {deepest:.3g} of the overlap that swallows a sphere or brings it behind a wall "
+                f"(watch.overlap = {limits.overlap:g})",
+                "stiffer contacts, smaller bodies apart at the start, slower walls, or a higher watch.overlap "
+                "(overlap_limit of the scene pipe)",
+            )
+        resolution = self._resolution(row)
+        if resolution > COARSEST:
+            raise unstable(
+                time,
+                farthest_body(self.state),
+                f"positions are rounded to {resolution:.2g} of the smallest sphere's radius at {row['reach']:.4g} m "
+                "from the origin",
+                "precision float64, or a scene nearer to the origin",
+            )
+        work, free = row["wall_work"] + row["drive_work"], _free(row)
+        moving = row["kinetic_energy"] + row["elastic_energy"] + row["bond_energy"]
+        self.scale = max(self.scale, moving, abs(work), self.floor)
+        self.least = min(self.least, free)
+        if limits.energy is not None and free - self.least > limits.energy * self.scale:
+            raise unstable(
+                time,
+                fastest_body(self.model, self.state),
+                f"energy grew by {free - self.least:.3g} J without work of a wall or drive, "
+                f"{(free - self.least) / self.scale:.2g} of all energy in the scene (watch.energy = {limits.energy:g})",
+            )
+
+
+def _free(row: dict[str, float]) -> float:
+    """Return the stored energy minus the work of walls and drives [J]."""
+    return sum(row[name] for name in STORED) - (row["wall_work"] + row["drive_work"])

@@ -1,0 +1,243 @@
+"""Wear of walls: sliding and impacts on each patch of a wall since t = 0, and the depth worn according to Archard.
+
+Every step adds the contributions of each sphere to each wall without loss. At a sample, these sums go to the patch that
+the sphere touched last. Sums are therefore exact, and places are accurate to the distance that a sphere moves between
+two samples.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from ...geometry.axis import Arc, Axis
+from ...geometry.meshes import faces_at, rays
+from ...geometry.walls import MeshWall, PipeWall, PlaneWall, Wall
+from ..engine.state import State
+from ..scene.scene import Wear
+
+AROUND = 24
+"""Default number of patches around a pipe."""
+MOST_AROUND, MOST_PATCHES = 3600, 1_000_000
+COLUMNS = ("sliding_work", "impact_loss", "load_way")
+"""Columns of the series and of a patch: work of sliding [J], energy lost in impacts [J], load times sliding distance
+[N m]."""
+UNITS = {"sliding_work": "J", "impact_loss": "J", "load_way": "N m"}
+HOUR = 3600.0
+SEEN = 1e-4
+"""Relative distance by which a triangle may lie behind the hit of a ray and still count as hit, because of rounding."""
+
+
+class Patches(ABC):
+    """Division of a wall into patches."""
+
+    areas: np.ndarray
+    """Areas of the patches [m2], shape (patches,); infinite for an unbounded plane."""
+
+    @abstractmethod
+    def of(self, points: np.ndarray) -> np.ndarray:
+        """Return the patch number of each of `points` (n, 3), given in the wall's frame [m]."""
+
+    def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Return vertices (v, 3) [m], faces (f, 3) and each vertex's patch (v,), or None if the wall is not drawn."""
+        return None
+
+
+class PlanePatch(Patches):
+    """A plane as a single patch."""
+
+    def __init__(self, wall: PlaneWall) -> None:
+        self._wall = wall
+        self.areas = np.array([np.pi * wall.drawn_radius**2 if wall.drawn_radius > 0 else np.inf])
+
+    def of(self, points: np.ndarray) -> np.ndarray:
+        return np.zeros(len(points), int)
+
+    def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        drawn = self._wall.drawn()
+        return None if drawn is None else (*drawn, np.zeros(len(drawn[0]), int))
+
+
+class PipePatches(Patches):
+    """Patches of a pipe: stations along the pipe times places around it, numbered station by station.
+
+    The angle counts from the outside of the pipe's bends (in their plane, away from the centre), or from a normal of a
+    straight pipe's axis.
+    """
+
+    def __init__(self, wall: PipeWall, side: float | None) -> None:
+        self.axis, self.radius = wall.axis, wall.radius
+        width = side or 2 * np.pi * wall.radius / AROUND
+        self.around = int(np.clip(round(2 * np.pi * wall.radius / width), 3, MOST_AROUND))
+        self.stations = max(1, min(round(wall.axis.length / width), MOST_PATCHES // self.around))
+        self.along = (np.arange(self.stations) + 0.5) * wall.axis.length / self.stations
+        """Arc length of the middle of each station [m]."""
+        self.angles = 2 * np.pi * np.arange(self.around) / self.around
+        """Angle of the middle of each place around the pipe [rad]."""
+        self.areas = self._areas(wall.axis.length / self.stations).ravel()
+
+    def _areas(self, long: float) -> np.ndarray:
+        """Return the area of each patch [m2]; the outside of a bend is longer than its axis."""
+        turn = np.array([next(iter(self._curvature(s)), 0.0) for s in self.along])
+        lever = self.radius * np.cos(self.angles)
+        return long * 2 * np.pi * self.radius / self.around * (1 + turn[:, None] * lever[None])
+
+    def _curvature(self, s: float):
+        begin = 0.0
+        for segment in self.axis.segments():
+            piece = segment["piece"]
+            if begin <= s <= begin + piece.length and isinstance(piece, Arc):
+                _, _, normal, _ = self.axis.frame(begin)
+                # Frames do not twist, so a bend in the opposite direction has its outside at the opposite angle.
+                yield float(np.sign(normal[0] @ segment["outward"])) / piece.radius
+            begin += piece.length
+
+    def place(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return arc lengths [m] and angles [rad] of points (n, 3)."""
+        s = self.axis.along(points)
+        centre, _, normal, side = self.axis.frame(s)
+        offset = points - centre
+        return s, np.arctan2(np.sum(offset * side, 1), np.sum(offset * normal, 1))
+
+    def of(self, points: np.ndarray) -> np.ndarray:
+        s, angle = self.place(points)
+        row = np.clip((s / self.axis.length * self.stations).astype(int), 0, self.stations - 1)
+        column = np.rint(angle / (2 * np.pi) * self.around).astype(int) % self.around
+        return row * self.around + column
+
+    def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return a surface with a vertex in the middle of each patch, and rings of vertices at both ends."""
+        length = self.axis.length
+        s = np.concatenate([[0.0], self.along, [length]])
+        points, _, normal, side = self.axis.frame(s)
+        ring = np.cos(self.angles)[None, :, None] * normal[:, None] + np.sin(self.angles)[None, :, None] * side[:, None]
+        vertices = (points[:, None] + self.radius * ring).reshape(-1, 3)
+        n = self.around
+        row, column = np.meshgrid(np.arange(len(s) - 1), np.arange(n), indexing="ij")
+        a, b = (row * n + column).ravel(), (row * n + (column + 1) % n).ravel()
+        faces = np.concatenate([np.stack([a, a + n, b], 1), np.stack([b, a + n, b + n], 1)])
+        station = np.clip(np.arange(len(s)) - 1, 0, self.stations - 1)
+        return vertices, faces, (station[:, None] * n + np.arange(n)).ravel()
+
+
+class MeshPatches(Patches):
+    """Triangles of a mesh as patches; of coincident triangles the first takes all the wear."""
+
+    def __init__(self, wall: MeshWall) -> None:
+        self._wall = wall
+        vertices, faces, self._origin = wall.surface
+        self._cleaned = SimpleNamespace(vertices=vertices, faces=faces)
+        a, b, c = (wall.vertices[wall.faces[:, k]] for k in range(3))
+        self.areas = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        self._reach = 2 * float(np.linalg.norm(np.ptp(wall.vertices, axis=0)))
+
+    def of(self, points: np.ndarray) -> np.ndarray:
+        return self._origin[np.maximum(faces_at(self._cleaned, points, self._reach), 0)]
+
+    def seen_from(self, axis: Axis) -> np.ndarray:
+        """Return a mask of the triangles that are visible from an axis, shape (f,); in a thick wall the inner ones."""
+        middle = self._cleaned.vertices[self._cleaned.faces].mean(axis=1)
+        nearest = axis.nearest(middle)
+        apart = np.linalg.norm(middle - nearest, axis=1)
+        met = rays(self._cleaned, nearest, (middle - nearest) / np.maximum(apart, 1e-30)[:, None], 2 * apart.max())
+        seen = np.zeros(len(self.areas), bool)
+        seen[self._origin] = (met < 0) | (met > (1 - SEEN) * apart)
+        return seen
+
+    def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        faces = np.arange(3 * len(self.areas)).reshape(-1, 3)
+        return self._wall.vertices[self._wall.faces].reshape(-1, 3), faces, np.repeat(np.arange(len(self.areas)), 3)
+
+
+def patches_of(wall: Wall, side: float | None) -> Patches:
+    """Return the division of a wall into patches, for a pipe with sides of about `side` [m]."""
+    if isinstance(wall, PipeWall):
+        return PipePatches(wall, side)
+    return MeshPatches(wall) if isinstance(wall, MeshWall) else PlanePatch(wall)
+
+
+@dataclass(repr=False)
+class WornWall:
+    """Sliding, impacts and wear of a wall, patch by patch."""
+
+    name: str
+    patches: Any
+    """Division of the wall: a :class:`PipePatches`, :class:`MeshPatches` or :class:`PlanePatch`."""
+    done: np.ndarray
+    """Values of :data:`COLUMNS` for each patch since t = 0, shape (patches, 3)."""
+    coefficient: float
+    """Archard's coefficient k [m2/N]."""
+
+    def __repr__(self) -> str:
+        return f"<WornWall {self.name!r}: {len(self.done)} patches, {self.done[:, 0].sum():.4g} J of sliding>"
+
+    @property
+    def sliding(self) -> np.ndarray:
+        """Work of sliding per area [J/m2], shape (patches,)."""
+        return self.done[:, 0] / self.patches.areas
+
+    @property
+    def impacts(self) -> np.ndarray:
+        """Energy lost in impacts per area [J/m2], shape (patches,)."""
+        return self.done[:, 1] / self.patches.areas
+
+    @property
+    def depth(self) -> np.ndarray:
+        """Worn depth k (load times sliding distance) / area [m], shape (patches,)."""
+        return self.coefficient * self.done[:, 2] / self.patches.areas
+
+    def mean_depth(self, chosen: np.ndarray | slice = slice(None)) -> float:
+        """Return the mean worn depth over the area of chosen patches [m]."""
+        return float(self.coefficient * self.done[chosen, 2].sum() / self.patches.areas[chosen].sum())
+
+
+class WearMap:
+    """Wear of every wall of a scene."""
+
+    def __init__(self, walls: Sequence[Wall], wear: Wear) -> None:
+        self.walls = [
+            WornWall(wall.name, made := patches_of(wall, wear.patch), np.zeros((len(made.areas), 3)), wear.coefficient)
+            for wall in walls
+        ]
+
+    def take(self, state: State) -> None:
+        """Move the spheres' contributions since the last call to the patches, in the order of permanent numbers."""
+        order = np.argsort(state.spheres.id.numpy())
+        worn, points = state.slots.worn.numpy()[order], state.slots.worn_at.numpy()[order].astype(float)
+        state.slots.worn.zero_()
+        for number, wall in enumerate(self.walls):
+            met = np.flatnonzero(np.any(worn[:, number] != 0, axis=1))
+            if len(met):
+                patch = wall.patches.of(points[met, number])
+                for column in range(3):
+                    weights = worn[met, number, column]
+                    wall.done[:, column] += np.bincount(patch, weights, minlength=len(wall.done))
+
+    def columns(self) -> dict[str, float]:
+        """Return the wear columns of a row of the series: sums over the patches of each wall."""
+        return {
+            f"{wall.name}_{name}": float(wall.done[:, column].sum())
+            for wall in self.walls
+            for column, name in enumerate(COLUMNS)
+        }
+
+    def state_dict(self) -> dict[str, np.ndarray]:
+        """Return the patches' values by wall name."""
+        return {wall.name: wall.done for wall in self.walls}
+
+    def load_state_dict(self, state: dict[str, np.ndarray]) -> None:
+        """Continue from a `state_dict`."""
+        for wall in self.walls:
+            wall.done = np.array(state[wall.name])
+
+    @property
+    def main(self) -> WornWall | None:
+        """Most worn wall that holds the concrete: a pipe or mesh, or a plane if there is neither; else None."""
+        found = [wall for wall in self.walls if np.isfinite(wall.patches.areas).all()]
+        shaped = [wall for wall in found if not isinstance(wall.patches, PlanePatch)] or found
+        return max(shaped, key=lambda wall: wall.done[:, 2].sum()) if shaped else None

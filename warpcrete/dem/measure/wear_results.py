@@ -1,0 +1,167 @@
+"""Results and figures of the wear of walls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from ...core.run.method import Quantity
+from ...core.units import number
+from .wear import HOUR, MeshPatches, PipePatches, PlanePatch, WornWall
+
+
+def _of(of: Callable[[WornWall, Any], float | None]) -> Callable[[Any], float | None]:
+    """Return a function of a run's data that applies `of` to the wall that holds the concrete, or gives None."""
+
+    def found(known: Any) -> float | None:
+        wall = known.wear.main if known.wear is not None else None
+        return None if wall is None or not known.series["time"][-1] > 0 else of(wall, known)
+
+    return found
+
+
+def _worst(wall: WornWall) -> int:
+    return int(np.argmax(wall.depth))
+
+
+def _hourly(depth: float, known: Any) -> float:
+    return HOUR * depth / known.series["time"][-1]
+
+
+def _by_volume(wall: WornWall, known: Any) -> float | None:
+    scene = known.scene
+    if scene.pipe is None or scene.pressure is None or not known.series["travel"][-1] > 0:
+        return None
+    return wall.mean_depth(covered(wall, scene)) / (np.pi * scene.pipe.radius**2 * known.series["travel"][-1])
+
+
+def covered(wall: WornWall, scene: Any) -> np.ndarray | slice:
+    """Return a mask of the wall patches in the stretch of a pipe that aggregates touched; all patches of other walls.
+
+    For a mesh the mask contains patches on its inside, and those that were touched.
+    """
+    found = places(wall, scene)
+    touched = wall.done[:, 2] > 0
+    if found is None or not touched.any():
+        return slice(None)
+    s = found[0]
+    return (s >= s[touched].min()) & (s <= s[touched].max()) & (inside(wall, scene) | touched)
+
+
+def inside(wall: WornWall, scene: Any) -> np.ndarray:
+    """Return a mask of the patches that concrete can touch, shape (patches,); in a mesh those visible from the axis."""
+    if not isinstance(wall.patches, MeshPatches):
+        return np.ones(len(wall.done), bool)
+    return wall.patches.seen_from(scene.pipe.axis)
+
+
+def _mean(wall: WornWall, known: Any, column: int) -> float:
+    chosen = covered(wall, known.scene)
+    return float(wall.done[chosen, column].sum() / wall.patches.areas[chosen].sum())
+
+
+def places(wall: WornWall, scene: Any) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return arc length [m] and angle [rad] of the middle of each patch of a pipe; None for other walls."""
+    patches = wall.patches
+    if isinstance(patches, PipePatches):
+        return np.repeat(patches.along, patches.around), np.tile(patches.angles, patches.stations)
+    surface = patches.surface()
+    if scene.pipe is None or isinstance(patches, PlanePatch) or surface is None:
+        return None
+    vertices, faces, _ = surface
+    points, axis = vertices[faces].mean(1), scene.pipe.axis
+    s = axis.along(points)
+    centre, _, normal, side = axis.frame(s)
+    offset = points - centre
+    return s, np.arctan2(np.sum(offset * side, 1), np.sum(offset * normal, 1)) % (2 * np.pi)
+
+
+def _place(wall: WornWall, known: Any, which: int, factor: float) -> float | None:
+    found = places(wall, known.scene)
+    return None if found is None else factor * float(found[which][_worst(wall)])
+
+
+QUANTITIES = (
+    Quantity("wear_sliding_energy", "J/m2", _of(lambda wall, known: _mean(wall, known, 0))),
+    Quantity("wear_largest_sliding_energy", "J/m2", _of(lambda wall, known: wall.sliding.max())),
+    Quantity("wear_impact_energy", "J/m2", _of(lambda wall, known: _mean(wall, known, 1))),
+    Quantity(
+        "wear_depth_per_hour",
+        "m/h",
+        _of(lambda wall, known: _hourly(wall.mean_depth(covered(wall, known.scene)), known)),
+    ),
+    Quantity("wear_largest_depth_per_hour", "m/h", _of(lambda wall, known: _hourly(wall.depth.max(), known))),
+    Quantity("wear_depth_per_volume", "m/m3", _of(_by_volume)),
+    Quantity("wear_worst_along", "m", _of(lambda wall, known: _place(wall, known, 0, 1.0))),
+    Quantity("wear_worst_angle", "deg", _of(lambda wall, known: _place(wall, known, 1, 180 / np.pi))),
+)
+"""Wear of the wall that holds the concrete since t = 0: means over the stretch touched, and the worst patch."""
+
+
+def report(run: Any) -> Iterator[tuple[str, str]]:
+    """Yield a line about the wear of a run that measured it."""
+    result = run.result
+    if "wear_depth_per_hour" not in result:
+        return
+    wall = run.wear.main
+    mean, worst = (1e6 * number(result[name]) for name in ("wear_depth_per_hour", "wear_largest_depth_per_hour"))
+    where = ""
+    if "wear_worst_along" in result:
+        along, angle = number(result["wear_worst_along"]), number(result["wear_worst_angle"])
+        where = f" at {along:.3g} m along the pipe, {angle:.0f} degrees around it"
+    by_volume = ""
+    if "wear_depth_per_volume" in result:
+        by_volume = f"; {1e6 * number(result['wear_depth_per_volume']):.3g} mm per 1000 m3 pumped"
+    yield (
+        f"wear of {wall.name}",
+        f"{mean:.3g} um/h on average, {worst:.3g} um/h on the worst patch{where}{by_volume} (k = {wall.coefficient:g} "
+        "m2/N, uncertain by a factor of ten)",
+    )
+
+
+def plot_wear(run: Any, wall: WornWall | None = None) -> Any:
+    """Return a figure of a run's worn depth per hour [um/h] over arc length and angle of a pipe, and of means along it.
+
+    `wall` is one of `run.wear.walls`; by default the wall that holds the concrete. Returns None if there is nothing to
+    draw.
+    """
+    from matplotlib.figure import Figure
+
+    wall = wall or (run.wear.main if run.wear is not None else None)
+    time = float(run.series["time"][-1])
+    found = places(wall, run.scene) if wall is not None else None
+    if wall is None or found is None or not time > 0:
+        return None
+    shown = inside(wall, run.scene)
+    s, angle = found[0][shown], found[1][shown]
+    areas = wall.patches.areas[shown]
+    hourly = 1e6 * HOUR / time * wall.depth[shown]
+    figure = Figure(figsize=(8, 5), layout="constrained")
+    axes, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
+    if isinstance(wall.patches, PipePatches):
+        shape = wall.patches.stations, wall.patches.around
+        edges = np.linspace(0, wall.patches.axis.length, shape[0] + 1), (np.arange(shape[1] + 1) - 0.5) * 360 / shape[1]
+        drawn = axes.pcolormesh(*edges, hourly.reshape(shape).T, cmap="magma_r", vmin=0)
+    else:
+        drawn = axes.scatter(s, np.degrees(angle), 14, hourly, marker="s", cmap="magma_r", vmin=0, linewidths=0)
+    figure.colorbar(drawn, ax=axes, label="worn depth [um/h]")
+    axes.set(ylabel="angle around the pipe [degrees]", yticks=[0, 90, 180, 270])
+    axes.set_title("0: outside of a bend", fontsize=9, loc="left")
+    edges = np.linspace(s.min(), s.max() + 1e-9, 25)
+    row = np.clip(np.digitize(s, edges) - 1, 0, 23)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    cosine = np.cos(angle)
+    for name, chosen in (
+        ("all round", cosine < 2),
+        ("around 0 degrees, a quarter of the circumference", cosine > np.sqrt(0.5)),
+        ("180 degrees", cosine < -np.sqrt(0.5)),
+    ):
+        total = np.bincount(row[chosen], (hourly * areas)[chosen], 24)
+        area = np.bincount(row[chosen], areas[chosen], 24)
+        below.plot(middle[area > 0], total[area > 0] / area[area > 0], label=name, linewidth=1.6)
+    below.set(xlabel="position along the pipe [m]", ylabel="mean worn depth [um/h]", ylim=(0, None))
+    below.legend(frameon=False, fontsize=9)
+    below.spines[["top", "right"]].set_visible(False)
+    return figure

@@ -1,0 +1,239 @@
+"""Conversion of declared parameters into the components of a pumping scene: sizes, contacts, bonds, plug, settings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import refuse
+from ...core.inputs.parameters import Above, Within
+from ...geometry.axis import Axis
+from ...geometry.walls import Driven, PlaneWall
+from ..laws import Contact, ContactLaw, LubricationLayer
+from ..scene.clumps import templates
+from ..scene.containers import Fill, PipeContainer
+from ..scene.scene import AxisDrive, Bodies, Bonds, Hydration, Settle, TimeStep, Watch
+from ..scene.sizes import Gaussian, SieveCurve, Sizes, Uniform
+from .parameters import AggregateParameters, BondParameters, stiffness_of
+
+
+def contact_of(given: Any) -> ContactLaw:
+    """Return the contact law between aggregates."""
+    return given.contact if given.contact is not None else linear_of(given)
+
+
+def linear_of(given: Any) -> Contact:
+    """Return the linear contact law that the scene's own contact parameters describe."""
+    return Contact(
+        effective_modulus=given.modulus,
+        stiffness_ratio=given.stiffness_ratio,
+        friction=given.friction,
+        normal_damping_ratio=given.normal_damping,
+        shear_damping_ratio=given.shear_damping,
+        dashpot=given.dashpot,
+    )
+
+
+def wall_contact_of(given: Any) -> dict[tuple[str, str], ContactLaw]:
+    """Return the contact law on pipe and piston by pair of materials; empty if it is the same as between aggregates."""
+    if given.wall_contact is not None:
+        return {("aggregate", "wall"): given.wall_contact}
+    if given.contact is not None:
+        return {}
+    contact = linear_of(given)
+    if given.wall_friction is not None:
+        contact = replace(contact, friction=given.wall_friction)
+    if given.layer_yield or given.layer_viscosity:
+        layer = LubricationLayer(contact=contact, yield_stress=given.layer_yield, viscosity=given.layer_viscosity)
+        return {("aggregate", "wall"): layer}
+    return {("aggregate", "wall"): contact} if given.wall_friction is not None else {}
+
+
+def law_remarks(given: Any) -> Iterator[str]:
+    """Yield remarks on parameters of the concrete that have no effect because another contact law was chosen."""
+    law, wall = given.contact, given.wall_contact
+    if law is not None:
+        where = (
+            "between aggregates"
+            if wall is not None
+            else ("between aggregates and on the wall, which has no lubrication layer")
+        )
+        yield (
+            f"contact {type(law).__name__} acts {where}; the contact parameters of concrete {given.concrete} are "
+            "ignored"
+        )
+    elif wall is not None:
+        yield f"wall_contact {type(wall).__name__} replaces the wall parameters of concrete {given.concrete}"
+
+
+def bonds_of(given: BondParameters) -> Bonds | None:
+    """Return the bonds between aggregates, or None if bonds are off."""
+    if not given.bonds:
+        return None
+    return Bonds(
+        effective_modulus=given.bond_modulus,
+        stiffness_ratio=given.bond_stiffness_ratio,
+        tensile_strength=given.tensile_strength,
+        cohesion=given.cohesion,
+        friction_angle=given.friction_angle,
+        gap=given.bond_gap,
+        healing=given.healing,
+    )
+
+
+def hydration_of(given: BondParameters) -> Hydration | None:
+    """Return the hydrated bonds, or None if there are none."""
+    if not (given.bonds and given.hydration):
+        return None
+    return Hydration(
+        fraction=given.hydration,
+        bonds=Bonds(
+            effective_modulus=given.hydration_modulus,
+            stiffness_ratio=given.bond_stiffness_ratio,
+            tensile_strength=given.hydration_strength,
+            cohesion=given.hydration_strength / 2,
+            friction_angle=given.friction_angle,
+        ),
+    )
+
+
+def sizes_of(given: AggregateParameters, diameter: float) -> Sizes:
+    """Return the size distribution of the aggregates; raise SceneError if the largest exceeds the pipe diameter [m]."""
+    found = _distribution(given)
+    if found.largest >= diameter:
+        refuse("size_max", found.largest, f"must be below the pipe's diameter, {diameter:g} m")
+    return found
+
+
+def _distribution(given: AggregateParameters) -> Sizes:
+    smallest, largest = given.size_min, given.size_max
+    if given.sizes == "uniform":
+        return Uniform(smallest, largest)
+    if given.sizes == "gaussian":
+        mean, deviation = given.size_mean, given.size_deviation
+        if mean is None:
+            mean = 0.5 * (smallest + largest)
+        if deviation is None:
+            deviation = max(0.5 * (largest - smallest), 1e-6 * largest)
+        return Gaussian(mean, deviation, smallest, largest)
+    try:
+        pairs = [tuple(map(float, part.split(":"))) for part in given.sizes.split(",")]
+        openings, passing = zip(*pairs, strict=True)
+    except ValueError:
+        refuse("sizes", given.sizes, "must be gaussian, uniform or a sieve curve",
+               "for example '5:0,10:0.4,20:1' (mm:passing)")  # fmt: skip
+    return SieveCurve(tuple(1e-3 * o for o in openings), tuple(passing))
+
+
+def fractions_of(text: str | None) -> tuple[float, ...] | None:
+    """Return volume fractions of the shapes from numbers joined by commas, or None without a text."""
+    if text is None:
+        return None
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        refuse("fractions", text, "must be numbers joined by commas", "for example '2,1,1,1'")
+
+
+MOST_BALLS = 600_000
+"""Maximum number of balls in a plug."""
+
+
+@dataclass(frozen=True)
+class Plug:
+    """Closure of the concrete's front: bonded balls with a drive, a plate, or nothing."""
+
+    bodies: tuple[Bodies, ...] = ()
+    drives: tuple[AxisDrive, ...] = ()
+    bonds: Mapping[str, Bonds] = field(default_factory=dict)
+    plates: tuple[PlaneWall, ...] = ()
+
+
+def plug_of(given: Any, axis: Axis, at: float, radius: float, layers: int, inner: float) -> Plug:
+    """Return the plug at an arc length `at` of a pipe's axis [m]; `given` holds parameters of plug and aggregate.
+
+    A plug of balls has `layers` layers in a bore of radius `inner` [m]. The plug pressure acts against the flow on the
+    cross-section of radius `radius` [m].
+    """
+    area, density = math.pi * radius**2, given.bulk_density or given.density
+    if given.plug == "balls":
+        points = plug_points(axis, inner, at, given.plug_ball, layers)
+        bodies = Bodies(positions=points, sizes=given.plug_ball, density=density, group="plug")
+        drive = AxisDrive(group="plug", axis=axis, force=-given.plug_pressure * area)
+        # These bonds are stiff enough for the plug to keep its shape, and too soft to limit the time step.
+        bonds = Bonds(
+            effective_modulus=2 * stiffness_of(given), tensile_strength=1e12, cohesion=1e12, gap=0.35 * given.plug_ball
+        )
+        return Plug((bodies,), (drive,), {"plug": bonds})
+    if given.plug == "plate":
+        points, tangents = axis.at(at)
+        back = tuple((-tangents[0]).tolist())
+        motion = Driven(direction=back, force=given.plug_pressure * area, mass=density * area * 2 * given.plug_ball)
+        place = tuple(points[0].tolist())
+        return Plug(plates=(PlaneWall(name="plug", point=place, normal=back, motion=motion, drawn_radius=radius),))
+    return Plug()
+
+
+def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) -> np.ndarray:
+    """Return the centres of layers of balls in concentric rings that fill the pipe's cross-section, shape (n, 3) [m].
+
+    Raises :class:`SceneError` if `ball` [m] does not fit the pipe or is so small that the plug has too many balls.
+    """
+    Within(0, radius).check("plug_ball", ball, f" m, the pipe's radius being {radius:g} m")
+    Above().check("plug_ball", ball, " m")
+    across = radius / ball
+    count = layers * math.pi * across * across  # `across**2` would raise OverflowError where a product gives infinity
+    if count > MOST_BALLS:
+        refuse("plug_ball", ball, f"would need {count:.2g} balls to plug the pipe",
+               "use larger balls, a plate or no plug")  # fmt: skip
+    local = []
+    for layer in range(layers):
+        ring = radius - ball / 2
+        while ring > ball / 4:
+            count = max(1, int(2 * math.pi * ring / ball))
+            for k in range(count):
+                angle = 2 * math.pi * (k + 0.5 * layer) / count
+                local.append((at + (layer + 0.5) * ball, ring * math.cos(angle), ring * math.sin(angle)))
+            ring -= ball
+        if ring > -ball / 4:
+            local.append((at + (layer + 0.5) * ball, 0.0, 0.0))
+    s, a, b = np.array(local).T
+    points, _, normal, side = axis.frame(s)
+    return points + a[:, None] * normal + b[:, None] * side
+
+
+def fill_of(given: Any, container: PipeContainer, sizes: Sizes) -> Fill:
+    """Return the aggregates for a container; `given` holds parameters of aggregate, contacts and plug."""
+    return Fill(
+        container=container,
+        sizes=sizes,
+        templates=templates(given.shapes, given.shape_spheres),
+        fractions=fractions_of(given.fractions),
+        density=given.density,
+        bulk_density=given.bulk_density,
+        solid_fraction=given.solid_fraction,
+        # A packing at less than 2e-3 of the contact stiffness has no well-defined pressure.
+        pressure=max(given.plug_pressure, 2e-3 * stiffness_of(given)) if given.solid_fraction is None else None,
+    )
+
+
+def settings_of(given: Any) -> dict[str, Any]:
+    """Return the arguments of a scene for contacts, bonds, gravity, settling, time step and output."""
+    return {
+        "contact": contact_of(given),
+        "contacts": wall_contact_of(given),
+        "bonds": bonds_of(given),
+        "hydration": hydration_of(given),
+        "gravity": (0.0, 0.0, -given.gravity),
+        "settle": Settle(duration=given.settle) if given.settle > 0 else None,
+        "time_step": TimeStep(fixed=given.time_step, safety=given.safety, rounds=given.hydration_rounds),
+        "watch": Watch(overlap=given.overlap_limit or None),
+        "energy_balance": given.energy_balance,
+        "precision": given.precision,
+        "sample_interval": given.sample_interval,
+        "seed": given.seed,
+    }

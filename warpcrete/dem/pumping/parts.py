@@ -1,0 +1,303 @@
+"""Parts of a pumping line through which aggregates are pushed: their parameters, and the course of the pipe."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+from ...core.errors import between, refuse
+from ...core.inputs.concretes import is_file
+from ...core.inputs.knobs import Knob, Level, precisions, scaled
+from ...core.inputs.parameters import Above, FileIf, Needs, OneOf, Within
+from ...geometry.axis import Arc, Axis, Line
+from ...geometry.bores import FACETS, Bores
+from ...geometry.lines import Part, PipeLine, check_crossing, read_line
+from ...geometry.mesh_parts import FIT, WAYS, Insert, bore_of
+from ...geometry.one_pipe import check_return, check_straight_ends, ends, said_by_line, said_by_mesh
+from ..laws import LawChoice, WallLawChoice
+from .parameters import (
+    COARSENINGS,
+    UPRIGHT,
+    WIDEST_STONE,
+    AggregateParameters,
+    BondParameters,
+    ConcreteChoice,
+    ContactParameters,
+    OfConcrete,
+    PlugParameters,
+    RunParameters,
+    coarser,
+)
+
+UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level", "mesh")
+ALONE = Needs("line", lambda line: line is None, "is not given")
+
+
+def _is_given(value: Any) -> bool:
+    return value is not None
+
+
+OF_MESH = Needs("wall", _is_given, "is given")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CourseParameters:
+    """Pipe.
+
+    Course and dimensions of the pipe: a single part, the bore of a mesh, or a line from a file.
+    """
+
+    unit: Annotated[
+        str,
+        "Course of the pipe: straight up or level, a bend between two straight stretches, or the "
+        "bore of the mesh in wall between two straight stretches; default with a wall: mesh",
+        OneOf(UNITS),
+        ALONE,
+    ] = "bend-to-horizontal"
+    diameter: Annotated[float, "Inner diameter of the pipe [m]", Above(), ALONE] = 0.1
+    straight: Annotated[
+        float, "Length of the straight stretch before the bend or taper, and of the one behind it [m]", Above(), ALONE
+    ] = 0.3
+    elbow_radius: Annotated[float, "Radius of a bend's centreline [m]", Above(), ALONE] = 0.25
+    angle: Annotated[float, "Angle of a bend [degrees]", Within(5, 135), ALONE] = 90.0
+    outlet_diameter: Annotated[
+        float | None,
+        "Diameter to which the pipe narrows or widens: a straight pipe in its "
+        "middle, one with a bend after a straight stretch behind the bend [m]",
+        Above(),
+        ALONE,
+    ] = None
+    taper: Annotated[
+        float,
+        "Length of the cone to the outlet diameter [m]",
+        Needs("outlet_diameter", _is_given, "is given"),
+        Needs("wall", lambda wall: wall is None, "is not given"),
+        Above(),
+    ] = 0.3
+    wall: Annotated[str | None, "Mesh file (STL, OBJ ...) whose bore is the part; the bore begins at the mesh's "
+                                "origin, along its x axis", ALONE, FileIf(bool)] = None  # fmt: skip
+    wall_scale: Annotated[float, "Factor from the unit of the mesh file to metres: 0.001 for mm", OF_MESH,
+                          Above()] = 1.0  # fmt: skip
+    line: Annotated[str | None, "File or shipped name of a line, whose parts replace all of these parameters; it "
+                                "also sets flow and concrete where they are not given; the line must begin and end "
+                                "straight",
+                    FileIf(is_file)] = None  # fmt: skip
+    facets: Annotated[
+        int, "Number of facets around a pipe with a cone, which is made of triangles", Within(8, 1000)
+    ] = FACETS
+    slices: Annotated[float, "Number of slices per diameter in which stress, solid fraction and velocity are measured",
+                      Within(0.5, 20)] = 2.0  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class PushParameters:
+    """Piston.
+
+    Motion of the piston that pushes the concrete.
+    """
+
+    flow: Annotated[float, "Final volume flow that the piston displaces [m3/s]", Above()] = 1500e-6
+    travel: Annotated[float | None, "Travel of the piston, through a pipe ahead of the part; default: two diameters "
+                                    "[m]",
+                      Above()] = None  # fmt: skip
+    ramp: Annotated[float | None, "Travel over which the piston's speed rises linearly; default: half of the travel "
+                                  "[m]",
+                    Within(0)] = None  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartElements(
+    OfConcrete, CourseParameters, PushParameters, ConcreteChoice, AggregateParameters, LawChoice, WallLawChoice,
+    ContactParameters, BondParameters, PlugParameters, RunParameters,
+):  # fmt: skip
+    """All parameters of a part of a line: concrete, pipe, piston, contacts, plug and run."""
+
+    @classmethod
+    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return parameters that the file of a line, of a mesh or of a concrete implies, by name."""
+        said = {**said_by_line(values), **said_by_mesh(values, WAYS[:1])}
+        return {**said, **super().implied({**said, **values})}
+
+
+@dataclass(frozen=True)
+class Course:
+    """Course of a pipe from the piston's initial position: first the run-up for the piston's travel, then the part."""
+
+    axis: Axis
+    bores: Bores
+    travel: float
+    """Travel of the piston [m]."""
+    ramp: float
+    """Travel over which the piston's speed rises linearly in time [m]."""
+    velocity: float
+    """Final speed of the piston [m/s]."""
+    middle: tuple[float, float] | None
+    """Arc lengths between which the part is not a straight pipe [m]."""
+    line: PipeLine | None = None
+    inserts: tuple[Insert, ...] = ()
+    """Stretches of the pipe whose bore is a mesh."""
+    clear: Bores | None = None
+    """Radii of circles about the axis that fit into the bore; None if no stretch has a mesh as its bore."""
+
+    @property
+    def narrowest(self) -> float:
+        """Smallest free width across the axis [m]."""
+        return min([2 * self.bores.smallest, *(insert.mesh.narrowest for insert in self.inserts)])
+
+    @property
+    def duration(self) -> float:
+        """Simulated time of the piston's travel [s]."""
+        # The speed rises linearly in time, so the ramp takes 2 ramp / velocity.
+        return 2 * self.ramp / self.velocity + (self.travel - self.ramp) / self.velocity
+
+    @property
+    def advance(self) -> float:
+        """Distance by which the front of the concrete moves while the piston travels, by volume conservation [m]."""
+        return self.travel * float(self.bores.at(0.0) / self.bores.at(self.axis.length)) ** 2
+
+
+def course_of(given: PartElements) -> Course:
+    """Return axis and bores of a part or of a line, with the piston's run-up in front.
+
+    Raises :class:`SceneError` if parameters contradict each other.
+    """
+    line = None if given.line is None else read_line(given.line)
+    if line is not None:
+        check_straight_ends(line, given.line)
+    if given.unit == "mesh" and given.wall is None and line is None:
+        refuse("unit", given.unit, "needs a mesh file", "set wall to its path, or choose another unit")
+    parts = _meshed(given) if given.wall is not None else line
+    if parts is None:
+        axis, bores, middle = _part(given)
+    else:
+        axis, bores, middle = parts.axis, parts.bores, _middle(parts)
+    diameter = 2 * bores.radii[0]
+    velocity = given.flow / (math.pi * bores.radii[0] ** 2)
+    travel = 2 * diameter if given.travel is None else given.travel
+    ramp = 0.5 * travel if given.ramp is None else given.ramp
+    if ramp > travel:
+        refuse("ramp", ramp, f"must not exceed the travel, {travel:g} m", "increase travel, or shorten ramp")
+    first = axis.pieces[0]
+    assert isinstance(first, Line)
+    start = np.array(axis.start) - travel * np.array(axis.tangent)
+    whole = Axis(tuple(start.tolist()), axis.tangent, (Line(first.length + travel), *axis.pieces[1:]))
+    check_return(whole, bores, travel)
+    inserts = () if parts is None else tuple(_inserts(parts, travel))
+    return Course(
+        axis=whole, bores=_moved(bores, travel), travel=travel, ramp=ramp, velocity=velocity,
+        middle=None if middle is None else (middle[0] + travel, middle[1] + travel), line=line, inserts=inserts,
+        clear=_moved(parts.clear, travel) if parts is not None and inserts else None,
+    )  # fmt: skip
+
+
+def _moved(bores: Bores, by: float) -> Bores:
+    return Bores(tuple(by + place for place in bores.places), bores.radii)
+
+
+def _middle(line: PipeLine) -> tuple[float, float] | None:
+    """Return the arc lengths between which a line is not a straight pipe [m], or None for a straight line."""
+    odd = [k for k, part in enumerate(line.parts) if part.kind != "straight"]
+    places = ends(line)
+    return (float(places[odd[0]]), float(places[odd[-1] + 1])) if odd else None
+
+
+def _inserts(line: PipeLine, travel: float) -> Iterator[Insert]:
+    """Yield the stretches of a line whose bore is a mesh; a run-up of `travel` [m] shifts their arc lengths."""
+    for part, (begin, end) in zip(line.parts, pairwise(travel + ends(line)), strict=True):
+        if part.mesh:
+            yield Insert(part.mesh, float(begin), float(end))
+
+
+def _meshed(given: PartElements) -> PipeLine:
+    """Return a level pipe with the bore of a mesh in its middle."""
+    assert given.wall is not None
+    if given.unit != "mesh":
+        refuse("wall", given.wall, f"needs unit mesh, not {given.unit}", "leave out unit, or use a line with a bore")
+    if given.outlet_diameter is not None:
+        refuse(
+            "outlet_diameter",
+            given.outlet_diameter,
+            "has no effect with a wall, as the mesh has its own outlet",
+            "leave it out",
+        )
+    mesh = bore_of(("wall", "wall_scale"), Path(given.wall), given.wall_scale)
+    wide, outlet = mesh.ends
+    if abs(wide / given.diameter - 1) > FIT:
+        refuse("diameter", given.diameter, f"differs from that of the mesh, {wide:.4g} m at its start", "leave it out")
+    ends, _ = mesh.axis.at([0.0, mesh.axis.length])
+    length, rise = mesh.axis.length, float(ends[1, 2] - ends[0, 2])
+    level = float(mesh.axis.at(length)[1][0, 2])
+    parts = (
+        Part(1, "straight", wide, given.straight, 0.0, wide),
+        Part(2, "bore", wide, length, rise, outlet, mesh=mesh),
+        Part(3, "straight", outlet, given.straight, level * given.straight, outlet),
+    )
+    pieces = (Line(given.straight), *mesh.axis.pieces, Line(given.straight))
+    line = PipeLine("part", parts, Axis((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), pieces))
+    check_crossing(line, hint="use a shorter straight, or cut the mesh")
+    return line
+
+
+def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]:
+    """Return the axis of a single part, its bores, and the arc lengths between which it is not a straight pipe [m].
+
+    The axis begins at the origin. The arc lengths are None for a straight pipe of one diameter.
+    """
+    origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
+    radius, straight = given.diameter / 2, given.straight
+    narrows = given.outlet_diameter is not None
+    if narrows:
+        between("outlet_diameter", given.outlet_diameter, given.diameter / 10, 10 * given.diameter, "m",
+                "change the diameter in several steps")  # fmt: skip
+    # The cone lies in the middle of a straight unit. In a unit with a bend a straight stretch separates bend and cone.
+    narrowing = straight + given.taper if narrows else 0.0
+    if not given.unit.startswith("bend"):
+        pieces: tuple[Line | Arc, ...] = (Line(straight + (narrowing or straight)),)
+        axis = Axis(origin, up if given.unit == "vertical" else along, pieces)
+        begin, middle = straight, None
+    else:
+        if given.elbow_radius <= radius:
+            refuse("elbow_radius", given.elbow_radius, f"must exceed the pipe's radius, {radius:g} m")
+        tangent = up if given.unit == "bend-to-horizontal" else along
+        towards = {"bend-to-horizontal": along, "bend-to-vertical": up, "bend-level": aside}[given.unit]
+        arc = Arc(given.elbow_radius, math.radians(given.angle), towards)
+        axis = Axis(origin, tangent, (Line(straight), arc, Line(straight + narrowing)))
+        begin, middle = 2 * straight + arc.length, (straight, straight + arc.length)
+    if given.outlet_diameter is None:
+        return axis, Bores((0.0,), (radius,)), middle
+    bores = Bores((begin, begin + given.taper), (radius, given.outlet_diameter / 2))
+    return axis, bores, (middle[0] if middle else begin, begin + given.taper)
+
+
+def plug_layers(given: PartElements, diameter: float) -> int:
+    """Return the number of layers of balls in the plug.
+
+    By default the plug is so thick that it cannot tip over in a pipe that is not vertical.
+    """
+    if given.plug_layers is not None:
+        return given.plug_layers
+    return max(2, math.ceil(UPRIGHT * diameter / given.plug_ball - 1e-9))
+
+
+def part_knobs(given: PartElements) -> Iterator[Knob]:
+    """Yield the settings of a part that trade accuracy for computing time."""
+    if given.time_step is None:
+        yield scaled("time step", "safety", given.safety, (2.0, 1.5, 1.0, 0.5, 0.25), -1.0)
+    yield precisions()
+    if given.sizes in ("gaussian", "uniform"):
+        widest = max(WIDEST_STONE * course_of(given).narrowest / given.size_max, 1.0)
+        yield Knob("coarse-graining", tuple(coarser(given, c) for c in COARSENINGS if c <= widest), True)
+    if given.shapes == "reference":
+        yield Knob(
+            "shape", (Level("spheres", {"shapes": "spheres"}, 0.3), Level("reference", {"shapes": "reference"})), True
+        )
+    if given.contact is None:
+        yield scaled("stiffness", "modulus", given.modulus, (0.25, 0.5, 1.0), 0.5, "Pa", True)
+    if given.settle > 0:
+        yield scaled("settling", "settle", given.settle, (0.05, 0.2, 1.0), 0.3, "s")

@@ -1,0 +1,423 @@
+"""Parameters of discrete element tests of fresh concrete in a vessel, and the contact laws that follow from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+
+from ...core.device.device import PRECISIONS
+from ...core.errors import refuse
+from ...core.inputs.knobs import Knob, Level, precisions, scaled
+from ...core.inputs.parameters import Above, Declared, Needs, OneOf, Within
+from ...core.run.run_loop import Run
+from ...geometry.prisms import Solid
+from ..laws import OWN_LAW, BinghamMortar, Contact, ContactLaw, LawChoice, PlasticMortar, RollingResistance
+from ..laws.base import RESISTANCES
+from ..scene.clumps import templates
+from ..scene.containers import Fill, MeshContainer
+from ..scene.scene import Bonds, Settle, TimeStep, Watch
+from ..scene.sizes import Gaussian, Sizes, Uniform
+
+LAWS = ("linear", "bonds", "mortar", "plastic", "rolling")
+STIFF = {"mortar": 1e6, "plastic": 1e6}
+"""Contact modulus [Pa] of laws that cannot use Zhan's 1e5 Pa: mortar needs cores that are stiffer than its shells."""
+DENSE = {"mortar": 0.66, "plastic": 0.66}
+"""Solid fraction of packings by law, where it is not LOOSE: the shells of mortar must overlap on all sides."""
+LOOSE = 0.6
+RUBBING = {"mortar": 0.0, "plastic": 0.0, "rolling": 0.5}
+"""Friction coefficient by law, where it is not Zhan's 0.05: spheres that resist rolling must not slide instead."""
+CONTACTS = 6.9
+"""Touching neighbours of a sphere in a packing of mortar spheres, shells included; measured 6.7 to 6.9."""
+
+WITH_BONDS = Needs("law", lambda law: law == "bonds", "is bonds")
+WITH_MORTAR = Needs("law", lambda law: law in ("mortar", "plastic"), "is mortar or plastic")
+WITH_PLASTIC = Needs("law", lambda law: law == "plastic", "is plastic")
+WITH_ROLLING = Needs("law", lambda law: law == "rolling", "is rolling")
+BY_ITSELF = Needs("bulk_density", lambda bulk: bulk is None, "is not given")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GrainParameters:
+    """Grains.
+
+    Sizes and density of the grains, and how densely they are packed.
+    """
+
+    sizes: Annotated[str, "Size distribution: gaussian (mean at the middle, standard deviation half of the range) or "
+                          "uniform",
+                     OneOf(("gaussian", "uniform"))] = "uniform"  # fmt: skip
+    size_min: Annotated[float, "Smallest grain size [m]", Above()] = 10e-3
+    size_max: Annotated[float, "Largest grain size [m]", Above()] = 16e-3
+    bulk_density: Annotated[
+        float | None,
+        "Density of the concrete in the full vessel [kg/m3]; if given, the grains carry the mass of the mortar, too",
+        Above(),
+    ] = None
+    density: Annotated[
+        float, "Density of the grains, if they carry only their own mass [kg/m3]", Above(), BY_ITSELF
+    ] = 2500.0
+    solid_fraction: Annotated[
+        float | None,
+        "Solid fraction of the packing in the full vessel, before it settles; default: 0.66 with laws mortar and "
+        "plastic, else 0.6",
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LawParameters:
+    """Contacts.
+
+    Contact law between grains with its parameters, and the grip of plate and mould.
+    """
+
+    law: Annotated[
+        str,
+        "Contact law that carries the concrete: linear (springs and friction), bonds (the same with bonds that break "
+        "and heal), mortar (hard cores in soft shells with a yield stress), plastic (as mortar, but the shells yield "
+        "in all directions), rolling (friction and rolling resistance)",
+        OneOf(LAWS),
+        OWN_LAW,
+    ] = "rolling"
+    modulus: Annotated[float | None, "Effective modulus of contacts, with law mortar of the cores [Pa]; default: 1e6 "
+                                     "with laws mortar and plastic, else 1e5", Above(), OWN_LAW] = None  # fmt: skip
+    stiffness_ratio: Annotated[float, "Ratio of normal to shear stiffness", Above(), OWN_LAW] = 2.0
+    friction: Annotated[
+        float | None,
+        "Friction coefficient between grains; default: 0.5 with law rolling, 0 with mortar and plastic, else 0.05",
+        Within(0),
+        OWN_LAW,
+    ] = None
+    normal_damping: Annotated[
+        float, "Damping of the normal dashpot as a fraction of critical damping", Within(0), OWN_LAW
+    ] = 0.5
+    yield_stress: Annotated[
+        float, "Yield stress of the concrete [Pa]; the contacts get a yield stress whose sum over all slipping "
+               "contacts equals it",
+        Within(0), WITH_MORTAR,
+    ] = 200.0  # fmt: skip
+    viscosity: Annotated[
+        float,
+        "Plastic viscosity of the concrete [Pa s]; the contacts get a viscosity that adds up to it",
+        Above(),
+        WITH_MORTAR,
+    ] = 30.0
+    shell_fraction: Annotated[
+        float,
+        "Thickness of the two shells of a contact over the distance of the centres",
+        Above(),
+        Within(0, 0.5),
+        WITH_MORTAR,
+    ] = 0.1
+    shell_modulus: Annotated[float, "Stiffness of the shells [Pa]", Above(), WITH_MORTAR] = 1e4
+    shell_tension: Annotated[
+        float, "Tensile strength of the shells over their yield stress", Within(0), WITH_PLASTIC
+    ] = 2.5
+    rolling_friction: Annotated[float, "Rolling friction: largest moment of a contact over its normal force and "
+                                       "radius", Within(0),
+                                WITH_ROLLING, OWN_LAW] = 0.2  # fmt: skip
+    bond_modulus: Annotated[float, "Effective modulus of bonds [Pa]", Above(), WITH_BONDS] = 2e4
+    tensile_strength: Annotated[float, "Tensile strength of bonds [Pa]", Within(0), WITH_BONDS] = 10.0
+    cohesion: Annotated[float, "Cohesion of bonds [Pa]", Within(0), WITH_BONDS] = 5.0
+    friction_angle: Annotated[float, "Friction angle of bonds [degrees]", Within(0, 89), WITH_BONDS] = 30.0
+    healing: Annotated[bool, "Bond new contacts when they touch", WITH_BONDS] = True
+    plate_grip: Annotated[
+        float,
+        "Ratio of friction, yield stress and viscosity on the plate to those between grains",
+        Within(0),
+    ] = 2.0
+    mould_grip: Annotated[
+        float | None,
+        "Ratio of friction, yield stress and viscosity on mould, gate, bars and sides to those between grains; 0: "
+        "concrete slides freely; default: 1 in a funnel with laws mortar and plastic, else 0",
+        Within(0),
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class VesselRun(Declared):
+    """Run.
+
+    Duration and settings of the computation.
+    """
+
+    duration: Annotated[float, "Longest simulated time; the run ends earlier when the concrete rests [s]", Above()] = (
+        10.0
+    )
+    rest_speed: Annotated[
+        float,
+        "Speed below which the fastest grain of the main body must stay for a second to count as at rest [m/s]",
+        Above(),
+    ] = 1e-3
+    gravity: Annotated[float, "Gravitational acceleration [m/s2]", Above()] = 9.81
+    settle: Annotated[float, "Longest time to settle in the closed vessel before the start [s]", Within(0)] = 1.0
+    time_step: Annotated[float | None, "Fixed time step [s]; default: automatic", Above()] = None
+    safety: Annotated[
+        float, "Ratio of the automatic time step to the stable one; a value above 1 overrules the estimate"
+    ] = 0.8
+    overlap_limit: Annotated[
+        float,
+        "Overlap at which the run stops, as a multiple of the overlap that swallows a grain; 0: no limit",
+        Within(0),
+    ] = 1.5
+    energy_balance: Annotated[bool, "Sum up the energy that friction, dashpots and breaking bonds dissipate"] = False
+    precision: Annotated[str, "Precision of positions and forces: float32 or float64", OneOf(PRECISIONS)] = "float32"
+    sample_interval: Annotated[float, "Simulated time between two rows of the series [s]", Above()] = 0.02
+    seed: Annotated[int, "Random seed", Within(0)] = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
+    """Parameters that all tests of fresh concrete in a vessel have in common."""
+
+    HOLDING: ClassVar[dict[str, float]] = {}
+    """Default grip of the mould by law, where it is not 0. Without grip, mortar falls out of a funnel in two seconds
+    whatever its viscosity."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.size_max < self.size_min:
+            refuse("size_max", self.size_max, f"must be at least size_min = {self.size_min:g} m")
+        for name, default in (("plate_grip", LawParameters.plate_grip), ("mould_grip", None)):
+            if getattr(self, name) != default and self.contact is not None and not self.is_gripped:
+                refuse(name, getattr(self, name), f"has no effect with contact {type(self.contact).__name__}, which "
+                                                  "resists neither sliding nor rolling; laws that do are "
+                                                  f"{', '.join(RESISTANCES)}", "leave it out")  # fmt: skip
+        if self.holding > self.plate_grip:
+            refuse("mould_grip", self.mould_grip, f"must not exceed plate_grip = {self.plate_grip:g}",
+                   "raise plate_grip, or lower mould_grip")  # fmt: skip
+
+    @property
+    def stiffness(self) -> float:
+        """Effective modulus of the contacts in the scene's own laws [Pa]."""
+        return self.modulus if self.modulus is not None else STIFF.get(self.law, 1e5)
+
+    @property
+    def packed(self) -> float:
+        """Solid fraction of the packing."""
+        return self.solid_fraction if self.solid_fraction is not None else DENSE.get(self.law, LOOSE)
+
+    @property
+    def rubbing(self) -> float:
+        """Coefficient of friction between grains."""
+        return self.friction if self.friction is not None else RUBBING.get(self.law, 0.05)
+
+    @property
+    def holding(self) -> float:
+        """Grip of the mould, a factor on the grains' friction and yield stress; by default no more than the plate's."""
+        if self.mould_grip is not None:
+            return self.mould_grip
+        return min(self.HOLDING.get(self.law, 0.0), self.plate_grip)
+
+    @property
+    def is_gripped(self) -> bool:
+        """True if the law resists sliding or rolling by fields that a grip can multiply."""
+        law = self.grain_law()
+        return law.gripped(0.5) != law
+
+    def grain_law(self) -> ContactLaw:
+        """Return the contact law between grains."""
+        if self.contact is not None:
+            return self.contact
+        linear = Contact(
+            effective_modulus=self.stiffness, stiffness_ratio=self.stiffness_ratio, friction=self.rubbing,
+            normal_damping_ratio=self.normal_damping,
+        )  # fmt: skip
+        if self.law == "rolling":
+            return RollingResistance(contact=linear, rolling_friction=self.rolling_friction)
+        if self.law in ("mortar", "plastic"):
+            return mortar_law(self) if self.law == "mortar" else plastic_law(self)
+        return linear
+
+    def wall_laws(self) -> dict[tuple[str, str], ContactLaw]:
+        """Return the contact laws of grains with the materials `plate` and `mould`."""
+        grips = {"plate": self.plate_grip, "mould": self.holding}
+        return {("aggregate", name): self.grain_law().gripped(grip) for name, grip in grips.items()}
+
+    def bonds(self) -> Bonds | None:
+        """Return the bonds between grains, or None if the law has none."""
+        if self.law != "bonds":
+            return None
+        return Bonds(
+            effective_modulus=self.bond_modulus, stiffness_ratio=self.stiffness_ratio, healing=self.healing,
+            tensile_strength=self.tensile_strength, cohesion=self.cohesion, friction_angle=self.friction_angle,
+        )  # fmt: skip
+
+    def fill(self, inside: Solid) -> Fill:
+        """Return the fill of concrete in a closed solid."""
+        return Fill(
+            container=MeshContainer(inside.trimesh()),
+            sizes=self.distribution(),
+            templates=templates("spheres", 1),
+            density=self.density,
+            bulk_density=self.bulk_density,
+            solid_fraction=self.packed,
+        )
+
+    def distribution(self) -> Sizes:
+        """Return the size distribution of the grains."""
+        if self.sizes == "uniform":
+            return Uniform(self.size_min, self.size_max)
+        middle, half = 0.5 * (self.size_min + self.size_max), 0.5 * (self.size_max - self.size_min)
+        return Gaussian(middle, max(half, 1e-6 * middle), self.size_min, self.size_max)
+
+    def settings(self) -> dict[str, Any]:
+        """Return the arguments of a scene for duration, contact laws, bonds, time step and output."""
+        return {
+            "duration": self.duration,
+            "contact": self.grain_law(),
+            "contacts": self.wall_laws(),
+            "bonds": self.bonds(),
+            "gravity": (0.0, 0.0, -self.gravity),
+            "settle": Settle(duration=self.settle) if self.settle > 0 else None,
+            "time_step": TimeStep(fixed=self.time_step, safety=self.safety),
+            "watch": Watch(overlap=self.overlap_limit or None),
+            "energy_balance": self.energy_balance,
+            "precision": self.precision,
+            "sample_interval": self.sample_interval,
+            "seed": self.seed,
+        }
+
+
+def sheared() -> tuple[float, float, float]:
+    """Return three means over contacts in all directions n, in simple shear of rate 1 with strain rate tensor D.
+
+    They are the means of |D n| across n, of its square, and of the square of the component of D n along n. The squares
+    are 1/10 and 1/15 exactly. The first mean is a sum over directions spread evenly on a Fibonacci lattice.
+    """
+    count = 20_000
+    z = (2 * np.arange(count) + 1) / count - 1
+    angle = np.pi * (1 + math.sqrt(5)) * np.arange(count)
+    x, y = np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle)
+    along = x * y
+    across = 0.25 * (x * x + y * y) - along**2
+    return float(np.mean(np.sqrt(np.maximum(across, 0)))), float(np.mean(across)), float(np.mean(along**2))
+
+
+def mortar_law(given: VesselParameters) -> BinghamMortar:
+    """Return a contact law whose stresses add up to the yield stress and viscosity of the concrete.
+
+    The derivation assumes that neighbours follow the mean flow of a simple shear. Each grain has Z/2 contacts with an
+    area of pi d^2/4 over a distance d, which together fill 3/4 Z phi of the volume. A contact dissipates its yield
+    stress times the sliding across its normal. Its viscosity over the shell thickness dissipates the square of the
+    sliding plus, by Trouton's ratio, three times the square of the closing speed. The sum equals the dissipation of
+    the concrete. Shells also pull and bend (:class:`BinghamMortar`), so that a heap can stand. Compared with closed
+    forms, slumps deviate by 7 to 25 % at 20 to 500 Pa, and spreads by less than 7 % at 100 to 200 Pa. At 1000 Pa a cone
+    stands whole, where the closed form gives a slump of 78 mm.
+    """
+    slides, square, closes = sheared()
+    filled = 0.75 * CONTACTS * given.packed
+    return BinghamMortar(
+        effective_modulus=given.stiffness,
+        stiffness_ratio=given.stiffness_ratio,
+        friction=given.rubbing,
+        normal_damping_ratio=given.normal_damping,
+        shell_fraction=given.shell_fraction,
+        shell_modulus=given.shell_modulus,
+        yield_stress=given.yield_stress / (filled * slides),
+        plastic_viscosity=given.viscosity * given.shell_fraction / (filled * (square + 3 * closes)),
+    )
+
+
+def plastic_law(given: VesselParameters) -> PlasticMortar:
+    """Return the law of :class:`PlasticMortar` that corresponds to :func:`mortar_law`.
+
+    In a simple shear of rate 1 its contacts dissipate the yield stress times |D n|, whose mean is pi/8, and the
+    viscosity over the shell thickness times |D n|^2, whose mean is 1/6. The shells' tension was fitted on a heap of
+    1000 Pa: with 2.5 it slumps by 120 mm and with 3.5 it stands whole, where the closed form of a tall cone gives
+    78 mm and another method 104 mm. Other yield stresses are predictions.
+    """
+    filled = 0.75 * CONTACTS * given.packed
+    return PlasticMortar(
+        effective_modulus=given.stiffness,
+        stiffness_ratio=given.stiffness_ratio,
+        friction=given.rubbing,
+        normal_damping_ratio=given.normal_damping,
+        shell_fraction=given.shell_fraction,
+        shell_modulus=given.shell_modulus,
+        yield_stress=given.yield_stress / (filled * math.pi / 8),
+        plastic_viscosity=given.viscosity * given.shell_fraction / (filled / 6),
+        tension=given.shell_tension,
+    )
+
+
+COARSER = (2.0, 1.5, 1.25, 1.0)
+
+
+def vessel_knobs(given: VesselParameters, narrowest: float) -> Iterator[Knob]:
+    """Yield settings that trade accuracy for computing time: time step, precision, grain size and stiffness.
+
+    Grains are no larger than a quarter of the `narrowest` passage [m].
+    """
+    if given.time_step is None:
+        yield scaled("time step", "safety", given.safety, (2.0, 1.5, 1.0, 0.5), -1.0)
+    yield precisions()
+    levels = [
+        Level(f"x {f:g}", {"size_min": f * given.size_min, "size_max": f * given.size_max}, f**-4, f"x {f:g}")
+        for f in COARSER
+        if f == 1.0 or f * given.size_max <= narrowest / 4
+    ]
+    if len(levels) > 1:
+        yield Knob("coarse-graining", tuple(levels), True)
+    if given.contact is not None:
+        return
+    stiffness = [
+        Level(f"{f * given.stiffness:.4g} Pa", {"modulus": f * given.stiffness}, f**0.5, f"x {f:g}")
+        for f in (0.25, 0.5)
+    ]
+    as_given = Level(f"{given.stiffness:.4g} Pa", {"modulus": given.modulus}, 1.0, "x 1")
+    yield Knob("stiffness", (*stiffness, as_given), True)
+
+
+BALANCED = 0.01
+"""Largest error of the momentum balance, relative to the largest impulse."""
+FEWEST = 200
+"""Fewest grains that represent concrete in a vessel; with fewer, single stones decide the outcome."""
+
+
+CURES = {
+    "momentum balance": "--precision float64, or a smaller --safety",
+    "no grain swallowed": "a larger --modulus, or a smaller --safety",
+    "enough grains": "a smaller --size-max",
+    "at rest": "a longer --duration",
+    "one heap": "a larger --settle, or a smaller --size-max",
+    "light is seen": "a longer --duration",
+}
+
+
+def found_bad(run: Run) -> dict[str, tuple[bool, str]]:
+    """Return the checks of every run in a vessel by name, each as (passed, finding)."""
+    result = run.result
+    balance, overlap, grains = result["momentum_balance_error"], result["largest_overlap"], result["bodies"]
+    return {
+        "momentum balance": (balance < BALANCED, f"{100 * balance:.3g} % of the largest impulse"),
+        "no grain swallowed": (overlap < 2.0, f"largest overlap {overlap:.3g} of the smaller radius"),
+        "enough grains": (grains >= FEWEST, f"{grains}; at least {FEWEST} are needed to represent concrete"),
+    }
+
+
+def vessel_remarks(given: VesselParameters, what: str) -> tuple[str, ...]:
+    """Return the simplifications of a scene as remarks; `what` names the parts along which the concrete may slide."""
+    found = []
+    if given.law == "mortar":
+        found.append(
+            "law mortar: slump lies within a quarter of the closed form at 20 to 500 Pa; at 1000 Pa a cone remains "
+            "standing (law plastic lets it slump)"
+        )
+    if given.law == "plastic":
+        found.append("law plastic: spread lies between the closed forms at 200 to 2000 Pa; softer heaps stop too early")
+    if given.contact is not None and not given.is_gripped:
+        found.append(
+            f"plate and mould act on grains as other grains do, because {type(given.contact).__name__} has no friction"
+        )
+    elif given.holding == 0:
+        found.append(f"concrete slides along {what} freely; use --mould-grip 1 for friction there")
+    if given.bulk_density is None:
+        found.append(
+            f"only the grains have mass, {given.packed * given.density:.4g} kg/m3 in the full vessel; --bulk-density "
+            "adds the mortar's mass to them"
+        )
+    return tuple(found)

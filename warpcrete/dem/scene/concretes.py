@@ -1,0 +1,70 @@
+"""Translate a named concrete, or one from a file, to parameters of discrete elements."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ...core.errors import refuse
+from ...core.inputs.concretes import NamedConcrete, known_only
+from ...core.inputs.limits import warn
+from ...mix.mix import completed
+
+SIZES = ("sizes", "size_min", "size_max")
+"""Names of the parameters that set the sizes of the aggregates."""
+COVERAGE = 0.8
+"""Ratio of the area on which the lubrication layer acts to the area of the wall.
+
+The layer acts on pi r^2 of every wall contact. For clumps with the contacts of Zhan (2019, Table 1),
+`tests/bench_layer.py` measures a ratio of 0.77 at a pressure of 2.8 kPa and 0.79 at 6.2 kPa. With 0.8, Zhan's pipe
+units A and B with the concretes no. 1 and no. 3 of Xu (2021) agree within 4 % with the closed form for plug flow.
+Single spheres roll along the layer: without friction between them the effective ratio is 0.02.
+"""
+
+
+def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -> dict[str, Any]:
+    """Return the parameters of discrete elements that the concrete named in `values` implies.
+
+    `known` lists the parameters that a concrete may set; `default` is the name used if `values` has no concrete.
+    Returns an empty dictionary if `values` already sets all of them, as the record of a run does. Raises
+    :class:`SceneError` for a concrete that does not exist or that sets other parameters.
+    """
+    name = values.get("concrete", default)
+    name = str(name) if isinstance(name, os.PathLike) else name
+    if not isinstance(name, str) or all(each in values for each in known):
+        return {}
+    found = completed(name)
+    section = found.elements or _of_flow(found)
+    if found.mix is not None:
+        section = {**found.elements, **_of_flow(found), **found.mix.elements}
+    sized = any(size in values or size in section for size in SIZES)
+    if found.flow and not sized and (found.mix is not None or not found.elements):
+        warn(f"concrete {found.name} has no sieve curve, so its aggregate gets the scene's default sizes; give a "
+             "sieve curve, for example sizes = '4:0,8:0.4,16:1'")  # fmt: skip
+    if "density" in values:  # a given density of the aggregates replaces the concrete's bulk density
+        section = {key: value for key, value in section.items() if key != "bulk_density"}
+    return known_only("elements", section, known, name)
+
+
+def _of_flow(found: NamedConcrete) -> dict[str, Any]:
+    """Return the parameters of a concrete for which only flow properties are known: bulk density and slip layer.
+
+    The slip layer alone acts on the walls, without friction. All other parameters keep the values of Zhan (2019, Table
+    1).
+    """
+    flow = found.flow
+    missing = [name for name in ("density", "slip_viscosity", "slip_yield") if name not in flow]
+    if missing:
+        refuse(
+            "concrete flow",
+            ", ".join(missing),
+            f"is missing in {found.name}, but discrete elements need it",
+            "add it to the file's section 'flow', or give the section 'elements'",
+        )
+    return {
+        "bulk_density": flow["density"],
+        "wall_friction": 0.0,
+        "layer_yield": flow["slip_yield"] / COVERAGE,
+        "layer_viscosity": flow["slip_viscosity"] / COVERAGE,
+    }

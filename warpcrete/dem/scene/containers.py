@@ -1,0 +1,195 @@
+"""Containers that are filled with aggregates, and the description of their filling."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...core.errors import positive, refuse
+from ...geometry.axis import Axis
+from ...geometry.bores import Bores
+from ...geometry.meshes import load_closed, signed_distance
+from ...geometry.walls import MeshWall, PipeWall, PlaneWall, Wall
+from .clumps import ClumpTemplate, reference
+from .sizes import Gaussian, Sizes
+
+SOWN = 0.95
+"""Fraction of the local radius within which aggregates start; they then fit into a pipe of eight or more facets."""
+
+
+def spread_points(count: int, random: np.random.Generator) -> np.ndarray:
+    """Return `count` low-discrepancy points in the unit cube, shape (count, 3).
+
+    The points are Roberts' R3 sequence, shifted by a random vector.
+    """
+    root = 1.2207440846057596  # real root of x^4 = x + 1
+    steps = root ** -np.arange(1, 4)
+    return (random.uniform(size=3) + np.arange(1, count + 1)[:, None] * steps) % 1.0
+
+
+@dataclass(frozen=True)
+class PipeContainer:
+    """First part of a pipe with a given `length` along the axis, closed by a plane at either end.
+
+    If the wall is not a round pipe of constant `radius`, for example a reducer or a pipe of few facets, the mesh `bore`
+    is the wall; `radius` is then the smallest radius and `area` the mean cross-sectional area. `bores` gives the radius
+    as a function of arc length where it varies, so that aggregates start evenly distributed over the volume. If the
+    cross-section is not round, `clear` gives the largest circles about the axis that lie inside, and aggregates start
+    within them.
+    """
+
+    axis: Axis
+    radius: float
+    """Inner radius [m]."""
+    length: float
+    """Length along the axis [m]."""
+    bore: MeshWall | None = None
+    area: float | None = None
+    """Mean cross-sectional area [m2]; None means that of the round pipe."""
+    bores: Bores | None = None
+    clear: Bores | None = None
+
+    def __post_init__(self) -> None:
+        positive("container radius", self.radius, "m")
+        positive("container length", self.length, "m")
+        if self.area is not None:
+            positive("container area", self.area, "m2")
+
+    @property
+    def volume(self) -> float:
+        """Volume [m3]; by Pappus's theorem a bend does not change it."""
+        if self.bores is not None:
+            return self.bores.volume(0.0, self.length)
+        return float(np.pi * self.radius**2 if self.area is None else self.area) * self.length
+
+    @property
+    def narrowest(self) -> float:
+        """Diameter of the largest sphere that fits into the container [m]."""
+        return min(2 * self.radius, self.length)
+
+    def walls(self, material: str) -> tuple[Wall, ...]:
+        """Return the pipe wall and the two end planes with a contact `material`."""
+        points, tangents = self.axis.at([0.0, self.length])
+        ends = (
+            PlaneWall(name="start", point=tuple(points[0]), normal=tuple(tangents[0]), material=material),
+            PlaneWall(name="end", point=tuple(points[1]), normal=tuple(-tangents[1]), material=material),
+        )
+        if self.bore is not None:
+            return (*ends, replace(self.bore, name="pipe", material=material, motion=None))
+        return (PipeWall(name="pipe", axis=self.axis, radius=self.radius, material=material), *ends)
+
+    def pilot(self) -> PipeContainer:
+        """Return a shorter container whose packings have nearly the same properties, for cheap trial packings."""
+        return replace(self, length=min(self.length, 3 * self.radius))
+
+    def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
+        """Return `count` evenly distributed points inside the container [m], shape (count, 3)."""
+        u = spread_points(count, random)
+        s = u[:, 0] * self.length
+        radius: np.ndarray | float = self.radius
+        if self.bores is not None:
+            s = self.bores.spread(u[:, 0], self.length)
+            radius = SOWN * (self.clear or self.bores).at(s)
+        r = radius * np.sqrt(u[:, 1])
+        angle = 2 * np.pi * u[:, 2]
+        points, _, normal, side = self.axis.frame(s)
+        return points + (r * np.cos(angle))[:, None] * normal + (r * np.sin(angle))[:, None] * side
+
+
+@dataclass(frozen=True)
+class MeshContainer:
+    """Interior of a closed triangle mesh, a ``trimesh.Trimesh`` or a path that trimesh can read.
+
+    A mesh of two nested surfaces encloses the space between them, as around an obstacle. For a vessel with thick walls,
+    give only its inner surface.
+    """
+
+    mesh: object
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mesh", load_closed(self.mesh, "container"))
+
+    @property
+    def volume(self) -> float:
+        """Volume [m3]."""
+        return float(self.mesh.volume)  # type: ignore[attr-defined]
+
+    @property
+    def narrowest(self) -> float:
+        """Length of the shortest side of the bounding box [m]."""
+        return float(self.mesh.extents.min())  # type: ignore[attr-defined]
+
+    def walls(self, material: str) -> tuple[Wall, ...]:
+        """Return the mesh as a wall with a contact `material`."""
+        return (MeshWall(name="container", vertices=self.mesh.vertices, faces=self.mesh.faces, material=material),)  # type: ignore[attr-defined]
+
+    def pilot(self) -> MeshContainer:
+        """Return the container itself, because no smaller container is similar to an arbitrary mesh."""
+        return self
+
+    def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
+        """Return `count` evenly distributed points inside the container [m], shape (count, 3)."""
+        lower, upper = self.mesh.bounds  # type: ignore[attr-defined]
+        wanted = int(1.2 * count * np.prod(upper - lower) / self.volume) + 64
+        while True:
+            points = lower + spread_points(wanted, random) * (upper - lower)
+            inside = points[signed_distance(self.mesh, points) < 0]  # type: ignore[arg-type]
+            if len(inside) >= count:
+                # Only the complete sequence is evenly distributed, so surplus points are removed at regular intervals.
+                return inside[np.linspace(0, len(inside) - 1, count).astype(int)]
+            wanted *= 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fill:
+    """Aggregates and the container into which they are packed.
+
+    Exactly one of `solid_fraction` and `pressure` must be given. Raises :class:`SceneError` for invalid values.
+    """
+
+    container: PipeContainer | MeshContainer
+    sizes: Sizes = field(default_factory=Gaussian)
+    templates: tuple[ClumpTemplate, ...] = field(default_factory=reference)
+    fractions: tuple[float, ...] | None = None
+    """Share of each template in the solid volume, scaled to the sum 1; None means equal shares."""
+    density: float = 2500.0
+    """Density of the bodies [kg/m3]."""
+    bulk_density: float | None = None
+    """Density of the filled container [kg/m3]; if given, it replaces `density`.
+
+    The bodies then also carry the mass of the mortar between them.
+    """
+    material: str = "aggregate"
+    solid_fraction: float | None = None
+    """Ratio of solid volume to container volume, from 0.01 to 0.8; an alternative to `pressure`."""
+    pressure: float | None = None
+    """Mean pressure of the finished packing, without gravity or friction [Pa]."""
+
+    def __post_init__(self) -> None:
+        positive("density", self.density, "kg/m3")
+        if self.bulk_density is not None:
+            positive("bulk_density", self.bulk_density, "kg/m3")
+        if (self.solid_fraction is None) == (self.pressure is None):
+            refuse("solid_fraction", self.solid_fraction, "must be given, or else a pressure, but not both")
+        if self.solid_fraction is not None and not 0.01 <= self.solid_fraction <= 0.8:
+            refuse("solid_fraction", self.solid_fraction, "must be in [0.01, 0.8]", "dense mixes pack at 0.55 to 0.7")
+        if self.pressure is not None:
+            positive("packing pressure", self.pressure, "Pa")
+        if not self.templates:
+            refuse("templates", self.templates, "must contain at least one template")
+        given = np.ones(len(self.templates)) if self.fractions is None else np.asarray(self.fractions, float)
+        wrong = given.shape != (len(self.templates),) or not np.all(np.isfinite(given)) or np.any(given < 0)
+        if wrong or not given.sum() > 0:
+            refuse("fractions", self.fractions, f"must be {len(self.templates)} numbers of at least 0, not all 0",
+                   "give one fraction for each shape")  # fmt: skip
+        object.__setattr__(self, "fractions", tuple((given / given.sum()).tolist()))
+        # A long aggregate can lie along the container, so its smallest width decides whether it fits.
+        thickest = self.sizes.largest * min(2 * float(t.radii.max()) for t in self.templates)
+        if thickest >= self.container.narrowest:
+            refuse(
+                "largest size",
+                self.sizes.largest,
+                f"does not fit the container, which is {self.container.narrowest:g} m across",
+                "choose smaller aggregates or a wider pipe",
+            )

@@ -1,0 +1,115 @@
+"""Size distributions of aggregates; a size is the diameter of the sphere of equal volume."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...core.errors import positive, refuse
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """Normal distribution by number, truncated to a range; all sizes in m (Zhan et al. 2019, section 3.3)."""
+
+    mean: float = 12.5e-3
+    deviation: float = 7.5e-3
+    smallest: float = 5e-3
+    largest: float = 20e-3
+
+    def __post_init__(self) -> None:
+        _check_range(self.smallest, self.largest)
+        positive("mean size", self.mean, "m")
+        positive("size deviation", self.deviation, "m")
+        if not self.smallest - 3 * self.deviation <= self.mean <= self.largest + 3 * self.deviation:
+            refuse("mean size", self.mean, f"lies far outside the range [{self.smallest:g}, {self.largest:g}] m")
+
+    def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
+        """Return `count` random sizes [m]."""
+        if self.smallest == self.largest:
+            return np.full(count, self.smallest)
+        sizes = np.empty(0)
+        while len(sizes) < count:
+            draw = random.normal(self.mean, self.deviation, 2 * count + 16)
+            sizes = np.concatenate([sizes, draw[(draw >= self.smallest) & (draw <= self.largest)]])
+        return sizes[:count]
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """Uniform distribution by number over a range of sizes [m]."""
+
+    smallest: float
+    largest: float
+
+    def __post_init__(self) -> None:
+        _check_range(self.smallest, self.largest)
+
+    def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
+        """Return `count` random sizes [m]."""
+        return random.uniform(self.smallest, self.largest, count)
+
+
+@dataclass(frozen=True)
+class SieveCurve:
+    """Grading curve of a mix design: the fraction of the mass that passes each sieve opening.
+
+    Between two openings the mass is distributed evenly over the logarithm of the size.
+    """
+
+    openings: tuple[float, ...]
+    """Sieve openings, rising [m]."""
+    passing: tuple[float, ...]
+    """Mass fractions that pass the openings, rising from 0 at the first opening to 1 at the last."""
+
+    def __post_init__(self) -> None:
+        try:
+            openings, passing = np.asarray(self.openings, float), np.asarray(self.passing, float)
+        except (TypeError, ValueError):
+            refuse("openings", self.openings, "must be a row of numbers, as must passing")
+        if not np.all(np.isfinite(openings)) or not np.all(np.isfinite(passing)):
+            refuse("openings", self.openings, "must be finite numbers, as must passing")
+        if openings.ndim != 1 or len(openings) < 2 or len(openings) != len(passing):
+            refuse("openings", self.openings, "must be two or more, with one `passing` fraction each")
+        if np.any(openings <= 0) or np.any(np.diff(openings) <= 0):
+            refuse("openings", self.openings, "must be above 0 m and increase")
+        if passing[0] != 0 or passing[-1] != 1 or np.any(np.diff(passing) < 0):
+            refuse("passing", self.passing, "must increase from 0 to 1")
+        object.__setattr__(self, "openings", tuple(openings.tolist()))
+        object.__setattr__(self, "passing", tuple(passing.tolist()))
+
+    @property
+    def smallest(self) -> float:
+        """Smallest size [m]."""
+        return self.openings[0]
+
+    @property
+    def largest(self) -> float:
+        """Largest size [m]."""
+        return self.openings[-1]
+
+    def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
+        """Return `count` random sizes [m].
+
+        A mass that is even over the logarithm of the size means a number density that falls as size^-4. The inverse of
+        its cumulative distribution turns uniform random numbers into sizes.
+        """
+        openings, part = np.array(self.openings), np.diff(self.passing)
+        inverse_cubes = openings**-3
+        # Number of particles in each size class, per unit of mass.
+        number = part * (inverse_cubes[:-1] - inverse_cubes[1:]) / np.log(openings[1:] / openings[:-1])
+        fraction = random.choice(len(part), size=count, p=number / number.sum())
+        u = random.uniform(size=count)
+        low, high = inverse_cubes[fraction + 1], inverse_cubes[fraction]
+        return (low + u * (high - low)) ** (-1 / 3)
+
+
+Sizes = Gaussian | Uniform | SieveCurve
+
+
+def _check_range(smallest: float, largest: float) -> None:
+    positive("smallest size", smallest, "m")
+    positive("largest size", largest, "m")
+    if largest < smallest:
+        refuse("largest size", largest, f"must not be below the smallest ({smallest:g} m)")

@@ -1,0 +1,71 @@
+"""Slices of a pipe in which a run measures stresses, solid fraction and velocities."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from ...core.errors import between, refuse
+from ...geometry.axis import Axis
+from ...geometry.bores import Bores
+
+CLEAR, FEWEST = 1.0, 2
+"""Distance from a stretch's ends, in pipe radii, within which line fits ignore slices; fewest slices for a line fit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stations:
+    """Slices of a pipe between given arc lengths, in which a run measures while concrete fills them."""
+
+    axis: Axis
+    bores: Bores
+    edges: tuple[float, ...]
+    """Arc lengths of the slices' ends, rising [m], shape (slices + 1,)."""
+    wall: str = "pipe"
+    """Name of the wall whose shear stress is measured."""
+    origin: float = 0.0
+    """Arc length that counts as zero in the results [m]."""
+    middle: tuple[float, float] | None = None
+    """Arc lengths between which the pipe is not straight (bend or taper) [m]; None if it is straight everywhere."""
+    each_row: bool = True
+    """True to measure in every row of the series, False to measure only when a recording draws the slices."""
+
+    def __post_init__(self) -> None:
+        if len(self.edges) < 2 or np.any(np.diff(self.edges) <= 0):
+            refuse("station edges", self.edges, "must be two or more numbers that increase")
+        between("stations", len(self.edges) - 1, 1, 100_000)
+
+    @property
+    def places(self) -> np.ndarray:
+        """Arc lengths of the slices' middles [m], shape (slices,)."""
+        edges = np.array(self.edges)
+        return 0.5 * (edges[1:] + edges[:-1])
+
+    @cached_property
+    def volumes(self) -> np.ndarray:
+        """Volumes of the slices [m3], shape (slices,); a cached array that must not be changed."""
+        return np.array([self.bores.volume(a, b) for a, b in pairwise(self.edges)])
+
+    def surfaces(self) -> np.ndarray:
+        """Return the wall area of each slice [m2], shape (slices,)."""
+        return np.array([self.bores.surface(a, b) for a, b in pairwise(self.edges)])
+
+    def clear(self, low: float, high: float) -> np.ndarray:
+        """Return a mask of the slices between two arc lengths [m] and at least one radius off both, shape (slices,)."""
+        off = CLEAR * self.bores.at([low, high])
+        return (self.places > low + off[0]) & (self.places < high - off[1])
+
+    @property
+    def straights(self) -> tuple[tuple[float, float], ...]:
+        """Ends of the straight stretches [m]: before and behind the middle, or the whole pipe."""
+        if self.middle is None:
+            return ((self.edges[0], self.edges[-1]),)
+        return (self.edges[0], self.middle[0]), (self.middle[1], self.edges[-1])
+
+    @property
+    def tells_losses(self) -> bool:
+        """True if every straight stretch has enough slices to fit a line through its measurements."""
+        return all(np.count_nonzero(self.clear(*ends)) >= FEWEST for ends in self.straights)

@@ -1,0 +1,76 @@
+"""Pressure over the strokes of a piston: peaks, the pressure held at a stop, and the restart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...core.units import quantity
+from ...geometry.walls import Stops
+from .scene import PipeUnit
+
+HELD = 0.5
+"""Final fraction of a pause over which the held pressure is averaged."""
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """Samples of one stroke and of the pause after it."""
+
+    moving: np.ndarray
+    """Mask of the samples, shape (samples,): True from the start of the stroke to its stop."""
+    held: np.ndarray
+    """Mask of the samples in the final part of the pause after the stroke; all False without a pause."""
+
+
+def strokes_of(pipe: PipeUnit | None, time: np.ndarray) -> list[Stroke]:
+    """Return the strokes that have begun at the samples `time` (samples,) [s]; none if the piston never stops."""
+    if pipe is None or pipe.stops is None:
+        return []
+    stops, found = pipe.stops, []
+    for number in range(stops.count + 1):
+        begin = number * stops.period
+        stop, end = _stop(stops, number)
+        # A row's pressure is the mean since the previous row, so the row at the stop belongs to the stroke.
+        moving = (time > begin + 1e-9) & (time <= stop + 1e-9)
+        if number == 0:
+            moving |= time == 0
+        if moving.any():
+            found.append(Stroke(moving, (time > end - HELD * (end - stop)) & (time <= end + 1e-9)))
+    return found
+
+
+def _stop(stops: Stops, number: int) -> tuple[float, float]:
+    """Return when the piston stops after a stroke and when it starts again [s]."""
+    if number == stops.count:
+        return np.inf, np.inf
+    begin = number * stops.period
+    return begin + stops.stroke_time, begin + stops.period
+
+
+def peaks(pipe: PipeUnit | None, series: Mapping[str, np.ndarray]) -> list[float]:
+    """Return the largest pressure of each stroke [Pa]."""
+    return [float(series["pressure"][each.moving].max()) for each in strokes_of(pipe, series["time"])]
+
+
+def held(pipe: PipeUnit | None, series: Mapping[str, np.ndarray]) -> list[float]:
+    """Return the mean pressure over the last half of each pause [Pa]; NaN for a pause without samples there."""
+    pressure = series["pressure"]
+    return [
+        float(pressure[each.held].mean()) if each.held.any() else float("nan")
+        for each in strokes_of(pipe, series["time"])[: pipe.stops.count if pipe and pipe.stops else 0]
+    ]
+
+
+def stroke_table(pipe: PipeUnit, series: Mapping[str, np.ndarray]) -> dict[str, dict[str, Any]]:
+    """Return the peak of each stroke that has begun and the pressure held in the pause after it, by stroke number."""
+    table: dict[str, dict[str, Any]] = {}
+    tops, holds = peaks(pipe, series), held(pipe, series)
+    for number, top in enumerate(tops):
+        table[str(number + 1)] = {"peak_pressure": quantity(top, "Pa")}
+        if number < len(holds) and np.isfinite(holds[number]):
+            table[str(number + 1)]["held_pressure"] = quantity(holds[number], "Pa")
+    return table

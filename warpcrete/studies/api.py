@@ -1,0 +1,46 @@
+"""Python interface of parameter studies: run a study of a scene function."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..core.errors import refuse
+from ..core.run.files import next_folder
+from .study import Study, run_study
+
+SETTINGS = ("repeat", "one_at_a_time", "device", "precision", "processes", "frames", "checkpoint_every", "scheduler",
+            "workers", "progress", "rerun", "usd")  # fmt: skip
+
+
+def study(scene: Any, *, vary: Mapping[str, Sequence[Any]], out: Path | str | None = None, **given: Any) -> Study:
+    """Run a scene function, such as ``warpcrete.scenes.pipe``, with all combinations of the values in `vary`.
+
+    The settings `repeat`, `one_at_a_time`, `device`, `processes`, `frames`, `scheduler`, `workers`, `progress` and so
+    on are those of :func:`warpcrete.studies.study.run_study`; `rerun` and `usd` switch on additional recordings of each
+    case. All other keywords are parameters of the scene. `out` is the new folder (default: runs/study-NNN). Raises
+    :class:`SceneError` if `scene` or `vary` is wrong, and everything that :func:`warpcrete.studies.study.run_study`
+    raises.
+    """
+    name, module = module_of(scene)
+    if not isinstance(vary, Mapping):
+        refuse("vary", vary, "must be a mapping of parameters to lists of values", 'vary={"velocity": [0.3, 0.5]}')
+    for key, values in vary.items():
+        if isinstance(values, str) or not isinstance(values, Iterable):
+            refuse(key, values, "must be a list of values to vary over", f'vary={{"{key}": [{values!r}, ...]}}')
+    settings = {key: given.pop(key) for key in SETTINGS if key in given}
+    return run_study(name, module, vary, base=given, out=Path(out) if out else next_folder("study"), **settings)
+
+
+def module_of(scene: Any) -> tuple[str, Any]:
+    """Return a scene function's command-line name and its module; raise :class:`SceneError` for other objects."""
+    module = getattr(scene, "module", None)
+    if module is None or getattr(module, "scene", None) is not scene:
+        refuse(
+            "scene",
+            scene,
+            "must be a scene function",
+            "use a scene function of warpcrete.scenes, such as warpcrete.scenes.pipe",
+        )
+    return scene.name, module

@@ -1,0 +1,368 @@
+"""Calibration: find the parameters of a concrete that reproduce measured values, in rounds of simulation runs.
+
+The first round spreads its runs over the parameter ranges. Each further round samples the posterior of all runs so far,
+and takes some points from Optuna's tree-structured Parzen estimator. Every run has its own random seed, so the scatter
+between seeds enters as noise. Finally, verification runs repeat the likeliest parameters with fresh seeds.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...core.device.device import find_device
+from ...core.errors import RunFolderError, WarpcreteError, between, refuse
+from ...core.extras import needs_extra
+from ...core.inputs.origin import check_files, files_read
+from ...core.run.files import check_new, next_folder, read_record, write_json
+from ...core.run.folders import held, new_folder
+from ...record.checks import failed_checks
+from ...scenes import modules
+from ..cases import MOST_CASES, Case
+from ..study import Study, resume_study, run_listed
+from .calibration import Calibration, Trial
+from .posterior import posterior
+from .report import write
+from .starts import closed_form_start
+from .targets import Target, Task, found_in, read_task, task_of
+
+RECORD = "calibration.json"
+Progress = Callable[[str, float, dict[str, Any]], None]
+FEWEST = 3
+"""Minimum number of runs that must yield a target's quantity before a posterior is computed."""
+CLEAR = 0.5
+"""Ratio of the emulator's standard deviation to the target's uncertainty below which more runs change nothing."""
+STILL = 0.25
+"""Shift of the posterior mean in one round, in posterior standard deviations, below which the answer is settled."""
+
+
+def calibrate(
+    targets: Path | str | Mapping[str, Any], *, out: Path | str | None = None, **settings: Any
+) -> Calibration:
+    """Find the parameters of a concrete that reproduce `targets`, a file of targets or its contents as a mapping.
+
+    `out` is the new folder (default: runs/calibration-NNN). `settings` and the errors raised are those of
+    :func:`run_calibration`.
+    """
+    asked = Path(targets) if isinstance(targets, str) else targets
+    return run_calibration(asked, modules(), out=Path(out) if out else next_folder("calibration"), **settings)
+
+
+def run_calibration(
+    targets: Path | Mapping[str, Any],
+    modules: Mapping[str, Any],
+    *,
+    out: Path,
+    trials: int | None = None,
+    batch: int | None = None,
+    repeat: int = 3,
+    seed: int = 0,
+    device: str | None = None,
+    precision: str = "float32",
+    processes: int | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Find the parameters of the scenes in `modules` that reproduce `targets`, a file or a mapping.
+
+    Results go to the new folder `out`. `trials` limits the number of parameter sets that are run (default: 10, plus 10
+    for each free parameter). `batch` is the number of sets in one round (default: 4, plus 2 for each free parameter).
+    `repeat` is the number of seeds with which the answer is verified. Raises :class:`SceneError` for wrong targets,
+    before anything is written, and :class:`WarpcreteError` if all runs of a target fail.
+    """
+    needs_extra("calibrate", "optuna", "sklearn", "emcee")
+    with files_read() as files:
+        read = isinstance(targets, Path)
+        task, raw = read_task(targets, modules) if read else (task_of(targets, modules), dict(targets))
+    files.pop(str(targets.resolve()) if read else "", None)  # its contents are in the record
+    free = len(task.free)
+    most = 10 + 10 * free if trials is None else trials
+    at_once = 4 + 2 * free if batch is None else batch
+    _check_trials(most)
+    if not 1 <= at_once <= MOST_CASES:
+        refuse("batch", at_once, f"must be from 1 to {MOST_CASES}")
+    if not 0 <= repeat <= MOST_CASES:
+        refuse("repeat", repeat, f"must be from 0 to {MOST_CASES}")
+    between("seed", seed, 0, 2**31)
+    check_new(out)
+    settings = {"trials": most, "batch": at_once, "repeat": repeat, "seed": seed, "device": device,
+                "precision": precision}  # fmt: skip
+    if scheduler is None:
+        find_device(device)
+    with new_folder(out):
+        write_json(out / RECORD, {"targets": raw, "settings": settings, "rounds": [], "files": files})
+        return _go_on(out, modules, processes, scheduler, workers, progress)
+
+
+def resume_calibration(
+    folder: Path,
+    modules: Mapping[str, Any],
+    *,
+    trials: int | None = None,
+    processes: int | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Continue a calibration and reuse its finished runs; `trials` is a new limit for all trials together."""
+    needs_extra("calibrate", "optuna", "sklearn", "emcee")
+    if trials is not None:
+        _check_trials(trials)
+    with held(folder, RECORD):
+        record = _record(folder)
+        if trials is not None:
+            record["settings"]["trials"] = trials
+            write_json(folder / RECORD, record)
+        return _go_on(folder, modules, processes, scheduler, workers, progress)
+
+
+def _check_trials(most: int) -> None:
+    if not 4 <= most <= MOST_CASES:
+        refuse("trials", most, f"must be from 4 to {MOST_CASES}")
+
+
+def _record(folder: Path) -> dict[str, Any]:
+    record = read_record(folder / RECORD)
+    if set(record) - {"files"} != {"targets", "settings", "rounds"}:
+        raise RunFolderError(
+            f"'{folder / RECORD}': is not the record of a calibration; give the folder of a calibration"
+        )
+    check_files(folder / RECORD, record.get("files", {}))
+    return record
+
+
+def _go_on(
+    folder: Path,
+    modules: Mapping[str, Any],
+    processes: int | None,
+    scheduler: str | None,
+    workers: int | None,
+    progress: Progress | None,
+) -> Calibration:
+    begun = time.perf_counter()
+    record = _record(folder)
+    task = task_of(record["targets"], modules)
+    found = Calibration(folder, task, record)
+    where = dict(processes=processes, scheduler=scheduler, workers=workers)
+    try:
+        _search(found, modules, where, progress or (lambda phase, fraction, figures: None))
+    finally:
+        found.took = time.perf_counter() - begun
+        write(found, modules)
+    return found
+
+
+def _search(found: Calibration, modules: Mapping[str, Any], where: Mapping[str, Any], tell: Progress) -> None:
+    """Run rounds until the answer is settled or the trials are used up, then verify the answer."""
+    settings, rounds = found.record["settings"], found.record["rounds"]
+    most = settings["trials"]
+    place = 0
+    while True:
+        if place == len(rounds):
+            left = most - len(found.searched)
+            if rounds and rounds[-1]["proof"] and (found.settled or left <= 0):
+                found.finished = True
+                return
+            proposed = _proposed(found, left, settings, modules)
+            if proposed is None:
+                break
+            rounds.append(proposed)
+            write_json(found.folder / RECORD, found.record)
+        each = rounds[place]
+        trials = [Trial(len(found.trials) + k, list(units), each["seeds"][k], each["proof"])
+                  for k, units in enumerate(each["units"])]  # fmt: skip
+        whole = max(most, len(found.trials) + len(trials))
+        part = (min(len(found.trials) / whole, 1.0), len(trials) / whole)
+        if not run_round(found, modules, place, trials, where, tell, part):
+            return
+        found.trials += trials
+        place += 1
+        if not each["proof"]:
+            _judge(found, settings["seed"] + place)
+    found.finished = settings["repeat"] == 0
+
+
+def run_round(
+    found: Calibration, modules: Mapping[str, Any], place: int, trials: Sequence[Trial], where: Mapping[str, Any],
+    tell: Progress, part: tuple[float, float],
+) -> bool:  # fmt: skip
+    """Run all scenes of a round and store the results in `trials`; return False if the user interrupted the round.
+
+    `part` holds the fraction of all work that was done before this round, and the fraction that this round takes.
+    Raises :class:`WarpcreteError` if runs were lost because a process died or the disk was full.
+    """
+    for group in range(len(found.task.groups)):
+        study = _ran(found, modules, place, group, trials, where, _within(tell, part, group, found.task))
+        if not study.finished:
+            return False
+        if study.lost:
+            raise WarpcreteError(
+                f"trial {study.lost[0]}: {study.failures[study.lost[0]]}; {len(study.lost)} of {len(study.cases)} "
+                f"runs were lost in this way; continue with 'warpcrete calibrate --resume {found.folder}'"
+            )
+        _take(study, trials, found.task.groups[group])
+    return True
+
+
+def _within(tell: Progress, part: tuple[float, float], group: int, task: Task) -> Progress:
+    """Return a progress callback that converts the progress of one study to the progress of the calibration."""
+    groups = len(task.groups)
+
+    def hear(phase: str, fraction: float, figures: dict[str, Any]) -> None:
+        tell("running" if phase == "running" else phase, part[0] + part[1] * (group + fraction) / groups, figures)
+
+    return hear
+
+
+def _ran(
+    found: Calibration, modules: Mapping[str, Any], place: int, group: int, trials: Sequence[Trial],
+    where: Mapping[str, Any], tell: Progress,
+) -> Study:  # fmt: skip
+    """Run one scene of a round as a separate study, or resume that study."""
+    target = found.task.groups[group][0]
+    folder = found.folder / "rounds" / f"{place + 1:02d}-{group + 1}-{target.scene}"
+    module = modules[target.scene]
+    if (folder / "study.json").is_file():
+        return resume_study(folder, module, progress=tell, **where)
+    cases = []
+    for trial in trials:
+        values = found.task.values(trial.units)
+        parameters = found.task.parameters(target, values, module)
+        if "seed" in module.scene.parameters.__dataclass_fields__:
+            parameters = {"seed": trial.seed, **parameters}
+        shown = {name: value for name, value in parameters.items() if name in values}
+        cases.append(Case(f"{trial.number + 1:03d}", shown, parameters))
+    settings = found.record["settings"]
+    return run_listed(
+        target.scene, module, cases, out=folder, device=settings["device"], precision=settings["precision"],
+        rerun=False, usd=False, figure=False, progress=tell, **where,
+    )  # fmt: skip
+
+
+def _take(study: Study, trials: Sequence[Trial], targets: Sequence[Target]) -> None:
+    """Store the values, failures and failed checks of one scene's runs in `trials`."""
+    for trial, case in zip(trials, study.cases, strict=True):
+        result = study.results.get(case.name)
+        if result is None:
+            if not all(target.held_out for target in targets):
+                trial.failure = trial.failure or study.failures.get(case.name, "did not finish")
+            continue
+        trial.suspect += failed_checks(result)
+        for target in targets:
+            value = found_in(result, target)
+            if value is not None:
+                trial.values[target] = value
+            elif not target.held_out:
+                trial.failure = trial.failure or f"has no {target.label} in its result"
+
+
+def _judge(found: Calibration, seed: int) -> None:
+    """Compute the posterior of the trials so far, and decide whether more trials would change it."""
+    searched = found.searched
+    points = np.array([trial.units for trial in searched])
+    values = {target: np.array([trial.values.get(target, math.nan) for trial in searched])
+              for target in found.task.targets}  # fmt: skip
+    for target in found.task.fitted:
+        count = int(np.isfinite(values[target]).sum())
+        why = next((trial.failure for trial in searched if trial.failure), "the scene does not measure it there")
+        if count == 0:
+            raise WarpcreteError(
+                f"the {target.label} is missing in all {len(searched)} runs; reason in the first: "
+                f"{why}; use other ranges"
+            )
+        if count < FEWEST and len(searched) < found.record["settings"]["trials"]:
+            return
+        if count < FEWEST:
+            raise WarpcreteError(
+                f"the {target.label} was found in only {count} of {len(searched)} runs; reason in the first run "
+                f"without it: {why}; use other ranges, or continue with more trials"
+            )
+    before = found.posterior
+    found.posterior = now = posterior(found.task, points, values, seed)
+    doubt = max(now.doubt(target) for target in found.task.fitted)
+    moved = math.inf
+    if before is not None:
+        spread = np.maximum(now.samples.std(0), 1e-3)
+        moved = float(np.max(np.abs(now.samples.mean(0) - before.samples.mean(0)) / spread))
+    found.settled = doubt < CLEAR and moved < STILL
+
+
+def _proposed(
+    found: Calibration, left: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
+) -> dict[str, Any] | None:
+    """Return the next round's parameter sets, as points of the unit cube, and seeds; return None when all is done."""
+    begun = settings["seed"] + len(found.trials)
+    if found.posterior is not None and (found.settled or left <= 0):
+        if settings["repeat"] == 0:
+            return None
+        units = [found.posterior.best.tolist()] * settings["repeat"]
+        return {"units": units, "seeds": list(range(begun, begun + len(units))), "proof": True}
+    if left <= 0:
+        return None
+    count = min(settings["batch"], left)
+    if found.posterior is None:
+        units = _first(found, min(max(count, 2 * count - len(found.trials)), left), settings, modules)
+    else:
+        units = _next(found, count, settings["seed"] + len(found.trials))
+    return {"units": units, "seeds": list(range(begun, begun + len(units))), "proof": False}
+
+
+def _first(
+    found: Calibration, count: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
+) -> list[list[float]]:
+    """Return the points of the first round: an estimate from closed forms, if any, then an even Sobol sequence."""
+    from scipy.stats import qmc
+
+    free = len(found.task.free)
+    sequence = qmc.Sobol(free, seed=settings["seed"])
+    skipped = len(found.trials)
+    known = [] if skipped else closed_form_start(found.task, modules)
+    many = sequence.random_base2(max(1, math.ceil(math.log2(skipped + count))))
+    return (known + many[skipped:].tolist())[:count]
+
+
+def _next(found: Calibration, count: int, seed: int) -> list[list[float]]:
+    """Return the points of the next round: a quarter from Optuna, the others from the posterior.
+
+    The first point from the posterior is its maximum. Every further point is the posterior sample that is farthest from
+    all points so far, with distances scaled by the posterior's standard deviations.
+    """
+    assert found.posterior is not None
+    random = np.random.default_rng(seed)
+    hoped = _hoped(found, count // 4, seed)
+    taken = np.array([trial.units for trial in found.searched] + hoped)
+    drawn = random.choice(found.posterior.samples, min(256, len(found.posterior.samples)), replace=False)
+    chosen: list[list[float]] = [found.posterior.best.tolist()] if count - len(hoped) > 1 else []
+    width = np.maximum(found.posterior.samples.std(0), 1e-2)
+    while len(chosen) < count - len(hoped):
+        others = np.concatenate([taken, np.array(chosen).reshape(-1, taken.shape[1])])
+        distance = np.min((((drawn[:, None] - others[None]) / width) ** 2).sum(-1), axis=1)
+        chosen.append(drawn[np.argmax(distance)].tolist())
+    return hoped + chosen
+
+
+def _hoped(found: Calibration, count: int, seed: int) -> list[list[float]]:
+    """Return points proposed by the optimiser Optuna, which knows all trials and treats failed ones as infeasible."""
+    import optuna
+
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    names = [free.name for free in found.task.free]
+    ranges: Any = {name: optuna.distributions.FloatDistribution(0.0, 1.0) for name in names}
+    study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed, n_startup_trials=0))
+    for trial in found.searched:
+        off = [(trial.values[t] - t.value) / t.uncertainty for t in found.task.fitted if t in trial.values]
+        sound = len(off) == len(found.task.fitted)
+        study.add_trial(
+            optuna.trial.create_trial(
+                params=dict(zip(names, trial.units)), distributions=ranges,
+                value=float(np.sum(np.square(off))) if sound else 1e6, constraints={"failed": float(not sound)},
+            )
+        )  # fmt: skip
+    asked = [study.ask(ranges) for _ in range(count)]
+    return [[trial.params[name] for name in names] for trial in asked]

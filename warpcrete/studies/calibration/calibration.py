@@ -1,0 +1,133 @@
+"""Results of a calibration: its trials, the parameters found, and the questions that the data leave open."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...core.drawing.html import html_table
+from .posterior import Posterior, told_apart, unmoved
+from .targets import Target, Task
+
+Outcome = dict[Target, float]
+"""Values of the targets in one run; targets without a value are left out."""
+FAR = 3.0
+"""Distance of the closest reachable value from a target, in standard deviations, above which it is unreachable."""
+
+
+@dataclass
+class Trial:
+    """One parameter set with one seed, run once in every scene of the task."""
+
+    number: int
+    units: list[float]
+    """Positions in the parameter ranges, one number from 0 to 1 for each free parameter."""
+    seed: int
+    proof: bool = False
+    """Whether this is a verification run of the likeliest parameters: it is compared with the targets, but not fitted.
+    """
+    values: Outcome = field(default_factory=dict)
+    failure: str = ""
+    """Reason why a target has no value; empty if all fitted targets have one."""
+    suspect: list[str] = field(default_factory=list)
+    """Names of the failed plausibility checks of the trial's runs."""
+
+
+@dataclass(repr=False)
+class Calibration:
+    """A calibration, complete or still in progress."""
+
+    folder: Path
+    task: Task
+    record: dict[str, Any]
+    trials: list[Trial] = field(default_factory=list)
+    posterior: Posterior | None = None
+    settled: bool = False
+    """Whether further runs would no longer change the answer."""
+    finished: bool = False
+    took: float = 0.0
+    """Wall time of the last call that ran or resumed the calibration [s]."""
+
+    def __repr__(self) -> str:
+        fitted = ", ".join(f"{name} {value:.4g}" for name, value in self.best.items())
+        return f"<Calibration of {len(self.task.free)} parameters: {fitted or 'no answer yet'}, folder '{self.folder}'>"
+
+    def _repr_html_(self) -> str:
+        """Return the likeliest parameters as an HTML table for notebooks."""
+        rows = [(free.name, f"{self.best[free.name]:.4g}") for free in self.task.free if free.name in self.best]
+        return html_table(rows, ["parameter", "likeliest"] if rows else (), repr(self))
+
+    @property
+    def best(self) -> dict[str, float]:
+        """Likeliest values of the free parameters, by name; empty until a posterior exists."""
+        return {} if self.posterior is None else self.task.values(self.posterior.best)
+
+    @property
+    def searched(self) -> list[Trial]:
+        """Trials of the search, without the verification runs."""
+        return [trial for trial in self.trials if not trial.proof]
+
+    def proved(self, target: Target) -> list[float]:
+        """Return the values of a target in the verification runs of the current answer.
+
+        Verification runs of earlier answers are left out.
+        """
+        last = [trial for trial in self.trials if trial.proof and trial.units == self.trials[-1].units]
+        return [trial.values[target] for trial in last if target in trial.values]
+
+    def off(self, target: Target) -> float:
+        """Return the best value minus the measured one, in standard deviations of the target; NaN without any value.
+
+        The best value is the mean of the verification runs, or else the prediction for the likeliest parameters.
+        """
+        assert self.posterior is not None
+        runs = self.proved(target)
+        found = float(np.mean(runs)) if runs else self.posterior.predicted(target, self.posterior.best[None])[0]
+        return (found - target.value) / target.uncertainty
+
+    @property
+    def findings(self) -> list[str]:
+        """Sentences about unreachable targets, undetermined parameters and failed runs."""
+        if self.posterior is None:
+            return []
+        found, task = self.posterior, self.task
+        said = []
+        still = unmoved(found, task.fitted)
+        for target, (low, high) in still.items():
+            names = ", ".join(free.name for free in task.free)
+            between = f"{target.words(low)} and {target.words(high)}"
+            said.append(f"none of {names} changes the {target.label}: it stays between {between}, but measured is "
+                        f"{target.words(target.value)}")  # fmt: skip
+        for target in task.fitted:
+            if target not in still and abs(self.off(target)) > FAR:
+                said.append(f"no parameters within the ranges fit the {target.label} together with the other targets: "
+                            f"it is {abs(self.off(target)):.1f} standard deviations off at best")  # fmt: skip
+        for place, free in enumerate(task.free):
+            if found.narrowing(place) > 0.8:
+                said.append(f"the data do not determine {free.name}: it is as uncertain as its range")
+        for one, other, correlation in told_apart(found):
+            way = "increasing one and decreasing the other" if correlation < 0 else "increasing both"
+            said.append(f"the data cannot distinguish {one} from {other}: {way} fits as well (correlation "
+                        f"{correlation:.2f})")  # fmt: skip
+        for place, free in enumerate(task.free):
+            edge = min(found.best[place], 1 - found.best[place])
+            if edge < 0.02:
+                said.append(
+                    f"{free.name} = {free.value(found.best[place]):.4g} lies at the edge of its range; widen the range"
+                )
+        failed = [trial for trial in self.searched if trial.failure]
+        if failed:
+            said.append(f"{len(failed)} of {len(self.searched)} trials failed and count as impossible; reason in the "
+                        f"first: {failed[0].failure}")  # fmt: skip
+        checks = sorted({check for trial in self.trials for check in trial.suspect})
+        if checks:
+            runs = sum(bool(trial.suspect) for trial in self.searched)
+            proof = " and of the most likely parameters'" if any(t.suspect for t in self.trials if t.proof) else ""
+            said.append(f"runs of {runs} of {len(self.searched)} trials{proof} fail checks of their scenes "
+                        f"({', '.join(checks)}); their values are used, but inspect these runs")  # fmt: skip
+        if not self.settled:
+            said.append("the search ended before it converged; give it more trials")
+        return said

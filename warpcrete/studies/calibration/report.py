@@ -1,0 +1,199 @@
+"""Output files of a calibration: tables, a figure, and the calibrated concrete."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ...core.inputs.yaml_files import yaml_text
+from ...core.run.files import whole_file, write_json
+from .calibration import Calibration
+from .posterior import told_apart
+from .targets import Target
+
+SMOOTH = 60
+"""Number of bins in a histogram of the posterior."""
+
+
+def write(found: Calibration, modules: Mapping[str, Any]) -> None:
+    """Write calibration.md and, if a posterior exists, calibration.png, answer.json and concrete.yaml."""
+    with whole_file(found.folder / "calibration.md") as partial:
+        partial.write_text(report(found) + "\n", encoding="utf-8")
+    if found.posterior is None:
+        return
+    write_json(found.folder / "answer.json", answer(found))
+    with whole_file(found.folder / "calibration.png") as partial:
+        draw(found).savefig(partial, dpi=130, format="png")
+    concrete = concrete_of(found, modules)
+    if concrete:
+        with whole_file(found.folder / "concrete.yaml") as partial:
+            partial.write_text(yaml_text(concrete), encoding="utf-8")
+
+
+def report(found: Calibration) -> str:
+    """Return a Markdown report with the parameters, the targets, and the questions that the data leave open."""
+    lines = ["# Calibration", ""]
+    if found.posterior is None:
+        return "\n".join([*lines, f"No answer yet: {len(found.trials)} trials done."])
+    lines += [*parameter_table(found), "", *target_table(found)]
+    lines += [
+        "",
+        f"Trials: {len(found.searched)}; runs that verify the answer: {len(found.trials) - len(found.searched)}.",
+    ]
+    lines += ["", *(f"- {said[0].upper()}{said[1:]}." for said in found.findings)]
+    return "\n".join(lines).rstrip()
+
+
+def parameter_table(found: Calibration) -> list[str]:
+    """Return a Markdown table with the likeliest value and the 95 % interval of each free parameter."""
+    assert found.posterior is not None
+    lines = [
+        "| parameter | range | most likely | 95 % of the posterior | relative to the range's |",
+        "|---|---|---|---|---|",
+    ]
+    for place, free in enumerate(found.task.free):
+        low, high = found.posterior.interval(place)
+        lines.append(f"| {free.name} | {free.low:g} to {free.high:g} | {found.best[free.name]:.4g} | {low:.4g} to "
+                     f"{high:.4g} | {found.posterior.narrowing(place):.2f} |")  # fmt: skip
+    return lines
+
+
+def target_table(found: Calibration) -> list[str]:
+    """Return a Markdown table that compares each target with the verification runs and the posterior's prediction."""
+    lines = [
+        "| target | measured | runs with the most likely parameters | predicted | deviation / standard deviation |",
+        "|---|---|---|---|---|",
+    ]
+    for target in found.task.targets:
+        mean, deviation = _predicted(found, target)
+        predicted = f"{target.words(mean)} +- {_shown(target, deviation)}" if np.isfinite(mean) else "too few runs"
+        runs = found.proved(target)
+        scatter = f" +- {_shown(target, float(np.std(runs, ddof=1)))}" if len(runs) > 1 else ""
+        tried = f"{target.words(float(np.mean(runs)))}{scatter}" if runs else "not run"
+        held = " (held out)" if target.held_out else ""
+        lines.append(
+            f"| {target.label}{held} | {target.words(target.value)} +- {_shown(target, target.uncertainty)} "
+            f"| {tried} | {predicted} | {found.off(target):+.1f} |"
+        )
+    return lines
+
+
+def _predicted(found: Calibration, target: Target) -> tuple[float, float]:
+    assert found.posterior is not None
+    return found.posterior.predicted(target)
+
+
+def _shown(target: Target, deviation: float) -> str:
+    return target.words(deviation).partition(" ")[0]
+
+
+def answer(found: Calibration) -> dict[str, Any]:
+    """Return the parameters, targets and findings of a calibration for answer.json, in SI units."""
+    assert found.posterior is not None
+    return {
+        "finished": found.finished,
+        "settled": found.settled,
+        "trials": len(found.searched),
+        "parameters": {
+            free.name: {
+                "likeliest": found.best[free.name],
+                "interval_95": list(found.posterior.interval(place)),
+                "narrowing": found.posterior.narrowing(place),
+            }
+            for place, free in enumerate(found.task.free)
+        },
+        "targets": [
+            {
+                "target": target.label, "held_out": target.held_out, "unit": target.unit, "measured": target.value,
+                "uncertainty": target.uncertainty, "runs": found.proved(target),
+                "predicted": dict(zip(("mean", "deviation"), _predicted(found, target))), "off": found.off(target),
+            }
+            for target in found.task.targets
+        ],
+        "not_told_apart": [list(pair) for pair in told_apart(found.posterior)],
+        "findings": found.findings,
+    }  # fmt: skip
+
+
+def concrete_of(found: Calibration, modules: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the contents of the calibrated concrete's file: the values that all scenes of the task share.
+
+    The result is empty if no free parameter is a property of the concrete.
+    """
+    sections: dict[str, dict[str, Any]] = {}
+    names: set[Any] = set()
+    for target in found.task.targets:
+        scene = modules[target.scene].scene
+        section, known = scene.parameters.of_concrete()
+        given = found.task.parameters(target, found.best, modules[target.scene])
+        names.add(given.get("concrete"))
+        values = {name: value for name, value in scene.completed(given).items() if name in known and value is not None}
+        if section and section in sections:
+            both = sections[section]
+            sections[section] = {name: both[name] for name in both if values.get(name) == both[name]}
+        elif section:
+            sections[section] = values
+    if not any(name in section for section in sections.values() for name in found.best):
+        return {}
+    fitted = ", ".join(f"{target.label} = {target.words(target.value)}" for target in found.task.fitted)
+    base = names.pop() if len(names) == 1 else found.task.base
+    rounded = {
+        section: {name: float(f"{value:.6g}") if isinstance(value, float) else value for name, value in values.items()}
+        for section, values in sections.items()
+    }
+    head = {"calibrated": f"{', '.join(found.best)}, on {fitted}"}
+    return head | ({} if base in (None, "own") else {"base": base}) | rounded
+
+
+def draw(found: Calibration) -> Any:
+    """Return a Matplotlib figure of the posterior: histograms on the diagonal, pairs below, trials as points."""
+    from matplotlib.figure import Figure
+
+    assert found.posterior is not None
+    task, free = found.task, len(found.task.free)
+    samples = np.array([[f.value(u) for f, u in zip(task.free, row)] for row in found.posterior.samples])
+    trials = np.array([[f.value(u) for f, u in zip(task.free, trial.units)] for trial in found.searched])
+    size = max(2.6 * free, 4.5)
+    figure = Figure(figsize=(size + 0.6, size), layout="constrained")
+    axes = figure.subplots(free, free, squeeze=False)
+    for row in range(free):
+        for column in range(free):
+            here = axes[row][column]
+            if column > row:
+                here.set_visible(False)
+                continue
+            across, up = task.free[column], task.free[row]
+            if row == column:
+                here.hist(samples[:, column], bins=_bins(across), color="0.6")
+                here.axvline(found.best[across.name], color="C3", label="likeliest")
+                here.plot(trials[:, column], np.zeros(len(trials)), "k|", clip_on=False, label="trials")
+                here.set_yticks([])
+            else:
+                here.hist2d(samples[:, column], samples[:, row], bins=[_bins(across), _bins(up)], cmap="Greys")
+                here.plot(trials[:, column], trials[:, row], "k.", ms=3)
+                here.plot(found.best[across.name], found.best[up.name], "C3x", ms=8, mew=2)
+                here.set(ylim=(up.low, up.high), yscale="log" if up.log else "linear",
+                         ylabel=up.name if column == 0 else "")  # fmt: skip
+            here.set(xlim=(across.low, across.high), xscale="log" if across.log else "linear",
+                     xlabel=across.name if row == free - 1 else "")  # fmt: skip
+            for axis, of in ((here.xaxis, across), (here.yaxis, up)):
+                if of.log and (axis is here.xaxis or row != column):
+                    _few_ticks(axis)
+    axes[0][0].legend(fontsize="small")
+    figure.suptitle("posterior of the parameters")
+    return figure
+
+
+def _few_ticks(axis: Any) -> None:
+    """Put ticks at 1, 2 and 5 of each decade, labelled with plain numbers."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, place: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _bins(free: Any) -> np.ndarray:
+    return (np.geomspace if free.log else np.linspace)(free.low, free.high, SMOOTH + 1)

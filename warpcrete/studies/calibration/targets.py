@@ -1,0 +1,344 @@
+"""Task of a calibration: measured quantities of scenes, and free parameters with their ranges."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import SceneError, known_names, refuse, suggested
+from ...core.inputs.amounts import UNITS, amount
+from ...core.inputs.by_name import names_from_file
+from ...core.inputs.concretes import concrete, is_file
+from ...core.inputs.limits import check_limit
+from ...core.inputs.parameters import Field, FileIf, declared_fields
+from ...core.inputs.text_files import read_mapping, within
+from ...core.run.method import Quantity
+from ...core.units import number, shown
+from ...methods import METHODS, method_of
+
+KEYS = ("base", "vary", "targets")
+TARGET_KEYS = ("scene", "quantity", "value", "uncertainty", "parameters", "held_out")
+DECADE = 10.0
+"""Ratio of a range's ends from which on the parameter is searched on a logarithmic scale by default."""
+APART = 3.0
+"""Difference between two values of one quantity, in standard deviations, above which they contradict each other."""
+
+
+@dataclass(frozen=True)
+class Free:
+    """A free parameter of the calibration, with its range."""
+
+    name: str
+    low: float
+    high: float
+    log: bool
+    """Whether the parameter is searched on a logarithmic scale."""
+    whole: bool
+    """Whether the parameter is a whole number."""
+
+    def value(self, unit: float) -> float:
+        """Return the parameter's value at the position `unit` of its range, from 0 to 1."""
+        if self.log:
+            found = math.exp(math.log(self.low) + unit * (math.log(self.high) - math.log(self.low)))
+        else:
+            found = self.low + unit * (self.high - self.low)
+        return round(found) if self.whole else min(max(found, self.low), self.high)
+
+    def place(self, value: float) -> float:
+        """Return the position of a value in the parameter's range, from 0 to 1."""
+        if self.log:
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A measured quantity of a scene."""
+
+    scene: str
+    quantity: str
+    value: float
+    uncertainty: float
+    """Standard deviation, in the unit of `value`."""
+    parameters: Mapping[str, Any]
+    """Parameters of the scene, without the free ones."""
+    held_out: bool
+    """Whether the quantity is predicted and compared with the measurement, but not fitted."""
+    unit: str
+
+    @property
+    def key(self) -> str:
+        """Text that is the same for all targets that one run can answer: the scene and its parameters."""
+        return json.dumps([self.scene, dict(self.parameters)], sort_keys=True, default=str)
+
+    @property
+    def label(self) -> str:
+        """Description of the quantity and its scene, for people."""
+        given = ", ".join(f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
+                          for name, value in self.parameters.items() if name not in ("concrete", "seed"))  # fmt: skip
+        return f"{self.quantity.replace('_', ' ')} of {self.scene}" + (f" ({given})" if given else "")
+
+    def words(self, value: float) -> str:
+        """Return a value of the quantity as text, in the unit that people use."""
+        factor, unit = shown(self.unit)
+        return f"{value * factor:.4g} {unit}".strip()
+
+
+@dataclass(frozen=True)
+class Task:
+    """The calibration's targets and free parameters."""
+
+    base: str | None
+    """Name or file of the concrete that provides all properties that are not free; None uses each scene's own."""
+    free: tuple[Free, ...]
+    targets: tuple[Target, ...]
+
+    @property
+    def groups(self) -> list[list[Target]]:
+        """Groups of targets that one run can answer together."""
+        found: dict[str, list[Target]] = {}
+        for target in self.targets:
+            found.setdefault(target.key, []).append(target)
+        return list(found.values())
+
+    @property
+    def fitted(self) -> list[Target]:
+        """Targets that the calibration fits, without those that are held out."""
+        return [target for target in self.targets if not target.held_out]
+
+    def values(self, units: Sequence[float]) -> dict[str, float]:
+        """Return the values of the free parameters, by name, at a point of the unit cube."""
+        return {free.name: free.value(float(unit)) for free, unit in zip(self.free, units)}
+
+    def places(self, values: Mapping[str, float]) -> np.ndarray:
+        """Return the point of the unit cube for values of the free parameters, shape (free,)."""
+        return np.array([free.place(values[free.name]) for free in self.free])
+
+    def parameters(self, target: Target, values: Mapping[str, float], module: Any) -> dict[str, Any]:
+        """Return the keyword arguments of the target's scene, including the free parameters that the scene has."""
+        known = declared_fields(module.scene.parameters)
+        base = {"concrete": self.base} if self.base is not None and "concrete" in known else {}
+        return {**base, **target.parameters, **{name: value for name, value in values.items() if name in known}}
+
+
+def read_task(path: Path, modules: Mapping[str, Any]) -> tuple[Task, dict[str, Any]]:
+    """Read a file of targets; return the task and the file's contents as a mapping.
+
+    `warpcrete calibrate --help` shows an example. Paths in the file are relative to its folder. Raises
+    :class:`SceneError` for any mistake in the file.
+    """
+    raw = read_mapping(path, "targets")
+    if isinstance(raw.get("base"), str) and is_file(raw["base"]):
+        raw["base"] = os.path.realpath(path.parent / raw["base"])
+    task = task_of(raw, modules, path.parent)
+    raw["targets"] = [
+        {**each, "parameters": dict(target.parameters)} for each, target in zip(raw["targets"], task.targets)
+    ]
+    return task, raw
+
+
+@names_from_file()
+def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any], folder: Path | None = None) -> Task:
+    """Build the task from a mapping, the contents of a file of targets; paths are relative to `folder`.
+
+    Raises :class:`SceneError` for any mistake in the mapping.
+    """
+    for key in raw:
+        if key not in KEYS:
+            with within(raw, key):
+                refuse("targets", key, "is not a key of a file of targets", known_names(key, KEYS))
+    base = raw.get("base")
+    if base is not None:
+        concrete(str(base))
+    vary, listed = raw.get("vary"), raw.get("targets")
+    if not isinstance(vary, Mapping) or not vary:
+        refuse(
+            "vary", vary, "must contain one parameter or more, each with its range", "for example 'friction: [0, 0.5]'"
+        )
+    if not isinstance(listed, Sequence) or isinstance(listed, str) or not listed:
+        refuse(
+            "targets",
+            listed,
+            "must be a list of one or more targets",
+            "'- {scene: ..., quantity: ..., value: ..., uncertainty: ...}'",
+        )
+    targets = []
+    for place, each in enumerate(listed):
+        with within(listed, place):
+            targets.append(_target(place + 1, each, modules, vary, folder or Path()))
+    if base is not None and not any("concrete" in _known(modules, target.scene) for target in targets):
+        refuse("base", base, "is not used by the scene of any target", "leave it out")
+    free = []
+    for name, given in vary.items():
+        with within(vary, name):
+            free.append(_free(str(name), given, _field(str(name), targets, modules)))
+    if all(target.held_out for target in targets):
+        refuse("held_out", True, "must not be set for every target", "fit at least one target")
+    task = Task(None if base is None else str(base), tuple(free), tuple(targets))
+    checked = []
+    for place, target in enumerate(targets):
+        with within(listed, place):
+            checked.append(_checked(task, target, modules))
+    task = Task(task.base, tuple(free), tuple(checked))
+    _agree(task.targets)
+    return task
+
+
+def _known(modules: Mapping[str, Any], scene: str) -> Mapping[str, Field]:
+    return declared_fields(modules[scene].scene.parameters)
+
+
+def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[str, Any], folder: Path) -> Target:
+    called = f"target {place}"
+    if not isinstance(given, Mapping):
+        refuse(called, given, "must be 'key: value' pairs", f"the keys are {', '.join(TARGET_KEYS)}")
+    for key in given:
+        if key not in TARGET_KEYS:
+            refuse(called, key, "is not a key of a target", known_names(key, TARGET_KEYS))
+    missing = [key for key in TARGET_KEYS[:4] if given.get(key) is None]
+    if missing:
+        refuse(called, dict(given), f"must have {', '.join(missing)}")
+    if not isinstance(given["scene"], str) or given["scene"] not in modules:
+        refuse(f"{called} scene", given["scene"], f"must be one of {', '.join(modules)}",
+               suggested(given["scene"], modules))  # fmt: skip
+    value = _in_unit(f"{called} value", given["value"], str(given["quantity"]))
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        refuse(f"{called} value", value, "must be a finite number, in SI units or with its unit")
+    parameters = given.get("parameters") or {}
+    if not isinstance(parameters, Mapping):
+        refuse(f"{called} parameters", parameters, "must be 'name: value' pairs")
+    parameters = modules[given["scene"]].scene.resolved(parameters)
+    for name, field in _known(modules, given["scene"]).items():
+        files = [rule for rule in field.of_kind(FileIf) if isinstance(parameters.get(name), str)]
+        if any(rule.test(parameters[name]) for rule in files):
+            parameters[name] = os.path.realpath(folder / parameters[name])
+    for name in vary:
+        if name in parameters:
+            refuse(f"{called} parameters", name, "cannot be both given here and varied", "leave out one of the two")
+    held = given.get("held_out", False)
+    if not isinstance(held, bool):
+        refuse(f"{called} held_out", held, "must be true or false")
+    uncertainty = _uncertainty(f"{called} uncertainty", given["uncertainty"], float(value), str(given["quantity"]))
+    return Target(given["scene"], str(given["quantity"]), float(value), uncertainty, parameters, held, "")
+
+
+def _in_unit(called: str, given: Any, quantity: str) -> Any:
+    """Return a text such as "550 mm" as a number in the unit of `quantity`, and anything else unchanged."""
+    units = {each.name: each.unit for method in METHODS for each in method.quantities}
+    if isinstance(given, str) and quantity not in units:
+        refuse("quantity", quantity, "is not measured in any scene", known_names(quantity, units))
+    if isinstance(given, str) and units[quantity] in UNITS:
+        return amount(called, given, units[quantity])
+    return given
+
+
+def _uncertainty(called: str, given: Any, value: float, quantity: str) -> float:
+    """Return a standard deviation that was given as a number or as a percentage of the value."""
+    found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*", given) if isinstance(given, str) else None
+    if found:
+        given = float(found.group(1)) / 100 * abs(value)
+    elif not (isinstance(given, str) and "%" in given):
+        given = _in_unit(called, given, quantity)
+    if isinstance(given, bool) or not isinstance(given, int | float) or not math.isfinite(given) or given <= 0:
+        refuse(
+            called,
+            given,
+            "must be a number above 0 in the value's unit, or a percentage of the value",
+            "for example '5%'",
+        )
+    return float(given)
+
+
+def _field(name: str, targets: Sequence[Target], modules: Mapping[str, Any]) -> Field:
+    """Return the declaration of a free parameter; it must be a number, and at least one target's scene must have it."""
+    scenes = dict.fromkeys(target.scene for target in targets)
+    known = [_known(modules, scene) for scene in scenes]
+    fields = [each[name] for each in known if name in each]
+    if not fields:
+        refuse("vary", name, f"is not a parameter of {', '.join(scenes)}",
+               suggested(name, {key for each in known for key in each}) or
+               "'warpcrete run SCENE --help' lists them")  # fmt: skip
+    if {field.kind for field in fields} - {int, float} or name == "seed":
+        refuse("vary", name, "must be a numeric parameter other than the seed")
+    return next((field for field in fields if field.kind is int), fields[0])
+
+
+def _free(name: str, given: Any, field: Field) -> Free:
+    """Check the range of a free parameter and return the parameter."""
+    called, whole = f"vary {name}", field.kind is int
+    scale = None
+    if isinstance(given, Mapping):
+        if set(given) - {"low", "high", "scale"} or not {"low", "high"} <= set(given):
+            refuse(called, dict(given), "must have low and high, and may have scale")
+        scale, given = given.get("scale"), [given["low"], given["high"]]
+    numbers = isinstance(given, Sequence) and not isinstance(given, str) and len(given) == 2
+    if numbers:
+        given = [field.number(each, called) for each in given]
+    if not numbers or not all(isinstance(e, int | float) and not isinstance(e, bool) and math.isfinite(e)
+                              for e in given):  # fmt: skip
+        refuse(called, given, "must be [low, high], two finite numbers")
+    for each in given:
+        field.check_limits(field.converted(each, called), called)
+    low, high = map(float, given)
+    if not low < high:
+        refuse(called, [low, high], "must be [low, high] with low below high", f"did you mean [{high:g}, {low:g}]?")
+    if scale not in (None, "log", "linear"):
+        refuse(f"{called} scale", scale, "must be log or linear")
+    if scale == "log" and low <= 0:
+        refuse(called, [low, high], "must be above 0 for a logarithmic scale", "use scale: linear")
+    return Free(name, low, high, scale == "log" or (scale is None and low > 0 and high / low >= DECADE), whole)
+
+
+def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
+    """Return the target with its unit, after checking that its scene measures the quantity.
+
+    The scene must also be valid at both ends of every parameter range; otherwise :class:`SceneError` is raised.
+    """
+    module = modules[target.scene]
+    middle = [0.5] * len(task.free)
+    scene = module.scene(**task.parameters(target, task.values(middle), module))
+    for place, free in enumerate(task.free):
+        for end in (0.0, 1.0):
+            units = [*middle[:place], end, *middle[place + 1 :]]
+            try:
+                module.scene(**task.parameters(target, task.values(units), module))
+            except SceneError as error:
+                raise SceneError(f"vary {free.name} = {[free.low, free.high]}: {target.label}: {error}") from error
+    known: dict[str, Quantity] = {each.name: each for each in method_of(scene).quantities}
+    if target.quantity not in known:
+        refuse("quantity", target.quantity, f"is not measured in {target.scene}",
+               known_names(target.quantity, known))  # fmt: skip
+    unit = known[target.quantity].unit
+    if unit in ("m", "s") and target.value < 0:
+        refuse(f"{target.quantity} of {target.scene}", target.value, f"must be at least 0 {unit}")
+    check_limit(f"{target.quantity} of {target.scene}", target.value, unit, target.quantity)
+    return Target(target.scene, target.quantity, target.value, target.uncertainty, target.parameters,
+                  target.held_out, unit)  # fmt: skip
+
+
+def _agree(targets: Sequence[Target]) -> None:
+    """Refuse two measured values of one quantity that contradict each other."""
+    for place, one in enumerate(targets):
+        for other in targets[:place]:
+            scatter = math.hypot(one.uncertainty, other.uncertainty)
+            same = (one.key, one.quantity) == (other.key, other.quantity)
+            if same and abs(one.value - other.value) > APART * scatter:
+                apart = abs(one.value - other.value) / scatter
+                refuse("targets", f"{other.words(other.value)} and {one.words(one.value)}",
+                       f"contradict each other: both are the {one.label}, {apart:.2g} standard deviations apart",
+                       "correct one of them, or increase their uncertainties")  # fmt: skip
+
+
+def found_in(result: Mapping[str, Any], target: Target) -> float | None:
+    """Return the target's quantity from a result.json; None if it is missing or not a finite number."""
+    entry = result.get(target.quantity)
+    value = None if entry is None else number(entry)
+    return value if value is not None and math.isfinite(value) else None

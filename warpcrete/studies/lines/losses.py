@@ -1,0 +1,45 @@
+"""Closed-form pressure losses of the parts of a pump line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...geometry.lines import Part, PipeLine, line_of, read_line, shipped_lines, with_stone
+from ...theory.pipe import Concrete, Line, rested, steady
+
+__all__ = [
+    "Part", "PipeLine", "friction", "layered", "line_of", "read_line", "restart", "shipped_lines", "with_stone",
+]  # fmt: skip
+
+FINE = 200
+"""Number of places along a tapered part at which the friction is evaluated."""
+
+
+def friction(part: Part, concrete: Concrete, flow: float) -> float:
+    """Return a part's friction [Pa] by the closed form, as that of a straight pipe with its bore and length.
+
+    For a hose, the result includes the additional loss of its bends.
+    """
+    concrete = layered(concrete, part.layer)
+    at = (np.arange(FINE) + 0.5) / FINE if part.outlet != part.diameter else np.zeros(1)
+    bores = part.diameter + at * (part.outlet - part.diameter)
+    losses = [steady(concrete, Line(radius=d / 2, length=1.0, rise=0.0), flow).pressure for d in bores.tolist()]
+    return float(np.mean(losses)) * part.length * part.curving
+
+
+def layered(concrete: Concrete, factor: float) -> Concrete:
+    """Return a copy of the concrete whose slip layer has `factor` times the resistance."""
+    return replace(concrete, slip_viscosity=factor * concrete.slip_viscosity, slip_yield=factor * concrete.slip_yield)
+
+
+def restart(line: PipeLine, concrete: Concrete, rest: float, thixotropy: float, flow: float = 0.0) -> float:
+    """Return the pressure at the pump [Pa] that sets a whole line in motion after a `rest` [s], by the closed form.
+
+    During the rest, the yield stresses grow by `thixotropy` [Pa/s]. With a `flow` of 0 [m3/s], the result is the
+    pressure at which motion begins; with a larger `flow`, it is the pressure for restarting at that flow at once.
+    """
+    grown = rested(concrete, rest, thixotropy)
+    weight = concrete.density * Line().gravity * line.rise
+    return max(weight + sum(friction(part, grown, flow) for part in line.parts), 0.0)

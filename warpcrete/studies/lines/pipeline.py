@@ -1,0 +1,81 @@
+"""Pressure of a whole pipeline, extrapolated from pressures of short pipe units (Zhan et al. 2019, Eq. 13)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ...core.errors import RunFolderError, between, one_of, refuse
+from ...core.run.run_loop import Run
+from ...core.units import number, quantity
+from ...dem.measure.quantities import WINDOW, past_ramp
+
+STRAIGHT = ("vertical", "horizontal")
+
+
+def pipeline_pressure(vertical: float, horizontal: float, height: float, distance: float) -> float:
+    """Return the total pressure [Pa] from pressures per metre of pipe [Pa/m] and the lengths of pipe [m].
+
+    Zhan et al. (2019), Eq. 13, adds `vertical` times `height` and `horizontal` times `distance`. Raises
+    :class:`SceneError` for a negative length.
+    """
+    between("pipeline vertical length", height, 0, float("inf"), "m")
+    between("pipeline horizontal length", distance, 0, float("inf"), "m")
+    return vertical * height + horizontal * distance
+
+
+def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> None:
+    """Refuse scenes to which Zhan's Eq. 13 does not apply, and an unsuitable `other` result, read from `source`.
+
+    Raises :class:`SceneError` for the scene and :class:`RunFolderError` for the result.
+    """
+    pipe = getattr(scene, "pipe", None)
+    if pipe is None:
+        refuse("pipeline", scene.name, "needs a straight unit of discrete elements (Eq. 13)", "use the scene pipe")
+    one_of("unit", pipe.name, STRAIGHT)
+    if not past_ramp(scene, pipe.travel):
+        refuse(
+            "travel", pipe.travel, "is too short for a plateau of the pressure, which Eq. 13 needs (ramp "
+                                   f"{pipe.ramp:g} m)",
+            f"move the piston {pipe.ramp / (1 - WINDOW):.3g} m or more, or shorten the ramp",
+        )  # fmt: skip
+    if other is not None:
+        if not other.get("finished") or "plateau_pressure" not in other or "concrete_length" not in other:
+            raise RunFolderError(
+                f"pipeline_other = '{source}': is not a finished pipe run with a plateau; give the folder of one"
+            )
+        one_of("unit of pipeline_other", other.get("unit"), [u for u in STRAIGHT if u != pipe.name])
+
+
+def pipeline_estimate(
+    run: Run, height: float, distance: float, other: dict[str, Any] | None = None
+) -> dict[str, Any] | None:
+    """Return a pipeline's pressure by Zhan's Eq. 13 from the plateau pressure of `run`; None without a plateau.
+
+    `height` and `distance` are the lengths of vertical and horizontal pipe [m]. The run gives the pressure per metre in
+    its own direction. `other`, the result.json of a run of the other straight unit, gives that in the other direction.
+    Without it, the weight of the concrete is subtracted or added; the result states this assumption.
+    """
+    if "plateau_pressure" not in run.result:
+        return None
+    pipe = run.scene.pipe
+    own = number(run.result["plateau_pressure"]) / pipe.concrete_length
+    gravity = -run.scene.gravity[2]
+    bodies = run.bodies  # type: ignore[attr-defined]
+    solids = bodies.mass[[g == "" for g in bodies.group]].sum()
+    weight = float(solids) * gravity / (run.scene.pressure.area * pipe.concrete_length)
+    upward = pipe.name == "vertical"
+    if other is not None:
+        rest = number(other["plateau_pressure"]) / number(other["concrete_length"])
+        source = f"plateau of the {other['unit']} run"
+    else:
+        rest = own - weight if upward else own + weight
+        source = "this run's plateau " + ("less" if upward else "plus") + " the weight of the concrete (assumed)"
+    vertical, horizontal = (own, rest) if upward else (rest, own)
+    return {
+        "vertical_length": quantity(height, "m"),
+        "horizontal_length": quantity(distance, "m"),
+        "vertical_per_metre": quantity(vertical, "Pa/m"),
+        "horizontal_per_metre": quantity(horizontal, "Pa/m"),
+        "other_direction_from": source,
+        "total_pressure": quantity(pipeline_pressure(vertical, horizontal, height, distance), "Pa"),
+    }

@@ -1,0 +1,205 @@
+"""Results of the two source papers, as cases to run and claims to judge (Zhan et al. 2019; Xu, Li & Jiang 2021)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+FLAT = 0.05
+"""Relative spread (range over mean) up to which pressures count as equal."""
+LINEAR = 0.98
+"""Coefficient of determination of a straight line's fit above which a relation counts as linear."""
+GROWS = 0.03
+"""Relative growth of a pressure above which it counts as growing."""
+
+Judge = Callable[[Sequence[float], Sequence[float]], tuple[bool, str]]
+"""Function of a parameter's values and the pressures [Pa]. It returns whether the paper's claim holds, and a finding.
+"""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A parameter that the paper varies alone, with the paper's claim about it."""
+
+    name: str
+    """Name of the varied parameter of the scene function."""
+    parameter: str
+    values: tuple[Any, ...]
+    claim: str
+    """Claim of the paper about the effect of the parameter."""
+    judge: Judge
+    """Function that judges whether our pressures support the claim."""
+    base: Mapping[str, Any] = field(default_factory=dict)
+    """Further parameters that all runs of this variation share."""
+    numbers: tuple[float, ...] = ()
+    """Numeric equivalents of `values` if these are words; otherwise empty."""
+    printed: Mapping[Any, float] = field(default_factory=dict)
+    """Peak pressures that the text of the paper states, by parameter value [Pa]."""
+
+    @property
+    def is_hydrated(self) -> bool:
+        """Whether the varied parameter concerns hydrated bonds."""
+        return self.parameter.startswith("hydration")
+
+    @property
+    def places(self) -> tuple[float, ...]:
+        """Values of the parameter as numbers."""
+        return self.numbers or self.values
+
+
+def flat(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
+    """Judge whether all pressures are nearly equal."""
+    spread = (max(pressures) - min(pressures)) / float(np.mean(pressures))
+    return spread < FLAT, f"they differ by {100 * spread:.1f} %"
+
+
+def linear(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
+    """Judge whether the pressure grows along a straight line."""
+    slope, shift = np.polyfit(values, pressures, 1)
+    rest = np.asarray(pressures) - (slope * np.asarray(values) + shift)
+    fit = 1 - float(rest @ rest) / max(float(np.var(pressures)) * len(pressures), 1e-300)
+    growth = (pressures[-1] - pressures[0]) / pressures[0]
+    holds = fit > LINEAR and growth > GROWS
+    return holds, f"{'+' if growth > 0 else ''}{100 * growth:.0f} % from end to end, straight to R2 = {fit:.3f}"
+
+
+def growing(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
+    """Judge whether the pressure grows from each value to the next."""
+    steps = np.diff(pressures) / pressures[0]
+    growth = (pressures[-1] - pressures[0]) / pressures[0]
+    return bool(np.all(steps > -FLAT / 5) and growth > GROWS), f"{100 * growth:+.0f} % from end to end"
+
+
+def narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
+    """Judge whether pressures are equal from the third pipe diameter on, and far higher in the narrowest pipe."""
+    level, what = flat(values[2:], pressures[2:])
+    growth = pressures[0] / pressures[2] - 1
+    holds = level and growth > 0.5
+    return holds, f"from 150 mm on {what}; {100 * growth:+.0f} % at {1e3 * values[0]:.0f} mm"
+
+
+def late(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
+    """Judge whether the first two pressures are equal and the further ones grow."""
+    level, what = flat(values[:2], pressures[:2])
+    grown, how = growing(values[1:], pressures[1:])
+    return level and grown, f"the first two values: {what}; then {how}"
+
+
+OF_ALL = (narrow, late)
+"""Judging functions that need every value, so that no run may be missing."""
+
+ZHAN = (
+    Row("diameter", "diameter", (0.100, 0.125, 0.150, 0.175, 0.200),
+        "150, 175 and 200 mm nearly equal, steeply more below", narrow, printed={0.100: 72.99e3, 0.150: 38.58e3}),
+    Row("elbow radius", "elbow_radius", (0.25, 0.5, 0.75, 1.0), "largest pressures nearly equal", flat),
+    Row("aggregate size", "size_max", (10e-3, 20e-3, 40e-3, 60e-3),
+        "5-10 and 5-20 mm equal, then growing", late),
+    Row("shape factor", "shapes", ("shape-1.5", "shape-2.5", "shape-3.5", "shape-4.5"),
+        "linear in the shape factor", linear, numbers=(1.5, 2.5, 3.5, 4.5)),
+    Row("velocity", "velocity", (0.1, 0.3, 0.5, 0.7, 0.9), "about linear in velocity", linear),
+    Row("hydrated fraction", "hydration", (0.0, 0.05, 0.10, 0.15, 0.20), "grows with the fraction (at 1e9 Pa)", growing,
+        base={"hydration_modulus": 1e9}),
+    Row("hydrated modulus", "hydration_modulus", (2e4, 1e6, 1e7, 1e8, 1e9), "grows with the stiffness (at 20 %)",
+        growing, base={"hydration": 0.2}),
+)  # fmt: skip
+"""Parameter variations in section 5 of Zhan et al. 2019, on unit D; the pressures are peak pressures."""
+SMALLEST = {10e-3: 5e-3, 20e-3: 5e-3, 40e-3: 10e-3, 60e-3: 10e-3}
+"""Smallest aggregate size by the largest one, in the gradings of Zhan et al. [m]."""
+UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
+"""Names of the paper's four pipe units A to D."""
+PRINTED = {"vertical": (38.93e3, 35e3), "horizontal": (15.69e3, 12e3), "bend-to-horizontal": (None, None),
+           "bend-to-vertical": (38.58e3, None)}  # fmt: skip
+"""Peak pressure and final pressure of each unit in the paper [Pa]; None where the paper gives no number."""
+PRINTED_TRAVEL = {"vertical": 0.08, "horizontal": 0.10}
+"""Travel of the piston at the peak pressure in the paper [m]."""
+PIPELINES = {"Burj Khalifa": (576.0, 83.0, 21.15e6, 17.1e6), "Shanghai Tower": (582.0, 150.0, 22.17e6, 23.4e6)}
+"""Lengths up and along [m], pressure predicted by the paper and pressure recorded on site [Pa], by pipeline."""
+
+UNITS_ROW = "units"
+"""Name of the group of runs with the four pipe units."""
+
+CONCRETES: dict[str, dict[str, Any]] = {
+    "literal": {"concrete": "zhan-table1"},
+    "calibrated": {"concrete": "zhan"},
+    "stiff stones": {"concrete": "zhan", "modulus": 1e7, "solid_fraction": 0.62, "layer_viscosity": 1660.0},
+}
+"""Concretes of the reproduction: Table 1 of Zhan et al. as printed; the same with a wall layer and wall friction
+calibrated on units A and B; and stones of 1e7 Pa, loosely packed, with the same friction and another layer.
+"""
+
+OPEN: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {
+    "equal fraction": ({"solid_fraction": 0.70}, ("units", "diameter", "aggregate size", "shape factor"),
+        "packed to a solid fraction of 0.70 for every pipe, sizes and shapes; the reference mix has this fraction at "
+        "the plug's pressure"),
+    "yielding layer": ({"layer_viscosity": 0.0, "layer_yield": 357.0}, ("units", "velocity"),
+        "the layer's stress at 0.3 m/s as a yield stress of 357 Pa, at every speed"),
+    "half yielding layer": ({"layer_viscosity": 595.0, "layer_yield": 178.5}, ("units", "velocity"),
+        "the same stress at 0.3 m/s, half of it as a yield stress"),
+    "faceted pipe": ({"wall": "mesh", "facets": 64}, ("units",), "a pipe of 64 facets instead of the exact one"),
+    "longer plug": ({"plug_layers": 12}, ("units",), "a plug of twelve layers of balls instead of two (six in bends)"),
+}  # fmt: skip
+"""Assumptions about details that Zhan et al. leave open. Each entry has parameters that are added to the calibrated
+concrete, the parameter variations that are run with them, and a description. Nothing is calibrated again, so the
+pressures of units A and B may change.
+"""
+COARSE = dict(shapes="spheres", size_min=15e-3, size_max=40e-3)
+"""Parameters of a quick reproduction, which uses spheres of 15 to 40 mm instead of clumps of 5 to 20 mm."""
+
+
+def zhan_case(row: Row, value: Any, quick: bool) -> dict[str, Any]:
+    """Return the scene parameters of Zhan's unit D at one value of a varied parameter."""
+    case: dict[str, Any] = {"unit": "bend-to-vertical", "shapes": "reference", **(COARSE if quick else {})}
+    case |= dict(row.base) | {row.parameter: value}
+    if row.parameter == "size_max":
+        case["size_min"] = SMALLEST[value]
+    return case
+
+
+def overrides(name: str) -> dict[str, Any]:
+    """Return the parameters of a report column: one of the concretes, or the calibrated one with an open assumption."""
+    return CONCRETES[name] if name in CONCRETES else {**CONCRETES["calibrated"], **OPEN[name][0]}
+
+
+def rows_of(name: str) -> tuple[str, ...]:
+    """Return the names of the parameter variations that are run for a column of the report."""
+    return OPEN[name][1] if name in OPEN else (UNITS_ROW, *(row.name for row in ZHAN))
+
+
+XU_CONCRETES = ("no1", "no2", "no3")
+XU_FLOWS = (500e-6, 1000e-6, 1500e-6, 2000e-6)
+"""Flow rates in Xu's study [m3/s]."""
+XU_REFERENCE = 1500e-6
+"""Flow rate at which the other parameters are varied [m3/s]."""
+XU_SPACINGS = (20e-3, 10e-3, 5e-3)
+"""Particle spacings in Xu's resolution study [m]."""
+XU_THICKNESSES = (0.0, 2e-3, 4e-3, 6e-3)
+"""Thicknesses of the slip layer in Xu's study [m]."""
+XU_PRINTED = {"pressure": 9.40e3, "slip_velocity": 0.186}
+"""Pressure [Pa] and slip velocity [m/s] that Xu prints for concrete no. 1 at the reference flow. The paper's own closed
+form gives 9.43e3 Pa and 0.186 m/s.
+"""
+
+
+def xu_cases(quick: bool) -> dict[str, list[tuple[str, dict[str, Any]]]]:
+    """Return the scenes and parameters of Xu's cases by topic.
+
+    The paper computes flow between planes (scene `channel`); the round pipe (scene `tube`) is our addition.
+    """
+    column = {"length": 0.3, "diameter": 0.1}
+    flows = XU_FLOWS[1::2] if quick else XU_FLOWS
+    scenes = ("channel",) if quick else ("channel", "tube")
+    spacing = 10e-3
+    return {
+        "flow": [(scene, column | {"concrete": name, "flow": flow, "spacing": spacing})
+                 for scene in scenes for name in XU_CONCRETES for flow in flows],
+        "resolution": [("channel", column | {"concrete": "no1", "flow": XU_REFERENCE, "spacing": each})
+                       for each in XU_SPACINGS[: 2 if quick else None]],
+        "slip layer": [("channel", column | {"concrete": "no1", "flow": XU_REFERENCE, "spacing": spacing,
+                                             "slip_thickness": each}) for each in XU_THICKNESSES],
+        "two phases": [("channel", column | {"concrete": name, "flow": XU_REFERENCE, "spacing": 5e-3,
+                                             "aggregates": True, "duration": 0.1})
+                       for name in (XU_CONCRETES[:1] if quick else XU_CONCRETES)],
+    }  # fmt: skip

@@ -1,0 +1,275 @@
+"""Report of a reproduction: the paper's results next to ours, a verdict on each trend, and a figure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from ...core.run.files import whole_file, write_json
+from ...core.units import number
+from .papers import (
+    CONCRETES,
+    OPEN,
+    PIPELINES,
+    PRINTED,
+    PRINTED_TRAVEL,
+    UNITS,
+    XU_PRINTED,
+    ZHAN,
+    Row,
+    overrides,
+    xu_cases,
+)
+from .state import Reproduction, judged, key_of, pressures, unit_case
+
+WHAT = {
+    "literal": "Table 1 as printed",
+    "calibrated": (
+        "with a wall layer of 1190 Pa s/m and a wall friction of 0.034, fitted to the ends of units A and "
+        "B only; everything else is predicted"
+    ),
+    "stiff stones": (
+        "contacts of 1e7 Pa, packed to a solid fraction of 0.62, instead of contacts of 1e5 Pa packed to "
+        "1 kPa; the layer of 1660 Pa s/m is fitted to the same ends"
+    ),
+}
+"""Descriptions of the concretes in the report."""
+
+VARIED = {"flow": "flow", "resolution": "spacing", "slip layer": "slip_thickness"}
+"""Name of the parameter that each group of Xu's cases varies."""
+
+
+def write(found: Reproduction) -> None:
+    """Write the results so far to reproduction.md, reproduction.png and results.json."""
+    text = "\n".join(_zhan(found) if found.paper == "zhan" else _xu(found))
+    with whole_file(found.folder / "reproduction.md") as partial:
+        partial.write_text(text.rstrip() + "\n", encoding="utf-8")
+    kept = {key: _plain(result) for key, result in found.results.items()}
+    write_json(found.folder / "results.json", {"results": kept, "failures": found.failures})
+    if found.paper == "zhan" and found.results:
+        with whole_file(found.folder / "reproduction.png") as partial:
+            draw(found).savefig(partial, dpi=120, format="png")
+
+
+def _plain(result: Mapping[str, Any]) -> dict[str, float]:
+    """Return the numbers in the contents of a result.json, in SI units."""
+    found = {}
+    for name, entry in result.items():
+        if isinstance(entry, dict) and "value" in entry and isinstance(entry["value"], int | float):
+            found[name] = number(entry)
+        elif isinstance(entry, int | float) and not isinstance(entry, bool):
+            found[name] = float(entry)
+    return found
+
+
+def ran(found: Reproduction, names: Iterable[str] = CONCRETES) -> list[str]:
+    """Return the names of the report columns that have results; a column is a concrete or an open assumption."""
+    return [name for name in names
+            if any(key.startswith((f"{name}: ", f"{name}, hydrated: ")) for key in found.results)]  # fmt: skip
+
+
+def _zhan(found: Reproduction) -> Iterator[str]:
+    yield "# Zhan et al. 2019, reproduced"
+    yield ""
+    sizes = (
+        "coarse spheres of 15 to 40 mm instead of clumps of 5 to 20 mm (--quick)"
+        if found.quick
+        else "four clump templates"
+    )
+    yield f"{len(found.results)} results, {found.seeds} seed(s) each, {sizes}."
+    for name in ran(found):
+        yield f"- **{name}**: {WHAT[name]}."
+    yield ""
+    yield from _units(found)
+    yield from _pipelines(found)
+    yield from _open(found)
+    yield "## Parameters, on unit D: largest pressure [kPa]"
+    for row in ZHAN:
+        yield from _row(found, row)
+    if found.failures:
+        yield ""
+        yield "## Runs that stopped"
+        yield ""
+        for key, why in found.failures.items():
+            yield f"- {key}: {why}"
+
+
+def _of_unit(found: Reproduction, name: str, unit: str, quantity: str) -> list[float]:
+    return found.values(name, {**unit_case(unit, found.quick), **overrides(name)}, quantity)
+
+
+def _units(found: Reproduction) -> Iterator[str]:
+    yield "## Units: largest pressure and pressure at the end [kPa]"
+    yield ""
+    yield "| unit | paper | " + " | ".join(ran(found)) + " |"
+    yield "|---|---|" + "---|" * len(ran(found))
+    for letter, unit in zip("ABCD", UNITS):
+        cells = [_pair(_of_unit(found, name, unit, "peak_pressure"), _of_unit(found, name, unit, "end_pressure"))
+                 for name in ran(found)]  # fmt: skip
+        yield f"| {letter} {unit} | {_printed(*PRINTED[unit])} | " + " | ".join(cells) + " |"
+    for letter, unit in zip("AB", UNITS):
+        cells = [_metres(_of_unit(found, name, unit, "peak_travel")) for name in ran(found)]
+        yield (
+            f"| {letter}, travel at the largest pressure [m] | {PRINTED_TRAVEL[unit]:.2f} |" + " | ".join(cells) + " |"
+        )
+    yield ""
+
+
+def _open(found: Reproduction) -> Iterator[str]:
+    """Yield the section of the report on assumptions that the paper leaves open."""
+    names = ran(found, OPEN)
+    if not names:
+        return
+    yield "## What the paper leaves open: units with the calibrated concrete, without a new fit"
+    yield ""
+    for name in names:
+        yield f"- **{name}**: {OPEN[name][2]}."
+    yield ""
+    yield "| | " + " | ".join("ABCD") + " | travel at the largest pressure of A [m] | of B |"
+    yield "|---|---|---|---|---|---|---|"
+    for name in [*(["calibrated"] if "calibrated" in ran(found) else []), *names]:
+        cells = [_pair(_of_unit(found, name, unit, "peak_pressure"), _of_unit(found, name, unit, "end_pressure"))
+                 for unit in UNITS]  # fmt: skip
+        cells += [_metres(_of_unit(found, name, unit, "peak_travel")) for unit in UNITS[:2]]
+        yield f"| {name} | " + " | ".join(cells) + " |"
+    yield ""
+
+
+def _printed(peak: float | None, end: float | None) -> str:
+    return f"{_kpa(peak)} / {_kpa(end)}"
+
+
+def _kpa(value: float | None) -> str:
+    return "-" if value is None or not math.isfinite(value) else f"{value / 1e3:.1f}"
+
+
+def _metres(values: list[float]) -> str:
+    return f"{np.mean(values):.2f}" if values else "-"
+
+
+def _pair(peaks: list[float], ends: list[float]) -> str:
+    return " / ".join(_with_scatter(values) for values in (peaks, ends))
+
+
+def _with_scatter(values: list[float]) -> str:
+    """Return the mean over the seeds [kPa] as text, with the standard deviation if there are several."""
+    if not values:
+        return "-"
+    scatter = f" +- {np.std(values, ddof=1) / 1e3:.2f}" if len(values) > 1 else ""
+    return f"{np.mean(values) / 1e3:.1f}{scatter}"
+
+
+def _pipelines(found: Reproduction) -> Iterator[str]:
+    """Yield the table of whole pipelines by the paper's Eq. 13, from the final pressures of units A and B."""
+    yield "Eq. 13, pressure of a whole pipeline from one metre of vertical and one metre of horizontal pipe [MPa]:"
+    yield ""
+    yield "| pipeline | recorded | paper | " + " | ".join(ran(found)) + " |"
+    yield "|---|---|---|" + "---|" * len(ran(found))
+    for place, (up, along, paper, recorded) in PIPELINES.items():
+        cells = []
+        for name in ran(found):
+            a, b = (found.mean(name, {**unit_case(unit, found.quick), **overrides(name)}, "end_pressure")
+                    for unit in UNITS[:2])  # fmt: skip
+            cells.append(f"{(up * a + along * b) / 1e6:.1f}" if math.isfinite(a + b) else "-")
+        yield f"| {place} | {recorded / 1e6:.1f} | {paper / 1e6:.2f} | " + " | ".join(cells) + " |"
+    yield ""
+
+
+def _row(found: Reproduction, row: Row) -> Iterator[str]:
+    done = [(name, *judged(found, row, name)) for name in ran(found, [*CONCRETES, *OPEN])]
+    done = [(name, means, verdict) for name, means, verdict in done if any(map(math.isfinite, means))]
+    yield ""
+    yield f"**{row.name[0].upper()}{row.name[1:]}.** The paper: {row.claim}."
+    yield ""
+    if not done:
+        yield "Not run."
+        return
+    yield f"| {row.parameter} | " + " | ".join(f"{place:g}" for place in row.places) + " |"
+    yield "|---|" + "---|" * len(row.places)
+    if row.printed:
+        yield "| paper | " + " | ".join(_kpa(row.printed.get(value)) for value in row.values) + " |"
+    for name, *_ in done:
+        yield f"| {name} | " + " | ".join(map(_with_scatter, pressures(found, row, name))) + " |"
+    yield ""
+    for name, _, verdict in done:
+        yield f"- {name}: {verdict}."
+
+
+def _verdict(errors: list[float], count: int) -> str:
+    """Return a verdict on the relative errors of the pressures in `count` planned runs."""
+    if len(errors) < count:
+        return f"Not judged: {count - len(errors)} of {count} runs are missing."
+    worst = float(np.max(errors))
+    return f"Pressure {'holds' if worst < 0.03 else 'differs'}: at most {100 * worst:.2f} % off the closed form."
+
+
+def draw(found: Reproduction) -> Any:
+    """Return a figure with a panel for each parameter; lines are our pressures, and crosses those in the paper."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 6.5), layout="constrained")
+    panels = figure.subplots(2, 4).ravel()
+    for row, axes in zip(ZHAN, panels):
+        for number_of, name in enumerate([*CONCRETES, *OPEN]):
+            each = pressures(found, row, name)
+            means = np.array([np.mean(values) if values else np.nan for values in each]) / 1e3
+            scatter = np.array([np.std(values, ddof=1) if len(values) > 1 else 0.0 for values in each]) / 1e3
+            if np.any(np.isfinite(means)):
+                axes.errorbar(row.places, means, yerr=scatter, fmt="o-" if name in CONCRETES else "s--", ms=4,
+                              capsize=3, color=f"C{number_of}", label=name)  # fmt: skip
+        if row.printed:
+            axes.plot(list(row.printed), [value / 1e3 for value in row.printed.values()], "kx", ms=8, label="paper")
+        if row.parameter == "hydration_modulus":
+            axes.set_xscale("log")
+        axes.set(title=row.claim, xlabel=row.parameter, ylabel="largest pressure [kPa]")
+        axes.title.set_fontsize(8)
+        axes.set_ylim(bottom=0)
+    lines = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels())}
+    for axes in panels[len(ZHAN) :]:
+        axes.set_axis_off()
+    panels[-1].legend(lines.values(), lines.keys(), fontsize=9, loc="center")
+    return figure
+
+
+def _xu(found: Reproduction) -> Iterator[str]:
+    yield "# Xu, Li & Jiang 2021, reproduced"
+    yield ""
+    yield (
+        "Channel: between planes, as computed in the paper; tube: the round pipe that the paper describes. Theory is "
+        "the closed form of each geometry. The paper reports errors below 3 %, and combines the flow of a pipe with "
+        "the balance of forces of a channel."
+    )
+    for group, cases in xu_cases(found.quick).items():
+        yield ""
+        yield f"## {group[0].upper()}{group[1:]}"
+        yield ""
+        yield "| scene | concrete | varied | pressure [kPa] | theory | error | slip velocity [cm/s] | theory |"
+        yield "|---|---|---|---|---|---|---|---|"
+        errors = []
+        for scene, case in cases:
+            key = key_of(f"{group}, {scene}", {**case, "seed": 0})
+            shown = f"{VARIED[group]} {case[VARIED[group]]:g}" if group in VARIED else "mortar and grains"
+            if key not in found.results:
+                why = found.failures.get(key, "not run")
+                yield f"| {scene} | {case['concrete']} | {shown} | {why} | | | | |"
+                continue
+            result = found.results[key]
+            pressure, theory, slip, slip_theory = (
+                number(result[name])
+                for name in ("pressure", "pressure_theory", "slip_velocity", "slip_velocity_theory")
+            )
+            errors.append(abs(pressure / theory - 1))
+            yield (
+                f"| {scene} | {case['concrete']} | {shown} | {pressure / 1e3:.3f} | {theory / 1e3:.3f} | "
+                f"{100 * (pressure / theory - 1):+.2f} % | {100 * slip:.2f} | {100 * slip_theory:.2f} |"
+            )
+        yield ""
+        yield _verdict(errors, len(cases))
+    yield ""
+    yield (
+        f"The paper prints {XU_PRINTED['pressure'] / 1e3:.2f} kPa and {100 * XU_PRINTED['slip_velocity']:.1f} cm/s for "
+        "no. 1 at 1500 cm3/s."
+    )

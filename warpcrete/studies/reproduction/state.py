@@ -1,0 +1,90 @@
+"""State of a reproduction: the runs of a paper's cases, and verdicts on the paper's claims."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...core.units import number
+from .papers import OF_ALL, UNITS, Row, overrides, zhan_case
+
+
+@dataclass(repr=False)
+class Reproduction:
+    """Reproduction of a paper, complete or still in progress."""
+
+    folder: Path
+    paper: str
+    quick: bool
+    seeds: int
+    device: str | None
+    columns: tuple[str, ...] = ()
+    """Concretes and open assumptions to run; an empty tuple stands for all of them."""
+    rows: tuple[str, ...] = ()
+    """Units and varied parameters to run for each column; an empty tuple stands for all of them."""
+    results: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Results of runs, by the key that :func:`key_of` forms from their parameters."""
+    failures: dict[str, str] = field(default_factory=dict)
+    """Messages of the errors that ended runs, by the same keys as the results."""
+    finished: bool = False
+
+    def __repr__(self) -> str:
+        return f"<Reproduction of {self.paper}: {len(self.results)} runs, folder '{self.folder}'>"
+
+    def values(self, group: str, parameters: Mapping[str, Any], quantity: str) -> list[float]:
+        """Return the finite values of a quantity of one case, over its seeds."""
+        found = []
+        for seed in range(self.seeds):
+            entry = self.results.get(key_of(group, {**parameters, "seed": seed}), {}).get(quantity)
+            if entry is not None and math.isfinite(number(entry)):
+                found.append(number(entry))
+        return found
+
+    def mean(self, group: str, parameters: Mapping[str, Any], quantity: str) -> float:
+        """Return the mean of a quantity over the seeds of a case; NaN if no run has a value."""
+        found = self.values(group, parameters, quantity)
+        return float(np.mean(found)) if found else math.nan
+
+
+def key_of(group: str, parameters: Mapping[str, Any]) -> str:
+    """Return a text that identifies a case by its group and its sorted parameters."""
+    return f"{group}: " + ", ".join(f"{name}={parameters[name]!r}" for name in sorted(parameters))
+
+
+def unit_case(unit: str, quick: bool) -> dict[str, Any]:
+    """Return the scene parameters of a pipe unit of Zhan et al."""
+    return zhan_case(Row("unit", "unit", UNITS, "", lambda values, pressures: (True, "")), unit, quick)
+
+
+def pressures(found: Reproduction, row: Row, name: str) -> list[list[float]]:
+    """Return the peak pressures [Pa] at each value of a varied parameter, one number for every seed that ran.
+
+    `name` is the report column, which determines the concrete.
+    """
+    group = f"{name}, hydrated" if row.is_hydrated else name
+    return [found.values(group, {**zhan_case(row, value, found.quick), **overrides(name)}, "peak_pressure")
+            for value in row.values]  # fmt: skip
+
+
+def judged(found: Reproduction, row: Row, name: str) -> tuple[list[float], str]:
+    """Return mean peak pressures [Pa] over a varied parameter, with NaN for failed runs, and a verdict in words.
+
+    The verdict on the paper's claim is empty if the row was not run.
+    """
+    means = [float(np.mean(values)) if values else math.nan for values in pressures(found, row, name)]
+    there = [k for k, mean in enumerate(means) if math.isfinite(mean)]
+    if not there:
+        return means, ""
+    if len(there) < len(means):
+        lost = ", ".join(f"{row.places[k]:g}" for k in range(len(means)) if k not in there)
+        if len(there) < 3 or row.judge in OF_ALL:
+            return means, f"too few runs finished (missing: {lost})"
+        holds, what = row.judge([row.places[k] for k in there], [means[k] for k in there])
+        return means, f"{'holds' if holds else 'differs'} for the finished runs (missing: {lost}): {what}"
+    holds, what = row.judge(row.places, means)
+    return means, f"{'holds' if holds else 'differs'}: {what}"

@@ -1,0 +1,152 @@
+"""Settings that reach a wanted accuracy, chosen from a measured trade-off between speed and accuracy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ...core.errors import RunFolderError, refuse
+from ...core.inputs.by_name import names_from_file
+from ...core.inputs.parameters import declared_fields
+from ...core.run.files import read_json
+
+NO_MATTER = ("seed", "precision", "tolerated_error")
+"""Parameters whose values do not affect whether a trade-off study applies to a scene."""
+SHIPPED = Path(__file__).parents[2] / "measured"
+"""Folder of the trade-off records that come with the package, in the short form written by :func:`compact`."""
+
+
+@dataclass(frozen=True)
+class Advice:
+    """Recommended settings, the error that they promise, and the limits of that promise."""
+
+    changes: dict[str, Any]
+    """Recommended parameter values, by parameter name."""
+    setting: str
+    """Description of the recommended settings for the user."""
+    promised: float
+    """Upper bound of the relative error of all measured quantities, as a fraction."""
+    quantities: tuple[str, ...]
+    """Names of the measured quantities to which the promised error applies."""
+    ratio: float
+    """Wall time of a run with these settings, divided by that of the scene without them."""
+    left_out: tuple[str, ...]
+    """Descriptions of settings that this scene cannot take; without them the promised error does not hold."""
+    outside: tuple[str, ...]
+    """Differences between this scene and that of the trade-off study, in words; the promise was not tested there."""
+    tried: tuple[str, ...]
+    """Descriptions of other scenes on which the settings were tested."""
+    machine: str
+    """Processor on which the wall times were measured."""
+    time: float
+    """Wall time of a run of the trade-off study's scene with these settings, on `machine` [s]; NaN if unknown."""
+
+
+def shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> Path | None:
+    """Return the file of the shipped trade-off record that is most similar to a scene; None if there is none.
+
+    Only records of the scene function `name` are considered. They are ranked by whether both scenes agree in having a
+    closed form, then by how few knobs (accuracy parameters) exist in only one of them, then by how few parameters
+    differ, then by the kind of machine (GPU or CPU).
+    """
+    own = module.scene.resolved(given)
+    found = []
+    for path in sorted(SHIPPED.glob("*.json")):
+        record = read_json(path)
+        if record["scene"] == name:
+            here, there = (module.scene.declared(each) for each in (own, record["parameters"]))
+            closed = module.trading.closed_form
+            unlike = len({k.name for k in module.trading.knobs(here)} ^ {k.name for k in module.trading.knobs(there)})
+            apart = len(outside(record["parameters"], own, module))
+            other_machine = record["device"].startswith("cuda") != on_gpu
+            found.append((closed(here) != closed(there), unlike, apart, other_machine, str(path)))
+    return Path(min(found)[-1]) if found else None
+
+
+def compact(record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the part of a trade.json record that the package ships."""
+    kept = ("scene", "parameters", "quantities", "repeat", "device", "machine", "threads", "promises")
+    of_points = ("setting", "origin", "time", "errors", "suspect")
+    points = [{name: point[name] for name in of_points} for point in record["points"]]
+    version = {"warpcrete": record["provenance"]["warpcrete"], "commit": record["provenance"].get("commit")}
+    return {name: record[name] for name in kept} | {"points": points} | version
+
+
+def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accuracy: float) -> Advice:
+    """Return the cheapest settings whose promised relative error is at most `accuracy`, a fraction between 0 and 1.
+
+    `trade` is the folder of a trade-off study, or the file of a shipped record. `given` holds the parameters that the
+    user chose for the scene `name` of `module`. The advice never replaces a chosen value, unless it belongs to the
+    concrete itself: coarser aggregate, for example, replaces the grain sizes. Raises :class:`SceneError` if `accuracy`
+    is outside the interval or was not reached, and :class:`RunFolderError` if `trade` holds no record of this scene.
+    """
+    if not 0 < accuracy < 1:
+        refuse("accuracy", f"{100 * accuracy:g} %", "must be above 0 % and below 100 %")
+    file = trade if trade.suffix == ".json" else trade / "trade.json"
+    record = read_json(file)
+    if record.get("scene") != name:
+        raise RunFolderError(
+            f"trade = '{trade}': measures the scene {record.get('scene')!r}, not {name!r}; give a trade of this scene"
+        )
+    try:
+        promises = [p for p in record.get("promises", []) if p["setting"] is not None]
+        best = min((float(p["promised"]) for p in promises), default=None)
+        within = [p for p in promises if p["promised"] <= accuracy]
+        chosen = min(within, key=lambda p: float(p["ratio"]), default=None)
+        levels = dict(chosen["levels"]) if chosen else {}
+        measured, quantities = dict(record["parameters"]), tuple(record["quantities"])
+        machine, time = str(record.get("machine", "")), float((chosen or {}).get("time") or math.nan)
+    except (KeyError, TypeError, ValueError) as error:
+        raise RunFolderError(
+            f"'{file}': is not the record of a trade ({type(error).__name__}: {error}); give the folder of a trade"
+        ) from error
+    if best is None:
+        raise RunFolderError(f"trade = '{trade}': has no result yet; continue it with 'warpcrete trade --resume'")
+    if chosen is None:
+        refuse("accuracy", f"{100 * accuracy:g} %", f"was not reached: this trade guarantees {100 * best:.2g} % at "
+                                                    "best",
+               "use that accuracy, or continue the trade")  # fmt: skip
+    own = module.scene.resolved(given)
+    knobs = {knob.name: knob for knob in module.trading.knobs(module.scene.declared(own))}
+    changes: dict[str, Any] = {}
+    taken, left_out = [], []
+    for knob_name, key in levels.items():
+        knob = knobs.get(knob_name)
+        level = knob.level_of(key) if knob else None
+        if knob is None or level is None:
+            left_out.append(f"{knob_name} {key}, which this scene does not have")
+        elif not knob.physical and any(k in own and own[k] != measured.get(k, ...) for k in level.changes):
+            left_out.append(f"{knob_name} {level.label}, because its parameter is given")
+        else:
+            changes |= level.changes
+            taken.append(f"{knob_name} {level.label}")
+    tolerance = module.trading.tolerance
+    if tolerance and tolerance not in own and not left_out and module.trading.closed_form(module.scene.declared(own)):
+        changes[tolerance] = accuracy
+    return Advice(
+        changes, ", ".join(taken) or "as given", chosen["promised"], quantities, chosen["ratio"],
+        tuple(left_out), tuple(outside(measured, own, module)),
+        tuple(name for name, error in chosen.get("carried", {}).items() if error), machine,
+        time,
+    )  # fmt: skip
+
+
+def outside(measured: Mapping[str, Any], own: Mapping[str, Any], module: Any) -> list[str]:
+    """Return descriptions of the parameters that differ from those of the measured scene."""
+    # Compare converted values, because a parameter has several spellings: a pipe unit has a letter and a name.
+    ours = module.scene.declared(own)
+    with names_from_file():
+        theirs = module.scene.declared(measured)
+    found = []
+    for name in declared_fields(module.scene.parameters):
+        here, there = getattr(ours, name), getattr(theirs, name)
+        if name not in NO_MATTER and here != there:
+            found.append(f"{name} {_shown(here)} instead of {_shown(there)}")
+    return found
+
+
+def _shown(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,100 @@
+"""Settings tried in a trade-off study, the results of their runs, and the errors promised for them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ...core.units import number
+from ...record.checks import failed_checks
+from .fronts import Error, worst
+
+TARGETS = (0.2, 0.1, 0.05, 0.02, 0.01)
+"""Relative errors for each of which the cheapest settings are sought."""
+GIVEN, REFERENCE, COMBINED, CARRIED = "as given", "finest", "combined", "carried"
+"""Origins of settings that do not vary a single accuracy knob: the scene as given, the finest setting that the budget
+allows, a combination of knob levels, and a setting that is repeated in a variant of the scene.
+"""
+
+
+@dataclass
+class Point:
+    """One setting of the scene and the results of its runs."""
+
+    origin: str
+    """Origin of the setting: the name of the knob that it varies, or "as given", "finest", "combined" or "carried"."""
+    levels: dict[str, int]
+    """Level of each accuracy knob that differs from the scene as given, by the knob's name."""
+    parameters: dict[str, Any]
+    """All keyword arguments of the scene function, without the seed."""
+    results: dict[int, dict[str, Any]] = field(default_factory=dict)
+    """Contents of result.json by seed; the key is 0 if the scene has no seeds."""
+    failures: dict[int, str] = field(default_factory=dict)
+    """Errors that ended runs for good, by seed."""
+    left_out: str = ""
+    """Reason why the setting was not run; a later attempt may run it."""
+    errors: list[Error] = field(default_factory=list)
+    converted: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Conversions of quantities that mean something else at this setting; see :class:`Level`."""
+    variant: str = ""
+    """Description of how the scene differs from that of the trade-off study; empty if it does not."""
+    full: dict[str, Any] = field(default_factory=dict)
+    """All parameters that have an effect, including default values."""
+
+    def values(self, quantity: str, seeds: Sequence[int]) -> list[float]:
+        """Return the values of a quantity in the runs with these seeds, converted to the scene's own meaning."""
+        found = [number(self.results[s][quantity]) for s in seeds if self.results.get(s, {}).get(quantity) is not None]
+        offset, factor = self.converted.get(quantity, (0.0, 1.0))
+        return [offset + factor * (value - offset) for value in found]
+
+    @property
+    def failure(self) -> str:
+        """Error of the failed run with the lowest seed, or the reason why there is no run; empty if all went well."""
+        return self.failures[min(self.failures)] if self.failures else self.left_out
+
+    @property
+    def cost(self) -> float:
+        """Median wall time of a run, including packing and settling [s]; NaN without a run."""
+        parts = ("packing_time", "settling_time", "wall_time")
+        times = [sum(number(r["speed"][p]) for p in parts if p in r["speed"]) for r in self.results.values()]
+        return float(np.median(times)) if times else math.nan
+
+    @property
+    def work(self) -> float:
+        """Median of steps times spheres (or particles), a cost that depends on no machine; NaN without a run."""
+        counts = [float(r["steps"]) * (r.get("spheres") or r["particles"]) for r in self.results.values()]
+        return float(np.median(counts)) if counts else math.nan
+
+    @property
+    def memory(self) -> float:
+        """Median device memory at the end of a run [B]; NaN without a run."""
+        taken = [number(r["speed"]["memory"]) for r in self.results.values() if "memory" in r["speed"]]
+        return float(np.median(taken)) if taken else math.nan
+
+    @property
+    def worst(self) -> Error | None:
+        """Error of the quantity with the largest bound; None without errors."""
+        return worst(self.errors)
+
+    @property
+    def suspect(self) -> list[str]:
+        """Names of the plausibility checks that at least one run failed."""
+        return sorted({name for result in self.results.values() for name in failed_checks(result)})
+
+
+@dataclass(frozen=True)
+class Promise:
+    """The cheapest setting found for a wanted error, and its test with fresh seeds."""
+
+    target: float
+    point: Point | None
+    found: Error | None = None
+    """Error with fresh seeds; None if the scene has no seeds or the time ran out."""
+    carried: dict[str, Error | None] = field(default_factory=dict)
+    """Largest error in each variant of the scene, by the variant's description and failed checks; None if it fails."""
+    bound: float = math.inf
+    """Relative error that is promised, as a fraction."""

@@ -1,0 +1,397 @@
+"""State of a trade-off study: settings of a scene, the results of their runs, and their costs and errors."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...core.device.interrupts import StopAtSample
+from ...core.errors import InstabilityError, SceneError, WarpcreteError
+from ...core.inputs.knobs import Knob
+from ...core.inputs.parameters import declared_fields
+from ...core.run.files import read_json
+from ...core.run.method import Quantity
+from ...core.run.run_loop import Run
+from ...methods import Simulation, method_of
+from ...record.recorders import recorders_of
+from ..cases import Case, word_of
+from ..cluster import Cluster, WorkerLost
+from ..running import FAILED, kept
+from .fronts import Error, difference, next_within
+from .points import CARRIED, GIVEN, REFERENCE, TARGETS, Point, Promise
+from .trials import FEW, Trial, run_trial, warm_up
+
+COMMAND = {"frames": 25.0, "checkpoint_every": 0.0}
+"""Recording options on workers: checkpoints are off, because a resumed run would have no valid wall time."""
+Tell = Callable[[str, float, dict[str, Any]], None]
+
+
+class Trade:
+    """A trade-off study, complete or as far as the budget allowed."""
+
+    def __init__(self, folder: Path, module: Any, record: Mapping[str, Any]) -> None:
+        self.folder, self.module, self.record = folder, module, record
+        self.scene_name: str = record["scene"]
+        self.base: dict[str, Any] = dict(record["parameters"])
+        if module.trading.tolerance:  # let checks accept the largest error of interest
+            self.base.setdefault(module.trading.tolerance, TARGETS[0])
+        self.repeat: int = record["repeat"]
+        self.device: str = record["device"]
+        self.threads: int = record["threads"]
+        given = self.declared = module.scene.declared(self.base)
+        self.has_seeds = bool(record["seeded"])
+        self.first_seed = int(self.base.pop("seed", 0))
+        self.knobs = [knob for knob in module.trading.knobs(given) if knob.name in record["knobs"]]
+        self.exact: bool = module.trading.closed_form(given)
+        known = {each.name: each for each in method_of(module.scene(**self.base)).quantities}
+        self.quantities: list[Quantity] = [known[name] for name in record["quantities"]]
+        self.points: list[Point] = []
+        self.tried: list[Point] = []
+        """Settings that were run in variants of the scene."""
+        self.promises: list[Promise] = []
+        self.spent = 0.0
+        self.budget = math.inf
+        self.interrupted = False
+        self.gap = StopAtSample([])
+        """Detector of a Ctrl-C between runs."""
+        self.cluster: Cluster | None = None
+        """Workers that perform the runs; None for runs in this process."""
+
+    def __repr__(self) -> str:
+        done = sum(bool(point.results) for point in self.points)
+        return (
+            f"<Trade of scene {self.scene_name!r}: {done} of {len(self.points)} settings run, folder '{self.folder}'>"
+        )
+
+    @property
+    def machine(self) -> str:
+        """Description of the processor on which the wall times were measured."""
+        if self.device.startswith("cuda"):
+            return self.hardware
+        return f"{self.hardware}, {self.threads} thread{'s' if self.threads > 1 else ''}"
+
+    @property
+    def hardware(self) -> str:
+        """Model name of the GPU or CPU."""
+        found = self.record["provenance"]
+        return found["device_name"] if self.device.startswith("cuda") else found.get("processor") or "a CPU"
+
+    @property
+    def abreast(self) -> int:
+        """Number of simultaneous runs, each on its own worker."""
+        return 1 if self.cluster is None else self.cluster.count
+
+    @property
+    def given(self) -> Point:
+        """Setting of the scene as given."""
+        return self.points[0]
+
+    @property
+    def chosen_knobs(self) -> list[Knob]:
+        """Knobs (accuracy parameters) from which settings for a wanted accuracy are built."""
+        return [knob for knob in self.knobs if knob.chosen]
+
+    @property
+    def seeds(self) -> list[int]:
+        """Random seeds of each setting's runs."""
+        return list(range(self.first_seed, self.first_seed + self.repeat)) if self.has_seeds else [0]
+
+    @property
+    def reference(self) -> Point | None:
+        """Reference setting with all knobs as fine as the budget allowed; None if a closed form is the reference."""
+        return next((point for point in self.points if point.origin == REFERENCE), None)
+
+    @property
+    def measured(self) -> list[Point]:
+        """Settings with a measured wall time and error."""
+        return [p for p in self.points if self.complete(p, self.seeds) and p.worst is not None
+                and math.isfinite(p.worst.bound)]  # fmt: skip
+
+    def rounds(self, runs: int) -> int:
+        """Return the number of successive rounds in which the available workers complete a number of `runs`."""
+        return math.ceil(runs / self.abreast)
+
+    def label(self, point: Point) -> str:
+        """Return a description of how a setting differs from the scene as given."""
+        parts = [f"{knob.name} {knob.levels[point.levels[knob.name]].label}" for knob in self.knobs
+                 if knob.name in point.levels]  # fmt: skip
+        return ", ".join(parts) or GIVEN
+
+    def keys_of(self, point: Point) -> dict[str, str]:
+        """Return the knob levels of a setting by knob name; the levels' names are valid in other scenes, too."""
+        chosen = {knob.name: knob.levels[point.levels[knob.name]] for knob in self.knobs if knob.name in point.levels}
+        return {name: level.key or level.label for name, level in chosen.items()}
+
+    def point(self, origin: str, levels: Mapping[str, int]) -> Point:
+        """Return the setting with these knob levels; create it unless one with equal parameters exists."""
+        changes: dict[str, Any] = {}
+        converted: dict[str, tuple[float, float]] = {}
+        for knob in self.knobs:
+            if knob.name in levels:
+                changes |= knob.levels[levels[knob.name]].changes
+                converted |= knob.levels[levels[knob.name]].converted
+        parameters = self.module.scene.meaningful({**self.base, **changes})
+        full = self._full(parameters)
+        if (found := self._with(full)) is not None:
+            return found
+        differing = {name: k for name, k in levels.items() if self._differs(name, k)}
+        self.points.append(Point(origin, differing, parameters, converted=converted, full=full))
+        return self.points[-1]
+
+    def carried(self, point: Point, variant: str, changes: Mapping[str, Any]) -> Point:
+        """Apply the knob levels of a setting to a variant of the scene, and return the resulting setting.
+
+        Levels are matched by their names, because their values may differ in the variant.
+        """
+        base = {**self.base, **changes}
+        knobs = {knob.name: knob for knob in self.module.trading.knobs(self.module.scene.declared(base))}
+        for name, key in self.keys_of(point).items():
+            level = knobs[name].level_of(key) if name in knobs else None
+            base |= level.changes if level else {}
+        parameters = self.module.scene.meaningful(base)
+        same = [p for p in self.tried if p.variant == variant and p.parameters == parameters]
+        if not same:
+            same = [Point(CARRIED, point.levels, parameters, variant=variant)]
+            self.tried += same
+        return same[0]
+
+    def _with(self, full: Mapping[str, Any]) -> Point | None:
+        return next((point for point in self.points if point.full == full), None)
+
+    def _full(self, parameters: Mapping[str, Any]) -> dict[str, Any]:
+        """Return all parameters that have an effect, including default values."""
+        defaults = {name: found.default for name, found in declared_fields(self.module.scene.parameters).items()}
+        return self.module.scene.meaningful({**defaults, **self.module.scene.completed(parameters)})
+
+    def _differs(self, name: str, level: int) -> bool:
+        (knob,) = [each for each in self.knobs if each.name == name]
+        as_given = self._full(self.base)
+        return any(as_given.get(key) != value for key, value in knob.levels[level].changes.items())
+
+    def ratio(self, knob: Knob, level: int) -> float:
+        """Return the wall time with one knob at a level over that of the scene as given, measured or else estimated."""
+        alone = self._alone(knob, level)
+        if alone is not None and math.isfinite(alone.cost) and not alone.failure and self.given.cost > 0:
+            return alone.cost / self.given.cost
+        return knob.levels[level].cost / knob.levels[self.level_as_given(knob)].cost
+
+    def _alone(self, knob: Knob, level: int) -> Point | None:
+        return self._with(self._full(self.module.scene.meaningful({**self.base, **knob.levels[level].changes})))
+
+    def level_as_given(self, knob: Knob) -> int:
+        """Return the index of a knob's level in the scene as given, or of the finest level if none matches."""
+        same = [k for k in range(len(knob.levels)) if not self._differs(knob.name, k)]
+        return same[0] if same else len(knob.levels) - 1
+
+    def expected(self, point: Point) -> float:
+        """Return the measured or estimated wall time of one run of a setting [s]."""
+        if math.isfinite(point.cost):
+            return point.cost
+        by_name = {knob.name: knob for knob in self.knobs}
+        return self.given.cost * math.prod(self.ratio(by_name[name], k) for name, k in point.levels.items())
+
+    def run(self, point: Point, seeds: Sequence[int], tell: Tell, until: float = 1.0) -> bool:
+        """Run the missing seeds of a setting; return whether all of them are complete.
+
+        A run does not start if it is expected to exceed the fraction `until` of the budget.
+        """
+        self.run_all([point], seeds, tell, until)
+        return self.complete(point, seeds)
+
+    def run_all(self, points: Sequence[Point], seeds: Sequence[int], tell: Tell, until: float = 1.0) -> None:
+        """Run the missing seeds of settings in order, within the fraction `until` of the budget, on all workers."""
+        lacking = [(point, left) for point in points if (left := self._take_over(point, seeds))]
+        if self.cluster is None:
+            for point, (seed, *_), _ in self._due(lacking, tell, until):
+                begun = time.perf_counter()
+                self._run(point, seed, self._folder(point, seed))
+                self.spent += time.perf_counter() - begun
+        elif lacking:
+            self._run_on(self.cluster, self._due(lacking, tell, until))
+
+    def _take_over(self, point: Point, seeds: Sequence[int]) -> list[int]:
+        """Read the existing runs of a setting from their folders; return the seeds that still have to run."""
+        for seed in seeds:
+            if seed not in point.results and not point.failure:
+                found = kept(self._folder(point, seed))
+                if isinstance(found, dict):
+                    point.results[seed] = found
+                elif found is not None:
+                    point.failures[seed] = str(found)
+        return [] if point.failure else [seed for seed in seeds if seed not in point.results]
+
+    def _due(
+        self, lacking: Sequence[tuple[Point, list[int]]], tell: Tell, until: float
+    ) -> Iterator[tuple[Point, list[int], float]]:
+        """Yield the next job: a setting, some of its seeds, and the time that is left for them [s].
+
+        The caller requests a job when a processor is free, so each decision uses the results available at that moment.
+        If there are enough settings for all workers, one worker takes all seeds of a setting and loads its kernels only
+        once.
+        """
+        points = list({id(point): (point, seeds) for point, seeds in lacking}.values())
+        for number, (point, seeds) in enumerate(points):
+            parts = len(seeds) if self.cluster is None else max(1, self.abreast // (len(points) - number))
+            size = math.ceil(len(seeds) / parts)
+            for first in range(0, len(seeds), size):
+                if point.failure:
+                    break
+                if self.interrupted or self.gap.asked:
+                    self.interrupted = True
+                    return
+                left = until * self.budget - self.spent
+                if not (point is self.given and not point.results) and self.expected(point) > left:
+                    if first == 0 and not point.results:
+                        point.left_out = (
+                            f"not run: needs about {self.expected(point):.2g} s, but only {max(left, 0):.2g} s were "
+                            "left"
+                        )
+                    break
+                tell(f"{self.label(point)} {point.variant}".strip(), min(self.spent / self.budget, 1.0), {})
+                yield point, seeds[first : first + size], left
+
+    def complete(self, point: Point, seeds: Sequence[int]) -> bool:
+        """Return whether a setting has a result for every seed."""
+        return not point.failure and all(seed in point.results for seed in seeds)
+
+    def _folder(self, point: Point, seed: int) -> Path:
+        changed = {k: v for k, v in sorted(point.parameters.items()) if self.base.get(k, ...) != v}
+        words = "-".join(f"{name}={word_of(value)}" for name, value in changed.items()) or "given"
+        words = "-".join([*point.variant.split(), words])
+        return self.folder / "runs" / (f"{words}-seed={seed}" if self.has_seeds else words)
+
+    def _parameters(self, point: Point, seed: int) -> dict[str, Any]:
+        return {**point.parameters, **({"seed": seed} if self.has_seeds else {})}
+
+    def _simulation(self, point: Point, seed: int, **settings: Any) -> Simulation:
+        scene = self.module.scene(**self._parameters(point, seed))
+        return Simulation(scene, device=self.device, precision=scene.precision, threads=self.threads, **settings)
+
+    def _run(self, point: Point, seed: int, folder: Path) -> None:
+        outcome: Any
+        try:
+            if len(self.seeds) < FEW and not point.results and not point.variant:
+                warm_up(self._simulation(point, seed))
+            simulation = self._simulation(point, seed, recorders=recorders_of(folder, self.module.check, {}))
+            scene = simulation.scene
+            with StopAtSample([simulation]) as stop:
+                (outcome,) = method_of(scene).run_many([simulation], [None], lambda phase, fraction: None)
+            self.interrupted |= stop.asked
+        except (WarpcreteError, KeyboardInterrupt) as error:
+            outcome = error
+        if isinstance(outcome, Run):
+            outcome = read_json(folder / "result.json") if outcome.finished else None
+        self._book(point, seed, outcome)
+
+    def _run_on(self, cluster: Cluster, due: Iterator[tuple[Point, list[int], float]]) -> None:
+        """Run jobs on workers, one at a time on each; `spent` counts wall time, whatever the number of workers."""
+        before, begun, running = self.spent, time.perf_counter(), 0
+        record = {"device": self.device, "threads": self.threads, "command": COMMAND, "hardware": self.hardware}
+
+        def jobs() -> Iterator[tuple[tuple[Point, list[int]], Trial]]:
+            nonlocal running
+            for point, seeds, left in due:
+                running += 1
+                self.record = {**self.record, "abreast": max(running, self.record.get("abreast", 1))}
+                cases = [Case(self._folder(point, s).name, {}, self._parameters(point, s)) for s in seeds]
+                yield (point, seeds), Trial(cases, len(seeds) < FEW and not point.variant, left)
+
+        def book(job: tuple[Point, list[int]], outcomes: Any) -> None:
+            nonlocal running
+            running -= 1
+            self.spent = before + time.perf_counter() - begun
+            point, seeds = job
+            for seed, outcome in zip(seeds, [outcomes] if isinstance(outcomes, Exception) else outcomes):
+                self._book(point, seed, outcome)
+            # Seeds after the first failed one are ignored, so that the order of completion has no effect.
+            if point.failures:
+                point.results = {s: r for s, r in point.results.items() if s < min(point.failures)}
+
+        where = record, self.module, self.folder / "runs"
+        cluster.each(run_trial, where, jobs(), book, self.gap, lazily=True)
+
+    def _book(self, point: Point, seed: int, outcome: Any) -> None:
+        """Store the outcome of a run: its result.json, the exception that ended it, or None after an interruption."""
+        if isinstance(outcome, dict) and outcome.get("finished"):
+            point.results[seed] = outcome
+        elif isinstance(outcome, InstabilityError | SceneError):
+            point.failures[seed] = f"failed: {outcome}"
+            folder = self._folder(point, seed)
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / FAILED).write_text(f"{point.failures[seed]}\n", encoding="utf-8")
+        elif isinstance(outcome, WorkerLost):
+            point.left_out = f"not run: {outcome}"
+        elif isinstance(outcome, dict | KeyboardInterrupt | None):
+            self.interrupted = True
+        else:
+            raise outcome
+
+    def judge(self) -> None:
+        """Compute the errors of all settings against the closed form or the reference."""
+        for point in self.points:
+            point.errors = self.errors_of(point, self.seeds)
+
+    def errors_of(self, point: Point, seeds: Sequence[int]) -> list[Error]:
+        """Return the errors of a setting in its runs with the given seeds."""
+        found = []
+        ran = sum(seed in point.results for seed in seeds)
+        for each in self.quantities if ran else ():
+            values = point.values(each.name, seeds)
+            if len(values) < ran:
+                found.append(Error(each.name, math.inf, 0.0))  # at least one run lacks it
+            elif self.exact:
+                errors = point.values(f"{each.name}_error", seeds)
+                scatter = float(np.std(errors)) if len(errors) > 1 else 0.0
+                found.append(Error(each.name, float(np.mean(errors)), scatter))
+            elif self.reference is not None:
+                reference = self.reference.values(each.name, self.seeds)
+                if reference:
+                    found.append(difference(each.name, values, reference))
+        return found
+
+    def shift(self, knob: Knob, level: int) -> float:
+        """Return the largest error due to a knob's level, against its finest level that ran; infinity if a run failed.
+
+        A difference that the scatter between seeds explains counts as zero. It is no error of the knob, and such
+        differences would accumulate over all knobs.
+        """
+        point = self._alone(knob, level)
+        finest = next((p for k in reversed(range(len(knob.levels))) if (p := self._alone(knob, k)) is not None
+                       and self.complete(p, self.seeds)), None)  # fmt: skip
+        if point is None or finest is None or not point.results or point.failure:
+            return math.inf
+        found = []
+        for each in self.quantities:
+            values, reference = (p.values(each.name, self.seeds) for p in (point, finest))
+            if len(values) < len(self.seeds) or len(reference) < len(self.seeds):
+                return math.inf
+            error = difference(each.name, values, reference)
+            found.append(0.0 if error.within_scatter else error.size)
+        return max(found)
+
+    def promised(self, point: Point) -> float:
+        """Return the error bound of a setting: the measured error with its interval, or the sum of its knobs' errors.
+
+        The function returns the larger value, because errors that cancel in this scene need not cancel in another one.
+        """
+        if point.worst is None:
+            return math.inf
+        by_name = {knob.name: knob for knob in self.knobs}
+        alone = sum(self.shift(by_name[name], k) for name, k in point.levels.items())
+        return max(point.worst.bound, alone)
+
+    def carried_bound(self, point: Point, variants: Sequence[Point]) -> float:
+        """Return the error bound of a setting in a scene that differs as much as the variants do.
+
+        It is the 95 % prediction interval of the next error, computed from the errors of the setting and its variants.
+        """
+        found = []
+        for each in self.quantities:
+            errors = [e for p in (point, *variants) for e in self.errors_of(p, self.seeds) if e.quantity == each.name]
+            found.append(next_within([e.shift for e in errors]))
+        return max(found)

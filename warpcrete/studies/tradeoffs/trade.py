@@ -1,0 +1,368 @@
+"""Trade-off studies: measure how the knobs of a scene change its wall time and its errors, within a time budget.
+
+A knob is a parameter that trades accuracy for speed, such as the resolution. The study first runs the scene as given
+and each knob alone. Then it runs all knobs as fine as the budget allows; this is the reference, unless a closed form is
+known. Finally it runs the combinations that the measurements suggest for errors of 20 to 1 %, and tests them with fresh
+seeds. Every run has its own folder, so a resumed study reuses it. Runs that share a processor would falsify each
+other's wall times, so only one runs at a time on this machine, or on each worker.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ...core.device.device import default_threads, find_device
+from ...core.errors import RunFolderError, between, positive, refuse
+from ...core.inputs.by_name import names_from_file
+from ...core.inputs.limits import check_limit
+from ...core.inputs.origin import check_files, check_named
+from ...core.run.files import check_new, next_folder, read_json, read_record, write_json
+from ...core.run.folders import held, new_folder
+from ...core.run.provenance import provenance, versions
+from ...methods import Simulation, method_of
+from ..api import module_of
+from ..cases import MOST_CASES
+from ..cluster import Cluster, check_scheduler, open_cluster, unnumbered
+from .fronts import Error, cheapest_within, worst
+from .points import COMBINED, GIVEN, REFERENCE, TARGETS, Point, Promise
+from .report import write
+from .state import Tell, Trade
+
+SETTINGS = ("budget", "quantities", "knobs", "repeat", "device", "threads", "scheduler", "workers", "progress")
+FRESH = 3
+"""Number of fresh seeds with which a promised error is tested, in addition to the seeds on which it is based."""
+ALONE_UNTIL, FINEST_UNTIL, COMBINED_UNTIL = 0.55, 0.8, 0.9
+"""Fractions of the budget at which three phases end: single knobs, the finest setting, and combinations."""
+
+
+def trade(scene: Any, *, out: Path | str | None = None, **given: Any) -> Trade:
+    """Measure speed against accuracy of a scene function, such as ``warpcrete.scenes.pipe``.
+
+    The settings `budget` [s], `quantities`, `knobs`, `repeat`, `device`, `threads`, `scheduler`, `workers` and
+    `progress`, and the errors raised, are those of :func:`run_trade`. All other keywords are parameters of the scene.
+    `out` is the new folder (default: runs/trade-NNN).
+    """
+    name, module = module_of(scene)
+    settings = {key: given.pop(key) for key in SETTINGS if key in given}
+    return run_trade(name, module, base=given, out=Path(out) if out else next_folder("trade"), **settings)
+
+
+def run_trade(
+    scene_name: str,
+    module: Any,
+    *,
+    base: Mapping[str, Any] | None = None,
+    out: Path,
+    budget: float = 1200.0,
+    quantities: Sequence[str] | None = None,
+    knobs: Sequence[str] | None = None,
+    repeat: int | None = None,
+    device: str | None = None,
+    threads: int | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Tell | None = None,
+) -> Trade:
+    """Measure speed against accuracy of the scene `module.scene` with parameters `base`.
+
+    Results go to the new folder `out`. `budget` is the wall time [s]. `quantities` names the result quantities whose
+    errors are measured, `knobs` the knobs that are varied (default: all of the scene), and `repeat` the number of seeds
+    of each setting (default 3, or 1 if nothing is random). With a `scheduler`, runs are distributed over the `workers`
+    of :func:`warpcrete.studies.cluster.open_cluster`. Each worker runs one simulation at a time and has a GPU, or
+    `threads` cores (default 1), to itself; the budget remains wall time, so more is measured. Raises
+    :class:`SceneError` before anything is written if the settings are impossible, and after the first run if the
+    budget is too short for a second.
+    """
+    check_scheduler(scheduler, workers)
+    trading = getattr(module, "trading", None)
+    if trading is None:
+        refuse("scene", scene_name, "has no settings that a trade could vary", "define `trading` in the scene's file")
+    scene = module.scene(**(base or {}))
+    check_named(scene)
+    given = module.scene.declared(base or {})
+    parameters = module.scene.plain(scene, base or {})
+    known = {each.name: each for each in method_of(scene).quantities}
+    chosen = list(quantities or trading.quantities)
+    for name in chosen:
+        if name not in known:
+            refuse("quantity", name, f"must be among {', '.join(known)}")
+        if trading.closed_form(given) and f"{name}_error" not in known:
+            refuse("quantity", name, "has no closed form for comparison",
+                   f"use {' or '.join(n for n in known if f'{n}_error' in known)}")  # fmt: skip
+    all_knobs = [knob.name for knob in trading.knobs(given) if len(knob.levels) > 1]
+    for name in knobs or ():
+        if name not in all_knobs:
+            refuse("knob", name, f"must be among {', '.join(all_knobs)}")
+    seeded = _random(scene)
+    if repeat is not None and repeat > 1 and not seeded:
+        refuse("repeat", repeat, "must be 1, because nothing in this scene is random", "leave it out")
+    if repeat is not None and repeat > MOST_CASES:
+        refuse("repeat", repeat, f"must be at most {MOST_CASES}")
+    if repeat is not None and repeat < (2 if seeded else 1):
+        refuse("repeat", repeat, "must be at least 2, to measure the scatter between seeds" if seeded else "must be 1")
+    positive("budget", budget, "s")
+    check_limit("budget", budget, "s")
+    threads = 1 if threads is None and scheduler else threads
+    _check_cores(scheduler, workers, device, threads)
+    check_new(out)
+    with open_cluster(scheduler, workers, device, threads or 1) as cluster:
+        if cluster is None:
+            found, made_by = _machine(module, parameters, device, threads)
+        else:
+            cluster.hardware(device)
+            found, made_by = cluster.ask(_machine_of, module.__name__, parameters, cluster.device(device), threads)
+        with new_folder(out):
+            record = {
+                "scene": scene_name,
+                "parameters": parameters,
+                "files": scene.parameters.files,
+                "quantities": chosen,
+                "knobs": list(knobs or all_knobs),
+                "repeat": (repeat or 3) if seeded else 1,
+                "seeded": seeded,
+                "device": found,
+                "threads": threads or default_threads(),
+                "provenance": made_by,
+            }
+            write_json(out / "trade.json", record)
+            return _go_on(Trade(out, module, read_json(out / "trade.json")), budget, cluster, progress)
+
+
+def _machine(
+    module: Any, parameters: Mapping[str, Any], device: str | None, threads: int | None
+) -> tuple[str, dict[str, Any]]:
+    """Return the device on which a scene runs and its provenance; raise an error if the scene cannot run there."""
+    scene = module.scene(**parameters)
+    found = Simulation(scene, device=device, precision=scene.precision, threads=threads).device
+    return str(found), provenance(found, scene.precision, int(getattr(scene, "seed", 0)))
+
+
+def _machine_of(module_name: str, *arguments: Any) -> tuple[str, dict[str, Any]]:
+    return _machine(importlib.import_module(module_name), *arguments)
+
+
+def _check_cores(scheduler: str | None, workers: int | None, device: str | None, threads: int | None) -> None:
+    """Refuse workers that would share CPU cores, because their wall times would be meaningless."""
+    cores = default_threads()
+    between("threads", 1 if threads is None else threads, 1, float("inf"))
+    if scheduler == "local" and workers and workers * (threads or 1) > cores and not find_device(device).is_cuda:
+        refuse(
+            "workers", workers, f"and threads = {threads} need more cores than the {cores} of this machine",
+            "use fewer, because runs that share cores give wrong times",
+        )  # fmt: skip
+
+
+def resume_trade(
+    folder: Path,
+    module: Any,
+    *,
+    budget: float = 1200.0,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    progress: Tell | None = None,
+) -> Trade:
+    """Continue a trade-off study for another `budget` of wall time [s], reusing the finished runs.
+
+    The study may continue with another `scheduler`, or without one, on the same kind of GPU or CPU. Raises
+    :class:`RunFolderError` if `folder` holds no trade-off study, or one of another version or processor.
+    """
+    check_scheduler(scheduler, workers)
+    record = read_record(folder / "trade.json")
+    check_files(folder / "trade.json", record.get("files", {}))  # reject changed files before importing them
+    try:
+        with names_from_file():
+            trade = Trade(folder, module, record)
+        version = record["provenance"]["warpcrete"]
+        if not trade.quantities:
+            raise KeyError("quantities")
+    except (KeyError, TypeError) as error:
+        raise RunFolderError(
+            f"'{folder / 'trade.json'}': is not the record of a trade ({type(error).__name__}: "
+            f"{error}); give the folder of a trade"
+        ) from error
+    now = versions()["warpcrete"]
+    if version != now:
+        raise RunFolderError(
+            f"'{folder}': was made by version {version}, but this is {now}, so times cannot be "
+            "compared; start a new trade"
+        )
+    positive("budget", budget, "s")
+    check_limit("budget", budget, "s")
+    if scheduler is None:
+        find_device(trade.device)
+    # Use all GPUs that are present, because the number of the earlier GPU means nothing on another machine.
+    device = unnumbered(trade.device)
+    _check_cores(scheduler, workers, device, trade.threads)
+    with held(folder, "trade.json"), open_cluster(scheduler, workers, device, trade.threads) as cluster:
+        if cluster is not None and (here := cluster.hardware(device)) != trade.hardware:
+            raise RunFolderError(
+                f"'{folder}': contains times of {trade.hardware}, but the workers have {here}, so "
+                "times cannot be compared; use the same hardware"
+            )
+        return _go_on(trade, budget, cluster, progress)
+
+
+def _go_on(trade: Trade, budget: float, cluster: Cluster | None, progress: Tell | None) -> Trade:
+    trade.budget, trade.cluster = budget, cluster
+    _measure(trade, progress or (lambda phase, fraction, figures: None))
+    trade.cluster = None
+    return trade
+
+
+def _random(scene: Any) -> bool:
+    """Return whether a scene's results depend on the random seed."""
+    return getattr(scene, "fill", None) is not None or getattr(scene, "aggregates", None) is not None
+
+
+def _measure(trade: Trade, tell: Tell) -> None:
+    """Run all phases that the budget allows; write the tables and the figure even after an error or an interruption."""
+    given = trade.point(GIVEN, {})
+    try:
+        with trade.gap:
+            _phases(trade, given, tell)
+    except KeyboardInterrupt:
+        trade.interrupted = True
+    finally:
+        trade.judge()
+        write(trade)
+
+
+def _phases(trade: Trade, given: Point, tell: Tell) -> None:
+    if not trade.run(given, trade.seeds[:1], tell):
+        if given.failure:
+            refuse("scene", trade.scene_name, f"does not run as given: {given.failure}")
+        return
+    needed = trade.rounds(2 * len(trade.seeds)) * given.cost
+    if trade.spent > 0 and needed > trade.budget:  # a resumed study may need only few further runs
+        refuse(
+            "budget", f"{trade.budget:.3g} s", "is too short for two runs" + " for every seed" * trade.has_seeds,
+            f"one run takes {given.cost:.3g} s; give {5 * needed:.2g} s or more",
+        )  # fmt: skip
+    missing = [each.name for each in trade.quantities if not given.values(each.name, trade.seeds)]
+    if missing:
+        refuse(
+            "quantity",
+            missing[0],
+            "is missing in the result of the scene as given",
+            "choose another quantity, or change the scene",
+        )
+    if not trade.run(given, trade.seeds, tell):
+        return
+    _one_at_a_time(trade, tell)
+    if not trade.exact:
+        _finest(trade, tell)
+    trade.judge()
+    _combine(trade, tell)
+    trade.judge()
+    _promise(trade, tell)
+
+
+def _one_at_a_time(trade: Trade, tell: Tell) -> None:
+    """Run the scene with each level of each accuracy knob alone, cheap ones first."""
+    alone = [trade.point(knob.name, {knob.name: k}) for knob in trade.knobs for k in range(len(knob.levels))]
+    trade.run_all(sorted(alone, key=trade.expected), trade.seeds, tell, ALONE_UNTIL)
+
+
+def _finest(trade: Trade, tell: Tell) -> None:
+    """Run the reference setting: all accuracy knobs at their finest level, or as fine as the budget allows.
+
+    If the budget is too short, the function coarsens the knob that saves most time per error, one level at a time. No
+    knob becomes coarser than in the scene as given.
+    """
+    levels = {}
+    for knob in trade.chosen_knobs:
+        first = trade.level_as_given(knob)
+        usable = [k for k in range(first, len(knob.levels)) if math.isfinite(trade.shift(knob, k))]
+        if usable:
+            levels[knob.name] = usable
+    by_name = {knob.name: knob for knob in trade.knobs}
+    while True:
+        top = {name: usable[-1] for name, usable in levels.items()}
+        cost = trade.given.cost * math.prod(trade.ratio(by_name[name], k) for name, k in top.items())
+        if cost * trade.rounds(len(trade.seeds)) <= max(FINEST_UNTIL * trade.budget - trade.spent, 0.0):
+            break
+        if top == trade.record.get("finest"):  # an earlier call ran this setting when the budget was larger
+            break
+        # For each knob, divide the logarithm of the time factor that one coarser level saves by the error it adds.
+        saved = {}
+        for name, usable in levels.items():
+            if len(usable) > 1:
+                ratio = trade.ratio(by_name[name], usable[-1]) / trade.ratio(by_name[name], usable[-2])
+                if ratio > 1.0:
+                    saved[name] = math.log(ratio) / (trade.shift(by_name[name], usable[-2]) + 1e-4)
+        if not saved:
+            break
+        levels[max(saved, key=lambda name: saved[name])].pop()
+    before = len(trade.points)
+    point = trade.point(REFERENCE, top)
+    if trade.run(point, trade.seeds, tell, COMBINED_UNTIL):
+        trade.record = {**trade.record, "finest": top}
+    else:  # use the scene as given as the reference
+        del trade.points[before:]
+        point = trade.given
+    point.origin = REFERENCE
+
+
+def _combine(trade: Trade, tell: Tell) -> None:
+    """Run, for each wanted error, the cheapest combination of levels that is expected to stay within that error."""
+    choices = {
+        knob.name: [(trade.ratio(knob, k), trade.shift(knob, k)) for k in range(len(knob.levels))]
+        for knob in trade.chosen_knobs
+        if any(math.isfinite(trade.shift(knob, k)) for k in range(len(knob.levels)))
+    }
+    wanted = [cheapest_within(choices, target) for target in TARGETS]
+    points = [trade.point(COMBINED, levels) for levels in wanted if levels is not None]
+    trade.run_all(sorted(points, key=trade.expected), trade.seeds, tell, COMBINED_UNTIL)
+
+
+def _promise(trade: Trade, tell: Tell) -> None:
+    """Find the cheapest setting within each wanted error, and test it with fresh seeds and in variants of the scene.
+
+    If a setting fails there or exceeds the wanted error, the next cheapest one is tested.
+    """
+    variants = trade.module.trading.variants(trade.declared) if trade.exact else {}
+    chosen = {knob.name for knob in trade.chosen_knobs}
+    fresh = [trade.seeds[-1] + 1 + k for k in range(FRESH)] if trade.has_seeds else []
+    for target in TARGETS:
+        within = [p for p in trade.measured
+                  if trade.promised(p) <= target and not p.suspect and chosen.issuperset(p.levels)]  # fmt: skip
+        promise = Promise(target, None)
+        for point in sorted(within, key=lambda p: p.cost):
+            tried = bool(fresh) and trade.run(point, fresh, tell)
+            if point.failure or point.suspect:
+                continue
+            carried, bound = _carried(trade, point, variants, target, tell)
+            if bound <= target:
+                found = worst(trade.errors_of(point, fresh)) if tried else None
+                promise = Promise(target, point, found, carried, bound)
+                break
+        trade.promises.append(promise)
+
+
+def _carried(
+    trade: Trade, point: Point, variants: Mapping[str, Mapping[str, Any]], target: float, tell: Tell
+) -> tuple[dict[str, Error | None], float]:
+    """Return the largest error of a setting in each variant of the scene, and the error bound that it promises.
+
+    Testing stops at the first variant in which the error exceeds `target`. Workers run several variants at a time.
+    """
+    found: dict[str, Error | None] = {}
+    points: list[Point] = []
+    bound = trade.promised(point)
+    others = [trade.carried(point, variant, changes) for variant, changes in variants.items()]
+    for number, (variant, other) in enumerate(zip(variants, others)):
+        if not trade.complete(other, trade.seeds):
+            trade.run_all(others[number : number + trade.abreast], trade.seeds, tell)
+        if not other.results and not other.failure.startswith("failed"):
+            continue  # there was no time left to run this variant
+        error = worst(trade.errors_of(other, trade.seeds)) if other.results else None
+        found[variant if not other.suspect else f"{variant} (fails: {', '.join(other.suspect)})"] = error
+        if error is not None:
+            points.append(other)
+            if error.size > target:
+                return found, error.size
+    return found, max(bound, trade.carried_bound(point, points) if points else 0.0)
