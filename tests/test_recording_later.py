@@ -204,7 +204,7 @@ def test_a_writer_that_never_answers_does_not_hold_up_the_end(tmp_path, monkeypa
         recorder = RerunRecorder(path)
         recorder._recording, recorder._parts = stream, 0
         if dies:
-            with pytest.raises(RunFolderError, match=r"run\.rrd': cannot be written \(Flush timed out\); .* is kept$"):
+            with pytest.raises(RunFolderError, match=r"run\.rrd': cannot be written \(Flush timed out\); .* are kept$"):
                 recorder.finish(None, None)
             stream.closed.set()
             assert [each.__name__ for each in given_up] == ["rerun_shutdown"]

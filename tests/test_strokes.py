@@ -70,7 +70,9 @@ def test_motion_with_stops_follows_its_closed_form(start, precision):
 
 
 def test_stops_that_cannot_be():
-    with pytest.raises(SceneError, match=r"stroke_time = 0.02: must hold two ramps of 0.013 s; shorten the ramp"):
+    with pytest.raises(
+        SceneError, match=r"stroke_time = 0.02: must be at least two ramps of 0.013 s; shorten the ramp"
+    ):
         moving_scene(stops=Stops(count=1, stroke_time=0.02, pause=0.0))
     with pytest.raises(SceneError, match="pause = -1"):
         Stops(count=1, stroke_time=0.02, pause=-1.0)
