@@ -130,8 +130,8 @@ class LineResult:
         course = self.course(lambda loss: loss.friction + loss.weight)[1]
         for number, loss in enumerate(self.losses):
             if course[number + 1] + loss.friction + loss.weight < 0:
-                found.append(f"concrete flows down part {loss.part.number} faster than it is pumped and separates "
-                             "there, so the pressure before this part counts from 0")  # fmt: skip
+                found.append(f"concrete flows down part {loss.part.number} faster than it is pumped, so it "
+                             "separates there, and the pressure before this part counts from 0")  # fmt: skip
         return found
 
     def record(self) -> dict[str, Any]:
