@@ -79,7 +79,7 @@ def _come_to(outcome):
 def test_a_study_has_no_more_cases_than_anybody_reads():
     for given in (dict(varied={"velocity": range(20)}, repeat=MOST_CASES),
                   dict(varied={key: range(100) for key in "abcdef"})):  # fmt: skip
-        with pytest.raises(SceneError, match=r"makes [\d,]+ cases; a study has 10,000 at most"):
+        with pytest.raises(SceneError, match=r"makes [\d,]+ cases, but a study has at most 10,000"):
             cases_of({}, **given)
     assert len(cases_of({}, {"velocity": [0.1]}, repeat=100)) == 100
     assert len(cases_of({}, {key: range(100) for key in "ab"}, one_at_a_time=True)) == 200
