@@ -300,6 +300,9 @@ class Simulation:
                 self.prepare()
         except BaseException as error:
             self.abandon(refused=isinstance(error, SceneError))
+            if isinstance(error, Exception) and is_full(error):
+                saved = self.checkpoint_path is not None and self.checkpoint_path.is_file()
+                raise full_disk([error], 0.0 if saved else None) from error
             raise
 
     def claim(self) -> None:
