@@ -80,7 +80,7 @@ def test_what_governs_the_step_and_what_to_do_about_it(device):
     scene = replace(scene, time_step=replace(scene.time_step, rounds=1))
     told = explain(scene, device=device, threads=1, cache=False)
     limits = told.forecast.limits
-    assert told.forecast.governing.startswith("hydrated bonds, which make it")
+    assert told.forecast.governing.startswith("hydrated bonds, which shorten the step")
     assert limits["contacts and hydrated bonds"] < 0.1 * limits["contacts and bonds"]
     # Steps of a bond go with the root of its stiffness.
     softer = replace(scene, hydration=replace(scene.hydration, bonds=replace(scene.hydration.bonds,
@@ -150,7 +150,7 @@ def test_savings_by_a_trade(tmp_path):
     assert [(s.what, s.ratio, s.error) for s in told.savings if s.error != "error not measured"] == [
         ("time step 1.2", pytest.approx(0.7), "error of plateau_pressure +0.3 +- 0.1 %")
     ]
-    assert "some machine" in str(told) and "time step 1.2: 0.7 of the time; error of plateau" in str(told)
+    assert "some machine" in str(told) and "time step 1.2: 0.7 of the wall time; error of plateau" in str(told)
     with pytest.raises(SceneError, match="must be a trade of the scene 'channel', but is one of 'pipe'"):
         explain(scenes.channel(spacing=0.02), device="cpu", trade=tmp_path)
     with pytest.raises(RunFolderError, match="is not the folder of a trade"):
