@@ -93,11 +93,11 @@ def flow_forecast(
     return found
 
 
-def coarser_run(simulation: FlowRun, goal: str, unmet: str, **changes: Any) -> tuple[Run | None, float, list[str]]:
+def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | None, float, list[str]]:
     """Run a coarser copy of a flow, whose scene has some `changes`.
 
-    Return the run, the simulated time that it took [s], and remarks. If the result `goal` of the run is false, a remark
-    says what is `unmet`. If the copy stops with an error, the run is None and the time is the longest allowed one.
+    Return the run, the simulated time that it took [s], and remarks. If the copy has not become steady, a remark says
+    what is `unmet`. If it stops with an error, the run is None and the time is the longest allowed one.
     """
     copy = None
     try:
@@ -113,7 +113,7 @@ def coarser_run(simulation: FlowRun, goal: str, unmet: str, **changes: Any) -> t
         if copy is not None:
             copy.release()
     reached = float(run.result["simulated_time"]["value"])
-    return run, reached, [] if run.result[goal] else [f"{unmet} within {reached:g} s"]
+    return run, reached, [] if copy.steady else [f"{unmet} within {reached:g} s"]
 
 
 def step_time(simulation: Any) -> float:
@@ -149,7 +149,7 @@ def _course(simulation: FluidSimulation) -> Course:
     factor = (simulation.flow.count / ENOUGH) ** (1 / scene.dimensions)
     spacing = min(factor * scene.spacing, scene.radius / 2, scene.length / 8)
     changes = dict(spacing=spacing, aggregates=None) if factor > 1 else {}
-    _, reached, remarks = coarser_run(simulation, "steady", "the flow is not steady", **changes)
+    _, reached, remarks = coarser_run(simulation, "the flow is not steady", **changes)
     return Course(reached, scene.time_step, remarks)
 
 

@@ -55,7 +55,7 @@ def course_of(simulation: FreeSimulation) -> Course:
         remark = "the time until the concrete rests is not predicted; the longest allowed time is assumed"
         return Course(scene.duration, mean, [remark])
     spacing = min(max(scene.spacing, height / COARSE), min(np.ptp(scene.extent, axis=0)) / 4)
-    run, reached, remarks = coarser_run(simulation, "at_rest", "the concrete is not at rest", spacing=spacing)
+    run, reached, remarks = coarser_run(simulation, "the concrete is not at rest", spacing=spacing)
     if run is not None and scene.step_error:
         # The finer flow has the same error in a step, but its concrete crosses the smaller cells in less time.
         passed = np.diff(run.series["time"]) * run.series["fastest"][1:] / scene.spacing

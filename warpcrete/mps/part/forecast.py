@@ -29,5 +29,5 @@ def _course(simulation: PartSimulation) -> Course:
     """Return the course of a run until the flow is steady, as a coarser copy shows it."""
     scene = simulation.scene
     spacing = max(scene.spacing, 0.95 * 2 * scene.narrowest / FEWEST)
-    _, reached, remarks = coarser_run(simulation, "steady", "the pressure is not steady", spacing=spacing)
+    _, reached, remarks = coarser_run(simulation, "the pressure is not steady", spacing=spacing)
     return Course(reached, scene.time_step, remarks)
