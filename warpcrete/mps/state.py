@@ -12,6 +12,7 @@ import warp as wp
 from ..core.device.device import scalar_of
 from ..kernels.common.control import FLAGS
 from ..kernels.mps.structs import array_structs, flow_struct
+from .allocation import allocate
 from .grains import Grains, scatter
 from .layout import Layout, layout
 from .scene import FluidScene
@@ -52,8 +53,9 @@ class FluidState:
         start = np.zeros_like(fluid)
         start[:, -1] = scene.velocity
         surface = self.layout.height - 0.5 * self.layout.spacing
-        self.particles = self._filled(
+        self.particles = allocate(
             self.structs.Particles,
+            self.device,
             position=fluid,
             rounding=self.count,
             velocity=start,
@@ -64,17 +66,6 @@ class FluidState:
         self.flags = wp.zeros(FLAGS, dtype=wp.int32, device=device)
         self.grain_arrays = self._place_grains(fluid) if self.grains is not None else None
 
-    def _filled(self, struct: Any, **arrays: Any) -> Any:
-        """Return a struct of arrays: copies of host data, or zeros where a size is given."""
-        made = struct()
-        for name, value in arrays.items():
-            dtype = struct.vars[name].type.dtype
-            if isinstance(value, int):
-                setattr(made, name, wp.zeros(value, dtype=dtype, device=self.device))
-            else:
-                setattr(made, name, wp.array(value, dtype=dtype, device=self.device))
-        return made
-
     def _place_grains(self, fluid: np.ndarray) -> Any:
         grains = self.grains
         assert grains is not None
@@ -82,8 +73,9 @@ class FluidState:
         place = self.particles.position.numpy().astype(float)
         middle = np.stack([place[a:b].mean(0) for a, b in zip(grains.first[:-1], grains.first[1:])])
         offset = place[: grains.first[-1]] - middle[grains.group[: grains.first[-1]]]
-        return self._filled(
+        return allocate(
             self.structs.Grains,
+            self.device,
             first=grains.first,
             offset=offset,
             middle=middle,
