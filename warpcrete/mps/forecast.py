@@ -180,4 +180,4 @@ def _solves(flow: Any) -> str:
 def _scheme(scene: FluidScene) -> str:
     if scene.ends == "periodic":
         return "solved on a grid" + (" about the axis" if scene.dimensions == 3 else "")
-    return "as printed in the paper" if scene.paper_scheme else "corrected"
+    return "particles alone"

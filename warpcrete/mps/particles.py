@@ -18,7 +18,6 @@ from ..kernels.common.control import FAILED, HALTED, OVERFLOW, STALE
 from ..kernels.common.reductions import BLOCK
 from ..kernels.mps.conjugate_gradient import OUTCOME
 from ..kernels.mps.lists import list_kernels
-from ..kernels.mps.paper_scheme import LAPLACIAN
 from ..kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY
 from .allocation import allocate
 from .coarse import LEAST, WIDTH, CoarseGrid
@@ -111,11 +110,11 @@ class MovingParticles(Stepping):
     def _coarse(self) -> CoarseGrid | None:
         """Return the coarse grid that preconditions the solves, or None where it is of no use.
 
-        The coarse grid cannot serve rigid grains, which are larger than its cubes, nor the scheme as the paper prints
-        it. For short columns the diagonal preconditioner alone is as fast.
+        The coarse grid cannot serve rigid grains, which are larger than its cubes. For short columns the diagonal
+        preconditioner alone is as fast.
         """
         layout, reach = self.state.layout, self._list_reach[0]
-        if self.grains is not None or self.scene.paper_scheme or layout.height < LEAST * WIDTH * layout.spacing:
+        if self.grains is not None or layout.height < LEAST * WIDTH * layout.spacing:
             return None
         return CoarseGrid(self.structs, self.scalar, layout, self.scene.radius, reach, self.device)
 
@@ -153,8 +152,7 @@ class MovingParticles(Stepping):
     @property
     def _list_reach(self) -> tuple[float, float]:
         """Reach of the near neighbours and of all neighbours [m], including the skin."""
-        near = LAPLACIAN if self.scene.paper_scheme else CUTOFF
-        return (near + SKIN) * self.state.layout.spacing, (max(near, WIDE) + SKIN) * self.state.layout.spacing
+        return (CUTOFF + SKIN) * self.state.layout.spacing, (WIDE + SKIN) * self.state.layout.spacing
 
     def _reserve(self) -> None:
         """Allocate list rows for 1.6 times the neighbours that the lattice has, to leave room for crowded regions."""

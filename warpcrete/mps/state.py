@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -158,14 +157,6 @@ def flow_numbers(state: FluidState, *, skin: float, correction: float) -> Any:
     for name, value in values.items():
         setattr(flow, name, value)
     return flow
-
-
-def lattice_number(dimensions: int, reach: float) -> float:
-    """Return the sum of neighbour weights in a square or cubic lattice; `reach` is in units of its spacing."""
-    size = np.arange(-math.ceil(reach), math.ceil(reach) + 1.0)
-    r = np.linalg.norm(np.stack(np.meshgrid(*[size] * dimensions), -1).reshape(-1, dimensions), axis=1)
-    r = r[(r > 0) & (r < reach)]
-    return float(np.sum(reach / r - 1))
 
 
 def _weight(q: np.ndarray) -> np.ndarray:
