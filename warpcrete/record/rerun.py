@@ -9,6 +9,7 @@ import threading
 import time
 import uuid
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -60,8 +61,6 @@ class RerunRecorder(Recorder):
     continues after a complete part. At the end the parts are joined into one file.
     """
 
-    rows_alone = True
-    draws_alone = True
     expendable = True
 
     def __init__(
@@ -139,15 +138,12 @@ class RerunRecorder(Recorder):
         if self.path is not None:
             self._flush()
             self._parts += 1
-            try:
-                self._recording.set_sinks(*self._sinks())
-            except RuntimeError as error:
-                raise self._trouble(error) from error
+            self._open_sinks()
 
     def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
         """Record the curves' values of one row."""
         assert self._display is not None
-        time, steps = simulation.sampled
+        time, steps = simulation.stepper.time, simulation.stepper.steps
         values = {
             f"{plot.path}/{curve.name}": curve.value(row) for plot in self._display.plots() for curve in plot.curves
         }
@@ -343,10 +339,42 @@ class RerunRecorder(Recorder):
             opened.start()
             print(f"live: {opened.address}", file=sys.stderr)
             self.live = opened.address
-        try:
-            self._recording.set_sinks(*self._sinks(), default_blueprint=blueprint)
-        except RuntimeError as error:
-            raise self._trouble(error) from error
+        self._open_sinks(default_blueprint=blueprint)
+
+    def _open_sinks(self, **settings: Any) -> None:
+        """Open the file of the current part and the connection to a viewer; raise :class:`RunFolderError` on failure.
+
+        Rerun's writer never returns if the disk fills up at a bad moment, so a thread waits for the writer.
+        """
+        failures: list[RuntimeError] = []
+
+        def open_them() -> None:
+            try:
+                self._recording.set_sinks(*self._sinks(), **settings)
+            except RuntimeError as error:
+                failures.append(error)
+
+        if not self._finishes(open_them, GOODBYE):
+            failures.append(RuntimeError("the writer does not answer"))
+        if failures:
+            raise self._trouble(failures[0]) from failures[0]
+
+    def _finishes(self, call: Callable[[], None], patience: float) -> bool:
+        """Return whether a call of Rerun ends within `patience` [s], or earlier than the disk is found to be full.
+
+        A call that never ends must not block the end of the program either.
+        """
+        calling = threading.Thread(target=call, daemon=True)
+        calling.start()
+        end = time.monotonic() + patience
+        while calling.is_alive() and time.monotonic() < end:
+            calling.join(LOOK)
+            if calling.is_alive() and self.path is not None and room_in(self.path.parent):
+                calling.join(PATIENCE)
+                break
+        if calling.is_alive():
+            atexit.unregister(self._rr.rerun_shutdown)
+        return not calling.is_alive()
 
     def _trouble(self, error: Exception) -> RunFolderError:
         return cannot_write(self.path if self.path is not None else Path("run.rrd"), error)
@@ -375,16 +403,8 @@ class RerunRecorder(Recorder):
         self.live = False
 
     def _disconnect(self, patience: float) -> bool:
-        """Close the recording, and return whether the writer answered within `patience` [s].
-
-        A writer that never answers must not block the end of the program either.
-        """
-        closing = threading.Thread(target=self._recording.disconnect, daemon=True)
-        closing.start()
-        closing.join(patience)
-        if closing.is_alive():
-            atexit.unregister(self._rr.rerun_shutdown)
-        return not closing.is_alive()
+        """Close the recording, and return whether the writer answered within `patience` [s]."""
+        return self._finishes(self._recording.disconnect, patience)
 
     def _sinks(self) -> list[Any]:
         rr = self._rr
