@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from ..core.device.device import MEMORY_FRACTION, default_threads, memory_free, parallel
-from ..core.device.launching import Launcher, Size, Stage, Step, launch, parameter_names
+from ..core.device.launching import Launcher, Size, Stage, Step, completed, launch
 from ..core.errors import CapacityError
 from ..kernels.common.control import FAILED, HALTED, OVERFLOW, STALE
 from ..kernels.common.reductions import BLOCK
@@ -237,11 +237,28 @@ class MovingParticles(Stepping):
     # The following methods provide the stages of a step and the state for checkpoints.
 
     def stage(self, kernel: Any, dim: Size, *, block: int | None = None, **named: Any) -> Stage:
-        """Return a stage that launches `kernel`; parameters not in `named` come from attributes of the same names."""
-        for name in parameter_names(kernel):
-            if name not in named:
-                named[name] = getattr(self, name)
-        return Stage(kernel, dim, named, self.device, block=block)
+        """Return a stage that launches `kernel`; parameters not in `named` receive the arrays of the flow."""
+        return Stage(kernel, dim, completed(kernel, named, self._kernel_arrays), self.device, block=block)
+
+    @property
+    def _kernel_arrays(self) -> dict[str, Any]:
+        """Arrays and structs of the flow, by the names of the kernel parameters that receive them."""
+        return {
+            "flags": self.flags,
+            "flow": self.flow,
+            "particles": self.particles,
+            "grains": self.grains,
+            "fields": self.fields,
+            "lists": self.lists,
+            "points": self.points,
+            "matrix": self.matrix,
+            "viscous": self.viscous,
+            "projection": self.projection,
+            "shifting": self.shifting,
+            "gate": self.gate,
+            "count": self.count,
+            "blocks": self.blocks,
+        }
 
     @property
     def step(self) -> Step:

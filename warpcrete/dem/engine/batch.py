@@ -26,8 +26,8 @@ from ...core.device.launching import (
     Stage,
     Step,
     by_one_thread,
+    completed,
     graph_sizes,
-    parameter_names,
 )
 from ...core.errors import refuse
 from ...kernels.common.control import ESTIMATED, FAILED, GOAL, HALTED, STALE, WAITS
@@ -125,13 +125,11 @@ class Batch(JointArrays):
     ) -> Stage:  # fmt: skip
         """Return a recorded launch of `kernel` over `dim` tasks.
 
-        `named` gives arguments by the kernel's parameter names; missing ones are the batch's attributes of the same
-        name. `beside`, `meets`, `every` and `block` have the meaning described in :class:`Stage`.
+        `named` gives arguments by the kernel's parameter names; missing ones come from `kernel_arrays`. `beside`,
+        `meets`, `every` and `block` have the meaning described in :class:`Stage`.
         """
-        for name in parameter_names(kernel):
-            if name not in named:
-                named[name] = getattr(self, name)
-        return Stage(kernel, dim, named, self.device, beside=beside, meets=meets, every=every, block=block)
+        arguments = completed(kernel, named, self.kernel_arrays)
+        return Stage(kernel, dim, arguments, self.device, beside=beside, meets=meets, every=every, block=block)
 
     def invalidate_graphs(self) -> None:
         """Discard recorded launches, because they refer to arrays or chunks that have been replaced."""

@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 
 from ...core.device.device import parallel
-from ...core.device.launching import Launcher, Stage, Step, launch, parameter_names
+from ...core.device.launching import Launcher, Stage, Step, completed, launch, parameter_names
 from ...kernels.common.control import HALTED
 from ...kernels.common.reductions import BLOCK
 from ...kernels.mps.conjugate_gradient import (
@@ -237,11 +237,27 @@ class GridFlow(Stepping):
         return self._step
 
     def stage(self, kernel: Any, dim: int, *, block: int | None = None, **named: Any) -> Stage:
-        """Return a stage that launches `kernel`; parameters not in `named` come from attributes of the same names."""
-        for name in parameter_names(kernel):
-            if name not in named:
-                named[name] = getattr(self, name)
-        return Stage(kernel, dim, named, self.device, block=block)
+        """Return a stage that launches `kernel`; parameters not in `named` receive the arrays of the flow."""
+        return Stage(kernel, dim, completed(kernel, named, self._kernel_arrays), self.device, block=block)
+
+    @property
+    def _kernel_arrays(self) -> dict[str, Any]:
+        """Arrays and structs of the flow, by the names of the kernel parameters that receive them."""
+        return {
+            "flags": self.flags,
+            "particles": self.particles,
+            "mesh": self.mesh,
+            "walls": self.walls,
+            "geometry": self.geometry,
+            "solid_after": self.solid_after,
+            "g": self.g,
+            "pace": self.pace,
+            "late": self.late,
+            "count": self.count,
+            "viscous_least": self.viscous_least,
+            "pressure_least": self.pressure_least,
+            "crowding_least": self.crowding_least,
+        }
 
     def _stages(self) -> list[Any]:
         """Return all stages of one step in their order.
