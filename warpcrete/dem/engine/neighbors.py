@@ -100,13 +100,15 @@ class NeighborLists:
 
     def __call__(self) -> None:
         """Rebuild the lists of every scene that is flagged as stale."""
+        with self.batch.changing():
+            self._build()
+
+    def _build(self) -> None:
         b = self.batch
-        b.device_changed()
         flags, sort_every = b.host_flags(), b.rows["sort_every"]
         if b.sphere_count == 0:
             b.ahead.built(flags)
             self._rebuild(False).launch_singly("fresh", "fresh")
-            b.device_changed()
             return
         stale = flags[:, int(STALE)] != 0
         # Re-sort only at fixed step counts: rebuilds come at varying times, which must not change the results.
@@ -143,7 +145,6 @@ class NeighborLists:
             self._version = ()  # record all launches anew at the next build, with the enlarged array
             if b.ahead.rebuilds_itself:
                 b.invalidate_graphs()
-        b.device_changed()
 
     def _search(self, sort: bool) -> Rebuild:
         """Search half lists, repeat the search with larger buffers if one was too small, and return the rebuild."""
