@@ -8,7 +8,7 @@ import warp as wp
 from ..common.control import STALE
 from ..common.types import types
 from .pairs import BLOCK, decode
-from .structs import array_structs, links_struct
+from .structs import APART, TOUCHING, array_structs, links_struct
 
 MORE = wp.constant(4)
 """Number of bit masks per sphere for list entries after the first BLOCK, whose bits are in `spheres.touching`."""
@@ -127,7 +127,7 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
                     if pairs.bond[row + k] > 0:
                         pairs.bond[row + twin] = pairs.bond[row + k]  # both entries share one load row
                 links.link[p] = wp.vec4i(i - base, j, k, twin)
-                links.touched[p] = wp.where(remembers, 1, 0)
+                links.touched[p] = wp.where(remembers, TOUCHING, APART)
                 links.end[row + k] = p - row / 2
                 links.end[row + twin] = -1 - (p - row / 2)
                 # entries without bits are always summed, so their results must start at zero
