@@ -12,7 +12,7 @@ from ...core.device.footprint import footprint
 from ...core.errors import InstabilityError
 from ...core.run.forecast import Forecast, Probe, median_time, timed
 from ..forecast import TAKEN, step_time
-from .quantities import funnel_estimate
+from .quantities import expected
 from .scene import FreeScene
 from .simulation import FreeSimulation
 
@@ -77,8 +77,8 @@ def _course(scene: FreeScene, device: str, precision: str) -> tuple[float, float
     # The default estimate of the step is the time in which concrete crosses one cell after a fall by its own height.
     swift = scene.spacing / math.sqrt(2 * scene.gravity * scene.extent[1, 1])
     mean = min(scene.time_step, swift) if scene.step_error else scene.time_step
-    if scene.test == "funnel":
-        estimate = funnel_estimate(scene)
+    if scene.test and scene.test.outflow:
+        estimate = expected(scene).get(scene.test.outflow.time)
         if estimate is None:
             return scene.duration, mean, ["the yield stress may hold the concrete in the funnel"]
         return min(LONGER * estimate, scene.duration), mean, []
