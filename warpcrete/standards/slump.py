@@ -73,8 +73,8 @@ SLUMP = StandardTest(
     forms=(
         ClosedForm("slump", "theory", "tall cone", _slump_of_cone),
         ClosedForm("slump", "heap", "heap", _slump_of_heap),
-        ClosedForm("spread", "heap", "heap", _spread_of_heap),
         ClosedForm("spread", "theory", "long heap", _spread_of_long_heap, is_estimate=False),
+        ClosedForm("spread", "heap", "heap", _spread_of_heap),
     ),
     on_plate=True,
 )

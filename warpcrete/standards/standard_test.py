@@ -225,7 +225,8 @@ def _beside(quantity: Quantity, forms: Sequence[ClosedForm]) -> Callable[[Run], 
     factor, unit, digits, fewer = FORMATS[quantity.unit]
 
     def words(run: Run) -> str:
-        found = [(form.label, run.result.get(form.name)) for form in forms]
+        estimates_first = sorted(forms, key=lambda form: not form.is_estimate)
+        found = [(form.label, run.result.get(form.name)) for form in estimates_first]
         texts = [f"{label}: {factor * number(value):.{fewer}f}{unit}" for label, value in found if value is not None]
         beside = f"   ({', '.join(texts)})" if texts else ""
         return f"{factor * number(run.result[quantity.name]):.{digits}f}{unit}{beside}"
