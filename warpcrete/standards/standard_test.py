@@ -143,7 +143,7 @@ class StandardTest:
         TESTS[self.name] = self
 
     def __reduce__(self) -> Any:
-        return TESTS.__getitem__, (self.name,)
+        return _by_name, (self.name,)
 
     def check_dimensions(self, given: Sizes) -> None:
         """Raise :class:`warpcrete.SceneError` if a dimension that the test needs is missing."""
@@ -184,6 +184,10 @@ class StandardTest:
 
 TESTS: dict[str, StandardTest] = {}
 """All tests by name. A test is added when it is created, so a scene's file may define its own."""
+
+
+def _by_name(name: str) -> StandardTest:
+    return TESTS[name]
 
 
 def quantities_of_tests(
