@@ -10,11 +10,10 @@ from typing import Annotated
 from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, OneOf, scene_function
-from warpcrete.core.run.checks import with_cures
-from warpcrete.core.run.run_loop import Run
-from warpcrete.core.units import number
+from warpcrete.mps.free.checks import check_flow
 from warpcrete.mps.free.knobs import free_knobs
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
+from warpcrete.standards import FUNNEL
 
 VOLUME = 0.04
 """Limit of the volume error of the free surface, as a fraction of the volume; measured errors reach 0.021."""
@@ -55,10 +54,9 @@ def scene(parameters: FunnelParameters) -> FreeScene:
     cell = whole / rows
     width, out = cell * math.ceil(max(brim, narrow) / cell + 1), 10 * cell
     side = ((narrow, -out), (narrow, throat), (brim, whole), (width + out, whole), (width + out, -out))
-    names = ("top_width", "outlet_width", "breadth", "cone_height", "outlet_height")
     return FreeScene(
         name="funnel",
-        test="funnel",
+        test=FUNNEL,
         concrete=given.mixed(given.surfaces == "slips"),
         plate_slips=given.surfaces == "slips",
         walls_slip=given.surfaces == "slips",
@@ -70,33 +68,13 @@ def scene(parameters: FunnelParameters) -> FreeScene:
         outline=((-out, 0.0), (width, 0.0), (width, whole), (-out, whole)),
         blocks=(side,),
         sides={"left": "mirror", "front": "mirror", "bottom": "open"},
-        dimensions={name: getattr(given, name) for name in names},
+        dimensions=FUNNEL.sizes(given),
         remarks=REMARKS,
         **given.settings(),
     )
 
 
-CURES = {
-    "finished": "a longer --duration, or a shorter --sample-interval",
-    "volume": "a smaller --spacing, or a smaller --time-step",
-    "light is seen": "a longer --duration",
-}
-
-
-@with_cures(CURES)
-def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Return the checks of a funnel run by name: whether each one passed, and what it found."""
-    result = run.result
-    if "remaining" not in result:
-        return {"finished": (False, "the run recorded no sample after its start")}
-    volume, time = result["volume_error"], result.get("funnel_time")
-    return {
-        "volume": (abs(volume) < VOLUME, f"{100 * volume:+.2f} % largest change"),
-        "light is seen": (
-            time is not None,
-            f"after {number(time):.2f} s" if time else f"{100 * result['remaining']:.0f} % of the concrete remains",
-        ),
-    }
+check = check_flow(VOLUME)
 
 
 def _knobs(given: FunnelParameters) -> Iterator[Knob]:

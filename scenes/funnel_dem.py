@@ -9,13 +9,11 @@ from typing import Annotated, ClassVar
 from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, scene_function
-from warpcrete.core.run.checks import with_cures
-from warpcrete.core.run.run_loop import Run
-from warpcrete.core.units import number
-from warpcrete.dem.pumping.vessels import CURES, VesselParameters, found_bad, vessel_knobs, vessel_remarks
-from warpcrete.dem.scene.scene import Scene, Vessel
+from warpcrete.dem.pumping.vessels import VesselParameters, check_vessel, vessel_knobs, vessel_remarks
+from warpcrete.dem.scene.scene import Scene
 from warpcrete.geometry.prisms import prism, rectangle
 from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed
+from warpcrete.standards import FUNNEL
 
 FALL = 0.3
 """Height of the outlet above the floor [m]. Grains on the floor must not pile up to the outlet, and falling grains must
@@ -68,7 +66,6 @@ def scene(parameters: FunnelElements) -> Scene:
         name="door", vertices=vertices, faces=faces, material="mould",
         motion=Prescribed(velocity=(0.0, 0.0, -DOOR_SPEED)),
     )  # fmt: skip
-    names = ("outlet_width", "breadth")
     return Scene(
         name="funnel-dem",
         fill=given.fill(inside),
@@ -77,27 +74,13 @@ def scene(parameters: FunnelElements) -> Scene:
             MeshWall(name="funnel", vertices=inside.vertices, faces=inside.without(0, 3), material="mould"),
             door,
         ),
-        vessel=Vessel(
-            test="funnel",
-            opened=0.0,
-            rest_speed=given.rest_speed,
-            dimensions={name: getattr(given, name) for name in names} | {"whole_height": whole},
-        ),
+        vessel=given.vessel(FUNNEL, 0.0),
         remarks=vessel_remarks(given, "the funnel"),
         **given.settings(),
     )
 
 
-@with_cures(CURES)
-def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Return the checks of a funnel run by name: whether each one passed, and what it found."""
-    time = run.result.get("funnel_time")
-    return found_bad(run) | {
-        "light is seen": (
-            time is not None,
-            f"after {number(time):.2f} s" if time else f"{100 * run.result['remaining']:.0f} % of the concrete remains",
-        )
-    }
+check = check_vessel
 
 
 def _knobs(given: FunnelElements) -> Iterator[Knob]:

@@ -12,14 +12,13 @@ import numpy as np
 from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, Within, scene_function
-from warpcrete.core.run.run_loop import Run
-from warpcrete.dem.pumping.vessels import vessel_knobs
+from warpcrete.dem.pumping.vessels import check_vessel, vessel_knobs
 from warpcrete.dem.scene.scene import Scene
 from warpcrete.geometry.prisms import truncated_cone
 from warpcrete.geometry.walls import MeshWall
+from warpcrete.standards import J_RING
 
 from .slump_dem import SlumpElements, lifted_cone
-from .slump_dem import check as check_of_slump
 
 SIDES = 12
 """Number of facets around a bar."""
@@ -61,8 +60,7 @@ def scene(parameters: RingElements) -> Scene:
         refuse("ring_diameter", given.ring_diameter, "must leave room for one grain between mould and bars",
                f"use {max(given.base_diameter, given.top_diameter) + 2 * given.size_max + given.bar_diameter:.3g} m "
                "or more")  # fmt: skip
-    dimensions = {"ring_diameter": given.ring_diameter, "bar_diameter": given.bar_diameter}
-    return lifted_cone(given, "jring", dimensions, (_bars(given),), "mould and bars")
+    return lifted_cone(given, J_RING, (_bars(given),), "mould and bars")
 
 
 def _bars(given: RingElements) -> MeshWall:
@@ -75,9 +73,7 @@ def _bars(given: RingElements) -> MeshWall:
     return MeshWall(name="bars", vertices=vertices, faces=faces, material="mould")
 
 
-def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Return the checks of a J-ring run by name: whether each one passed, and what it found."""
-    return check_of_slump(run)
+check = check_vessel
 
 
 def _knobs(given: RingElements) -> Iterator[Knob]:

@@ -10,12 +10,11 @@ from typing import Annotated
 from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, OneOf, Within, scene_function
-from warpcrete.core.run.checks import with_cures
-from warpcrete.core.run.run_loop import Run
-from warpcrete.core.units import number
 from warpcrete.geometry.walls import MeshWall
+from warpcrete.mps.free.checks import check_flow
 from warpcrete.mps.free.knobs import free_knobs
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
+from warpcrete.standards import L_BOX
 
 GAPS = {0: 0.0, 2: 0.059, 3: 0.041}
 """Distance between neighbouring bars [m] by the number of bars (EN 12350-10)."""
@@ -88,7 +87,7 @@ def scene(parameters: BoxParameters) -> FreeScene:
     shut = ((gate, -thick), (gate + thick, -thick), (gate + thick, opening), (gate, opening))
     return FreeScene(
         name="lbox",
-        test="lbox",
+        test=L_BOX,
         concrete=given.mixed(given.surfaces == "slips"),
         axial=False,
         width=given.length,
@@ -104,7 +103,7 @@ def scene(parameters: BoxParameters) -> FreeScene:
         lift_speed=opening / given.lift_time if given.lift_time else 0.0,
         plate_slips=given.surfaces == "slips",
         walls_slip=given.surfaces == "slips",
-        dimensions={"column_width": gate, "width": given.width},
+        dimensions=L_BOX.sizes(given),
         remarks=("half of the box is simulated, between its middle plane and a side",),
         **given.settings(),
     )
@@ -124,24 +123,7 @@ def _bars(given: BoxParameters, place: float) -> Iterator[MeshWall]:
         yield MeshWall(name=f"bar{n + 1}", vertices=bar.vertices, faces=bar.faces)
 
 
-CURES = {
-    "finished": "a longer --duration, or a shorter --sample-interval",
-    "volume": "a smaller --spacing, or a smaller --time-step",
-    "at rest": "a longer --duration",
-}
-
-
-@with_cures(CURES)
-def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Return the checks of an L-box run by name: whether each one passed, and what it found."""
-    result = run.result
-    if "h1" not in result:
-        return {"finished": (False, "the run recorded no sample after its start")}
-    volume, speed = result["volume_error"], number(result["rest_speed"])
-    return {
-        "volume": (abs(volume) < VOLUME, f"{100 * volume:+.2f} % largest change"),
-        "at rest": (bool(result["at_rest"]), f"the fastest moves at {1e3 * speed:.2g} mm/s"),
-    }
+check = check_flow(VOLUME)
 
 
 def _knobs(given: BoxParameters) -> Iterator[Knob]:

@@ -9,13 +9,11 @@ from typing import Annotated
 from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, scene_function
-from warpcrete.core.run.checks import with_cures
-from warpcrete.core.run.run_loop import Run
-from warpcrete.core.units import number
-from warpcrete.dem.pumping.vessels import CURES, VesselParameters, found_bad, vessel_knobs, vessel_remarks
-from warpcrete.dem.scene.scene import Scene, Vessel
+from warpcrete.dem.pumping.vessels import VesselParameters, check_vessel, vessel_knobs, vessel_remarks
+from warpcrete.dem.scene.scene import Scene
 from warpcrete.geometry.prisms import prism, rectangle
 from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed, Wall
+from warpcrete.standards import L_BOX
 
 ABOVE = 0.2
 """Height of the walls above the concrete [m]."""
@@ -76,24 +74,13 @@ def scene(parameters: BoxElements) -> Scene:
         name="lbox-dem",
         fill=given.fill(inside),
         walls=tuple(walls),
-        vessel=Vessel(
-            test="lbox",
-            opened=given.lift_time,
-            rest_speed=given.rest_speed,
-            dimensions={"column_width": gate, "length": given.length, "width": width},
-        ),
+        vessel=given.vessel(L_BOX, given.lift_time),
         remarks=vessel_remarks(given, "the box's sides"),
         **given.settings(),
     )
 
 
-@with_cures(CURES)
-def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Return the checks of an L-box run by name: whether each one passed, and what it found."""
-    speed = number(run.result["rest_speed"])
-    return found_bad(run) | {
-        "at rest": (bool(run.result["at_rest"]), f"the fastest moves at {1e3 * speed:.2g} mm/s"),
-    }
+check = check_vessel
 
 
 def _knobs(given: BoxElements) -> Iterator[Knob]:

@@ -9,12 +9,11 @@ from typing import Annotated
 
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, OneOf, Within, scene_function
-from warpcrete.core.run.checks import with_cures
-from warpcrete.core.run.run_loop import Run
-from warpcrete.core.units import number
+from warpcrete.mps.free.checks import check_flow
 from warpcrete.mps.free.knobs import free_knobs
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
 from warpcrete.mps.mixes import CONSTANTS
+from warpcrete.standards import SLUMP
 from warpcrete.theory.vessels import cone_volume, long_heap_spread
 
 PUBLISHED = {"no1": 0.13, "no2": 0.18, "no3": 0.22}
@@ -72,7 +71,7 @@ def scene(parameters: SlumpParameters) -> FreeScene:
     as_printed = given.concrete in PUBLISHED and all(getattr(given, name) is None for name in CONSTANTS)
     return FreeScene(
         name="slump",
-        test="slump",
+        test=SLUMP,
         concrete=concrete,
         axial=True,
         width=base / rings * math.ceil(room * rings / base),
@@ -82,6 +81,7 @@ def scene(parameters: SlumpParameters) -> FreeScene:
         gate=gate,
         lift_speed=height / given.lift_time if given.lift_time else 0.0,
         plate_slips=given.plate == "slips",
+        dimensions=SLUMP.sizes(given),
         published={"slump": PUBLISHED[given.concrete]} if standard and as_printed else {},
         remarks=("the friction of the mould is neglected: concrete is released from below as the mould rises",)
         if gate
@@ -101,24 +101,7 @@ def _room(top: float, base: float, height: float, yield_stress: float, density: 
     return max(min(widest, 5 * base), 1.5 * base)
 
 
-CURES = {
-    "finished": "a longer --duration, or a shorter --sample-interval",
-    "volume": "a smaller --spacing, or a smaller --time-step",
-    "at rest": "a longer --duration",
-}
-
-
-@with_cures(CURES)
-def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Return the checks of a slump run by name: whether each one passed, and what it found."""
-    result = run.result
-    if "slump" not in result:
-        return {"finished": (False, "the run recorded no sample after its start")}
-    volume, speed = result["volume_error"], number(result["rest_speed"])
-    return {
-        "volume": (abs(volume) < VOLUME, f"{100 * volume:+.2f} % largest change"),
-        "at rest": (bool(result["at_rest"]), f"the fastest moves at {1e3 * speed:.2g} mm/s"),
-    }
+check = check_flow(VOLUME)
 
 
 def _knobs(given: SlumpParameters) -> Iterator[Knob]:

@@ -9,16 +9,11 @@ from typing import Annotated
 from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
 from warpcrete.core.inputs.parameters import Above, scene_function
-from warpcrete.core.run.checks import with_cures
-from warpcrete.core.run.run_loop import Run
-from warpcrete.core.units import number
-from warpcrete.dem.pumping.vessels import CURES, VesselParameters, found_bad, vessel_knobs, vessel_remarks
-from warpcrete.dem.scene.scene import Scene, Vessel
+from warpcrete.dem.pumping.vessels import VesselParameters, check_vessel, vessel_knobs, vessel_remarks
+from warpcrete.dem.scene.scene import Scene
 from warpcrete.geometry.prisms import truncated_cone
 from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed, Wall
-
-STRAYS = 0.05
-"""Largest fraction of the grains that may leave the heap."""
+from warpcrete.standards import SLUMP, StandardTest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,16 +37,13 @@ def scene(parameters: SlumpElements) -> Scene:
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
-    return lifted_cone(parameters, "slump", {}, (), "the mould")
+    return lifted_cone(parameters, SLUMP, (), "the mould")
 
 
-def lifted_cone(
-    given: SlumpElements, test: str, dimensions: dict[str, float], around: tuple[Wall, ...], what: str
-) -> Scene:
-    """Build the scene of a `test` of VESSELS in which a mould on a plate is lifted, with further walls `around` it.
+def lifted_cone(given: SlumpElements, test: StandardTest, around: tuple[Wall, ...], what: str) -> Scene:
+    """Build the scene of a `test` in which a mould on a plate is lifted, with further walls `around` it.
 
-    `dimensions` holds lengths that the test needs in addition to those of the mould [m]. `what` names the surfaces
-    along which concrete may slide freely; a remark then mentions them.
+    `what` names the surfaces along which concrete may slide freely; a remark then mentions them.
     """
     cone = truncated_cone(given.base_diameter / 2, given.top_diameter / 2, given.mould_height)
     narrowest = min(given.top_diameter, given.base_diameter, given.mould_height)
@@ -60,33 +52,20 @@ def lifted_cone(
                f"use {narrowest / 4:.3g} m or less")  # fmt: skip
     lift = Prescribed(velocity=(0.0, 0.0, given.mould_height / given.lift_time))
     return Scene(
-        name=f"{test}-dem",
+        name=f"{test.name}-dem",
         fill=given.fill(cone),
         walls=(
             PlaneWall(name="plate", point=(0.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0), material="plate"),
             MeshWall(name="mould", vertices=cone.vertices, faces=cone.sides, material="mould", motion=lift),
             *around,
         ),
-        vessel=Vessel(
-            test=test,
-            opened=given.lift_time,
-            rest_speed=given.rest_speed,
-            dimensions={"top_diameter": given.top_diameter, "mould_height": given.mould_height, **dimensions},
-        ),
+        vessel=given.vessel(test, given.lift_time),
         remarks=vessel_remarks(given, what),
         **given.settings(),
     )
 
 
-@with_cures(CURES)
-def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Return the checks of a slump run by name: whether each one passed, and what it found."""
-    result = run.result
-    speed, strays = number(result["rest_speed"]), result["strays"]
-    return found_bad(run) | {
-        "one heap": (strays < STRAYS, f"{100 * strays:.2g} % of the grains have left the heap"),
-        "at rest": (bool(result["at_rest"]), f"the fastest moves at {1e3 * speed:.2g} mm/s"),
-    }
+check = check_vessel
 
 
 def _knobs(given: SlumpElements) -> Iterator[Knob]:

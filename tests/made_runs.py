@@ -90,7 +90,7 @@ def free(scene: FreeScene) -> Made:
         "slump": {"top": 0.3 * falling, "spread": 0.5 / falling},
         "funnel": {"screen": falling, "inside": falling},
         "lbox": {"near_depth": 0.6 * falling, "far_depth": 0.1 / falling, "front": 0.7 - 0.7 * falling},
-    }[scene.test]
+    }[scene.name]
     zero = np.zeros(ROWS)
     return Made(scene, {"time": np.linspace(0, 5, ROWS), "fastest": zero, "volume_error": zero.copy()} | columns)
 

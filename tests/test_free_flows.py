@@ -30,7 +30,7 @@ def vessel(**given):
     """A plane box, full to half its height."""
     outline = ((0.0, 0.0), (0.4, 0.0), (0.4, 0.1), (0.0, 0.1))
     return FreeScene(**{
-        "name": "box", "test": "none", "concrete": PASTE, "axial": False, "width": 0.4, "height": 0.2, "spacing": 0.01,
+        "name": "box", "concrete": PASTE, "axial": False, "width": 0.4, "height": 0.2, "spacing": 0.01,
         "outline": outline, "duration": 0.5, "sample_interval": 0.1,
     } | given)  # fmt: skip
 
@@ -104,7 +104,7 @@ def test_concrete_in_the_air_falls_freely(device, precision, off):
     """Measured: exact in double precision; rounding of stiff forces makes it 0.16 % (CPU), 0.31 % (H200) too fast."""
     outline = ((0.0, 0.2), (0.1, 0.2), (0.1, 0.3), (0.0, 0.3))
     scene = slump(lift_time=0.0, duration=0.1, sample_interval=0.05)
-    scene = dataclasses.replace(scene, outline=outline, test="none", height=0.4)
+    scene = dataclasses.replace(scene, outline=outline, test=None, height=0.4)
     simulation = FreeSimulation(scene, device=device, precision=precision)
     simulation.run()
     speed = simulation.state.particles.velocity.numpy()

@@ -15,8 +15,8 @@ from warpcrete.cli import cli
 ROOT = Path(__file__).parent.parent
 METHODS = sorted(path.parent.name for path in (ROOT / "warpcrete").glob("*/method.py") if path.parent.name != "core")
 """Every method is a folder with this file, and may have kernels in a folder of its name."""
-LAYERS = {"kernels.common": 0, "core": 1, "geometry": 2, "theory": 2, "mix": 2.5, "scenes": 4, "methods": 4,
-          "verification": 5, "record": 5, "studies": 6, "cli": 7, "": 8}  # fmt: skip
+LAYERS = {"kernels.common": 0, "core": 1, "geometry": 2, "theory": 2, "mix": 2.5, "standards": 2.5, "scenes": 4,
+          "methods": 4, "verification": 5, "record": 5, "studies": 6, "cli": 7, "": 8}  # fmt: skip
 LAYERS |= {f"kernels.{name}": 2 for name in METHODS if (ROOT / "kernels" / name).is_dir()} | dict.fromkeys(METHODS, 3)
 """Packages of the house, and how high they stand: each imports from lower ones only. The package itself is on top."""
 INSIDE = {

@@ -59,7 +59,7 @@ def test_the_box_at_rest_is_that_of_its_column():
 def test_a_wall_in_space_takes_its_part():
     box = trimesh.creation.box(bounds=[[0.0, -1.0, -1.0], [0.05, 1.0, 1.0]])
     scene = FreeScene(
-        name="half", test="none", concrete=Concrete(density=2000.0, viscosity=30.0, yield_stress=40.0,
+        name="half", concrete=Concrete(density=2000.0, viscosity=30.0, yield_stress=40.0,
                                                     slip_viscosity=1e3, slip_yield=0.0), axial=False,
         width=0.2, height=0.2, depth=0.1, spacing=0.02, outline=((0, 0), (0.1, 0), (0.1, 0.1), (0, 0.1)),
         walls=(MeshWall(name="step", vertices=box.vertices, faces=box.faces),), amid=(0.15, 0.05, 0.05),

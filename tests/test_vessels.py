@@ -37,6 +37,7 @@ from warpcrete.mps.grid.geometry import (
 from warpcrete.mps.grid.layout import GridLayout
 from warpcrete.mps.grid.state import GridState
 from warpcrete.scenes import modules
+from warpcrete.standards import FUNNEL, L_BOX
 from warpcrete.theory.pipe import Concrete
 from warpcrete.verification.vessels import TURNS, between_cylinders, tilted_vessel
 
@@ -373,7 +374,7 @@ def test_what_funnel_and_box_refuse(name, given, field):
         ({"sides": {"top": "wet"}}, "sides"), ({"depth": -1.0}, "depth"), ({"sides": {"front": "wall"}}, "sides"),
         ({"axial": True, "sides": {"left": "open"}}, "sides"), ({"outline": ()}, "outline"),
         ({"outline": ((2.0, 2.0), (3.0, 2.0), (3.0, 3.0))}, "outline"), ({"blocks": (((0.1, 0.1),),)}, "blocks"),
-        ({"test": "lbox"}, "dimensions"), ({"test": "funnel"}, "dimensions"),
+        ({"test": L_BOX}, "dimensions"), ({"test": FUNNEL}, "dimensions"),
         ({"sides": {"bottom": "open"}, "time_step": 0.01, "step_error": 0.0}, "time_step"),
         ({"walls": (PlaneWall(name="p", point=(0, 0, 0), normal=(0, 0, 1)),)}, "walls"),
         ({"depth": 0.1, "walls": (PlaneWall(name="p", point=(0, 0, 0), normal=(0, 0, 1),
@@ -400,9 +401,12 @@ def test_the_front_in_an_l_box_is_counted_from_the_gate(monkeypatch):
     across = np.arange(0.005, 0.7, 0.01)
     depth = np.where(across < 0.1, 0.5, np.where(across < 0.31, 0.02, 0.001))
     monkeypatch.setattr(probes, "surface", lambda flow: (across, depth))
-    scene = SimpleNamespace(dimensions={"column_width": 0.1, "width": 0.2}, width=0.7)
-    flow: Any = SimpleNamespace(scene=scene, state=SimpleNamespace(layout=SimpleNamespace(spacing=0.01)))
-    found = probes.box_depths(flow)
+    monkeypatch.setattr(probes, "bases", lambda flow: 0 * depth)
+    monkeypatch.setattr(probes, "reach", lambda flow: 0.7)
+    layout = SimpleNamespace(spacing=0.01, mass=np.ones(1))
+    particles = SimpleNamespace(mass=SimpleNamespace(numpy=lambda: np.ones(1)))
+    flow: Any = SimpleNamespace(state=SimpleNamespace(layout=layout, particles=particles, cells=lambda name: depth))
+    found = L_BOX.measure(probes.specimen(flow), {"column_width": 0.1, "length": 0.7, "width": 0.2})
     assert found["front"] == pytest.approx(0.31 - 0.1) and found["near_depth"] == 0.5 and found["far_depth"] == 0.001
 
 

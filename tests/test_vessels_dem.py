@@ -27,6 +27,7 @@ from warpcrete.dem.scene.bodies import placed_bodies
 from warpcrete.dem.scene.scene import Bodies, Scene, TimeStep, Vessel
 from warpcrete.geometry.prisms import prism, rectangle, truncated_cone
 from warpcrete.geometry.walls import MeshWall, PlaneWall
+from warpcrete.standards import SLUMP
 
 MU_ROLLING = 0.2
 STIFF = Contact(effective_modulus=1e6, friction=0.8, normal_damping_ratio=0.3, shear_damping_ratio=0.3)
@@ -215,7 +216,8 @@ def test_light_is_seen_through_what_no_grain_darkens():
 
 
 def test_rest_is_a_second_of_slowness_after_the_gate():
-    vessel = Vessel(test="slump", opened=1.0, rest_speed=1e-3, dimensions={"top_diameter": 0.1, "mould_height": 0.3})
+    mould = {"top_diameter": 0.1, "base_diameter": 0.2, "mould_height": 0.3}
+    vessel = Vessel(test=SLUMP, opened=1.0, rest_speed=1e-3, dimensions=mould)
     rows = [{"time": 0.1 * n, "fastest": 1e-4} for n in range(20)]
     assert not measures.at_rest(vessel, rows)  # 1.9 s
     rows.append({"time": 2.05, "fastest": 1e-4})

@@ -4,7 +4,7 @@ from ..core.run.method import Method
 from .batch_run import run_batch
 from .forecast import forecast
 from .measure.display import ElementDisplay
-from .measure.quantities import QUANTITIES, report
+from .measure.quantities import quantities, report
 from .measure.wear_results import plot_wear
 from .pictures import draw, plot_aggregates
 from .simulation import ElementSimulation
@@ -12,7 +12,7 @@ from .simulation import ElementSimulation
 METHOD = Method(
     name="dem",
     simulation=ElementSimulation,
-    quantities=QUANTITIES,
+    list_quantities=quantities,
     display=ElementDisplay,
     picture="pressure.png",
     draw=draw,

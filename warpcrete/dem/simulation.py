@@ -23,7 +23,7 @@ from .engine.stepper import Stepper
 from .measure.blockage import BlockageWatch
 from .measure.display import ElementDisplay
 from .measure.probes import body_sums, contact_sums
-from .measure.quantities import QUANTITIES, Known
+from .measure.quantities import Known, quantities
 from .measure.sampling import STORED, Sampler, unit_of
 from .measure.stations import UNITS as STATION_UNITS
 from .measure.vessel_measures import at_rest, is_over
@@ -319,7 +319,7 @@ class ElementSimulation(Simulation):
                 self.scene, self.model.walls, series, mass, contacts, wear=self.sampler.wear,
                 blocked=self.blockage.found if self.blockage is not None else None, log=self.sampler.log,
             )  # fmt: skip
-            result |= results_of(QUANTITIES, known)
+            result |= results_of(quantities(), known)
             if known.log is not None and known.pumped:
                 tables["stations"] = Table(known.log.table(known.window), STATION_UNITS)
         result["speed"] = {

@@ -11,7 +11,7 @@ from .stepping import run_abreast
 METHOD = Method(
     name="mps",
     simulation=FluidSimulation,
-    quantities=QUANTITIES,
+    list_quantities=lambda: QUANTITIES,
     display=FlowDisplay,
     picture="flow.png",
     draw=draw,

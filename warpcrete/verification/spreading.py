@@ -23,7 +23,7 @@ def let_go(yield_stress: float, width: float, duration: float) -> FreeScene:
     )
     box = ((0.0, 0.0), (HALF[0], 0.0), HALF, (0.0, HALF[1]))
     return FreeScene(
-        name="dam", test="none", concrete=concrete, axial=False, width=width, height=1.2 * HALF[1], spacing=5e-3,
+        name="dam", concrete=concrete, axial=False, width=width, height=1.2 * HALF[1], spacing=5e-3,
         outline=box, sides={"left": "mirror"}, duration=duration, sample_interval=duration / 20,
     )  # fmt: skip
 

@@ -172,7 +172,7 @@ def tilted_vessel(**given) -> FreeScene:
     left = ((-0.5, -0.5), (0.6, -0.5), (0.17, 0.013), (0.03, 0.5), (-0.5, 0.5))
     right = ((0.17, 0.013), (0.6, -0.5), (0.6, 0.5), (0.37, 0.5))
     return FreeScene(**{
-        "name": "tilted vessel", "test": "none", "concrete": replace(PASTE, viscosity=10.0), "axial": False,
+        "name": "tilted vessel", "concrete": replace(PASTE, viscosity=10.0), "axial": False,
         "width": 0.4, "height": 0.3, "spacing": 0.01, "blocks": (left, right), "duration": 0.5,
         "outline": ((-1.0, -1.0), (1.0, -1.0), (1.0, 0.2), (-1.0, 0.2)), "sample_interval": 0.05, "tolerance": 1e-5,
     } | given)  # fmt: skip

@@ -89,7 +89,7 @@ class Method:
 
     name: str
     simulation: type[Simulation]
-    quantities: tuple[Quantity, ...]
+    list_quantities: Callable[[], tuple[Quantity, ...]]
     display: type[Display]
     picture: str
     """File name of the picture in a run folder."""
@@ -116,6 +116,11 @@ class Method:
     def scene_type(self) -> type:
         """Type of the scenes that this method simulates."""
         return self.simulation.scene_type
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """All quantities that runs may have, those of standard tests that were defined later included."""
+        return self.list_quantities()
 
     @property
     def compared(self) -> tuple[Quantity, ...]:

@@ -11,6 +11,7 @@ from ...core.run.method import Quantity
 from ...core.run.run_loop import Run
 from ...core.units import number
 from ...geometry.walls import Wall
+from ...standards.standard_test import report_unrest
 from ..scene.scene import Scene
 from ..scene.strokes import held, peaks
 from .blockage_results import QUANTITIES as OF_BLOCKAGE
@@ -20,7 +21,7 @@ from .sampling import STORED
 from .segregation import QUANTITIES as OF_SEGREGATION
 from .segregation import words as segregation_words
 from .stations import StationLog, losses
-from .vessel_measures import QUANTITIES as OF_VESSELS
+from .vessel_measures import quantities as of_vessels
 from .wear import WearMap
 from .wear_results import QUANTITIES as OF_WEAR
 from .wear_results import report as report_wear
@@ -270,7 +271,6 @@ def _level(of):
 
 
 QUANTITIES = (
-    *OF_VESSELS,
     Quantity("peak_pressure", "Pa", _pumped(lambda k: k.series["pressure"][k.peak]), "peak pressure",
              _peak_words, True),
     Quantity("peak_travel", "m", _pumped(lambda k: k.series["travel"][k.peak])),
@@ -306,15 +306,19 @@ QUANTITIES = (
 )  # fmt: skip
 
 
+def quantities() -> tuple[Quantity, ...]:
+    """Return all results of discrete elements, standard tests included."""
+    return (*of_vessels(), *QUANTITIES)
+
+
 def report(run: Run) -> Iterator[tuple[str, str]]:
     """Yield titles and texts of the summary that are not quantities: missing plateau, blockage, wear and packing."""
     if words := no_plateau(run):
         end = number(run.result["end_pressure"])
         yield "plateau pressure", words
         yield "pressure at the end", f"{end / 1e3:.2f} kPa"
-    vessel = run.scene.vessel
-    if vessel is not None and run.finished and not run.result["at_rest"] and "funnel_time" not in run.result:
-        yield "not at rest", f"{1e3 * number(run.result['rest_speed']):.2g} mm/s at {run.series['time'][-1]:.3g} s"
+    if run.scene.vessel is not None:
+        yield from report_unrest(run, run.scene.vessel.test)
     if run.result.get("blocked"):
         yield "BLOCKED", blocked_words(run)
     if "segregation" in run.result:

@@ -17,8 +17,7 @@ from .probes import row_sums
 from .segregation import UNITS as SEGREGATION
 from .segregation import row_of
 from .stations import StationLog
-from .vessel_measures import UNITS as MEASURED
-from .vessel_measures import measured
+from .vessel_measures import measured, unit_of_column
 from .wear import UNITS as WEAR_UNITS
 from .wear import WearMap
 
@@ -43,7 +42,6 @@ UNITS = {
     "deepest_overlap": "1",
     "time_step": "s",
     "reach": "m",
-    **MEASURED,
     **SEGREGATION,
 }
 VECTOR_UNITS = {"momentum": "kg m/s", "drive": "N"}
@@ -59,6 +57,8 @@ def unit_of(column: str, walls: Sequence[Wall]) -> str:
     """Return the unit of a column in the series of a scene with these walls; raise KeyError for an unknown column."""
     if column in UNITS:
         return UNITS[column]
+    if unit := unit_of_column(column):
+        return unit
     name, _, axis = column.rpartition("_")
     if axis in AXES and name in VECTOR_UNITS:
         return VECTOR_UNITS[name]
@@ -68,7 +68,7 @@ def unit_of(column: str, walls: Sequence[Wall]) -> str:
     for kind, unit in WEAR_UNITS.items():
         if column.removesuffix(f"_{kind}") in [w.name for w in walls]:
             return unit
-    raise KeyError(f"column {column!r} has no unit; add it to the units in warpcrete/dem/sampling.py")
+    raise KeyError(f"column {column!r} has no unit; add it to the units in warpcrete/dem/measure/sampling.py")
 
 
 class Sampler:

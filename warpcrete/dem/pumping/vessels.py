@@ -13,13 +13,15 @@ from ...core.device.device import PRECISIONS
 from ...core.errors import refuse
 from ...core.inputs.knobs import Knob, Level, precisions, scaled
 from ...core.inputs.parameters import Above, Declared, Needs, OneOf, Within
+from ...core.run.checks import with_cures
 from ...core.run.run_loop import Run
 from ...geometry.prisms import Solid
+from ...standards import StandardTest
 from ..laws import OWN_LAW, BinghamMortar, Contact, ContactLaw, LawChoice, PlasticMortar, RollingResistance
 from ..laws.base import RESISTANCES
 from ..scene.clumps import templates
 from ..scene.containers import Fill, MeshContainer
-from ..scene.scene import Bonds, Settle, TimeStep, Watch
+from ..scene.scene import Bonds, Settle, TimeStep, Vessel, Watch
 from ..scene.sizes import Gaussian, Sizes, Uniform
 
 LAWS = ("linear", "bonds", "mortar", "plastic", "rolling")
@@ -246,6 +248,10 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
             tensile_strength=self.tensile_strength, cohesion=self.cohesion, friction_angle=self.friction_angle,
         )  # fmt: skip
 
+    def vessel(self, test: StandardTest, opened: float) -> Vessel:
+        """Return the vessel of a test that nothing holds closed from the time `opened` [s] on."""
+        return Vessel(test=test, opened=opened, rest_speed=self.rest_speed, dimensions=test.sizes(self))
+
     def fill(self, inside: Solid) -> Fill:
         """Return the fill of concrete in a closed solid."""
         return Fill(
@@ -376,7 +382,8 @@ BALANCED = 0.01
 """Largest error of the momentum balance, relative to the largest impulse."""
 FEWEST = 200
 """Fewest grains that represent concrete in a vessel; with fewer, single stones decide the outcome."""
-
+STRAYS = 0.05
+"""Largest fraction of the grains that may leave a heap."""
 
 CURES = {
     "momentum balance": "--precision float64, or a smaller --safety",
@@ -388,15 +395,20 @@ CURES = {
 }
 
 
-def found_bad(run: Run) -> dict[str, tuple[bool, str]]:
-    """Return the checks of every run in a vessel by name, each as (passed, finding)."""
-    result = run.result
+@with_cures(CURES)
+def check_vessel(run: Run) -> dict[str, tuple[bool, str]]:
+    """Return the checks of a run in a vessel by name: whether each one passed, and what it found."""
+    result, test = run.result, run.scene.vessel.test
     balance, overlap, grains = result["momentum_balance_error"], result["largest_overlap"], result["bodies"]
-    return {
+    found = {
         "momentum balance": (balance < BALANCED, f"{100 * balance:.3g} % of the largest impulse"),
         "no grain swallowed": (overlap < 2.0, f"largest overlap {overlap:.3g} of the smaller radius"),
         "enough grains": (grains >= FEWEST, f"{grains}; at least {FEWEST} are needed to represent concrete"),
     }
+    if test.on_plate:
+        strays = result["strays"]
+        found["one heap"] = (strays < STRAYS, f"{100 * strays:.2g} % of the grains have left the heap")
+    return found | test.judge(run)
 
 
 def vessel_remarks(given: VesselParameters, what: str) -> tuple[str, ...]:

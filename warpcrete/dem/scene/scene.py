@@ -18,6 +18,7 @@ from ...core.errors import between, one_of, positive, refuse, vector
 from ...core.inputs.parameters import Above, Declared, Within
 from ...geometry.axis import Axis
 from ...geometry.walls import Driven, MeshWall, Motion, PipeWall, PlaneWall, Prescribed, Stops, Wall
+from ...standards import StandardTest
 from ..laws import Contact, ContactLaw
 from .clumps import ClumpTemplate
 from .containers import Fill
@@ -33,13 +34,6 @@ __all__ = [
 MUCH_STIFFER = 200.0
 """Smallest ratio of the hydrated bonds' modulus to the largest other modulus at which sub-cycling pays off; at a ratio
 of 100 it takes as long as single steps."""
-VESSELS = {
-    "slump": ("top_diameter", "mould_height"),
-    "jring": ("top_diameter", "mould_height", "ring_diameter", "bar_diameter"),
-    "funnel": ("outlet_width", "breadth", "whole_height"),
-    "lbox": ("column_width", "length", "width"),
-}
-"""Tests of fresh concrete by name, each with the dimensions that its measurements require."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -303,22 +297,18 @@ class PipeUnit:
 class Vessel:
     """Description of a vessel, in which fresh concrete is tested, for measurements and checks."""
 
-    test: str
-    """Name of the test, a key of VESSELS."""
+    test: StandardTest
     opened: float
     """Time from which nothing holds the concrete back any more [s]."""
     rest_speed: float
     """Speed limit for rest [m/s]: all bodies of the main heap must stay below it for a second."""
     dimensions: Mapping[str, float]
-    """Dimensions of the vessel by name [m], as VESSELS lists them."""
+    """Dimensions of the vessel by name [m], as the test lists them."""
 
     def __post_init__(self) -> None:
-        one_of("test", self.test, VESSELS)
         between("opened", self.opened, 0, np.inf, "s")
         positive("rest_speed", self.rest_speed, "m/s")
-        missing = [name for name in VESSELS[self.test] if name not in self.dimensions]
-        if missing:
-            refuse("dimensions", dict(self.dimensions), f"must have {', '.join(missing)} for test {self.test!r}")
+        self.test.check_dimensions(self.dimensions)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -122,7 +122,8 @@ class FreeDisplay(Display):
     def plots(self) -> tuple[Plot, ...]:
         """Return curves of the concrete's width, height and speed over time, or for a funnel of what remains in it."""
         word = "spread" if self._axial else "position of the front"
-        if self.simulation.scene.test == "funnel":
+        test = self.simulation.scene.test
+        if test and test.outflow:
             return (
                 Plot(
                     "remaining", "Remaining", (Curve("inside", "remaining [%]", lambda row: 1e2 * row["inside"], OURS),)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...core.run.forecast import Forecast, Probe
 from ..forecast import Course, coarser_run, flow_forecast
-from .quantities import funnel_estimate
+from .quantities import expected
 from .scene import FreeScene
 from .simulation import FreeSimulation
 
@@ -45,8 +45,8 @@ def course_of(simulation: FreeSimulation) -> Course:
     height = scene.extent[1, 1]
     swift = scene.spacing / math.sqrt(2 * scene.gravity * height)
     mean = min(scene.time_step, swift) if scene.step_error else scene.time_step
-    if scene.test == "funnel":
-        estimate = funnel_estimate(scene)
+    if scene.test and scene.test.outflow:
+        estimate = expected(scene).get(scene.test.outflow.time)
         if estimate is None:
             return Course(scene.duration, mean, ["the yield stress may hold the concrete in the funnel"])
         return Course(min(LONGER * estimate, scene.duration), mean)

@@ -5,13 +5,13 @@ from ..stepping import run_abreast
 from .display import FreeDisplay
 from .forecast import forecast
 from .pictures import draw, plot_free
-from .quantities import QUANTITIES, expected, report
+from .quantities import expected, quantities, report
 from .simulation import FreeSimulation
 
 METHOD = Method(
     name="mps",
     simulation=FreeSimulation,
-    quantities=QUANTITIES,
+    list_quantities=quantities,
     display=FreeDisplay,
     picture="flow.png",
     draw=draw,

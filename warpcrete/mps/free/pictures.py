@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from ...core.run.run_loop import Run
-from ...core.units import number
+from ...core.units import number, shown
 from ...theory.vessels import heap_depth
 from .scene import FreeScene
 
@@ -41,23 +42,22 @@ def plot_free(run: Run) -> Any:
     for block in (*scene.blocks, *((scene.gate,) if scene.gate and not scene.axial else ())):
         corners = 1e3 * np.clip(np.array([*block, block[0]]), 0.0, [scene.width, scene.height])
         shape.fill(corners[:, 0], corners[:, 1], color="0.9", zorder=0)
-    for name, factor, label in _curves(scene):
-        course.plot(run.series["time"], factor * run.series[name], label=label)
-    course.set(xlabel="time [s]", ylabel="[%]" if scene.test == "funnel" else "[mm]")
+    unit = "m"
+    for name, label in _curves(scene).items():
+        unit = run.units[name]
+        course.plot(run.series["time"], shown(unit)[0] * run.series[name], label=label)
+    course.set(xlabel="time [s]", ylabel=f"[{shown(unit)[1]}]")
     course.legend(frameon=False, fontsize=8)
     for axes in (shape, course):
         axes.spines[["top", "right"]].set_visible(False)
     return figure
 
 
-def _curves(scene: FreeScene) -> list[tuple[str, float, str]]:
-    """Return the columns of the series that are drawn over time, each with a factor and a label."""
-    if scene.test == "funnel":
-        return [("inside", 1e2, "remaining")]
-    if scene.test == "lbox":
-        return [("front", 1e3, "position of the front"), ("near_depth", 1e3, "depth at the gate"),
-                ("far_depth", 1e3, "depth at the end")]  # fmt: skip
-    return [("spread", 1e3, "spread" if scene.axial else "position of the front"), ("top", 1e3, "highest point")]
+def _curves(scene: FreeScene) -> Mapping[str, str]:
+    """Return the labels of the columns of the series that are drawn over time."""
+    if scene.test and scene.test.curves:
+        return scene.test.curves
+    return {"spread": "spread" if scene.axial else "position of the front", "top": "highest point"}
 
 
 def draw(simulation: Any, run: Run, colouring: str | None) -> Any:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...standards import Specimen
 from ..grid.flow import GridFlow
+from ..grid.layout import GridLayout
 
 HALF = 0.5
 """Minimum filled fraction of a cell whose velocity counts."""
@@ -22,13 +24,6 @@ UNITS = {
     "steps": "1",
 }
 """Units of the columns of the time series."""
-MORE = {
-    "funnel": {"screen": "1"},
-    "lbox": {"near_depth": "m", "far_depth": "m", "front": "m"},
-}
-"""Units of the additional columns of each test."""
-FAR_END = 0.05
-"""Length at the far end of an L-box over which the depth is averaged [m]."""
 
 
 def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
@@ -85,28 +80,36 @@ def speeds(flow: GridFlow) -> np.ndarray:
     return np.sqrt(square)[(state.cells("fill") > HALF) & (state.cells("room") > HALF)]
 
 
-def screen(flow: GridFlow) -> float:
-    """Return the filled fraction of the fullest cell in the middle of a funnel, from the outlet to the brim.
+def _at_start(layout: GridLayout) -> Specimen:
+    """Return the concrete of a flow before its first step."""
+    top, end = (float(layout.fluid[:, axis].max()) + 0.5 * layout.mark_spacing for axis in (-1, 0))
+    return Specimen(
+        top=lambda radius: top,
+        spread=lambda: 2 * end if layout.axial else end,
+        height_around=lambda inner, outer: top if inner < end else 0.0,
+        depth=lambda low, high, width: top if low < end else 0.0,
+        front=lambda: 0.0,
+        screen=lambda width, breadth: 1.0,
+        inside=1.0,
+    )
 
-    Below a half, light is seen through the funnel.
-    """
-    fill = flow.state.cells("fill")
-    return float(fill.reshape(fill.shape[0], -1)[:, 0].max())
 
-
-def box_depths(flow: GridFlow) -> dict[str, float]:
-    """Return depths behind the gate and at the far end of an L-box, and the front's distance from the gate [m]."""
-    across, height = surface(flow)
-    scene, half = flow.scene, 0.5 * flow.state.layout.spacing
-    gate = scene.dimensions["column_width"]
-    behind = (across < gate) & (across > 0.5 * gate)
-    came = across[height > half]
-    return {
-        # The median ignores concrete that clings to the walls of the column.
-        "near_depth": float(np.median(height[behind])),
-        "far_depth": float(np.median(height[across > scene.width - FAR_END])),
-        "front": max(float(came.max(initial=0.0)) + half - gate, 0.0),
-    }
+def specimen(flow: GridFlow) -> Specimen:
+    """Return the concrete of a flow."""
+    layout, (across, height) = flow.state.layout, surface(flow)
+    top, far, fill = float((bases(flow) + height).max()), reach(flow), flow.state.cells("fill")
+    mass = flow.state.particles.mass.numpy().astype(float)
+    return Specimen(
+        top=lambda radius: top,
+        spread=lambda: 2 * far if layout.axial else far,
+        height_around=lambda inner, outer: float(np.mean(height[(across >= inner) & (across <= outer)])),
+        # The median ignores concrete that clings to the walls of a column.
+        depth=lambda low, high, width: float(np.median(height[(across > low) & (across < high)])),
+        front=lambda: float(across[height > 0.5 * layout.spacing].max(initial=0.0)) + 0.5 * layout.spacing,
+        # The outlet lies below the first column of cells: see the fullest cell there, from the outlet to the brim.
+        screen=lambda width, breadth: float(fill.reshape(fill.shape[0], -1)[:, 0].max()),
+        inside=float(np.sum(mass) / np.sum(layout.mass)),
+    )
 
 
 def measured(flow: GridFlow, whole: float) -> dict[str, float]:
@@ -114,32 +117,20 @@ def measured(flow: GridFlow, whole: float) -> dict[str, float]:
 
     The volume error is what the surface loses or gains. Concrete that has left through an open side is not an error.
     """
-    state, layout = flow.state, flow.state.layout
-    if not flow.steps:
-        top = float(layout.fluid[:, -1].max()) + 0.5 * layout.mark_spacing
-        far = float(layout.fluid[:, 0].max()) + 0.5 * layout.mark_spacing
-        none = dict.fromkeys(UNITS | MORE.get(flow.scene.test, {}), 0.0)
-        start = {"top": top, "spread": 2 * far if layout.axial else far, "inside": 1.0}
-        start |= {"screen": 1.0} if flow.scene.test == "funnel" else {}
-        start |= {"near_depth": top} if flow.scene.test == "lbox" else {}
-        return none | start
-    _, height = surface(flow)
-    speed, outcomes = speeds(flow), flow.outcomes()
-    far = reach(flow)
-    more = {"screen": screen(flow)} if flow.scene.test == "funnel" else {}
-    if flow.scene.test == "lbox":
-        more = box_depths(flow)
-    inside = float(np.sum(state.particles.mass.numpy().astype(float)) / np.sum(layout.mass))
-    return {
-        "time": flow.time,
-        "top": float((bases(flow) + height).max()),
-        "spread": 2 * far if layout.axial else far,
-        "inside": inside,
-        "fastest": float(speed.max()) if len(speed) else 0.0,
-        "mean_speed": float(np.sqrt(np.mean(speed**2))) if len(speed) else 0.0,
-        "volume_error": volume(flow) / whole - inside,
-        "viscosity_iterations": outcomes["viscosity"]["iterations"],
-        "pressure_iterations": outcomes["pressure"]["iterations"],
-        "time_step": flow.next_step,
-        "steps": float(flow.steps),
-    } | more
+    concrete = specimen(flow) if flow.steps else _at_start(flow.state.layout)
+    row = dict.fromkeys(UNITS, 0.0)
+    row |= {"top": concrete.top(0.0), "spread": concrete.spread(), "inside": concrete.inside}
+    if flow.steps:
+        speed, outcomes = speeds(flow), flow.outcomes()
+        row |= {
+            "time": flow.time,
+            "fastest": float(speed.max()) if len(speed) else 0.0,
+            "mean_speed": float(np.sqrt(np.mean(speed**2))) if len(speed) else 0.0,
+            "volume_error": volume(flow) / whole - row["inside"],
+            "viscosity_iterations": outcomes["viscosity"]["iterations"],
+            "pressure_iterations": outcomes["pressure"]["iterations"],
+            "time_step": flow.next_step,
+            "steps": float(flow.steps),
+        }
+    test = flow.scene.test
+    return row | test.measure(concrete, flow.scene.dimensions) if test else row

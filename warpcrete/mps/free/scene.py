@@ -14,20 +14,15 @@ from ...core.errors import between, one_of, positive, refuse
 from ...core.inputs.concretes import is_file
 from ...core.inputs.parameters import Above, Declared, OneOf, Within
 from ...geometry.walls import Wall
+from ...standards import StandardTest
 from ...theory.pipe import Concrete
 from ..column import ConcreteParameters
 from ..grid.geometry import BARE, MIRROR, WALL
 from ..mixes import CONSTANTS, concrete_of
 from ..scene import STEP_ERROR, check_interval
 
-TESTS = ("slump", "funnel", "lbox", "none")
 SIDES = (("left", "right"), ("front", "back"), ("bottom", "top"))
 """Names of the lower and upper sides of the room along each axis."""
-NEEDED = {
-    "funnel": ("outlet_width", "top_width", "outlet_height", "cone_height", "breadth"),
-    "lbox": ("column_width", "width"),
-}
-"""Dimensions of the vessel that the quantities of a test need."""
 NO_LAYER = {"slip_viscosity": 1e8, "slip_yield": 0.0}
 Points = tuple[tuple[float, float], ...]
 """Corners of a polygon [m], each with its horizontal coordinate (or radius) and its height."""
@@ -72,8 +67,8 @@ class FreeScene(Parametrised, FreeSettings):
     """
 
     name: str
-    test: str
-    """Test whose outcome is measured, one of TESTS."""
+    test: StandardTest | None = None
+    """Test whose outcome is measured, if there is one."""
     concrete: Concrete
     axial: bool
     """True for a flow about the axis x = 0; otherwise it is in a plane, per metre of depth, or in space."""
@@ -117,7 +112,6 @@ class FreeScene(Parametrised, FreeSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        one_of("test", self.test, TESTS)
         for name in ("width", "height", "spacing"):
             positive(name, getattr(self, name), "m")
         between("depth", self.depth, 0, np.inf, "m")
@@ -149,11 +143,10 @@ class FreeScene(Parametrised, FreeSettings):
                     "must be three or more corners, each of two finite numbers [m]",
                     "list the corners in order",
                 )
-        missing = [key for key in NEEDED.get(self.test, ()) if key not in self.dimensions]
-        if missing:
-            refuse("dimensions", dict(self.dimensions), f"must have {', '.join(missing)} for test {self.test!r}", "")
-        if self.test == "lbox" and not self.depth:
-            refuse("depth", self.depth, "must be above 0 for test 'lbox'", "give half the box's width")
+        if self.test:
+            self.test.check_dimensions(self.dimensions)
+            if self.test.in_space and not self.depth:
+                refuse("depth", self.depth, f"must be above 0 for test {self.test.name!r}", "give half the box's width")
         if np.any(np.ptp(self.extent, axis=0) <= 0):
             refuse(
                 "outline",

@@ -14,17 +14,18 @@ from ...core.errors import InstabilityError
 from ...core.run.method import results_of
 from ...core.run.run import Table
 from ...core.units import quantity
+from ...standards.standard_test import is_at_rest
 from ..grid.flow import GridFlow
 from ..grid.state import GridState, check_memory
 from ..run import FlowRun
 from .display import FreeDisplay
 from .layout import free_cells, free_layout
-from .probes import MORE, UNITS, bases, measured, reach, surface
-from .quantities import LIGHT, QUANTITIES, Known
+from .probes import UNITS, bases, measured, reach, surface
+from .quantities import Known, quantities
 from .scene import FreeScene
 
-RESTED = 1.0
-"""Simulated time over which concrete must stay slow to count as at rest [s]."""
+STARTS = 0.2
+"""Time after the release during which concrete may still be slow because it has only begun to flow [s]."""
 
 
 class FreeSimulation(FlowRun):
@@ -36,7 +37,7 @@ class FreeSimulation(FlowRun):
 
     def unit(self, column: str) -> str:
         """Return the unit of a column of the series."""
-        return (UNITS | MORE.get(self.scene.test, {}))[column]
+        return UNITS.get(column) or self.scene.test.columns[column]  # type: ignore[union-attr]
 
     def display(self, colouring: str | None = None) -> FreeDisplay:
         """Return the display that recorders draw."""
@@ -61,7 +62,7 @@ class FreeSimulation(FlowRun):
             if not math.isfinite(value):
                 raise InstabilityError(f"{at}: {name} is not a finite number; use a smaller time step")
         room = self.scene.width - 2 * self.flow.state.layout.spacing
-        if self.scene.test == "slump" and self.flow.steps and reach(self.flow) > room:
+        if self.scene.test and self.scene.test.on_plate and self.flow.steps and reach(self.flow) > room:
             raise InstabilityError(
                 f"{at}: the concrete has reached the edge of the plate, {self.scene.width:g} m from its middle; use a "
                 "larger plate (plate_radius)"
@@ -74,14 +75,10 @@ class FreeSimulation(FlowRun):
         return max(y for _, y in scene.gate) / scene.lift_speed if scene.gate else 0.0
 
     def ended_early(self) -> bool:
-        """Return whether the concrete is at rest, or light is seen through a funnel."""
-        now, row = self._rows[-1]["time"], self._rows[-1]
-        if row.get("screen", 1.0) < LIGHT:
+        """Return whether the concrete is at rest, or has flowed out of a vessel that empties."""
+        if self.scene.test and self.scene.test.is_over(self._rows[-1]):
             return True
-        if now < self.lifted + RESTED + 0.2:
-            return False
-        late = [row["fastest"] for row in self._rows if row["time"] > now - RESTED - 1e-9]
-        self.steady = max(late) < self.scene.rest_speed
+        self.steady = is_at_rest(self._rows, self.lifted + STARTS, self.scene.rest_speed)
         return self.steady
 
     def sizes(self) -> dict[str, Any]:
@@ -96,7 +93,7 @@ class FreeSimulation(FlowRun):
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
         """Return entries of the result that the series and the surface give, and no tables."""
-        result = results_of(QUANTITIES, Known(self.scene, series, self.volume))
+        result = results_of(quantities(), Known(self.scene, series, self.volume))
         across, height = surface(self.flow)
         result["surface"] = {
             "place": {"value": across.tolist(), "unit": "m"},

@@ -11,7 +11,7 @@ from .simulation import PartSimulation
 METHOD = Method(
     name="mps",
     simulation=PartSimulation,
-    quantities=QUANTITIES,
+    list_quantities=lambda: QUANTITIES,
     display=PartDisplay,
     picture="flow.png",
     draw=draw,

@@ -1,0 +1,56 @@
+"""A standard test of one's own: a record in one file, whose scene is measured, ended and reported like the others."""
+
+import copy
+import pickle
+
+import pytest
+from test_free_flows import vessel
+
+from warpcrete import SceneError
+from warpcrete.core.run.method import Quantity, report_of
+from warpcrete.core.units import number
+from warpcrete.methods import METHODS, method_of
+from warpcrete.mps.free.simulation import FreeSimulation
+from warpcrete.standards import TESTS, ClosedForm, StandardTest
+
+
+@pytest.fixture
+def channel():
+    """Concrete that spreads along a channel, as in the LCPC box (Roussel 2007)."""
+    yield StandardTest(
+        name="channel-spread",
+        dimensions=("length",),
+        columns={"front": "m"},
+        measure=lambda concrete, size: {"front": concrete.front()},
+        quantities=(Quantity("spread_length", "m", lambda k: k.last("front"), "spread length", None, True),),
+        forms=(ClosedForm("spread_length", "theory", "level", lambda k: k.size["length"]),),
+    )
+    del TESTS["channel-spread"]
+
+
+def test_a_test_of_one_s_own_needs_nothing_but_its_record(device, channel):
+    outline = ((0.0, 0.0), (0.1, 0.0), (0.1, 0.1), (0.0, 0.1))
+    scene = vessel(test=channel, dimensions={"length": 0.4}, outline=outline, duration=0.1, sample_interval=0.05)
+    run = FreeSimulation(scene, device=device).run()
+    method = method_of(scene)
+    assert run.units["front"] == "m" and 0.1 < run["spread_length"] < 0.4
+    assert number(run.result["spread_length_theory"]) == method.expected(scene)["spread_length"] == 0.4
+    assert dict(report_of(method.quantities, run))["spread length"].endswith("mm   (level: 400 mm)")
+    assert "slump" not in run.result
+    assert "spread_length_theory" not in {each.name for each in METHODS[0].quantities}  # discrete elements
+    assert {"spread_length", "slump"} <= {each.name for each in METHODS[0].quantities}
+    with pytest.raises(SceneError, match="dimensions"):
+        vessel(test=channel)
+
+
+def test_a_record_stays_itself(channel):
+    """Processes of a study send scenes to each other."""
+    assert copy.deepcopy(channel) is pickle.loads(pickle.dumps(channel)) is channel
+
+
+@pytest.mark.parametrize("test", TESTS.values(), ids=list(TESTS))
+def test_a_closed_form_belongs_to_a_result(test):
+    names = {each.name for each in test.quantities}
+    assert {form.quantity for form in test.forms} <= names
+    assert test.outflow is None or (test.outflow.time in names and test.outflow.column in test.columns)
+    assert set(test.curves or ()) <= set(test.columns)

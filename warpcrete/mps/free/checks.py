@@ -1,0 +1,26 @@
+"""Acceptance checks of standard tests that are simulated as a flow with a free surface."""
+
+from ...core.run.checks import Check, with_cures
+from ...core.run.run import Run
+
+CURES = {
+    "finished": "a longer --duration, or a shorter --sample-interval",
+    "volume": "a smaller --spacing, or a smaller --time-step",
+    "at rest": "a longer --duration",
+    "light is seen": "a longer --duration",
+}
+
+
+def check_flow(volume_error: float) -> Check:
+    """Return a function that checks a run; `volume_error` is the limit, as a fraction of the volume."""
+
+    @with_cures(CURES)
+    def check(run: Run) -> dict[str, tuple[bool, str]]:
+        """Return the checks of a run by name: whether each one passed, and what it found."""
+        if "volume_error" not in run.result:
+            return {"finished": (False, "the run recorded no sample after its start")}
+        volume = run.result["volume_error"]
+        found = {"volume": (abs(volume) < volume_error, f"{100 * volume:+.2f} % largest change")}
+        return found | run.scene.test.judge(run)
+
+    return check

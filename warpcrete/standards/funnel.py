@@ -1,0 +1,45 @@
+"""V-funnel test: time in which concrete flows out of a funnel (EN 12350-9)."""
+
+from __future__ import annotations
+
+import math
+
+from ..core.run.method import Quantity
+from ..theory.vessels import funnel_time
+from .standard_test import ClosedForm, Outcome, Outflow, Sizes, Specimen, StandardTest
+
+LIGHT = 0.5
+"""Covered fraction of the outlet below which light counts as seen through the funnel, which ends the test."""
+
+
+def _measure(concrete: Specimen, size: Sizes) -> dict[str, float]:
+    return {"screen": concrete.screen(size["outlet_width"], size["breadth"]), "inside": concrete.inside}
+
+
+def _height(size: Sizes) -> float:
+    return size["outlet_height"] + size["cone_height"]
+
+
+def _time_of_ducts(k: Outcome) -> float | None:
+    """Return the time in which the funnel empties [s]; None if the yield stress holds the concrete."""
+    size, concrete = k.size, k.concrete
+    halves = (size["outlet_width"] / 2, size["top_width"] / 2)
+    time = funnel_time(halves, (size["outlet_height"], _height(size)), size["breadth"], concrete.viscosity,
+                       concrete.yield_stress, concrete.density, k.gravity)  # fmt: skip
+    return time if math.isfinite(time) else None
+
+
+FUNNEL = StandardTest(
+    name="funnel",
+    dimensions=("top_width", "outlet_width", "breadth", "cone_height", "outlet_height"),
+    columns={"screen": "1", "inside": "1"},
+    measure=_measure,
+    quantities=(
+        Quantity("funnel_time", "s", lambda k: k.when("screen", LIGHT, True), "funnel time", None, True),
+        Quantity("remaining", "1", lambda k: k.last("inside"), "remaining",
+                 lambda run: f"{100 * run.result['remaining']:.1f} %"),
+    ),
+    forms=(ClosedForm("funnel_time", "theory", "row of ducts", _time_of_ducts),),
+    outflow=Outflow("screen", LIGHT, "funnel_time", "light is seen", _height),
+    curves={"inside": "remaining"},
+)  # fmt: skip

@@ -1,0 +1,91 @@
+"""Slump test, slump flow test and J-ring test: a cone of concrete whose mould is lifted (EN 12350-2, -8, -12)."""
+
+from __future__ import annotations
+
+from ..core.run.method import Quantity
+from ..theory.vessels import heap_at_rest, long_heap_spread, tall_cone_slump
+from .standard_test import ClosedForm, Outcome, Sizes, Specimen, StandardTest
+
+T500 = 0.5
+"""Spread at which T500 is measured [m] (EN 12350-8)."""
+BESIDE = 0.025
+"""Width of the annulus around the J-ring over which the height outside the ring is averaged [m]."""
+MOULD = ("top_diameter", "base_diameter", "mould_height")
+
+
+def _measure(concrete: Specimen, size: Sizes) -> dict[str, float]:
+    # The height is averaged over half the diameter of the mould's top, where a stiff heap stays level.
+    return {"top": concrete.top(size["top_diameter"] / 4), "spread": concrete.spread()}
+
+
+def _measure_ring(concrete: Specimen, size: Sizes) -> dict[str, float]:
+    ring = 0.5 * (size["ring_diameter"] + size["bar_diameter"])
+    return _measure(concrete, size) | {"outside": concrete.height_around(ring, ring + BESIDE)}
+
+
+def _slump(k: Outcome) -> float:
+    """Return the fall of the top since the start [m].
+
+    The height of settled concrete is measured in the same way at the start and at the end. The roughness of its surface
+    and its settlement in the mould therefore do not count as slump.
+    """
+    return (k.size["mould_height"] if k.fill_height is None else k.fill_height) - k.last("top")
+
+
+def _slump_of_cone(k: Outcome) -> float:
+    cone = k.size["top_diameter"] / 2, k.size["base_diameter"] / 2, k.size["mould_height"]
+    return tall_cone_slump(*cone, k.concrete.yield_stress, k.concrete.density, k.gravity)
+
+
+def _spread_of_long_heap(k: Outcome) -> float | None:
+    if k.concrete.yield_stress == 0:
+        return None
+    return long_heap_spread(k.whole, k.concrete.yield_stress, k.concrete.density, k.gravity)
+
+
+def _heap(k: Outcome) -> tuple[float, float] | None:
+    """Return radius and depth of a heap that resists being stretched [m]; None unless it is wider than high."""
+    if k.concrete.yield_stress == 0:
+        return None
+    reach, depth = heap_at_rest(k.whole, k.concrete.yield_stress, k.concrete.density, k.gravity)
+    return (reach, depth) if reach > depth else None
+
+
+def _slump_of_heap(k: Outcome) -> float | None:
+    return k.size["mould_height"] - heap[1] if (heap := _heap(k)) else None
+
+
+def _spread_of_heap(k: Outcome) -> float | None:
+    return 2 * heap[0] if (heap := _heap(k)) else None
+
+
+SLUMP = StandardTest(
+    name="slump",
+    dimensions=MOULD,
+    columns={"top": "m", "spread": "m"},
+    measure=_measure,
+    quantities=(
+        Quantity("slump", "m", _slump, "slump", None, True),
+        Quantity("fill_height", "m", lambda k: k.fill_height, "height at the start"),
+        Quantity("spread", "m", lambda k: k.last("spread"), "spread", None, True),
+        Quantity("t500", "s", lambda k: k.when("spread", T500), "T500", None, True),
+    ),
+    forms=(
+        ClosedForm("slump", "theory", "tall cone", _slump_of_cone),
+        ClosedForm("slump", "heap", "heap", _slump_of_heap),
+        ClosedForm("spread", "theory", "long heap", _spread_of_long_heap, is_estimate=False),
+        ClosedForm("spread", "heap", "heap", _spread_of_heap),
+    ),
+    on_plate=True,
+)
+J_RING = StandardTest(
+    name="jring",
+    dimensions=(*MOULD, "ring_diameter", "bar_diameter"),
+    columns={"top": "m", "spread": "m", "outside": "m"},
+    measure=_measure_ring,
+    quantities=(
+        *SLUMP.quantities,
+        Quantity("blocking_step", "m", lambda k: k.last("top") - k.last("outside"), "blocking step", None, True),
+    ),
+    on_plate=True,
+)
