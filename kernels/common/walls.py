@@ -84,7 +84,7 @@ def wall_functions(scalar):
 
     @wp.func
     def into_wall(wall: Wall, direction: t.vec3):
-        """Return the unit vector of a direction that `distance_to_wall` has returned."""
+        """Return the unit vector along a vector that `distance_to_wall` has returned."""
         if wall.kind == PLANE:
             return direction
         # On the axis of a pipe every direction leads to the wall, so any unit vector is correct.

@@ -9,14 +9,15 @@ import warp as wp
 from ..common.types import types, vector_functions
 from .contact_law import contact_functions
 
-# State of a pair's bond. A positive value combines the bond's kind with the row of its load.
+# State of a pair's bond: 0 without a bond, negative if the bond broke. A positive state combines the bond's kind with
+# the row of `pairs.load` that holds the bond's force and moment.
 UNBONDED = wp.constant(0)
 BROKEN_IN_TENSION = wp.constant(-1)
 BROKEN_IN_SHEAR = wp.constant(-2)
 HYDRATED = wp.constant(2)  # kind of the stiff bonds at hydrated contacts; kind 1 is the ordinary bond
 
-# The lowest KIND_BITS bits of a bond state are its kind; the bits above are its row in `pairs.load`. Loads have rows of
-# their own because few pairs of a list are bonded.
+# The lowest KIND_BITS bits of a bond state are the bond's kind. The bits above are the row of `pairs.load` that holds
+# the bond's force and moment. Few pairs of a neighbour list are bonded, so `pairs.load` has rows for bonded pairs only.
 KIND_BITS = wp.constant(4)
 MOST_KINDS = 2 ** int(KIND_BITS) - 1
 MOST_ROWS = 2 ** (31 - int(KIND_BITS))
@@ -30,13 +31,13 @@ def kind_of(bond: wp.int32):
 
 @wp.func
 def load_row(bond: wp.int32):
-    """Return the row of the bond's load, counted from the scene's first load row."""
+    """Return the row of `pairs.load` that holds the bond's force and moment, counted from the scene's first row."""
     return bond >> KIND_BITS
 
 
 @wp.func
 def bond_with(kind: wp.int32, row: wp.int32):
-    """Return the state of a pair with a bond of this kind whose load is stored in this row."""
+    """Return the bond state for a bond of this kind whose force and moment are stored in this row of `pairs.load`."""
     return kind | (row << KIND_BITS)
 
 
@@ -56,7 +57,7 @@ def bond_functions(scalar):
         cohesion: scalar  # shear strength at zero normal stress [Pa]
         tan_friction_angle: scalar  # increase of shear strength per compressive stress
         radius_multiplier: scalar  # bond radius divided by the smaller sphere radius
-        moment_factor: scalar  # share of bending and torsion that counts in the peak stresses
+        moment_factor: scalar  # fraction of the bending and torsion moments that enters the peak stresses
 
     @wp.func
     def bond_stiffness(p: Bond, touch: Touch):
@@ -83,7 +84,7 @@ def bond_functions(scalar):
         moment: t.vec4,
         dt: scalar,
     ):
-        """Return the new force, moment and state of a bond; a broken bond returns the load that broke it.
+        """Return the new force, moment and state of a bond; a broken bond returns the force and moment that broke it.
 
         `force` and `moment` hold the shear (bending) vector and, last, the normal (twisting) component. `stretch` is
         the exact change of the distance between the centres in this step. The approximation `velocity dt` along the

@@ -100,7 +100,7 @@ def contact_functions(scalar):
 
     @wp.func
     def shear_spring(touch: Touch, history: t.vec3, stiffness: scalar, limit: scalar, dt: scalar):
-        """Step the spring that is loaded by sliding; results as for `plane_spring`."""
+        """Step the spring that sliding loads, and return the same results as `plane_spring`."""
         vn = wp.dot(touch.velocity, touch.normal)
         return plane_spring(touch, touch.velocity - vn * touch.normal, history, stiffness, limit, dt)
 

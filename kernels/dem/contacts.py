@@ -59,16 +59,16 @@ def contact_kernel(
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(True))
     def contacts(
-        # Arrays of the model.
+        # The next arguments are arrays of the model.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # Range of rows that this launch processes.
+        # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         last: wp.int32,
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # Arrays of the state, read and written.
+        # The next arguments are arrays of the state that this kernel reads and writes.
         spheres: Spheres,
         pairs: Pairs,
     ):
@@ -130,7 +130,8 @@ def contact_kernel(
                 if block < end:
                     bits, held = close_entries(spheres, pairs, base, position_i, block, wp.min(BLOCK, end - block))
                     if wp.static(history or healing):
-                        # A pair held by a stiff bond may part at the first check after that bond broke.
+                        # A pair that a stiff bond has held may already be separated when this kernel first checks the
+                        # pair after the break.
                         parted = wp.static(ALL_TOUCHED) & ~(bits | held)
                         if block == begin:
                             before = spheres.touching[i]

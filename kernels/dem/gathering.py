@@ -49,26 +49,26 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
 
     @wp.kernel(module="unique", enable_backward=False, module_options=estimate_options(half))
     def gather_stiffness(
-        # Arrays of the model.
+        # The next arguments are arrays of the model.
         pair_parameters: wp.array(dtype=PairParameters),
         bond_parameters: wp.array(dtype=Bond),
         wall_parameters: wp.array(dtype=WallParameters),
         segments: wp.array(dtype=Segment),
-        # Scenes with an estimate due, rows of this launch, number of the CPU thread, and kind of pairs.
+        # The next arguments are the scenes with an estimate due, the rows, the CPU thread, and the kind of pairs.
         due: wp.array(dtype=wp.int32),
         begin: wp.int32,
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,
         stiff: wp.bool,
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         scenes: Scenes,
         bodies: Bodies,
         spheres: Spheres,
         slots: Slots,
         pairs: Pairs,
         walls: Walls,
-        # Arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         estimate: Estimate,
     ):
         i = begin + wp.tid() / wp.static(lanes)

@@ -52,7 +52,7 @@ def grid_functions(scalar) -> SimpleNamespace:
 
     @wp.func
     def along(v: scalar) -> wp.int32:
-        """Return the cell number of a coordinate, given in cell widths."""
+        """Return the index along one axis of the cell that holds a coordinate, which is given in cell widths."""
         far = scalar(wp.static(FARTHEST))
         place = wp.where(v > -far, v, -far)  # NaN fails this comparison and is mapped to the farthest cell
         return wp.int32(wp.floor(wp.where(place < far, place, far)))
@@ -85,7 +85,7 @@ def grid_functions(scalar) -> SimpleNamespace:
 
     @wp.func
     def run_of(grid: Grid, region: Region, number: wp.int32) -> wp.vec2i:
-        """Return the first and the end entry in `point` of a run."""
+        """Return where a run of cells begins and ends in `point`, the list of points sorted by cell."""
         row = number
         begin = region.lowest[0]
         end = begin + region.count[0]

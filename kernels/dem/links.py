@@ -23,7 +23,7 @@ from .structs import DT_PREVIOUS, array_structs, links_struct
 
 
 def pull_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
-    """Return the number of `links.pull` rows a link has: four with bonds, rolling or dissipation, else two.
+    """Return the number of rows in `links.pull` per link: four with bonds, rolling or dissipation, else two.
 
     Two rows serve both spheres. Where a link has a moment of its own or loses energy, each sphere needs its own two
     rows.
@@ -66,21 +66,21 @@ def pull_functions(scalar, count: int):
 
     @wp.func
     def row_of(first: wp.int32, end: wp.int32):
-        """Return the first row in `links.pull` that holds a link's result at one of its ends."""
+        """Return the row in `links.pull` where the results of a link for one of its two spheres begin."""
         if wp.static(apart):
             return count * (first + wp.where(end >= 0, end, -1 - end)) + wp.where(end >= 0, 0, 2)
         return count * (first + wp.where(end >= 0, end, -1 - end))
 
     @wp.func
     def force_at(end: wp.int32, force: t.vec4):
-        """Return the link's force on the sphere at this end [N]."""
+        """Return the link's force on the sphere at this end of the link [N]."""
         if wp.static(apart):
             return xyz(force)
         return wp.where(end >= 0, xyz(force), -xyz(force))
 
     @wp.func
     def moment_at(end: wp.int32, force: t.vec4, turn: t.vec4):
-        """Return the link's moment about the centre of the sphere at this end [N m]."""
+        """Return the link's moment about the centre of the sphere at this end of the link [N m]."""
         if wp.static(apart):
             return xyz(turn)
         return wp.where(end >= 0, force[3], turn[3]) * xyz(turn)
@@ -143,7 +143,7 @@ def pull_functions(scalar, count: int):
                     lost = (((lost + wp.float64(a[3])) + wp.float64(c[3])) + wp.float64(e[3])) + wp.float64(g[3])
             block += BLOCK
             word += 1
-        for entry in range(begin + BITS, end):  # entries beyond BITS have no touching bits
+        for entry in range(begin + BITS, end):  # List entries beyond the first BITS have no touching bits.
             q = read_int(links.end, entry)
             r = row_of(row / 2, q)
             a, b = read_vec4(links.pull, r), read_vec4(links.pull, r + 1)
@@ -219,7 +219,8 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
         if wp.static(bonds):
             close = close or kind > 0
             if wp.static(subcycling):
-                held_apart = kind == HYDRATED  # sub-cycling rounds step a pair in a stiff bond
+                # The sub-cycling rounds, not this kernel, step a pair that is held by a stiff bond.
+                held_apart = kind == HYDRATED
                 close = close and not held_apart
         after = wp.where(close, 1, 0)
         if held_apart:
@@ -231,7 +232,9 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
             if after == 0 and state != 2:
                 lost = part(scenes, spheres, pairs, parameters, s, i, j, k, twin)
             if lost > scalar(0.0):
-                after = 2  # the link's rows stay in the sums for one more step, which counts the loss
+                # The results of the link are added up for one more step, in which the energy lost at the separation is
+                # booked.
+                after = 2
             else:
                 mark(spheres, links, i, k - row - pairs.start[i + s], close)
                 mark(spheres, links, j, twin - row - pairs.start[j + s], close)
@@ -324,7 +327,7 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
 def link_kernel(
     scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool, mixed: bool
 ):
-    """Return the kernel over links that computes the contacts of those that touch.
+    """Return the kernel over links that computes the contacts of those links that touch.
 
     The launch has `threads` threads. They first share the near links. Then they share all links of those scenes whose
     near links may miss a contact; for these scenes the near links are skipped.
@@ -340,14 +343,14 @@ def link_kernel(
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
     def link_contacts(
-        # Arrays of the model.
+        # The next arguments are arrays of the model.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         threads: wp.int32,
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # Arrays of the state, read and written.
+        # The next arguments are arrays of the state that this kernel reads and writes.
         spheres: Spheres,
         pairs: Pairs,
         links: Links,

@@ -46,7 +46,7 @@ TAKE_PLACES = """
 
 @wp.func_native(TAKE_PLACES)
 def take_place(count: wp.array(dtype=wp.int32), wants: wp.bool) -> wp.int32:
-    """Return the next free list index to each thread that wants one, else -1; all threads of a block must call this.
+    """Return a free index in the list of near links to each thread that wants one, else -1; a whole block calls this.
 
     One atomic addition per block reserves the indices. Blocks run in any order, so the order of the list varies.
     """

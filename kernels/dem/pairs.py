@@ -144,7 +144,7 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
                 pairs.rolling[k] = t.vec3()
         if wp.static(healing):
             if pairs.bond[k] < 0:
-                pairs.bond[k] = 0  # the pair may bond again at the next touch
+                pairs.bond[k] = 0  # The pair may bond again when its spheres next touch.
                 pairs.load[k] = t.vec8()
         return lost
 
@@ -212,7 +212,7 @@ def bond_pull_functions(scalar, dissipation: bool):
         bending: t.vec3  # moment of the bond on the first body [N m]
         contact: scalar  # 0 if the bond broke and the spheres do not touch, else 1
         lost: scalar  # energy lost by contact and bond [J]
-        outcome: wp.int32  # 1: the bond holds; negative: code of the failure mode
+        outcome: wp.int32  # 1 if the bond holds; negative: code of how the bond broke
 
     @wp.func
     def bond_pull(

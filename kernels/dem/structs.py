@@ -19,7 +19,8 @@ from ..common.walls import wall_struct
 # Columns of the double-precision array `clock`, which has one row a scene.
 TIME = wp.constant(0)  # simulated time [s]
 DT = wp.constant(1)  # the coming time step [s]
-DT_PREVIOUS = wp.constant(2)  # the previous time step; 0 at the start, which halves the first velocity kick [s]
+# previous time step [s]; 0 at the start, so that the first velocity kick has half the length
+DT_PREVIOUS = wp.constant(2)
 SINCE_BUILD = wp.constant(3)  # time since the neighbour lists were built [s]
 FORCE_SCALE = wp.constant(4)  # fixed-point units per newton, for sums of wall forces in integers
 STABLE = wp.constant(5)  # latest estimate of the stable step, without safety factor [s]
@@ -51,7 +52,7 @@ def scene_struct(scalar):
         foreseen_speed: wp.float64  # largest speed expected before the next stable step estimate [m/s]
         wall_stiffness: wp.float64  # lower bound of the contact stiffness that a driven wall meets [N/m]
         largest_radius: scalar  # largest sphere radius, at full size [m]
-        bodies: wp.int32  # first row of the scene in each flat array, here and below; `..._count`: number of rows
+        bodies: wp.int32  # first row of the scene in this and each following flat array; `..._count`: number of rows
         body_count: wp.int32
         spheres: wp.int32
         sphere_count: wp.int32
@@ -221,9 +222,10 @@ def subcycled_struct(scalar):
         rounds: wp.array(dtype=wp.int32)  # number of rounds in a step; 0: no sub-cycling, shape (scenes,)
         stable: wp.array(dtype=wp.float64)  # stable step of the stiff pairs alone [s], shape (scenes,)
         pair_scene: wp.array(dtype=wp.int32)  # index of each pair's scene in the batch, shape (pairs,)
-        lower: wp.array(dtype=wp.int32)  # permanent number of the sphere with the lower number
-        higher: wp.array(dtype=wp.int32)  # permanent number of the sphere with the higher number
-        ends: wp.array(dtype=wp.vec4i)  # rows of both bodies, and rows of both ends in `force`
+        lower: wp.array(dtype=wp.int32)  # lower permanent number of the pair's two spheres
+        higher: wp.array(dtype=wp.int32)  # higher permanent number of the pair's two spheres
+        # rows of the pair's two bodies in this struct, and rows in `force` of the pair's forces on these bodies
+        ends: wp.array(dtype=wp.vec4i)
         lower_offset: wp.array(dtype=t.vec4)  # lower sphere: centre in the body's frame, and radius [m]
         higher_offset: wp.array(dtype=t.vec4)  # higher sphere: centre in the body's frame, and radius [m]
         law: wp.array(dtype=wp.int32)  # row of the pair's contact parameters

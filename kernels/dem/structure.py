@@ -25,10 +25,10 @@ def wear_kernel(scalar, law):
         breakdown: wp.array(dtype=wp.float64),  # slip after which the gain has fallen to 1/e, one a scene [m]
         begun: wp.array(dtype=wp.float64),  # travel of the wall at which slip began, one a scene [m]
         slip_wall: wp.array(dtype=wp.int32),  # index in the batch of the wall whose travel is the slip, one a scene
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         scenes: Scenes,
         walls: Walls,
-        # Arrays that are read and written.
+        # The next arguments are arrays that this kernel reads and writes.
         wall_parameters: wp.array(dtype=Parameters),
     ):
         s = wp.tid()

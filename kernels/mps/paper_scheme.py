@@ -29,18 +29,18 @@ def weights_kernel(scalar, dimensions: int, serial: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def weights(
-        # Input: parameters of the flow.
+        # The next argument holds the parameters of the flow.
         flow: Flow,
         reach: scalar,
         laplacian_number: scalar,
-        # Input: range of rows of this launch.
+        # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         end: wp.int32,
-        # Input: state, which is only read.
+        # The next arguments are the state, which this kernel only reads.
         flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
-        # Output: arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         fields: Fields,
     ):
         if flags[HALTED] != 0:
@@ -76,16 +76,16 @@ def source_kernel(scalar, dimensions: int, serial: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def source(
-        # Input: parameters of the flow.
+        # The next argument holds the parameters of the flow.
         flow: Flow,
-        # Input: range of rows of this launch.
+        # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         end: wp.int32,
-        # Input: state, which is only read.
+        # The next arguments are the state, which this kernel only reads.
         flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
-        # Output: arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         fields: Fields,
         matrix: Matrix,
         projection: Solve,
@@ -143,16 +143,16 @@ def projection_kernel(scalar, dimensions: int, serial: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def project(
-        # Input: parameters of the flow.
+        # The next argument holds the parameters of the flow.
         flow: Flow,
-        # Input: range of rows of this launch.
+        # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         end: wp.int32,
-        # Input: state, which is only read.
+        # The next arguments are the state, which this kernel only reads.
         flags: wp.array(dtype=wp.int32),
         lists: Lists,
         fields: Fields,
-        # Input and output: arrays that are read and written.
+        # The next arguments are arrays that this kernel reads and writes.
         particles: Particles,
     ):
         if flags[HALTED] != 0:

@@ -28,7 +28,7 @@ def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
         bent = g.regularisation * rate
         if bent > scalar(1.0e-3):
             return g.viscosity + g.yield_stress * (scalar(1.0) - wp.exp(-bent)) / rate
-        # Use the series for small rates, where the fraction loses digits.
+        # Use a series for small rates, because the fraction (1 - exp(-x)) / x loses digits there.
         return g.viscosity + g.yield_stress * g.regularisation * (scalar(1.0) - scalar(0.5) * bent)
 
     @wp.func

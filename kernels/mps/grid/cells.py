@@ -24,7 +24,8 @@ import warp as wp
 from ...common.types import types
 from ..structs import mps_types
 
-OPEN = wp.constant(0)  # Value of `solid` for a cell that concrete may fill; other values are the number of a wall.
+# Value of `solid` for a cell that concrete may fill; any other value is the number that identifies a wall.
+OPEN = wp.constant(0)
 SMOOTH = wp.constant(2)  # Number of the frictionless wall, which is an axis or a plane of symmetry.
 GATE = wp.constant(3)  # Number of the wall that opens at a given time.
 # The following constants are kinds of faces, except ROUGH, which is the number of a wall.
@@ -225,7 +226,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def on_grid(g: Cells, c: whole) -> wp.bool:
-        """Return whether a face or an edge with the indices `c` exists; a periodic grid has one layer less of them."""
+        """Return whether a face or edge with the indices `c` exists; a periodic grid lacks those at its upper end."""
         found = c[last] >= 0 and c[last] <= g.n[last] - wp.static(1 if of.periodic else 0)
         for b in range(last):
             if c[b] < 0 or c[b] > g.n[b]:
@@ -234,7 +235,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def reached(g: Cells, c: whole) -> wp.bool:
-        """Return whether a face or an edge with the indices `c` exists, where a periodic grid continues without end."""
+        """Return whether a face or edge with the indices `c` exists, if a periodic grid continues without end."""
         found = wp.bool(True)
         for b in range(wp.static(last if of.periodic else dims)):
             if c[b] < 0 or c[b] > g.n[b]:

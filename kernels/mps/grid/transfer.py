@@ -396,7 +396,8 @@ def advect_kernel(scalar, of: Kind):
             length = scalar(g.n[last]) * g.width[last]
             after[last] = after[last] - length * wp.floor(after[last] / length)
         if wp.static(of.cut):
-            # Rounding and the curvature of its path may lead a particle into a wall, so push it out again.
+            # Rounding errors and the curvature of the particle's path may lead a particle into a wall, so push the
+            # particle out.
             for _ in range(2):
                 gap, outward = clearance(g, geometry, after)
                 steep = wp.length(outward)
