@@ -39,7 +39,7 @@ REMARKS = ("concrete enters through a plane as a plug with uniform velocity, and
 
 ALONE = Needs("line", lambda line: line is None, "is left out")
 APART = 3.0
-"""Minimum distance between two legs of a line, in cells, so that no cell contains concrete of both."""
+"""Minimum distance between two legs of a line, in cells, so that no cell contains concrete of both legs."""
 
 
 def _is_given(value: Any) -> bool:
@@ -48,7 +48,7 @@ def _is_given(value: Any) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class PartParameters(ConcreteParameters, PartSettings):
-    """Pipe and flow."""
+    """Parameters of the pipe and of the flow in it."""
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -154,7 +154,7 @@ def _check_wall(given: PartParameters) -> None:
 
 
 def _mesh(given: PartParameters) -> _Course:
-    """Return the course of a mesh's bore, with straight stretches before its start and behind its end."""
+    """Return the course of a mesh's bore, with straight stretches before its start and beyond its end."""
     if given.wall is None:
         refuse("unit", given.unit, "needs a wall, the path of a mesh file", "set wall, or choose another unit")
     _check_wall(given)

@@ -97,7 +97,7 @@ class Part:
 
     @property
     def alike(self) -> tuple[Any, ...]:
-        """Key that is equal for parts with equal pressure loss; straight parts are compared per metre."""
+        """Key that is equal for parts with equal pressure loss; straight parts are compared by their loss per metre."""
         if self.by_length:
             return ("straight", self.diameter, self.layer)
         shape = self.mesh.digest if self.mesh else ""
@@ -137,7 +137,7 @@ class PipeLine:
 
     @property
     def clear(self) -> Bores:
-        """Radii along the axis of the largest circles about the axis that are free of the wall."""
+        """Radii of the largest circles about the axis that do not touch the wall, along the axis."""
         return self._profile("least")
 
     def _profile(self, of: str) -> Bores:
@@ -256,7 +256,7 @@ def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
 
 
 def _text(given: Mapping[str, Any], field: str, default: str) -> str:
-    """Return a text without control characters for terminals, or the default if the entry is missing."""
+    """Return a text without the control characters of terminals, or the default if the entry is missing."""
     found = given.get(field, default)
     if isinstance(found, Mapping | list):
         with within(given, field):
@@ -287,7 +287,7 @@ class _Course:
         self.pieces: list[Line | Arc] = []
 
     def add(self, number: int, entry: Any) -> None:
-        """Append a part to the line, given as its entry in the file."""
+        """Append a part, given by its entry in the pipeline file, to the line."""
         if not isinstance(entry, Mapping) or len(entry) != 1:
             refuse(f"part {number}", entry, f"must be one of {', '.join(PARTS)} with its properties",
                    "for example '- straight: {length: 10 m}'")  # fmt: skip
@@ -364,7 +364,7 @@ class _Course:
             self.heading = level / np.linalg.norm(level)
 
     def _hose(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
-        """Return a hose as a curve through points, given relative to its start as ahead, left and up."""
+        """Return a hose as a curve through points, given relative to the hose's start as forward, left and up."""
         field = f"part {number}, hose"
         given = said.get("points")
         if not isinstance(given, Sequence) or isinstance(given, str) or not given:

@@ -1,4 +1,4 @@
-"""Pipelines simulated as one pipe: run parameters taken from its file or mesh, and limits of its course."""
+"""Pipelines simulated as one pipe: parameters that follow from the line's file or mesh, and limits of its shape."""
 
 from __future__ import annotations
 

@@ -20,9 +20,11 @@ WIDTH = 4.0
 With 3 the solves take a tenth fewer iterations but need twice as many cubes; with 6 they take a quarter more.
 """
 LEAST = 12.0
-"""Minimum height of a column, in cubes, for a coarse grid; below it the diagonal preconditioner is as fast."""
+"""Minimum height of a column, in cubes, for a coarse grid; for lower columns the diagonal preconditioner is as fast."""
 ABOVE = 1.1
-"""Height of the grid of cubes, relative to the column's height; particles above belong to the topmost cubes."""
+"""Height of the grid of cubes, relative to the column's height; particles above the grid belong to the topmost
+cubes.
+"""
 
 
 class CoarseGrid:

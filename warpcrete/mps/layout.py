@@ -48,7 +48,8 @@ def layout(scene: FluidScene) -> Layout:
         outside = np.concatenate([_ring(k, spacing) for k in range(rings, rings + LAYERS)])
         area = math.pi * scene.radius**2
     layers = round(scene.length / spacing)
-    step = scene.length / layers  # distance of layers with which the column has exactly the scene's length
+    # This distance between layers gives the column exactly the length that the scene states.
+    step = scene.length / layers
     height = (np.arange(layers) + 0.5) * step
     beneath = (np.arange(-LAYERS, 0) + 0.5) * step
     # The front bulges while the concrete flows, so the walls reach beyond the column.

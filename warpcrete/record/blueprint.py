@@ -17,7 +17,7 @@ SLIM = 0.25
 """Ratio of width to height, or of height to width, of the scene below which all views are arranged in one row or
 column."""
 CHAINS, CUT = "scene/network", "scene/cut"
-"""Paths of the entities that the view of the whole scene leaves out."""
+"""Paths of the entities that are hidden in the view of the whole scene."""
 PAINT_LEGEND = "legend_of_walls"
 
 

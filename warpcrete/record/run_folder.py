@@ -22,7 +22,7 @@ def scene_record(simulation: Simulation, command: dict[str, Any] | None = None) 
     """Return the contents of scene.json: the scene function's name, all arguments, and the settings of the run.
 
     If a scene differs from what its function builds, because it was modified afterwards or built by hand, the fields in
-    question are stored under `modified`; such a run cannot be repeated from its record.
+    question are stored under `modified`; such a run cannot be repeated from scene.json.
     """
     scene = simulation.scene
     made = scene.parameters if isinstance(scene.parameters, Arguments) else Arguments()

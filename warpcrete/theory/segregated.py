@@ -18,7 +18,9 @@ from .pipe import Concrete, Line, Steady
 from .suspension import SUSPENSIONS, thickening
 
 STEPS = 200
-"""Maximum number of bisections; the search ends earlier when no number lies between its bounds."""
+"""Maximum number of bisections; the bisection ends earlier when no floating-point number lies between the two
+bounds.
+"""
 
 
 @dataclass(frozen=True)

@@ -77,7 +77,7 @@ def heap_at_rest(
 
 
 def heap_volume(reach: float, yield_stress: float, density: float, gravity: float = 9.81, form: str = "axial") -> float:
-    """Return the volume of a heap at rest of radius `reach` [m]: all of it [m3], or one half in a plane [m2]."""
+    """Return the volume of a heap at rest of radius `reach` [m]: the whole [m3], or one half in a plane [m2]."""
     place = (np.arange(LAYERS) + 0.5) * reach / LAYERS
     depth = heap_depth(reach - place, yield_stress, density, gravity, form)
     return float(np.sum(depth * (2 * math.pi * place if form == "axial" else 1.0)) * reach / LAYERS)
@@ -105,7 +105,7 @@ def tall_cone_slump(
     radius = top + (base - top) * depth / height
     area = math.pi * radius**2
     load = density * gravity * math.pi * depth / 3 * (top * top + top * radius + radius * radius)
-    stays = np.minimum(1.0, bears * yield_stress * area / load)  # fraction of the layer's height that remains
+    stays = np.minimum(1.0, bears * yield_stress * area / load)  # Fraction of the layer's initial height that remains.
     return float(np.sum(1 - stays) * height / LAYERS)
 
 
@@ -141,7 +141,7 @@ def box_at_rest(
 
 
 def root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Return the zero of an increasing function between `low` and `high`, by bisection."""
+    """Return the zero of an increasing function between `low` and `high`, found by bisection."""
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if function(middle) < 0 else (low, middle)

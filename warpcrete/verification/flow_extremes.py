@@ -141,7 +141,9 @@ MUST: dict[str, str] = {
         ("a concrete that shears, for 1 s", ""),
     )
 }
-"""Flows that need not run, with part of the message with which they must stop; empty if both are acceptable."""
+"""Flows that need not run to the end, each with part of the message with which the flow must stop. If the text is
+empty, running and stopping are both acceptable.
+"""
 AXES: dict[str, tuple[float, float]] = {
     "viscosity": (0.1, 1e5),
     "yield_stress": (0.0, 1e4),

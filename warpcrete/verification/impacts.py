@@ -182,8 +182,8 @@ def oblique(device, precision) -> list[Row]:
             place = np.flatnonzero(which)[np.argmax(np.abs(ours - published)[which])]
             label = f"test 4: {name}, worst {where}"
             rows.append(Row(label, float(ours[place]), float(published[place]), tolerance, unit, scale))
-    # These errors are relative to each value. An impact at 5 degrees causes hardly any spin. The spin then equals a
-    # small difference between the tangential restitution and 1, and the restitution is compared above.
+    # The errors of the final spin are relative to each value. An impact at 5 degrees causes hardly any spin. The spin
+    # then equals a small difference between the tangential restitution and 1, and the restitution is compared above.
     for which, where, tolerance in ((TEST_4[:, 0] == 10, "at 10 degrees", 0.1), (~steep, "from 15 degrees on", 0.03)):
         label = f"test 4: final angular velocity {where}"
         rows.append(_worst(label, turning[which], TEST_4[which, 2], tolerance, "rad/s"))
