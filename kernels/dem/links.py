@@ -232,9 +232,7 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
             if after == 0 and state != 2:
                 lost = part(scenes, spheres, pairs, parameters, s, i, j, k, twin)
             if lost > scalar(0.0):
-                # The results of the link are added up for one more step, in which the energy lost at the separation is
-                # booked.
-                after = 2
+                after = 2  # the link's rows stay in the sums for one more step, which counts the loss
             else:
                 mark(spheres, links, i, k - row - pairs.start[i + s], close)
                 mark(spheres, links, j, twin - row - pairs.start[j + s], close)
