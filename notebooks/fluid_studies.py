@@ -313,31 +313,6 @@ class Studies:
             rows,
         )  # fmt: skip
 
-    def paper_scheme(self) -> None:
-        """The scheme as printed, with one sign mended."""
-        rows, figure = [], Figure(figsize=(7.5, 3.2), layout="constrained")
-        left, right = figure.subplots(1, 2)
-        for printed in (False, True):
-            run = self.run(scenes.channel(paper_scheme=printed, duration=1.0, sample_interval=0.02))
-            r, s, words = run.result, run.series, "as printed" if printed else "ours"
-            left.plot(s["time"][1:], s["pressure"][1:] / 1e3, label=words)
-            right.plot(s["time"], 100 * s["volume_error"], label=words)
-            rows.append(
-                [words, f"{r['pressure']['value'] / 1e3:.2f}", f"{100 * r['pressure_error']:+.1f}",
-                 f"{100 * r['slip_velocity_error']:+.2f}", f"{100 * r['volume_error']:+.3f}",
-                 f"{100 * r['force_balance_error']:+.1f}"]
-            )  # fmt: skip
-        left.axhline(r["pressure_theory"]["value"] / 1e3, color="0.4", linestyle=":", label="theory")
-        left.set(xlabel="time [s]", ylabel="pressure [kPa]", ylim=(0, None))
-        right.set(xlabel="time [s]", ylabel="volume error [%]")
-        left.legend(frameon=False, fontsize=8)
-        self.save("paper_scheme", figure)
-        self.write(
-            "paper_scheme",
-            ["scheme", "pressure [kPa]", "off [%]", "slip off [%]", "volume [%]", "balance of forces [%]"],
-            rows,
-        )
-
     def long(self) -> None:
         """Five seconds of flow: what the scheme keeps."""
         rows = []
@@ -381,7 +356,7 @@ def _falls(result: dict) -> tuple[float, float]:
     return fall, fall / (middle - result["slip_velocity"]["value"])
 
 
-NAMES = ("resolution", "thickness", "flow", "fields", "rigidity", "migration", "tube", "paper_scheme", "long")
+NAMES = ("resolution", "thickness", "flow", "fields", "rigidity", "migration", "tube", "long")
 
 
 def main(kind: type[Studies] = Studies, names: tuple[str, ...] = NAMES, about: str | None = __doc__) -> None:

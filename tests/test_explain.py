@@ -80,7 +80,7 @@ def test_what_governs_the_step_and_what_to_do_about_it(device):
     scene = replace(scene, time_step=replace(scene.time_step, rounds=1))
     told = explain(scene, device=device, threads=1, cache=False)
     limits = told.forecast.limits
-    assert told.forecast.governing.startswith("hydrated bonds, which make it")
+    assert told.forecast.governing.startswith("hydrated bonds, which shorten the step")
     assert limits["contacts and hydrated bonds"] < 0.1 * limits["contacts and bonds"]
     # Steps of a bond go with the root of its stiffness.
     softer = replace(scene, hydration=replace(scene.hydration, bonds=replace(scene.hydration.bonds,

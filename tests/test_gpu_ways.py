@@ -244,7 +244,6 @@ FLOWS = {
     "channel": lambda: scenes.channel(spacing=10e-3, precision="float64"),
     "channel, coarse grid": lambda: scenes.channel(spacing=6e-3, precision="float64"),
     "two phases": lambda: scenes.channel(spacing=5e-3, aggregates=True, precision="float64"),
-    "paper's scheme": lambda: scenes.channel(spacing=10e-3, paper_scheme=True, precision="float64"),
     "tube": lambda: scenes.tube(spacing=10e-3, precision="float64"),
     "tube, coarse grid": lambda: scenes.tube(spacing=10e-3, length=0.5, precision="float64"),
     "tube, two phases": lambda: grained(0.05),

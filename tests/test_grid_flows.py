@@ -347,7 +347,7 @@ def test_both_precisions_agree(device):
 
 
 def test_what_a_periodic_pipe_refuses():
-    for given, field in (({"aggregates": True}, "ends"), ({"paper_scheme": True}, "ends"), ({"ends": "open"}, "ends")):
+    for given, field in (({"aggregates": True}, "ends"), ({"ends": "open"}, "ends")):
         with pytest.raises(SceneError, match=field):
             scenes.channel(**{"ends": "periodic", **given})
 

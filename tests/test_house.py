@@ -289,7 +289,7 @@ def test_a_second_step_compiles_nothing(device):
     first.prepare()
     first.stepper.advance(0.01)
     counted = 0
-    load = wp._src.context.Module.load
+    load = wp.Module.load
 
     def counting(self, *arguments, **options):
         nonlocal counted
@@ -299,7 +299,7 @@ def test_a_second_step_compiles_nothing(device):
         return result
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(wp._src.context.Module, "load", counting)
+        patch.setattr(wp.Module, "load", counting)
         first.stepper.advance(0.02)
         # Another velocity, stiffness and friction: numbers, not structure.
         other = Simulation(scenes.pipe(velocity=0.5, modulus=2e5, friction=0.2, **small), device=device)

@@ -3,7 +3,6 @@
 from types import SimpleNamespace
 
 import pytest
-import warp
 import warp as wp
 from pumping import SMALL
 
@@ -18,7 +17,7 @@ def test_a_run_launches_nothing_that_was_not_loaded_with_the_rest(device, shapes
     """Each alone would be compiled by one thread while the others wait."""
     together: set[tuple[int, int]] = set()
     apart: list[tuple[str, int, int]] = []
-    load_one, load_any = wp.load_module, warp._src.context.Module.load
+    load_one, load_any = wp.load_module, wp.Module.load
 
     def loads(module, device, block_dim):
         together.add((id(module), block_dim))
@@ -31,7 +30,7 @@ def test_a_run_launches_nothing_that_was_not_loaded_with_the_rest(device, shapes
 
     monkeypatch.setattr(launching, "default_threads", lambda: 1)
     monkeypatch.setattr(wp, "load_module", loads)
-    monkeypatch.setattr(warp._src.context.Module, "load", load_module)
+    monkeypatch.setattr(wp.Module, "load", load_module)
     scene = scenes.pipe(shapes=shapes, hydration=0.1, hydration_modulus=2e6, **SMALL | dict(travel=0.002, settle=0.01))
     Simulation(scene, device=device).run()
     assert len(together) > 25

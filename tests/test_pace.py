@@ -8,7 +8,7 @@ from test_free_flows import slump, vessel
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import SceneError
-from warpcrete.mps.free.forecast import _course
+from warpcrete.mps.free.forecast import course_of
 from warpcrete.verification.starting import worst
 
 
@@ -98,9 +98,9 @@ def test_a_forecast_tells_the_mean_step():
     """
     scene = slump(spacing=0.0075, yield_stress=500.0, lift_time=0.0, duration=4.0)
     run = Simulation(scene, device="cpu").run()
-    time, mean, remarks = _course(scene, "cpu", "float32")
-    assert time == pytest.approx(run.series["time"][-1], rel=0.03) and not remarks
-    assert mean == pytest.approx(run.series["time"][-1] / run.result["steps"], rel=0.1)
+    course = course_of(Simulation(scene, device="cpu"))
+    assert course.duration == pytest.approx(run.series["time"][-1], rel=0.03) and not course.remarks
+    assert course.time_step == pytest.approx(run.series["time"][-1] / run.result["steps"], rel=0.1)
 
 
 @pytest.mark.parametrize(

@@ -190,7 +190,7 @@ def directed_product(scalar, value_type):
     an entry. Entry k of a row is stored at ``k * rows + row``. Neighbours and coefficients must not change while the
     kernel runs, because a GPU reads them through its read-only cache.
     """
-    width = getattr(value_type, "_length_", 1)
+    width = wp.types.type_size(value_type)
     name = "double" if scalar is wp.float64 else "float"
     snippet = DIRECTED.replace("VALUE", name if width == 1 else f"wp::vec_t<{width}, {name}>")
     snippet = snippet.replace("TERM", "value.data[j] + factor * direction.data[first + j]")
@@ -219,7 +219,7 @@ def entry_product(scalar, value_type):
     value[j]`` over the row's entries, where j is the neighbour of an entry. Entry k of a row is stored at
     ``k * rows + row``. Neighbours and coefficients must not change while the kernel runs.
     """
-    width = getattr(value_type, "_length_", 1)
+    width = wp.types.type_size(value_type)
     name = "double" if scalar is wp.float64 else "float"
     snippet = DIRECTED.replace("VALUE", name if width == 1 else f"wp::vec_t<{width}, {name}>")
 
@@ -243,7 +243,7 @@ def row_product(scalar, value_type):
     The function takes (neighbour, coefficient, value, first, count) and returns the sum of ``coefficient * value[j]``
     over the `count` entries from `first` on, where j is the neighbour of an entry.
     """
-    width = getattr(value_type, "_length_", 1)
+    width = wp.types.type_size(value_type)
     name = "double" if scalar is wp.float64 else "float"
     snippet = PRODUCT.replace("VALUE", name if width == 1 else f"wp::vec_t<{width}, {name}>").replace("SCALAR", name)
 

@@ -174,7 +174,7 @@ def lanes() -> wp.int32:
 @functools.cache
 def lane_sum(value):
     """Build the function that sums a value over all lanes of a warp and returns the sum to each lane."""
-    width = getattr(value, "_length_", 1)
+    width = wp.types.type_size(value)
     each, one = (f"for (int c = 0; c < {width}; ++c) part[c]", "part[c]") if width > 1 else ("part", "part")
     snippet = SUMMED.replace("EACH +=", f"{each} +=").replace("EACH", one)
 

@@ -145,12 +145,18 @@ def _resumed(
         raise click.UsageError(
             f"resume = '{folder}': a study continues with its own settings; leave out the scene and all other options"
         )
-    if not (folder / "study.json").is_file():
-        raise RunFolderError(f"resume = '{folder}': is not the folder of a study (it holds no study.json)")
-    name = read_record(folder / "study.json").get("scene")
+    return resume_study(folder, recorded_module(folder, "study", modules), progress=tell, **_where(settings))
+
+
+def recorded_module(folder: Path, kind: str, modules: Mapping[str, Any]) -> Any:
+    """Return the module of the scene in the record of a `study` or `trade`; raise :class:`RunFolderError` if none."""
+    record = f"{kind}.json"
+    if not (folder / record).is_file():
+        raise RunFolderError(f"resume = '{folder}': is not the folder of a {kind} (it holds no {record})")
+    name = read_record(folder / record).get("scene")
     if name not in modules:
         raise RunFolderError(f"'{folder}': its scene {name!r} does not exist in this version ({', '.join(modules)})")
-    return resume_study(folder, modules[name], progress=tell, **_where(settings))
+    return modules[name]
 
 
 def _begun(

@@ -8,15 +8,14 @@ from typing import Any
 
 import click
 
-from ..core.errors import RunFolderError
-from ..core.run.files import next_folder, read_record
+from ..core.run.files import next_folder
 from ..core.run.progress import ProgressBar
 from ..studies.tradeoffs.report import table
 from ..studies.tradeoffs.state import Trade
 from ..studies.tradeoffs.trade import resume_trade, run_trade
 from .options import check_scene
 from .run import INTERRUPTED
-from .study import ON_WORKERS, parameter_values, parsed, single
+from .study import ON_WORKERS, parameter_values, parsed, recorded_module, single
 
 UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 ONE = {"budget": str, "repeat": int, "out": Path, "resume": Path, "device": str, "threads": int, **ON_WORKERS}
@@ -77,12 +76,7 @@ def _resumed(
         raise click.UsageError(
             f"resume = '{folder}': continues with its own settings; only --budget, --scheduler and --workers may change"
         )
-    if not (folder / "trade.json").is_file():
-        raise RunFolderError(f"resume = '{folder}': is not the folder of a trade (it holds no trade.json)")
-    name = read_record(folder / "trade.json").get("scene")
-    if name not in modules:
-        raise RunFolderError(f"'{folder}': its scene {name!r} does not exist in this version ({', '.join(modules)})")
-    return resume_trade(folder, modules[name], **anew)
+    return resume_trade(folder, recorded_module(folder, "trade", modules), **anew)
 
 
 def report(trade: Trade) -> None:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import time as wall_clock
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from ..core.device.footprint import footprint
@@ -16,7 +14,6 @@ from ..core.run.provenance import provenance
 from ..core.run.run import Table
 from ..core.run.run_loop import Coroutine, Run, Simulation, Until, drive_alone
 from ..core.units import quantity
-from ..geometry.walls import Driven
 from .engine.bonding import bond_kinds
 from .engine.memory import check_memory
 from .engine.model import build_model
@@ -273,34 +270,6 @@ class ElementSimulation(Simulation):
         if self.blockage is not None:
             self.blockage(row)
         return row
-
-    def begin_measure(self) -> bool:
-        """Start a row that can be completed while a GPU goes on; return False if that is not possible.
-
-        It is possible if the row consists of sums only, and if the run cannot end at this row.
-        """
-        row, blockage = self.rows[-1], self.blockage
-        if not (self.watch.is_calm(row) and self.stepper.batch.parallel and self.sampler.may_wait):
-            return False
-        if blockage is not None and blockage.is_due(self._farthest(row)):
-            if not blockage.may_wait:
-                return False
-            blockage.begin()
-        self.sampler.begin()
-        return True
-
-    def _farthest(self, row: dict[str, float]) -> float:
-        """Return an upper bound of the pushing wall's travel in the row after `row` [m]."""
-        if self._top_speed == math.inf:
-            return math.inf
-        return row["travel"] + self._top_speed * (self.sampled[0] - row["time"]) * (1 + 1e-9)
-
-    @cached_property
-    def _top_speed(self) -> float:
-        """Largest speed of the pushing wall [m/s]; infinite if a force drives it, or if there is no such wall."""
-        probe = self.scene.pressure
-        pushing = next((wall for wall in self.model.walls if probe is not None and wall.name == probe.wall), None)
-        return math.inf if pushing is None or isinstance(pushing.motion, Driven) else pushing.top_speed()
 
     def watch_row(self, row: dict[str, float]) -> None:
         """Raise :class:`InstabilityError` if the row shows that the state has become meaningless."""

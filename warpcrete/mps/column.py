@@ -20,7 +20,7 @@ from ..core.units import number
 from ..theory.pipe import MIXES, Concrete, Line, Steady, flow_of_pressure, rested, steady, steady_of_stress
 from ..theory.suspension import SUSPENSIONS, mortar_of
 from .mixes import CONSTANTS, concrete_of, file_aggregates, file_constants
-from .scene import ENDS, Aggregates, FlowSettings, FlowWatch, FluidScene
+from .scene import ENDS, Aggregates, FlowSettings, FluidScene
 
 SHEARED: dict[str, Any] = {
     "concrete": "own", "viscosity": 30.0, "yield_stress": 40.0, "slip_viscosity": 1000.0, "slip_yield": 20.0,
@@ -126,8 +126,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         str,
         "Ends of the pipe: piston (particles, a column with a free surface on a piston), periodic (a stretch of an "
         "endless pipe on a grid, about the axis of a tube; for flows with any amount of shear), auto (piston if slip "
-        "carries 0.9 of the flow by theory, or if only particles can simulate it, that is aggregates or "
-        "paper_scheme; else periodic)",
+        "carries 0.9 of the flow by theory, or with aggregates, which only particles can simulate; else periodic)",
         OneOf(("auto", *ENDS)),
     ] = "auto"
 
@@ -181,7 +180,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         """
         if self.ends != "auto":
             return self.ends
-        if self.aggregates or self.paper_scheme:
+        if self.aggregates:
             return "piston"
         if self.rest or self.step_error:
             return "periodic"
@@ -218,9 +217,6 @@ def column_scene(
         spacing=given.spacing,
         aggregates=given.coarse(concrete, dimensions),
         published=(paper or {}).get(given.concrete, {}) if _is_papers(given) else {},
-        # The scheme as printed in the paper does not balance the forces. A run with the printed scheme is meant to show
-        # this, so the check of the balance must not stop the run.
-        watch=FlowWatch(force_balance=None) if given.paper_scheme else FlowWatch(),
         **settings,
     )
 

@@ -1,4 +1,4 @@
-"""Forecast of a pipe flow: a coarser copy gives the time until it is steady, the first steps give their cost.
+"""Forecasts of flows: a coarser copy gives the simulated time of the run, the first steps give their cost.
 
 Start-up is physics rather than numerics, so the coarser flow takes as much simulated time as the finer one.
 """
@@ -6,14 +6,17 @@ Start-up is physics rather than numerics, so the coarser flow takes as much simu
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ..core.device.footprint import footprint
-from ..core.errors import InstabilityError
+from ..core.errors import InstabilityError, SceneError
 from ..core.run.forecast import Forecast, Probe, median_time, timed
+from ..core.run.run import Run
+from .run import FlowRun
 from .scene import FluidScene
 from .simulation import FluidSimulation
 
@@ -23,71 +26,94 @@ SPENT = 1.0  # wall time for which steps are timed [s]
 TAKEN = 10  # number of steps that are timed together
 
 
-def forecast(scene: FluidScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
-    """Return the forecast of a run on a Warp `device`; `probe` times one frame of the recordings.
+@dataclass(frozen=True)
+class Course:
+    """Expected course of a run."""
 
-    Raises the errors that the run would raise before its first step.
+    duration: float
+    """Simulated time of the run [s]."""
+    time_step: float
+    """Mean time step [s]."""
+    remarks: Sequence[str] = ()
+
+
+def flow_forecast(
+    simulated: Callable[[], FlowRun],
+    course_of: Callable[[Any], Course],
+    features_of: Callable[[Any], Mapping[str, str]],
+    probe: Probe,
+    *,
+    limits: Mapping[str, float] | None = None,
+    governing: str = "choice: solves are implicit, so that viscosity and pressure set no limit",
+) -> Forecast:
+    """Return the forecast of a flow; `probe` times one frame of the recordings.
+
+    `simulated` creates the simulation. `course_of` and `features_of` return the course of the run and descriptions of
+    what is computed, by feature, for a prepared simulation. `limits` and `governing` describe the time step, as in
+    :class:`Forecast`.
     """
 
-    def begun() -> FluidSimulation:
-        simulation = FluidSimulation(scene, device=str(device), precision=precision, threads=threads)
+    def begun() -> FlowRun:
+        simulation = simulated()
         simulation.prepare()
         return simulation
 
-    between = max(1, round(scene.sample_interval / scene.time_step))  # steps between two samples
-    loading = begun()  # loads the kernels, so that later timings exclude the loading
-    loading.flow.take(min(between, TAKEN))
+    scene = (loading := begun()).scene
+    count = max(1, min(round(scene.sample_interval / scene.time_step), TAKEN))  # at most the steps between two samples
+    loading.flow.take(count)  # loads the kernels, so that later timings exclude the loading
+    course = course_of(loading)
     loading.release()
-    simulation, placing = timed(begun, device)
+    simulation, placing = timed(begun, loading.device)
     flow = simulation.flow
-    _, first = timed(lambda: flow.take(min(between, TAKEN)), device)
-    duration, remarks = _duration(scene, flow.count, str(device), precision, threads)
+    _, first = timed(lambda: flow.take(count), flow.device)
     step = step_time(simulation)
-    steps = max(1.0, duration / scene.time_step)
-    sample = median_time(simulation.measure, flow.device)
-    samples = math.ceil(duration / scene.sample_interval - 1e-9)
+    steps = max(1.0, course.duration / course.time_step)
+    samples = math.ceil(course.duration / scene.sample_interval - 1e-9)
     found = Forecast(
         method="moving particles",
         device="",
         counts=flow.counts,
-        features=_features(simulation),
-        memory={name: float(size) for name, size in footprint(
-            **flow.holdings, rest=simulation).items() if size},
-        time_step=scene.time_step,
-        limits={"half a spacing of piston travel": 0.5 * scene.spacing / scene.velocity},
-        governing="choice: solves are implicit, so that viscosity and pressure set no limit",
+        features={**features_of(simulation), "precision": simulation.precision},
+        memory={name: float(size) for name, size in footprint(**flow.holdings, rest=simulation).items() if size},
+        time_step=course.time_step,
+        limits=limits or {},
+        governing=governing,
         steps=steps,
-        parts={"placing": placing, "graphs": max(first - min(between, TAKEN) * step, 0.0), "steps": steps * step,
-               "samples": samples * sample},
+        parts={
+            "placing": placing,
+            "graphs": max(first - count * step, 0.0),
+            "steps": steps * step,
+            "samples": samples * median_time(simulation.measure, flow.device),
+        },
         frame=probe(simulation),
-        duration=duration,
-        remarks=(*scene.remarks, *remarks),
-    )  # fmt: skip
+        duration=course.duration,
+        remarks=(*scene.remarks, *course.remarks),
+    )
     simulation.release()
     return found
 
 
-def _duration(
-    scene: FluidScene, count: int, device: str, precision: str, threads: int | None
-) -> tuple[float, list[str]]:
-    """Return the simulated time until the flow is steady [s], and remarks."""
-    if scene.duration is not None:
-        return scene.duration, []
-    factor = max(1.0, (count / ENOUGH) ** (1 / scene.dimensions))
-    coarse = scene if factor == 1.0 else replace(
-        scene, spacing=min(factor * scene.spacing, scene.radius / 2, scene.length / 8), aggregates=None
-    )  # fmt: skip
-    simulation = FluidSimulation(coarse, device=device, precision=precision, threads=threads)
+def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | None, float, list[str]]:
+    """Run a coarser copy of a flow, whose scene has some `changes`.
+
+    Return the run, the simulated time that it took [s], and remarks. If the copy has not become steady, a remark says
+    what is `unmet`. If it stops with an error, the run is None and the time is the longest allowed one.
+    """
+    copy = None
     try:
-        run = simulation.run()
-    except InstabilityError as error:
-        return simulation.duration, [
-            f"the simulated time is uncertain, because a coarser copy of this flow stopped: {error}"
-        ]
+        copy = type(simulation)(
+            replace(simulation.scene, **changes), device=str(simulation.device), precision=simulation.precision,
+            threads=simulation.threads,
+        )  # fmt: skip
+        run = copy.run()
+    except (InstabilityError, SceneError) as error:
+        remark = f"the simulated time is uncertain, because a coarser copy of this flow stopped: {error}"
+        return None, simulation.duration, [remark]
     finally:
-        simulation.release()
-    reached = run.result["simulated_time"]["value"]
-    return reached, [] if run.result["steady"] else [f"the flow is not steady within {reached:g} s"]
+        if copy is not None:
+            copy.release()
+    reached = float(run.result["simulated_time"]["value"])
+    return run, reached, [] if copy.steady else [f"{unmet} within {reached:g} s"]
 
 
 def step_time(simulation: Any) -> float:
@@ -101,6 +127,32 @@ def step_time(simulation: Any) -> float:
     return float(np.quantile(times, 0.25)) / TAKEN
 
 
+def forecast(scene: FluidScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
+    """Return the forecast of a run on a Warp `device`; `probe` times one frame of the recordings.
+
+    Raises the errors that the run would raise before its first step.
+    """
+    return flow_forecast(
+        lambda: FluidSimulation(scene, device=str(device), precision=precision, threads=threads),
+        _course,
+        _features,
+        probe,
+        limits={"half a spacing of piston travel": 0.5 * scene.spacing / scene.velocity},
+    )
+
+
+def _course(simulation: FluidSimulation) -> Course:
+    """Return the course of a run until the flow is steady."""
+    scene = simulation.scene
+    if scene.duration is not None:
+        return Course(scene.duration, scene.time_step)
+    factor = (simulation.flow.count / ENOUGH) ** (1 / scene.dimensions)
+    spacing = min(factor * scene.spacing, scene.radius / 2, scene.length / 8)
+    changes = dict(spacing=spacing, aggregates=None) if factor > 1 else {}
+    _, reached, remarks = coarser_run(simulation, "the flow is not steady", **changes)
+    return Course(reached, scene.time_step, remarks)
+
+
 def _features(simulation: FluidSimulation) -> dict[str, str]:
     """Return short descriptions of what is computed, by feature."""
     scene, flow = simulation.scene, simulation.flow
@@ -112,7 +164,6 @@ def _features(simulation: FluidSimulation) -> dict[str, str]:
         "slip layer": f"{concrete.slip_viscosity:g} Pa s/m and {concrete.slip_yield:g} Pa",
         "scheme": _scheme(scene),
         "solves": _solves(flow),
-        "precision": simulation.precision,
         "threads": "one thread per particle" if flow.parallel else f"{flow.threads}",
     }
 
@@ -129,4 +180,4 @@ def _solves(flow: Any) -> str:
 def _scheme(scene: FluidScene) -> str:
     if scene.ends == "periodic":
         return "solved on a grid" + (" about the axis" if scene.dimensions == 3 else "")
-    return "as printed in the paper" if scene.paper_scheme else "corrected"
+    return "particles alone"

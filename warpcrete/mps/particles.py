@@ -12,14 +12,14 @@ import numpy as np
 import warp as wp
 
 from ..core.device.device import MEMORY_FRACTION, default_threads, memory_free, parallel
-from ..core.device.launching import Launcher, Size, Stage, Step, launch, parameter_names
+from ..core.device.launching import Launcher, Step, launch
 from ..core.errors import CapacityError
 from ..kernels.common.control import FAILED, HALTED, OVERFLOW, STALE
 from ..kernels.common.reductions import BLOCK
 from ..kernels.mps.conjugate_gradient import OUTCOME
 from ..kernels.mps.lists import list_kernels
-from ..kernels.mps.paper_scheme import LAPLACIAN
 from ..kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY
+from .allocation import allocate
 from .coarse import LEAST, WIDTH, CoarseGrid
 from .stages import step_by_one_thread, step_stages
 from .state import CUTOFF, WIDE, FluidState, flow_numbers
@@ -73,8 +73,7 @@ class MovingParticles(Stepping):
         self.viscous = self._solve(self.structs.VectorSolve)
         self.projection = self._solve(self.structs.NumberSolve)
         self.shifting = self._solve(self.structs.NumberSolve)
-        self.lists = self.structs.Lists()
-        self.lists.wall_position = self._array(self.structs.Lists, "wall_position", state.layout.wall)
+        self.lists = allocate(self.structs.Lists, self.device, wall_position=state.layout.wall)
         self.points = wp.zeros(self.count + len(state.layout.wall), dtype=wp.vec3f, device=self.device)
         """Positions of fluid and wall particles for the hash grid [m], shape (n + wall particles,)."""
         self.flow = flow_numbers(state, skin=SKIN, correction=CORRECTION)
@@ -89,28 +88,17 @@ class MovingParticles(Stepping):
         self.rebuilds = 0
         self.build()
 
-    def _array(self, struct: Any, name: str, value: Any) -> wp.array:
-        """Return an array for a member of a struct: a copy of host data, or zeros if `value` is a size."""
-        dtype = struct.vars[name].type.dtype
-        if isinstance(value, int):
-            return wp.zeros(value, dtype=dtype, device=self.device)
-        return wp.array(value, dtype=dtype, device=self.device)
-
     def _fields(self) -> Any:
         """Return the working arrays, except for those whose sizes depend on the neighbour lists."""
         struct = self.structs.Fields
-        fields = struct()
-        sizes = {"wall_scale": 1, "late": 2, "pair_weight": 0}
-        for name in struct.vars:
-            setattr(fields, name, self._array(struct, name, sizes.get(name, self.count)))
-        return fields
+        sizes = dict.fromkeys(struct.vars, self.count) | {"wall_scale": 1, "late": 2, "pair_weight": 0}
+        return allocate(struct, self.device, **sizes)
 
     def _matrix(self) -> Any:
         """Return the coefficients of the linear systems, except for arrays sized by the neighbour lists."""
         struct = self.structs.Matrix
-        matrix = struct()
-        for name in ("diagonal", "drag", "free"):
-            setattr(matrix, name, self._array(struct, name, self.count))
+        sizes = dict.fromkeys(("diagonal", "drag", "free"), self.count)
+        matrix = allocate(struct, self.device, **sizes)
         matrix.position = self.particles.position
         if self.grains is not None:
             assert self.state.grains is not None
@@ -122,17 +110,16 @@ class MovingParticles(Stepping):
     def _coarse(self) -> CoarseGrid | None:
         """Return the coarse grid that preconditions the solves, or None where it is of no use.
 
-        The coarse grid cannot serve rigid grains, which are larger than its cubes, nor the scheme as the paper prints
-        it. For short columns the diagonal preconditioner alone is as fast.
+        The coarse grid cannot serve rigid grains, which are larger than its cubes. For short columns the diagonal
+        preconditioner alone is as fast.
         """
         layout, reach = self.state.layout, self._list_reach[0]
-        if self.grains is not None or self.scene.paper_scheme or layout.height < LEAST * WIDTH * layout.spacing:
+        if self.grains is not None or layout.height < LEAST * WIDTH * layout.spacing:
             return None
         return CoarseGrid(self.structs, self.scalar, layout, self.scene.radius, reach, self.device)
 
     def _solve(self, struct: Any) -> Any:
         """Return the working arrays of one linear system."""
-        solve = struct()
         bodies = 0 if self.state.grains is None else self.state.grains.count
         cubes = 0 if self.coarse is None else self.coarse.count
         sizes = {
@@ -141,9 +128,7 @@ class MovingParticles(Stepping):
             "least": 1, "history": HISTORY, "direction": self.count * (2 if self.parallel else 1),
             "preconditioned": self.count if self.parallel else 0,
         }  # fmt: skip
-        for name in struct.vars:
-            setattr(solve, name, self._array(struct, name, sizes.get(name, self.count)))
-        return solve
+        return allocate(struct, self.device, **dict.fromkeys(struct.vars, self.count) | sizes)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -167,8 +152,7 @@ class MovingParticles(Stepping):
     @property
     def _list_reach(self) -> tuple[float, float]:
         """Reach of the near neighbours and of all neighbours [m], including the skin."""
-        near = LAPLACIAN if self.scene.paper_scheme else CUTOFF
-        return (near + SKIN) * self.state.layout.spacing, (max(near, WIDE) + SKIN) * self.state.layout.spacing
+        return (CUTOFF + SKIN) * self.state.layout.spacing, (WIDE + SKIN) * self.state.layout.spacing
 
     def _reserve(self) -> None:
         """Allocate list rows for 1.6 times the neighbours that the lattice has, to leave room for crowded regions."""
@@ -179,10 +163,9 @@ class MovingParticles(Stepping):
         self._check_memory(near, far, wall)
         for name, capacity in (("near", near), ("far", far), ("wall", wall)):
             setattr(self.lists, f"{name}_capacity", capacity)
-            setattr(self.lists, f"{name}_count", self._array(self.structs.Lists, f"{name}_count", n))
-            setattr(self.lists, name, self._array(self.structs.Lists, name, n * capacity))
-        self.fields.pair_weight = self._array(self.structs.Fields, "pair_weight", n * near)
-        self.matrix.coefficient = self._array(self.structs.Matrix, "coefficient", n * near)
+            allocate(self.structs.Lists, self.device, self.lists, **{f"{name}_count": n, name: n * capacity})
+        allocate(self.structs.Fields, self.device, self.fields, pair_weight=n * near)
+        allocate(self.structs.Matrix, self.device, self.matrix, coefficient=n * near)
         for name in ("near_capacity", "near_count", "near"):
             setattr(self.matrix, name, getattr(self.lists, name))
         self._launcher.invalidate_graphs()
@@ -235,13 +218,6 @@ class MovingParticles(Stepping):
         self.rebuilds += 1
 
     # The following methods provide the stages of a step and the state for checkpoints.
-
-    def stage(self, kernel: Any, dim: Size, *, block: int | None = None, **named: Any) -> Stage:
-        """Return a stage that launches `kernel`; parameters not in `named` come from attributes of the same names."""
-        for name in parameter_names(kernel):
-            if name not in named:
-                named[name] = getattr(self, name)
-        return Stage(kernel, dim, named, self.device, block=block)
 
     @property
     def step(self) -> Step:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time as wall_clock
 from abc import abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ..core.device.footprint import footprint
-from ..core.run.run_loop import Simulation
+from ..core.run.provenance import arrays_hash, provenance
+from ..core.run.run import Table
+from ..core.run.run_loop import Run, Simulation
 from ..core.units import quantity
 
 
@@ -17,10 +19,14 @@ class FlowRun(Simulation):
     """Simulation of one `flow`, which has `state`, `state_dict`, `load_state_dict`, `count` and `steps`."""
 
     flow: Any
+    goal: ClassVar[str] = "steady"
+    """Name of `steady` in the result."""
 
     def set_up(self) -> None:
         """Start an empty series; the particles are placed later, because they take memory."""
         self._rows: list[dict[str, float]] = []
+        self.steady = False
+        """Whether the flow has reached the state at which it ends: it is steady or at rest."""
 
     @abstractmethod
     def placed(self) -> Any:
@@ -29,6 +35,14 @@ class FlowRun(Simulation):
     @abstractmethod
     def measured(self) -> dict[str, float]:
         """Measure the flow and return a row of the series."""
+
+    @abstractmethod
+    def sizes(self) -> dict[str, Any]:
+        """Return the sizes of the model for the result."""
+
+    @abstractmethod
+    def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
+        """Return entries of the result, and tables, that a series of two rows or more gives."""
 
     @property
     def prepared(self) -> bool:
@@ -83,6 +97,26 @@ class FlowRun(Simulation):
     def series(self) -> dict[str, np.ndarray]:
         """Return the columns of the series so far."""
         return {name: np.array([row[name] for row in self._rows]) for name in (self._rows[0] if self._rows else ())}
+
+    def result(self, finished: bool) -> Run:
+        """Return the run as it is now, with its quantities."""
+        scene, flow, series = self.scene, self.flow, self.series()
+        result: dict[str, Any] = {
+            "scene": scene.name,
+            "method": "mps",
+            "finished": finished,
+            self.goal: self.steady,
+            "simulated_time": quantity(flow.time, "s"),
+            "steps": flow.steps,
+            "particles": flow.count,
+            **self.sizes(),
+        }
+        outcome, tables = self.outcome(series) if len(self._rows) > 1 else ({}, {})
+        result |= outcome
+        result["speed"] = self.speed()
+        result["state_hash"] = arrays_hash(flow.state_arrays())
+        result["provenance"] = provenance(self.device, self.precision, scene.seed)
+        return Run(scene, series, {name: self.unit(name) for name in series}, result, finished, tables=tables)
 
     def speed(self) -> dict[str, Any]:
         """Return wall times, step rates and memory of the run for its result."""

@@ -103,9 +103,6 @@ class FlowSettings(Declared):
     step_error: Annotated[float, STEP_ERROR, Within(0, 0.5)] = 0.0
     gravity: Annotated[float, "Gravity against the flow [m/s2]; 0 for a level pipe", Within(0, 1e4)] = 9.81
     regularisation: Annotated[float, "Parameter beta of the regularised Bingham law [s] (Eq. 14)", Above()] = 100.0
-    paper_scheme: Annotated[
-        bool, "Use the scheme exactly as printed in the paper, to show its behaviour", Alias("literal")
-    ] = False
     tolerance: Annotated[
         float,
         "Tolerance of the pressure solve: residual over the residual at its start, or over the one that the "
@@ -193,8 +190,6 @@ class FluidScene(Parametrised, FlowSettings):
         positive("length", self.length, "m")
         positive("velocity", self.velocity, "m/s", "a concrete at rest needs no simulation")
         positive("spacing", self.spacing, "m")
-        if self.paper_scheme and self.aggregates is not None:
-            refuse("paper_scheme", True, "works with one phase only", "leave out aggregates")
         if self.aggregates is not None and (self.rest or self.step_error):
             name = "rest" if self.rest else "step_error"
             refuse(
@@ -210,15 +205,13 @@ class FluidScene(Parametrised, FlowSettings):
         if self.ends == "piston" and self.step_error:
             refuse("step_error", self.step_error, "works only on a grid; a column on a piston has equal steps",
                    "use ends = periodic, or 0")  # fmt: skip
-        if self.ends == "periodic":
-            for name, given in (("paper_scheme", self.paper_scheme), ("aggregates", self.aggregates is not None)):
-                if given:
-                    refuse(
-                        "ends",
-                        self.ends,
-                        f"cannot be combined with {name}, because periodic flows are solved on a grid",
-                        "use ends = piston",
-                    )
+        if self.ends == "periodic" and self.aggregates is not None:
+            refuse(
+                "ends",
+                self.ends,
+                "cannot be combined with aggregates, because periodic flows are solved on a grid",
+                "use ends = piston",
+            )
         across = 2 * self.radius / self.spacing
         if across < FEWEST_ACROSS - 0.5:
             refuse(

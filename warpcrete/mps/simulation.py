@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..core.run.method import results_of
-from ..core.run.provenance import arrays_hash, provenance
-from ..core.run.run_loop import Run
+from ..core.run.run import Table
 from ..core.units import quantity
 from ..theory.pipe import velocity
 from . import probes
@@ -52,7 +51,6 @@ class FluidSimulation(FlowRun):
     def set_up(self) -> None:
         """Create the monitor of the flow and choose the functions that measure the flow."""
         super().set_up()
-        self.steady = False
         self._watch = WatchedFlow(self.scene)
         self._periodic = self.scene.ends == "periodic"
         self._probes = grid_probes if self._periodic else probes
@@ -127,39 +125,30 @@ class FluidSimulation(FlowRun):
         self.steady = all(abs(row[name] - now[name]) <= part * size for row in earlier for name, size in scale.items())
         return self.steady and self.scene.duration is None
 
-    def result(self, finished: bool) -> Run:
-        """Return the run as it is now, with its quantities."""
-        scene, flow, rows = self.scene, self.flow, self._rows
-        series = self.series()
-        result: dict[str, Any] = {
-            "scene": scene.name,
-            "method": "mps",
-            "finished": finished,
-            "steady": self.steady,
-            "simulated_time": quantity(flow.time, "s"),
-            "steps": flow.steps,
-            "particles": flow.count,
-            "spacing": quantity(flow.state.layout.spacing, "m"),
-            "column_height": quantity(flow.state.layout.height, "m"),
+    def sizes(self) -> dict[str, Any]:
+        """Return the sizes of the model for the result."""
+        layout, grains = self.flow.state.layout, self.flow.state.grains
+        found: dict[str, Any] = {
+            "spacing": quantity(layout.spacing, "m"),
+            "column_height": quantity(layout.height, "m"),
         }
-        if flow.state.grains is not None:
-            grains = flow.state.grains
-            result["aggregates"] = {
+        if grains is not None:
+            found["aggregates"] = {
                 "grains": grains.count,
                 "fraction": float(np.mean(grains.group >= 0)),
                 "smallest": quantity(grains.size.min(), "m"),
                 "largest": quantity(grains.size.max(), "m"),
             }
-        if len(rows) > 1:
-            result |= results_of(QUANTITIES, Known(scene, series, scene.theory()))
-            result["theory"] = scene.form
-            result["profiles"] = [self._profile(part) for part in PROFILES]
-            outcomes = {what: float(series[f"{what}_iterations"][1:].mean()) for what in ("viscosity", "pressure")}
-            result["iterations"] = outcomes
-        result["speed"] = self.speed()
-        result["state_hash"] = arrays_hash(flow.state_arrays())
-        result["provenance"] = provenance(self.device, self.precision, scene.seed)
-        return Run(scene, series, {name: self.unit(name) for name in series}, result, finished)
+        return found
+
+    def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
+        """Return entries of the result that the series gives, and no tables."""
+        result = results_of(QUANTITIES, Known(self.scene, series, self.scene.theory()))
+        result["theory"] = self.scene.form
+        result["profiles"] = [self._profile(part) for part in PROFILES]
+        outcomes = {what: float(series[f"{what}_iterations"][1:].mean()) for what in ("viscosity", "pressure")}
+        result["iterations"] = outcomes
+        return result, {}
 
     def _profile(self, part: float) -> dict[str, Any]:
         height = part * self.flow.state.layout.height

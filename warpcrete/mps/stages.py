@@ -21,7 +21,6 @@ from typing import Any
 
 from ..core.device.launching import Stage, Step, members
 from ..kernels.common.reductions import BLOCK, parallel_scale, serial_scale
-from ..kernels.mps import paper_scheme
 from ..kernels.mps.coarse import coarse_kernels, serial_coarse_kernel
 from ..kernels.mps.conjugate_gradient import serial_solver
 from ..kernels.mps.moments import geometry_kernel
@@ -31,7 +30,6 @@ from ..kernels.mps.resident_solver import resident_blocks, resident_solver
 from ..kernels.mps.rigid import bodies_kernel, places_kernel, velocities_kernel
 from ..kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY, span
 from ..kernels.mps.two_level import resident_two_level, serial_two_level
-from .state import lattice_number
 
 VELOCITY_ERROR = 1e-6
 """Tolerance of the viscosity solve, relative to the residual that a velocity error of piston speed would cause."""
@@ -72,19 +70,6 @@ class StepPart:
 
     def step(self) -> list[Any]:
         """Return all stages of the step."""
-        if self.scene.paper_scheme:
-            return [
-                *self.geometry(),
-                *self.wall_scale(),
-                *self.printed_weights(),
-                *self.momentum(),
-                *self.viscosity(),
-                *self.each(paper_scheme.source_kernel(*self.kind)),
-                *self.pressure(),
-                *self.each(paper_scheme.projection_kernel(*self.kind)),
-                *self.motion(),
-                *self.finish(),
-            ]
         return [
             *self.geometry(),
             *self.wall_scale(),
@@ -177,15 +162,6 @@ class StepPart:
 
     def finish(self) -> list[Any]:
         return self.alone(finish, late=self.p.fields.late)
-
-    def printed_weights(self) -> list[Any]:
-        """Return the stage that computes the weights of the scheme as the paper prints it."""
-        reach = paper_scheme.LAPLACIAN
-        return self.each(
-            paper_scheme.weights_kernel(*self.kind),
-            reach=reach * self.p.state.layout.spacing,
-            laplacian_number=lattice_number(self.dimensions, reach),
-        )
 
     # The following methods return the linear solves.
 

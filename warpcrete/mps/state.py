@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -12,6 +11,7 @@ import warp as wp
 from ..core.device.device import scalar_of
 from ..kernels.common.control import FLAGS
 from ..kernels.mps.structs import array_structs, flow_struct
+from .allocation import allocate
 from .grains import Grains, scatter
 from .layout import Layout, layout
 from .scene import FluidScene
@@ -52,8 +52,9 @@ class FluidState:
         start = np.zeros_like(fluid)
         start[:, -1] = scene.velocity
         surface = self.layout.height - 0.5 * self.layout.spacing
-        self.particles = self._filled(
+        self.particles = allocate(
             self.structs.Particles,
+            self.device,
             position=fluid,
             rounding=self.count,
             velocity=start,
@@ -64,17 +65,6 @@ class FluidState:
         self.flags = wp.zeros(FLAGS, dtype=wp.int32, device=device)
         self.grain_arrays = self._place_grains(fluid) if self.grains is not None else None
 
-    def _filled(self, struct: Any, **arrays: Any) -> Any:
-        """Return a struct of arrays: copies of host data, or zeros where a size is given."""
-        made = struct()
-        for name, value in arrays.items():
-            dtype = struct.vars[name].type.dtype
-            if isinstance(value, int):
-                setattr(made, name, wp.zeros(value, dtype=dtype, device=self.device))
-            else:
-                setattr(made, name, wp.array(value, dtype=dtype, device=self.device))
-        return made
-
     def _place_grains(self, fluid: np.ndarray) -> Any:
         grains = self.grains
         assert grains is not None
@@ -82,8 +72,9 @@ class FluidState:
         place = self.particles.position.numpy().astype(float)
         middle = np.stack([place[a:b].mean(0) for a, b in zip(grains.first[:-1], grains.first[1:])])
         offset = place[: grains.first[-1]] - middle[grains.group[: grains.first[-1]]]
-        return self._filled(
+        return allocate(
             self.structs.Grains,
+            self.device,
             first=grains.first,
             offset=offset,
             middle=middle,
@@ -166,14 +157,6 @@ def flow_numbers(state: FluidState, *, skin: float, correction: float) -> Any:
     for name, value in values.items():
         setattr(flow, name, value)
     return flow
-
-
-def lattice_number(dimensions: int, reach: float) -> float:
-    """Return the sum of neighbour weights in a square or cubic lattice; `reach` is in units of its spacing."""
-    size = np.arange(-math.ceil(reach), math.ceil(reach) + 1.0)
-    r = np.linalg.norm(np.stack(np.meshgrid(*[size] * dimensions), -1).reshape(-1, dimensions), axis=1)
-    r = r[(r > 0) & (r < reach)]
-    return float(np.sum(reach / r - 1))
 
 
 def _weight(q: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 
 from ..core.device.device import parallel
-from ..core.device.launching import Launcher, Step, graph_sizes, telling
+from ..core.device.launching import Launcher, Size, Stage, Step, graph_sizes, parameter_names, telling
 from ..core.errors import CapacityError, ConvergenceError, InstabilityError
 from ..core.run.method import Progress, run_in_turn
 from ..core.run.run_loop import Coroutine, Run
@@ -36,6 +36,7 @@ class Stepping(ABC):
     """Flow that takes steps by replaying graphs; steps have a constant size unless a subclass overrides this."""
 
     scene: Any
+    device: Any
     threads: int
     """Number of CPU threads that work on the flow."""
     flags: wp.array
@@ -57,6 +58,13 @@ class Stepping(ABC):
     @abstractmethod
     def solves(self) -> dict[int, Any]:
         """Return the working arrays of the linear systems, by what they solve for."""
+
+    def stage(self, kernel: Any, dim: Size, *, block: int | None = None, **named: Any) -> Stage:
+        """Return a stage that launches `kernel`; parameters not in `named` come from attributes of the same names."""
+        for name in parameter_names(kernel):
+            if name not in named:
+                named[name] = getattr(self, name)
+        return Stage(kernel, dim, named, self.device, block=block)
 
     def _alone(self) -> Step:
         return self.step

@@ -33,7 +33,6 @@ class ParaViewRecorder(Recorder):
     :class:`WarpcreteError` if h5py is not installed.
     """
 
-    draws_alone = True
     expendable = True
 
     def __init__(self, folder: Path, *, colouring: str | None = None) -> None:

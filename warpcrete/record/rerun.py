@@ -64,8 +64,6 @@ class RerunRecorder(Recorder):
     continues after a complete part. At the end the parts are joined into one file.
     """
 
-    rows_alone = True
-    draws_alone = True
     expendable = True
 
     def __init__(
@@ -148,7 +146,7 @@ class RerunRecorder(Recorder):
     def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
         """Record the curves' values of one row."""
         assert self._display is not None
-        time, steps = simulation.sampled
+        time, steps = simulation.stepper.time, simulation.stepper.steps
         values = {
             f"{plot.path}/{curve.name}": curve.value(row) for plot in self._display.plots() for curve in plot.curves
         }

@@ -48,8 +48,6 @@ class TableRecorder(Recorder):
     With `again`, an existing folder must hold the record of exactly this run.
     """
 
-    rows_alone = True
-
     def __init__(
         self, folder: Path, command: dict[str, Any] | None = None, *, going_on: bool = False, again: bool = False
     ) -> None:

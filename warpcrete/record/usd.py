@@ -30,7 +30,6 @@ class UsdRecorder(Recorder):
     bodies, which renderers need for motion blur, and is half as large again.
     """
 
-    draws_alone = True
     expendable = True
 
     def __init__(self, path: Path, *, colouring: str | None = None, velocities: bool = True) -> None:

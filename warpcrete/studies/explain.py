@@ -7,7 +7,7 @@ import os
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +83,7 @@ def explain(
         forecast = method_of(scene).forecast(scene, found, scene.precision, threads, _frames)
         words = provenance(found, scene.precision, 0)
         name = words["device_name"] if found.is_cuda else f"{words.get('processor') or 'CPU'}, {threads} threads"
-        forecast = Forecast(**{**asdict(forecast), "device": name})
+        forecast = replace(forecast, device=name)
         if path is not None:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,12 +1,11 @@
 """JSON schemas of the files that users write, derived from the declarations that also check these files.
 
 Editors use the schemas to complete and validate a file. The folder `warpcrete/schemas` holds them; a test compares it
-with the output of :func:`schemas`, and :func:`write_all` updates it.
+with the output of :func:`schemas`, and `python tests/test_schemas.py` updates it.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING
 from pathlib import Path
@@ -55,13 +54,6 @@ def shipped_schema(kind: str) -> Path:
     if kind not in known:
         refuse("schema", kind, f"must be one of {', '.join(known)}", suggested(kind, known))
     return FOLDER / f"{kind}.json"
-
-
-def write_all(folder: Path = FOLDER) -> None:
-    """Write all schemas to `folder`."""
-    folder.mkdir(exist_ok=True)
-    for name, schema in schemas().items():
-        (folder / f"{name}.json").write_text(json.dumps(schema, indent=1) + "\n", encoding="utf-8")
 
 
 def concrete_schema() -> Schema:

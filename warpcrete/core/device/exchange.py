@@ -87,26 +87,16 @@ class Reading:
     def __init__(self, stages: Sequence[Any], arrays: Sequence[wp.array], device: Any) -> None:
         self._device, self._arrays = device, tuple(arrays)
         self._beside = Beside(arrays, device) if device.is_cuda else None
-        self._done = wp.Event(device) if device.is_cuda else None
         copies = [] if self._beside is None else [_Copying(self._beside, self._arrays)]
         self._launch = AtOnce([*stages, *copies], device)
 
-    def begin(self) -> Callable[[], list[np.ndarray]]:
-        """Launch the stages and copies; return a function that waits for the copied arrays and returns them.
-
-        Call the returned function before `begin` is called again, because both use the same host memory.
-        """
+    def __call__(self) -> list[np.ndarray]:
+        """Launch the stages and copies; return the copied arrays."""
         self._launch()
         if self._beside is None:
-            copies = [array.numpy().copy() for array in self._arrays]
-            return lambda: copies
-        self._device.stream.record_event(self._done)
-        return self._wait
-
-    def _wait(self) -> list[np.ndarray]:
-        assert self._beside is not None
+            return [array.numpy().copy() for array in self._arrays]
         with waiting():
-            wp.synchronize_event(self._done)
+            wp.synchronize_stream(self._device.stream)
         return [view.copy() for view in self._beside.views]
 
 
@@ -131,26 +121,6 @@ class Exchange:
         beside.take(arrays)
         self._wait()
         return [view.copy() for view in beside.views]
-
-    def begin(self, *arrays: wp.array) -> Callable[[], list[np.ndarray]]:
-        """Start an asynchronous read; return a function that waits for the copied arrays and returns them.
-
-        The copies hold the values of now. Several reads may be in flight, but call the returned function before the
-        same arrays are read in this way again, because both reads use the same host memory.
-        """
-        if not self.device.is_cuda:
-            copies = [array.numpy().copy() for array in arrays]
-            return lambda: copies
-        beside = self._beside("begun", arrays)
-        beside.take(arrays)
-        done = self.device.stream.record_event()
-
-        def wait() -> list[np.ndarray]:
-            with waiting():
-                wp.synchronize_event(done)
-            return [view.copy() for view in beside.views]
-
-        return wait
 
     def ask(self, *arrays: wp.array) -> None:
         """Start an asynchronous read, whose values :meth:`answer` returns; only one may be in flight."""

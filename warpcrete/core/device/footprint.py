@@ -33,10 +33,7 @@ def arrays_of(name: str, root: Any) -> Iterator[tuple[str, wp.array]]:
             waiting += [(f"{path}.{key}", each) for key, each in value.items()]
         elif isinstance(value, list | tuple | set):
             waiting += [(path, each) for each in value]
-        elif hasattr(type(value), "numpy_dtype") and hasattr(value, "_cls"):
-            # This is an instance of a Warp struct; Warp has no public base class of structs.
-            waiting += [(f"{path}.{key}", getattr(value, key)) for key in value._cls.vars]
-        elif type(value).__module__.partition(".")[0] == __name__.partition(".")[0]:
+        elif wp.types.is_struct(value) or type(value).__module__.partition(".")[0] == __name__.partition(".")[0]:
             waiting += [(f"{path}.{key}", each) for key, each in getattr(value, "__dict__", {}).items()]
 
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..drawing.display import Display
 from ..units import number, quantity, shown
 from .forecast import Forecast, Probe
@@ -51,6 +53,22 @@ def results_of(quantities: Sequence[Quantity], known: Any) -> dict[str, Any]:
         if value is not None:
             found[each.name] = float(value) if each.unit == "1" else quantity(value, each.unit)
     return found
+
+
+def passage_time(series: Mapping[str, np.ndarray], name: str, value: float, falls: bool = False) -> float | None:
+    """Return the time at which a column first passes `value` [s], interpolated linearly; None if it never does.
+
+    With `falls` the column must fall to the value instead of rising to it.
+    """
+    time, column = series["time"], series[name]
+    if falls:
+        column, value = -column, -value
+    past = np.nonzero(column >= value)[0]
+    if len(past) == 0 or past[0] == 0:
+        return None
+    k = past[0]
+    part = (value - column[k - 1]) / (column[k] - column[k - 1])
+    return float(time[k - 1] + part * (time[k] - time[k - 1]))
 
 
 def report_of(quantities: Sequence[Quantity], run: Run) -> Iterator[tuple[str, str]]:

@@ -19,13 +19,6 @@ class Recorder:
     """Whether the run goes on without this recorder if it fails, with a warning. A full disk ends the run in any case:
     the run can be resumed when there is space, and then no data is missing."""
 
-    rows_alone: ClassVar[bool] = False
-    """Whether `sample` reads only the row and `simulation.sampled`, and not the state, which may be some steps further
-    by then. The class that defines `sample` sets this flag."""
-    draws_alone: ClassVar[bool] = False
-    """Whether `frame` reads only the display and no row of the series, because the row of the same time may be complete
-    only later. The class that defines `frame` sets this flag."""
-
     def claim(self, simulation: Any) -> None:
         """Take exclusive resources, such as the run folder, before any work is done."""
 
@@ -70,12 +63,3 @@ class Recorder:
 
     def close(self, simulation: Any) -> None:
         """Release all resources, however the run ended."""
-
-
-def says(kind: type[Recorder], method: str, name: str) -> bool:
-    """Return whether a recorder class sets the flag `name` in the class that defines `method`.
-
-    Return True if no subclass overrides the method, because the base class's empty method reads nothing.
-    """
-    owner = next(each for each in kind.__mro__ if method in vars(each))
-    return owner is Recorder or bool(vars(owner).get(name, False))

@@ -19,12 +19,12 @@ import numpy as np
 from ..device.device import checked_threads, find_device, scalar_of
 from ..device.launching import telling
 from ..drawing.display import Display
-from ..errors import InstabilityError, RunFolderError, SceneError, WarpcreteError, between, refuse
+from ..errors import RunFolderError, SceneError, WarpcreteError, between, refuse
 from . import checkpoint
 from .files import is_full
 from .frames import Frames
 from .progress import ProgressBar
-from .recorder import Recorder, says
+from .recorder import Recorder
 from .recording import Recording, full_disk
 from .run import Run
 
@@ -135,9 +135,6 @@ class Simulation:
         self._kept: float | None = None  # simulated time of the state in the checkpoint [s]
         self._ran_before = 0.0  # wall time until the checkpoint from which this run goes on [s]
         self._samples = 0  # number of rows after the row at t = 0
-        self.sampled = 0.0, 0
-        """Simulated time [s] of the last row, and number of steps that this object had taken by then."""
-        self._left: float | None = None  # fraction of the run done at a sample that is incomplete
         self._resumed: dict[str, Any] | None = None
         self.frames = Frames(frame_interval, self.expected_duration, self.frame_step)
         self.set_up()
@@ -171,14 +168,7 @@ class Simulation:
 
     @abstractmethod
     def measure(self) -> dict[str, float]:
-        """Measure the state and append a row to `rows`; if a row was begun before, complete that row."""
-
-    def begin_measure(self) -> bool:
-        """Begin a row of the present state, if the run may take further steps before the row is complete.
-
-        Return whether a row was begun.
-        """
-        return False
+        """Measure the state and append a row to `rows`."""
 
     @abstractmethod
     def watch_row(self, row: dict[str, float]) -> None:
@@ -356,16 +346,8 @@ class Simulation:
                     raise
                 full.append(error)
         finally:
-            # Whatever ended the run, complete the sample that was begun and write all results.
+            # Whatever ended the run, write all results.
             failures = self._recording.failures
-            try:
-                self._complete()
-            except KeyboardInterrupt:
-                interrupted = True
-            except InstabilityError:  # The run has already ended for another reason.
-                pass
-            except Exception as error:
-                failures.append(error)
             self._spent["running"] = self._running()
             self.finishing = True
             run = self._end(finished, interrupted)
@@ -415,13 +397,11 @@ class Simulation:
             self.ended_early()  # This call sets the reason for the end of the run.
             return True
         if not self.rows:
-            self.sampled = stepper.time, stepper.steps
             self._sample()
             self._frame()
         samples = max(1, int(np.ceil(duration / interval - 1e-9)))
         for number in range(self._samples + 1, samples + 1):
             if self.stop_requested:
-                self._complete()
                 self._checkpoint()
                 return False
             goal = min(number * interval, duration)
@@ -429,15 +409,7 @@ class Simulation:
                 yield from self.reaching(self.frames.next)
                 self._frame()
             yield from self.reaching(goal)
-            self._complete()  # If no step was taken, the previous sample is still incomplete.
-            self._samples, self.sampled = number, (stepper.time, stepper.steps)
-            # If possible, launch the next steps before this sample is complete; the stepper then calls `_complete`.
-            if number < samples and self._goes_on():
-                self._left = number / samples
-                if self._frame_is_due():
-                    self._frame()
-                stepper.meanwhile = self._complete
-                continue
+            self._samples = number
             row = self._sample()
             ended = self.ended_early()
             if self.frames.due(stepper.time) or number == samples or ended:
@@ -446,42 +418,16 @@ class Simulation:
                 return True
             if number < samples:
                 self._checkpoint_if_due()
-            self._tell_of(row, number / samples)
+            pressure = {name: row[name] for name in ("pressure",) if name in row}
+            speed = stepper.steps / max(self._running(), 1e-9)
+            self.tell("running", number / samples, steps_per_s=speed, **pressure)
         return True
-
-    def _goes_on(self) -> bool:
-        """Return whether the next steps may be launched before the current sample is complete; if so, begin the sample.
-
-        This is the case if nothing else needs the present state: recorders read rows only, a frame that is due is drawn
-        from a snapshot, no checkpoint is due and no stop is requested.
-        """
-        kinds = [type(recorder) for recorder in self.recorders]
-        return (
-            not self.stop_requested
-            and all(says(kind, "sample", "rows_alone") for kind in kinds)
-            and not (self._frame_is_due() and not all(says(kind, "frame", "draws_alone") for kind in kinds))
-            and (self.checkpoint_path is None or wall_clock.perf_counter() - self._saved < self.checkpoint_every)
-            and self.begin_measure()
-        )
-
-    def _frame_is_due(self) -> bool:
-        return bool(self.recorders) and self.frames.due(self.sampled[0])
-
-    def _complete(self) -> None:
-        """Complete a sample that was begun before the last steps, if there is one."""
-        fraction, self._left = self._left, None
-        if fraction is not None:
-            self._tell_of(self._sample(), fraction)
 
     def _sample(self) -> dict[str, float]:
         row = self.measure()
         self._recording.call("sample", row)
         self.watch_row(row)
         return row
-
-    def _tell_of(self, row: dict[str, float], fraction: float) -> None:
-        pressure = {name: row[name] for name in ("pressure",) if name in row}
-        self.tell("running", fraction, steps_per_s=self.sampled[1] / max(self._running(), 1e-9), **pressure)
 
     def _frame(self) -> None:
         self._recording.call("frame")

@@ -40,17 +40,7 @@ class _Scene:
         self.stepper, self.coroutine = stepper, coroutine
         self._under_way: Coroutine | None = None
         self.waiting = False
-        self.error: Exception | None = None  # raised by deferred work while steps were running
         self.result: Any = None
-
-    def meanwhile(self) -> None:
-        """Do the work that the coroutine deferred until its next steps run on the device."""
-        left, self.stepper.meanwhile = self.stepper.meanwhile, None
-        if left is not None:
-            try:
-                left()
-            except Exception as error:  # raised inside the coroutine once its steps are done
-                self.error = error
 
     def go_on(self, error: BaseException | None = None) -> None:
         """Run the coroutine until it needs steps, or to its end; raise `error` inside it if one is given."""
@@ -152,8 +142,7 @@ class _Drive:
                     self._go_on(member, self.stop)
 
     def _launch(self) -> None:
-        waiting = self.waiting
-        steppers = [member.stepper for member in waiting]
+        steppers = [member.stepper for member in self.waiting]
         if self._regroup is not None:
             with put_off():
                 self._regroup(steppers)
@@ -162,9 +151,6 @@ class _Drive:
         if not batch.has_step:
             batch.use_step(step_stages(batch), *self._by_device(stepper))
         batch.launch()
-        with put_off():
-            for member in waiting:
-                member.meanwhile()
 
     @staticmethod
     def _by_device(stepper: Any) -> tuple[AtOnce | None, AtOnce | None]:
@@ -186,7 +172,7 @@ class _Drive:
         waiting, flags = self.waiting, self._launched.settle()
         stepper = waiting[0].stepper
         for member in waiting:
-            error, member.error = member.error or member.stepper.trouble(flags[member.stepper.index]), None
+            error = member.stepper.trouble(flags[member.stepper.index])
             if error is not None:
                 self._go_on(member, error)
         batch, running = stepper.batch, [m.stepper.index for m in waiting if m.waiting]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -73,8 +72,6 @@ class Stepper:
             among = NeighborLists(batch), StableStep(batch), 0
             load_kernels(*among[:2])
         self.running = False  # an unstable fixed step is a SceneError before the run and an InstabilityError in it
-        self.meanwhile: Callable[[], None] | None = None
-        """Deferred work of the run, to be called once while further steps are in flight."""
         self._skin, self._sort_every = skin, sort_every
         self._estimated = self._counting = False
         self._foreseen = -1.0, 0.0

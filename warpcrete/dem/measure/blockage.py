@@ -6,7 +6,6 @@ compression of the concrete behind that part can explain, and if the pressure ri
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -57,7 +56,6 @@ class BlockageWatch:
         # Permanent numbers of the aggregates (None before the first check) and their volumes [m3].
         self._numbers: np.ndarray | None = None
         self._volume = np.zeros(0)
-        self._begun: Callable[[], list[np.ndarray]] | None = None
 
     def state_dict(self) -> dict[str, Any]:
         """Return the recorded blockage and everything that the next check depends on, for a checkpoint."""
@@ -75,33 +73,15 @@ class BlockageWatch:
         self._looked, self._pressure = float(state["looked"]), float(state["pressure"])
         self._standing = None if state["standing"] is None else float(state["standing"])
 
-    def is_due(self, travel: float) -> bool:
-        """Return whether a check is due at the piston travel `travel` [m]."""
-        return not self.found and travel >= self._looked + self.window / LOOKS and self.state.body_count > 0
-
-    @property
-    def may_wait(self) -> bool:
-        """Whether a check may read positions now and be completed after the run has continued.
-
-        This is safe if no part stood still at the previous check, because the check then cannot report a blockage.
-        """
-        return self._standing is None and self._numbers is not None
-
-    def begin(self) -> None:
-        """Start reading the present positions; the next call with a recorded row completes the check if it is due."""
-        self._begun = self._reading()
-
     def __call__(self, row: dict[str, float]) -> None:
         """Check for a blockage if the piston has advanced far enough since the last check.
 
-        `row` holds the recorded values of one sample. The check uses the positions read by `begin`, or the present
-        ones.
+        `row` holds the recorded values of one sample.
         """
-        begun, self._begun = self._begun, None
         travel = row.get("travel", 0.0)
-        if not self.is_due(travel):
+        if self.found or travel < self._looked + self.window / LOOKS or self.state.body_count == 0:
             return
-        s, volume = self._stones(begun or self._reading())
+        s, volume = self._stones()
         if len(s) < STONES:
             return
         if self._looked >= 0:
@@ -114,14 +94,10 @@ class BlockageWatch:
                 self.found = self._describe(row, s, volume)
         self._looked, self._places = travel, s
 
-    def _reading(self) -> Callable[[], list[np.ndarray]]:
-        """Start reading the permanent numbers and positions of all bodies; the returned function waits for them."""
-        bodies = self.state.bodies
-        return self.state.batch.exchange.begin(bodies.id, bodies.position)
-
-    def _stones(self, read: Callable[[], list[np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    def _stones(self) -> tuple[np.ndarray, np.ndarray]:
         """Return arc lengths [m] and volumes [m3] of the aggregates, in the order of their permanent numbers."""
-        bodies, (number, position) = self.state.bodies, read()
+        bodies = self.state.bodies
+        number, position = self.state.batch.exchange.read(bodies.id, bodies.position)
         place = np.empty(self.state.body_count, dtype=int)
         place[number] = np.arange(len(place))
         if self._numbers is None:

@@ -84,14 +84,10 @@ def contact_sums(model: Model, state: State, *, coordination: bool = False) -> C
     return _contacts_of(state, *_read(state, "contacts"), coordination)
 
 
-Sums = tuple[BodySums, ContactSums, np.ndarray]
+def row_sums(model: Model, state: State) -> tuple[BodySums, ContactSums, np.ndarray]:
+    """Return the sums over bodies, the sums over contacts, and the values of each wall, shape (walls, WALL_COLUMNS).
 
-
-def begin_sums(model: Model, state: State) -> Callable[[], Sums]:
-    """Start measuring bodies, contacts and walls as they are now; return a function that waits for the sums.
-
-    A GPU measures everything with one launch. The returned function must be called once; it returns the sums over
-    bodies, the sums over contacts, and the values of each wall, shape (walls, WALL_COLUMNS).
+    A GPU measures everything with one launch.
     """
     batch, index = state.batch, state.index
     recorded = state.launches(batch.version)
@@ -101,14 +97,9 @@ def begin_sums(model: Model, state: State) -> Callable[[], Sums]:
             stages += _body_stages(model, state) + _contact_stages(model, state)
         sums_of = [_sums(state, each, columns) for each, columns in COLUMNS.items() if state.body_count]
         recorded["row"] = Reading(stages, [batch.wall_array, *sums_of], batch.device)
-    wait = recorded["row"].begin()
-
-    def sums() -> Sums:
-        walls, *found = wait()
-        bodies, contacts = found or [np.zeros(columns) for columns in COLUMNS.values()]
-        return _bodies_of(state, bodies), _contacts_of(state, contacts, False), batch.own_walls(index, walls)
-
-    return sums
+    walls, *found = recorded["row"]()
+    bodies, contacts = found or [np.zeros(columns) for columns in COLUMNS.values()]
+    return _bodies_of(state, bodies), _contacts_of(state, contacts, False), batch.own_walls(index, walls)
 
 
 COLUMNS = {"bodies": int(column.BODY_COLUMNS), "contacts": int(column.CONTACT_COLUMNS)}

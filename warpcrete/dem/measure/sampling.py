@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from ...kernels.dem.probes import FORCE, IMPULSE, TRAVEL, TURN, WORK
 from ...kernels.dem.structs import DT, DT_PREVIOUS, TIME
 from ..engine.model import Model
 from ..engine.state import State
-from .probes import Sums, begin_sums
+from .probes import row_sums
 from .segregation import UNITS as SEGREGATION
 from .segregation import row_of
 from .stations import StationLog
@@ -80,7 +80,6 @@ class Sampler:
         stations = model.scene.stations
         self.log = StationLog(stations) if stations is not None and stations.each_row else None
         """Measurements at stations along the pipe, if the scene requests them in every row."""
-        self._begun: tuple[np.ndarray, Callable[[], Sums]] | None = None
         self._impulse: np.ndarray | None = None
         self._mean = np.zeros((len(model.walls), 6))
         self._half_time = 0.0
@@ -119,28 +118,11 @@ class Sampler:
         """Return the columns of the series by name, each of shape (rows,)."""
         return {name: np.array([row[name] for row in self.rows]) for name in (self.rows[0] if self.rows else ())}
 
-    @property
-    def may_wait(self) -> bool:
-        """True if a row may be completed after further steps were launched, because it consists of sums only."""
-        scene, features = self.model.scene, self.model.features
-        return (
-            self.log is None and self.wear is None and scene.vessel is None and not scene.segregation
-            and not features.dissipation and self.state.body_count > 0
-        )  # fmt: skip
-
-    def begin(self) -> None:
-        """Start measuring a row of the state as it is now; :meth:`sample` completes the row."""
-        batch, index = self.state.batch, self.state.index
-        self._begun = batch.host_clock()[index].copy(), begin_sums(self.model, self.state)
-
     def sample(self) -> dict[str, float]:
-        """Measure and append a row, or complete the row that :meth:`begin` started; return the row."""
-        if self._begun is None:
-            self.begin()
-        assert self._begun is not None
-        (clock, sums), self._begun = self._begun, None
+        """Measure and append a row; return the row."""
         model, state, scene = self.model, self.state, self.model.scene
-        bodies, contacts, walls = sums()
+        clock = state.batch.host_clock()[state.index]
+        bodies, contacts, walls = row_sums(model, state)
         impulse = self._forces(clock, walls, bodies.drive_power)
         row = {"time": float(clock[int(TIME)])} | self._pressure(walls)
         row |= {

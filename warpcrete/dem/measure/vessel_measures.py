@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ...core.run.method import Quantity
+from ...core.run.method import Quantity, passage_time
 from ..scene.scene import Vessel
 from .heaps import height_around, height_at, height_of_top, main_body, shadow, spread
 
@@ -109,22 +109,6 @@ def _of(of: Any, *tests: str) -> Any:
     return lambda k: of(k) if k.scene.vessel is not None and k.scene.vessel.test in tests else None
 
 
-def _when(k: Any, name: str, value: float, falls: bool = False) -> float | None:
-    """Return the time at which a column first passes `value` [s], interpolated linearly; None if it never does.
-
-    With `falls` the column must fall to the value instead of rising to it.
-    """
-    time, column = k.series["time"], k.series[name]
-    if falls:
-        column, value = -column, -value
-    past = np.nonzero(column >= value)[0]
-    if len(past) == 0 or past[0] == 0:
-        return None
-    n = past[0]
-    part = (value - column[n - 1]) / (column[n] - column[n - 1])
-    return float(time[n - 1] + part * (time[n] - time[n - 1]))
-
-
 def _last(name: str) -> Any:
     return lambda k: float(k.series[name][-1])
 
@@ -139,17 +123,18 @@ QUANTITIES = (
              True),
     Quantity("fill_height", "m", _of(lambda k: float(k.series["top"][0]), *HEAPS), "height at the start"),
     Quantity("spread", "m", _of(_last("spread"), *HEAPS), "spread", None, True),
-    Quantity("t500", "s", _of(lambda k: _when(k, "spread", T500), *HEAPS), "T500", None, True),
+    Quantity("t500", "s", _of(lambda k: passage_time(k.series, "spread", T500), *HEAPS), "T500", None, True),
     Quantity("blocking_step", "m", _of(lambda k: float(k.series["top"][-1] - k.series["outside"][-1]), "jring"),
              "blocking step", None, True),
-    Quantity("funnel_time", "s", _of(lambda k: _when(k, "screen", LIGHT, True), "funnel"), "funnel time", None, True),
+    Quantity("funnel_time", "s", _of(lambda k: passage_time(k.series, "screen", LIGHT, True), "funnel"), "funnel time",
+             None, True),
     Quantity("remaining", "1", _of(_last("inside"), "funnel"), "remaining",
              lambda run: f"{100 * run.result['remaining']:.1f} %"),
     Quantity("passing_ratio", "1", _of(_ratio, "lbox"), "H2/H1", None, True),
     Quantity("h1", "m", _of(_last("near_depth"), "lbox"), "H1"),
     Quantity("h2", "m", _of(_last("far_depth"), "lbox"), "H2"),
-    Quantity("t200", "s", _of(lambda k: _when(k, "front", 0.2), "lbox"), "T200", None, True),
-    Quantity("t400", "s", _of(lambda k: _when(k, "front", 0.4), "lbox"), "T400", None, True),
+    Quantity("t200", "s", _of(lambda k: passage_time(k.series, "front", 0.2), "lbox"), "T200", None, True),
+    Quantity("t400", "s", _of(lambda k: passage_time(k.series, "front", 0.4), "lbox"), "T400", None, True),
     Quantity("rest_speed", "m/s", lambda k: None if k.scene.vessel is None else float(k.series["fastest"][-1])),
     Quantity("strays", "1", lambda k: None if k.scene.vessel is None or k.scene.vessel.test == "funnel"
              else 1 - float(k.series["main_body"][-1])),

@@ -13,8 +13,6 @@ from ..engine.state import State
 from .probes import deepest_sphere, farthest_body, fastest_body
 from .sampling import STORED
 
-CALM = 0.8
-"""Fraction of a limit below which the next row is not expected to exceed it."""
 COARSEST = 1e-3  # largest rounding of positions over the smallest radius; an overlap of 1 % then keeps one digit
 
 
@@ -41,13 +39,6 @@ class Watch:
     def load_state_dict(self, state: dict[str, float]) -> None:
         """Continue from a `state_dict`."""
         self.least, self.scale = state["least"], state["scale"]
-
-    def is_calm(self, row: dict[str, float]) -> bool:
-        """Return whether a checked row is so far from all limits that the next row will hardly exceed one."""
-        limits = self.limits
-        calm = limits.overlap is None or row["deepest_overlap"] < CALM * limits.overlap
-        calm = calm and self._resolution(row) < CALM * COARSEST
-        return calm and (limits.energy is None or _free(row) - self.least < CALM * limits.energy * self.scale)
 
     def _resolution(self, row: dict[str, float]) -> float:
         """Return the rounding of positions divided by the smallest sphere's radius."""

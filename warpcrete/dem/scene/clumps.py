@@ -237,18 +237,3 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
         volume, *_ = union_properties(centres, radii + middle, resolution=128)
         low, high = (middle, high) if volume < mesh.volume else (low, middle)
     return clump(name, centres, radii + 0.5 * (low + high))
-
-
-def mesh_agreement(template: ClumpTemplate, mesh) -> dict[str, float]:
-    """Compare the principal moments of inertia of a clump with those of the mesh that it approximates.
-
-    Returns a dictionary with `inertia_error`, the largest relative difference of a principal moment at equal volume.
-    Raises :class:`SceneError` for an open or unreadable mesh.
-    """
-    from ...geometry.meshes import load_closed
-    from ...geometry.solids import without_cavities
-
-    mesh = without_cavities(load_closed(mesh, "clump mesh"))
-    size = (6 * mesh.volume / np.pi) ** (1 / 3)
-    moments = np.sort(np.linalg.eigvalsh(mesh.moment_inertia)) / (mesh.volume * size**2)
-    return {"inertia_error": float(np.max(np.abs(np.sort(template.inertia) / moments - 1)))}

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...core.run.method import Quantity
+from ...core.run.method import Quantity, passage_time
 from ...core.run.run_loop import Run
 from ...core.units import number
 from ...geometry.sections import section_area
@@ -61,18 +61,6 @@ class Known:
     def last(self, name: str) -> float:
         """Return the last value of a column."""
         return float(self.series[name][-1])
-
-    def when(self, name: str, value: float, falls: bool = False) -> float | None:
-        """Return the time at which a column first passes a value [s], or None if it never does."""
-        time, column = self.series["time"], self.series[name]
-        if falls:
-            column, value = -column, -value
-        past = np.nonzero(column >= value)[0]
-        if len(past) == 0 or past[0] == 0:
-            return None
-        k = past[0]
-        part = (value - column[k - 1]) / (column[k] - column[k - 1])
-        return float(time[k - 1] + part * (time[k] - time[k - 1]))
 
 
 def _slump(k: Known) -> float | None:
@@ -167,9 +155,9 @@ QUANTITIES = (
              _with_theory("spread", heap="heap", theory="long heap"), True),
     Quantity("spread_theory", "m", _spread_of_theory),
     Quantity("spread_heap", "m", _spread_of_heap),
-    Quantity("t500", "s", lambda k: k.when("spread", T500) if k.is_slump else None, "T500", None, True),
-    Quantity("funnel_time", "s", lambda k: k.when("screen", LIGHT, True) if k.is_funnel else None, "funnel time",
-             _with_time("funnel_time", "row of ducts"), True),
+    Quantity("t500", "s", lambda k: passage_time(k.series, "spread", T500) if k.is_slump else None, "T500", None, True),
+    Quantity("funnel_time", "s", lambda k: passage_time(k.series, "screen", LIGHT, True) if k.is_funnel else None,
+             "funnel time", _with_time("funnel_time", "row of ducts"), True),
     Quantity("funnel_time_theory", "s", lambda k: funnel_estimate(k.scene) if k.is_funnel else None),
     Quantity("remaining", "1", lambda k: k.last("inside") if k.is_funnel else None, "remaining",
              lambda run: f"{100 * run.result['remaining']:.1f} %"),
@@ -177,8 +165,8 @@ QUANTITIES = (
     Quantity("passing_ratio_theory", "1", _ratio_of_theory),
     Quantity("h1", "m", lambda k: k.last("near_depth") if k.is_box else None, "H1"),
     Quantity("h2", "m", lambda k: k.last("far_depth") if k.is_box else None, "H2"),
-    Quantity("t200", "s", lambda k: k.when("front", 0.2) if k.is_box else None, "T200", None, True),
-    Quantity("t400", "s", lambda k: k.when("front", 0.4) if k.is_box else None, "T400", None, True),
+    Quantity("t200", "s", lambda k: passage_time(k.series, "front", 0.2) if k.is_box else None, "T200", None, True),
+    Quantity("t400", "s", lambda k: passage_time(k.series, "front", 0.4) if k.is_box else None, "T400", None, True),
     Quantity("rest_speed", "m/s", lambda k: k.last("fastest")),
     Quantity("volume_error", "1", lambda k: largest(k.series["volume_error"])),
 )  # fmt: skip

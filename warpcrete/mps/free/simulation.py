@@ -12,8 +12,7 @@ import numpy as np
 
 from ...core.errors import InstabilityError
 from ...core.run.method import results_of
-from ...core.run.provenance import arrays_hash, provenance
-from ...core.run.run_loop import Run
+from ...core.run.run import Table
 from ...core.units import quantity
 from ..grid.flow import GridFlow
 from ..grid.state import GridState, check_memory
@@ -33,11 +32,7 @@ class FreeSimulation(FlowRun):
 
     scene_type = FreeScene
     scene: FreeScene
-
-    def set_up(self) -> None:
-        """Start an empty series of a flow that is not yet at rest."""
-        super().set_up()
-        self.rests = False
+    goal = "at_rest"
 
     def unit(self, column: str) -> str:
         """Return the unit of a column of the series."""
@@ -86,36 +81,26 @@ class FreeSimulation(FlowRun):
         if now < self.lifted + RESTED + 0.2:
             return False
         late = [row["fastest"] for row in self._rows if row["time"] > now - RESTED - 1e-9]
-        self.rests = max(late) < self.scene.rest_speed
-        return self.rests
+        self.steady = max(late) < self.scene.rest_speed
+        return self.steady
 
-    def result(self, finished: bool) -> Run:
-        """Return the run as it is now, with its quantities."""
-        scene, flow, rows = self.scene, self.flow, self._rows
-        series = self.series()
-        layout = flow.state.layout
-        result: dict[str, Any] = {
-            "scene": scene.name,
-            "method": "mps",
-            "finished": finished,
-            "at_rest": self.rests,
-            "simulated_time": quantity(flow.time, "s"),
-            "steps": flow.steps,
-            "particles": flow.count,
+    def sizes(self) -> dict[str, Any]:
+        """Return the sizes of the model for the result."""
+        scene, layout = self.scene, self.flow.state.layout
+        volume = self.volume * (2 * math.pi if scene.axial else 1.0)
+        return {
             "cells": math.prod(layout.cells),
             "spacing": quantity(layout.spacing, "m"),
-            "volume": quantity(
-                self.volume * (2 * math.pi if scene.axial else 1.0), "m3" if scene.axial or scene.depth else "m2"
-            ),
+            "volume": quantity(volume, "m3" if scene.axial or scene.depth else "m2"),
         }
-        if len(rows) > 1:
-            result |= results_of(QUANTITIES, Known(scene, series, self.volume))
-            across, height = surface(flow)
-            result["surface"] = {
-                "place": {"value": across.tolist(), "unit": "m"},
-                "base": {"value": bases(flow).tolist(), "unit": "m"}, "height": {"value": height.tolist(), "unit": "m"},
-            }  # fmt: skip
-        result["speed"] = self.speed()
-        result["state_hash"] = arrays_hash(flow.state_arrays())
-        result["provenance"] = provenance(self.device, self.precision, scene.seed)
-        return Run(scene, series, {name: self.unit(name) for name in series}, result, finished)
+
+    def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
+        """Return entries of the result that the series and the surface give, and no tables."""
+        result = results_of(QUANTITIES, Known(self.scene, series, self.volume))
+        across, height = surface(self.flow)
+        result["surface"] = {
+            "place": {"value": across.tolist(), "unit": "m"},
+            "base": {"value": bases(self.flow).tolist(), "unit": "m"},
+            "height": {"value": height.tolist(), "unit": "m"},
+        }
+        return result, {}

@@ -36,6 +36,7 @@ from ...kernels.mps.grid.transfer import advect_kernel, extend_kernel, gather_ke
 from ...kernels.mps.grid.walls import side_kernel, wall_kernel
 from ...kernels.mps.resident_solver import resident_blocks, resident_solver
 from ...kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY, array_structs, flow_struct
+from ..allocation import allocate
 from ..stages import LEAST_PRESSURE, VELOCITY_ERROR
 from ..stepping import Stepping
 from .state import GridState, grid_numbers
@@ -182,15 +183,14 @@ class GridFlow(Stepping):
             if name not in ("near_capacity", "bound", "grains", "coarse"):
                 # Only particle flows bind velocities to walls through drag and position; here both arrays stay zero.
                 size = {"near": rows * near, "coefficient": rows * near, "drag": rows, "position": rows}
-                setattr(matrix, name, self._zeros(structs.Matrix, name, size.get(name, rows)))
+                allocate(structs.Matrix, self.device, matrix, **{name: size.get(name, rows)})
         numbers = flow_struct(self.scalar)()
         numbers.count = rows
         return System(rows, matrix, self._arrays(rows), numbers)
 
     def _arrays(self, rows: int) -> Any:
         """Return the working arrays of a solve with this number of rows."""
-        structs = array_structs(self.scalar, 2)
-        solve = structs.NumberSolve()
+        struct = array_structs(self.scalar, 2).NumberSolve
         sizes = {
             "partial": 3 * -(-rows // BLOCK),
             "outcome": OUTCOME,
@@ -200,12 +200,7 @@ class GridFlow(Stepping):
             "preconditioned": rows if self.parallel else 0,
             **dict.fromkeys(("load", "lift", "change", "inner"), 0),
         }
-        for name in structs.NumberSolve.vars:
-            setattr(solve, name, self._zeros(structs.NumberSolve, name, sizes.get(name, rows)))
-        return solve
-
-    def _zeros(self, struct: Any, name: str, size: int) -> wp.array:
-        return wp.zeros(size, dtype=struct.vars[name].type.dtype, device=self.device)
+        return allocate(struct, self.device, **dict.fromkeys(struct.vars, rows) | sizes)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -235,13 +230,6 @@ class GridFlow(Stepping):
         if self._step is None:
             self._step = [self._stages()]
         return self._step
-
-    def stage(self, kernel: Any, dim: int, *, block: int | None = None, **named: Any) -> Stage:
-        """Return a stage that launches `kernel`; parameters not in `named` come from attributes of the same names."""
-        for name in parameter_names(kernel):
-            if name not in named:
-                named[name] = getattr(self, name)
-        return Stage(kernel, dim, named, self.device, block=block)
 
     def _stages(self) -> list[Any]:
         """Return all stages of one step in their order.

@@ -12,6 +12,7 @@ from ...core.device.device import MEMORY_FRACTION, memory_free, scalar_of
 from ...core.errors import CapacityError
 from ...kernels.common.control import FLAGS
 from ...kernels.mps.grid.cells import CLOCK, DRIVE, DT, FORCE, INSIDE, WANTED, cells_struct, grid_structs
+from ..allocation import allocate
 from .geometry import NONE, ROUGH, STICKS, Geometry
 from .layout import GridLayout
 
@@ -63,9 +64,9 @@ class GridState:
         self.flags = wp.zeros(FLAGS, dtype=wp.int32, device=device)
         start = np.zeros_like(layout.fluid)
         start[:, -1] = layout.frame
-        self.particles = self._filled(
-            self.structs.Particles, position=layout.fluid, velocity=start, mass=layout.mass, gradient=self.count,
-            pressure=self.count,
+        self.particles = allocate(
+            self.structs.Particles, self.device, position=layout.fluid, velocity=start, mass=layout.mass,
+            gradient=self.count, pressure=self.count,
         )  # fmt: skip
         drive = np.zeros(DRIVE)
         drive[int(FORCE)] = layout.drive
@@ -90,7 +91,8 @@ class GridState:
                 "layer": np.full(layout.axes * self.slots, layout.gained),
             }
             self.mesh_arrays += STRUCTURE
-        self.mesh = self._filled(self.structs.Mesh, **{name: self._rows(name) for name in self.structs.Mesh.vars} | own)
+        rows = {name: self._rows(name) for name in self.structs.Mesh.vars}
+        self.mesh = allocate(self.structs.Mesh, self.device, **rows | own)
         self.geometry = self._geometry(layout.geometry)
         self.opened = self._geometry(layout.opened)
         self.solid_after = wp.array(
@@ -98,8 +100,9 @@ class GridState:
         )
         viscosity, yield_stress = layout.slip
         none, moving = np.zeros(layout.axes), layout.motions
-        self.walls = self._filled(
+        self.walls = allocate(
             self.structs.Walls,
+            self.device,
             velocity=np.array([none] * (ROUGH + 1) + [m.velocity for m in moving]),
             spin=np.array([np.zeros(3)] * (ROUGH + 1) + [m.spin for m in moving]),
             pivot=np.array([none] * (ROUGH + 1) + [none if m.pivot is None else m.pivot for m in moving]),
@@ -130,16 +133,7 @@ class GridState:
         own = {"opens": self.layout.opens.ravel(), "inlet": self.layout.inlet.reshape(-1, self.layout.axes)}
         names = [name for name in self.structs.Geometry.vars if name not in own]
         given = {name: 0 if found is None else getattr(found, name).ravel() for name in names}
-        return self._filled(self.structs.Geometry, **given, **own)
-
-    def _filled(self, struct: Any, **arrays: Any) -> Any:
-        """Return a struct of arrays: copies of host data, or zeros where a size is given."""
-        made = struct()
-        for name, value in arrays.items():
-            dtype = struct.vars[name].type.dtype
-            make = wp.zeros if isinstance(value, int) else wp.array
-            setattr(made, name, make(value, dtype=dtype, device=self.device))
-        return made
+        return allocate(self.structs.Geometry, self.device, **given, **own)
 
     @property
     def mark_spacing(self) -> float:

@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from ...core.errors import InstabilityError
 from ...core.run.method import results_of
-from ...core.run.provenance import arrays_hash, provenance
 from ...core.run.run import Table
-from ...core.run.run_loop import Run
 from ...core.units import quantity
 from ..grid.flow import GridFlow
 from ..grid.state import GridState, check_memory
@@ -32,11 +32,6 @@ class PartSimulation(FlowRun):
 
     scene_type = PartScene
     scene: PartScene
-
-    def set_up(self) -> None:
-        """Start an empty series of a flow that is not yet steady."""
-        super().set_up()
-        self.steady = False
 
     def unit(self, column: str) -> str:
         """Return the unit of a column of the series."""
@@ -74,45 +69,34 @@ class PartSimulation(FlowRun):
         self.steady = abs(now - before) < least and abs(before - long_before) < least
         return self.steady
 
-    def result(self, finished: bool) -> Run:
-        """Return the run as it is now, with its quantities."""
-        scene, flow, rows = self.scene, self.flow, self._rows
-        series = self.series()
-        layout = flow.state.layout
-        result: dict[str, Any] = {
-            "scene": scene.name,
-            "method": "mps",
-            "finished": finished,
-            "steady": self.steady,
-            "simulated_time": quantity(flow.time, "s"),
-            "steps": flow.steps,
-            "particles": flow.count,
+    def sizes(self) -> dict[str, Any]:
+        """Return the sizes of the model and of the part for the result."""
+        scene, layout = self.scene, self.flow.state.layout
+        return {
             "cells": math.prod(layout.cells),
             "spacing": quantity(layout.spacing, "m"),
             "length": quantity(scene.axis.length, "m"),
             "rise": quantity(scene.rise, "m"),
             "flow": quantity(scene.flow, "m3/s"),
         }
-        tables: dict[str, Table] = {}
-        if len(rows) > 1:
-            result |= results_of(QUANTITIES, Known(scene, series))
-            s, pressure = loss_along(flow)
-            result["profile"] = {
-                "place": {"value": s.tolist(), "unit": "m"},
-                "friction_ahead": {"value": pressure.tolist(), "unit": "Pa"},
+
+    def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
+        """Return entries of the result that the series and the pressure along the part give, and the stations."""
+        scene = self.scene
+        result = results_of(QUANTITIES, Known(scene, series))
+        s, pressure = loss_along(self.flow)
+        result["profile"] = {
+            "place": {"value": s.tolist(), "unit": "m"},
+            "friction_ahead": {"value": pressure.tolist(), "unit": "Pa"},
+        }
+        result["parts"] = [
+            {
+                "what": section.label,
+                "begin": quantity(section.begin, "m"),
+                "end": quantity(section.end, "m"),
+                "loss": quantity(loss, "Pa"),
+                "loss_theory": quantity(scene.friction(section.begin, section.end), "Pa"),
             }
-            tables["stations"] = stations_of(scene, s, pressure)
-            result["parts"] = [
-                {
-                    "what": section.label,
-                    "begin": quantity(section.begin, "m"),
-                    "end": quantity(section.end, "m"),
-                    "loss": quantity(loss, "Pa"),
-                    "loss_theory": quantity(scene.friction(section.begin, section.end), "Pa"),
-                }
-                for section, loss in zip(scene.sections, losses(scene, s, pressure), strict=True)
-            ]
-        result["speed"] = self.speed()
-        result["state_hash"] = arrays_hash(flow.state_arrays())
-        result["provenance"] = provenance(self.device, self.precision, scene.seed)
-        return Run(scene, series, {name: self.unit(name) for name in series}, result, finished, tables=tables)
+            for section, loss in zip(scene.sections, losses(scene, s, pressure), strict=True)
+        ]
+        return result, {"stations": stations_of(scene, s, pressure)}
