@@ -18,7 +18,8 @@ from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs, scene_struct
 from .warps import warp_functions
 from .wear import wear_functions
 
-FARTHEST = 1.0e15  # distance beyond any wall [m]; its square still fits into single precision
+# Distance [m] larger than any distance from a wall. The square of this number still fits into single precision.
+FARTHEST = 1.0e15
 # Number of walls that have a bit in the mask of touched walls; the history of all other walls is read in every step.
 WALL_BITS = wp.constant(31)
 LEADER = """
@@ -175,7 +176,7 @@ def meeting_function(scalar, law, dissipation: bool, wear: bool):
         gap = distance - radius
         if gap < scalar(0.0):
             touches = wp.bool(True)
-            n = into_wall(walls.table[w], direction)  # normal from the sphere into the wall
+            n = into_wall(walls.table[w], direction)  # Normal vector that points from the sphere into the wall.
             touch, point = surface_touch(
                 walls.position[w], walls.velocity[w], walls.spin[w], n, gap, x, radius, velocity, spin, dt
             )  # fmt: skip
@@ -310,7 +311,7 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
         if here and now != before:
             slots.touching[i] = now
         if here and not far:
-            # the clearance is reduced by 1 % to cover rounding
+            # The clearance is reduced by 1 % to cover rounding errors.
             write_vec4(spheres.clear, i, pack(x, scalar(0.99) * nearest))
         return total_force, total_moment, total_lost
 

@@ -14,7 +14,7 @@ from .contact_law import contact_functions
 UNBONDED = wp.constant(0)
 BROKEN_IN_TENSION = wp.constant(-1)
 BROKEN_IN_SHEAR = wp.constant(-2)
-HYDRATED = wp.constant(2)  # kind of the stiff bonds at hydrated contacts; kind 1 is the ordinary bond
+HYDRATED = wp.constant(2)  # Kind of the stiff bonds at hydrated contacts; kind 1 is the ordinary bond.
 
 # The lowest KIND_BITS bits of a bond state are the bond's kind. The bits above are the row of `pairs.load` that holds
 # the bond's force and moment. Few pairs of a neighbour list are bonded, so `pairs.load` has rows for bonded pairs only.
@@ -55,8 +55,8 @@ def bond_functions(scalar):
         shear_to_normal: scalar  # ratio of shear stiffness to normal stiffness
         tensile_strength: scalar  # normal stress at which the bond breaks [Pa]
         cohesion: scalar  # shear strength at zero normal stress [Pa]
-        tan_friction_angle: scalar  # increase of shear strength per compressive stress
-        radius_multiplier: scalar  # bond radius divided by the smaller sphere radius
+        tan_friction_angle: scalar  # increase of the shear strength over the increase of the compressive stress
+        radius_multiplier: scalar  # bond radius over the radius of the smaller sphere
         moment_factor: scalar  # fraction of the bending and torsion moments that enters the peak stresses
 
     @wp.func
@@ -101,7 +101,7 @@ def bond_functions(scalar):
 
         radius = p.radius_multiplier * touch.smaller_radius
         per_area = scalar(wp.static(float(1.0 / np.pi))) / (radius * radius)
-        per_section = scalar(4.0) * per_area / radius  # bond radius divided by its moment of area, R / I
+        per_section = scalar(4.0) * per_area / radius  # Bond radius R over the bond's moment of area I.
         stress = tension * per_area
         peak_tension = stress + p.moment_factor * wp.length(bending) * per_section
         peak_shear = wp.length(shear) * per_area + scalar(0.5) * p.moment_factor * wp.abs(torsion) * per_section

@@ -29,13 +29,13 @@ def contact_functions(scalar):
     class Touch:
         normal: t.vec3
         gap: scalar  # distance between the surfaces, negative where they overlap [m]
-        velocity: t.vec3  # relative velocity at the contact point [m/s]
+        velocity: t.vec3  # velocity of body b relative to body a at the contact point [m/s]
         twist: scalar  # mean rotation of the two bodies about the normal in this step [rad]
-        tilt: t.vec3  # rotation of the normal itself in this step [rad]; zero against a wall
-        smaller_radius: scalar  # smaller radius of the two spheres; the sphere's radius against a wall [m]
-        length: scalar  # distance of the centres at first contact; the radius against a wall [m]
-        reduced_radius: scalar  # reduced radius R1 R2 / (R1 + R2); the radius against a wall [m]
-        mass: scalar  # reduced mass of the two bodies; the body's own mass against a wall [kg]
+        tilt: t.vec3  # rotation of the normal itself in this step [rad]; zero at a wall
+        smaller_radius: scalar  # smaller radius of the two spheres; at a wall, the sphere's radius [m]
+        length: scalar  # distance of the centres at first contact; at a wall, the sphere's radius [m]
+        reduced_radius: scalar  # reduced radius R1 R2 / (R1 + R2); at a wall, the sphere's radius [m]
+        mass: scalar  # reduced mass of the two bodies; at a wall, the body's own mass [kg]
 
     @wp.func
     def sphere_touch(

@@ -74,7 +74,7 @@ def contact_kernel(
     ):
         columns = wp.zeros(shape=(numbers,), dtype=scalar)
         ints = wp.zeros(shape=(integers,), dtype=wp.int32)
-        count = wp.int32(0)  # number of lanes in use
+        count = wp.int32(0)  # Number of lanes that hold a contact.
         used_row = wp.int32(0)
         used_dt = scalar(0.0)
         i = first + wp.tid() * SPAN - 1
@@ -119,7 +119,8 @@ def contact_kernel(
                             base = scenes.row[s].spheres
                             material = spheres.material[i]
                             row = scenes.row[s].laws + material * scenes.row[s].materials
-                            # dt is the previous step, because the displacement of that step led to the current overlap.
+                            # Here dt is the previous time step, because the displacement of that step led to the
+                            # current overlap.
                             dt = scalar(scenes.clock[s, DT_PREVIOUS])
                             position_i = read_vec4(spheres.position, i)
                             velocity_i = read_vec4(spheres.velocity, i)

@@ -27,7 +27,8 @@ def grid_struct(scalar):
         held: wp.array(dtype=wp.int32)  # number of points in each cell, followed by a zero, shape (cells + 1,)
         start: wp.array(dtype=wp.int32)  # index in `point` of each cell's first point, and the end, shape (cells + 1,)
         cell: wp.array(dtype=wp.int32)  # cell index of each point, shape (points,)
-        rank: wp.array(dtype=wp.int32)  # rank of each point within its cell, in any order, shape (points,)
+        # rank of each point among the points of its cell, in no particular order, shape (points,)
+        rank: wp.array(dtype=wp.int32)
         point: wp.array(dtype=wp.int32)  # point indices, sorted by cell, shape (points,)
 
     return Grid
@@ -46,8 +47,8 @@ def grid_functions(scalar) -> SimpleNamespace:
 
     @wp.struct
     class Region:
-        lowest: wp.vec3i  # lowest cell of the block
-        count: wp.vec3i  # number of cells along each axis
+        lowest: wp.vec3i  # index of the lowest cell of the block along each axis
+        count: wp.vec3i  # number of cells of the block along each axis
         runs: wp.int32
 
     @wp.func

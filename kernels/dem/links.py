@@ -198,7 +198,7 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
                 pairs.rolling[k] = t.vec3()
         if wp.static(healing):
             if pairs.bond[k] < 0:
-                pairs.bond[k] = 0  # the pair may bond again at the next touch
+                pairs.bond[k] = 0  # The pair may bond again when its spheres next touch.
                 pairs.load[k] = t.vec8()
                 pairs.bond[twin] = 0
         return lost
@@ -273,7 +273,7 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
         bond_parameters: wp.array(dtype=Bond), s: wp.int32, ends: wp.vec4i, position_i: t.vec4, position_j: t.vec4,
     ):  # fmt: skip
         i, j, k, p = ends[0], ends[1], ends[2], ends[3]
-        # dt is the previous step, because the displacement of that step led to the current overlap.
+        # Here dt is the previous time step, because the displacement of that step led to the current overlap.
         dt = scalar(scenes.clock[s, DT_PREVIOUS])
         spin_i, spin_j = xyz(read_vec4(spheres.spin, i)), xyz(read_vec4(spheres.spin, j))
         material = read_int(spheres.material, i)

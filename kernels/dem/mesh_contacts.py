@@ -30,12 +30,13 @@ from .analytic_walls import surface_touch_function, wall_force_function
 from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs
 from .wear import wear_functions
 
-MERGE_ANGLE = 30.0  # angle between the normals of two mesh contacts below which they count as one [degrees]
+MERGE_ANGLE = 30.0  # Angle between the normals of two mesh contacts below which they count as one contact [degrees].
 MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
 # Largest distance in front of the plane through a nearer contact at which a point still counts as hidden [sphere
 # radii].
 BEHIND = 2.0e-2
-MESH_SLOTS = 6  # mesh contact slots of a sphere, after those of planes and pipes; more contacts set OVERFLOW
+# Slots of a sphere for mesh contacts, which follow the slots for planes and pipes. More contacts set OVERFLOW.
+MESH_SLOTS = 6
 Owners = wp.types.vector(MESH_SLOTS, wp.int32)
 
 
@@ -85,7 +86,7 @@ def surface_functions(scalar) -> SimpleNamespace:
             return True
         if feature < 4:
             edge = feature - 1
-            # index of the neighbour's far corner; `edge + 3` holds the neighbour's face number
+            # Index of the far corner of the neighbouring face; `edge + 3` holds the index of the neighbouring face.
             beyond = across[face, edge]
             if beyond == BORDER:
                 return True
@@ -94,19 +95,22 @@ def surface_functions(scalar) -> SimpleNamespace:
             if beyond <= SHARED:
                 row = SHARED - beyond
                 if ring[ring_start[row]] != face - wall.first_face:
-                    return False  # avoid a duplicate: the face with the lowest number reports this edge
+                    # Avoid a duplicate: of several faces at this edge, only the face with the lowest index reports the
+                    # edge.
+                    return False
                 for k in range(ring_start[row] + 1, ring_start[row + 1]):
                     if falls_towards(across_edge(corners[ring[k]] - a, along), offset):
                         return False
                 return True
             if across[face, edge + 3] < face:
-                return False  # avoid a duplicate: the neighbour has a lower number and reports this edge
+                return False  # Avoid a duplicate: the neighbouring face has the lower index and reports this edge.
             return not falls_towards(across_edge(corners[beyond] - a, along), offset)
         corner = faces[face, feature - 4]
         a = corners[corner]
         lowest = ring[ring_start[corner]]
         if lowest != face - wall.first_face:
-            return False  # avoid a duplicate: the lowest face of the ring reports this corner
+            # Avoid a duplicate: only the face with the lowest index of all faces at a corner reports the corner.
+            return False
         for k in range(ring_start[corner] + 1, ring_start[corner + 1]):
             if falls_towards(corners[ring[k]] - a, offset):
                 return False
@@ -194,7 +198,8 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
         This matters when the sphere's centre has been pushed through the surface: the normal must then not flip.
         """
         gap = distance - radius
-        side = scalar(0.0)  # cosine between `n` and the old normal on this wall that is most nearly parallel to it
+        # Cosine of the angle between `n` and the old normal on this wall that is most nearly parallel to `n`.
+        side = scalar(0.0)
         for s in range(MESH_SLOTS):
             if slot_wall[i, first + s] == wall:
                 c = wp.dot(slot_normal[i, first + s], n)

@@ -70,7 +70,7 @@ def rotation_functions(scalar):
         spin = spin_of(q, angular_momentum, inertia)
         if inertia[0] != inertia[1] or inertia[1] != inertia[2]:
             iteration = wp.int32(0)
-            while iteration < 3:  # a `while` loop keeps the compiler from unrolling the iterations
+            while iteration < 3:  # A `while` loop keeps the compiler from unrolling the iterations.
                 spin = spin_of(turned(q, scalar(0.5) * dt * spin), angular_momentum, inertia)
                 iteration += 1
         return spin

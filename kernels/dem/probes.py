@@ -14,8 +14,8 @@ from .pairs import decode
 from .structs import DT_PREVIOUS, array_structs
 
 # Columns of the sums over the contacts of each sphere.
-CONTACTS = wp.constant(0)  # number of touching pairs
-OVERLAP_SUM = wp.constant(1)  # sum of overlap divided by the smaller radius
+CONTACTS = wp.constant(0)  # number of pairs in contact
+OVERLAP_SUM = wp.constant(1)  # sum over pairs of the overlap divided by the smaller radius
 # OVERLAP_MAX is the largest overlap divided by the smaller radius.
 OVERLAP_MAX = wp.constant(2)
 ELASTIC_ENERGY = wp.constant(3)  # energy of contact springs, walls included, at the middle of the last step [J]
@@ -342,7 +342,7 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
         material = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
         for slot in range(slots.history.shape[1]):
             w = scenes.row[s].walls + slot
-            n = t.vec3()  # normal into the wall
+            n = t.vec3()  # Normal vector that points into the wall.
             overlap = scalar(-1.0)
             towards = half_step
             known = slot < scenes.row[s].analytic
@@ -352,7 +352,7 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
                 overlap = radius - distance
             else:
                 known = slots.wall[i, slot] >= 0
-                towards = -half_step  # a mesh contact stores the overlap at the start of the step
+                towards = -half_step  # A mesh contact stores the overlap at the start of the step.
                 if known:
                     w = scenes.row[s].walls + slots.wall[i, slot]
                     n = slots.normal[i, slot]

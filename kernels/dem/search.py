@@ -129,12 +129,12 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
 
     @wp.struct
     class Seeker:
-        s: wp.int32  # scene index in the batch
-        base: wp.int32  # first sphere of the scene
+        s: wp.int32  # index in the batch of the sphere's scene
+        base: wp.int32  # index of the scene's first sphere
         body: wp.int32
         x: t.vec3  # centre of the sphere [m]
         radius: scalar  # radius of the sphere [m]
-        margin: scalar  # largest gap to a neighbour [m]
+        margin: scalar  # largest gap at which another sphere counts as a neighbour [m]
 
     is_close = close_function(scalar)
     wider = half and bonds

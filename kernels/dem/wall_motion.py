@@ -9,7 +9,7 @@ from ..common.types import types
 from ..common.walls import DRIVEN, FIXED, MESH, PRESCRIBED, wall_struct
 from .structs import DT, DT_PREVIOUS, FORCE_SCALE, TIME, array_structs
 
-SPEED_LIMIT = 1.0e4  # speed above which a scene fails [m/s]; far above that of pumped or dropped concrete
+SPEED_LIMIT = 1.0e4  # Speed above which a scene fails [m/s], far above the speed of pumped or falling concrete.
 
 
 @wp.func
@@ -65,7 +65,7 @@ def motion_functions(scalar, strokes: bool):
             after = wall.pivot + wp.quat_rotate(q, after - wall.pivot)
             walls.orientation[w] = t.quat(q)
             walls.normal[w] = wp.quat_rotate(t.quat(q), wall.normal)
-        after += gone * wall.velocity  # the pivot moves with the wall's velocity
+        after += gone * wall.velocity  # The pivot moves with the wall's velocity.
         rate = wp.float64(0.0)
         if dt > wp.float64(0.0):
             rate = (gone - gone_at(wall, now - dt)) / dt

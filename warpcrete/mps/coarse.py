@@ -17,7 +17,8 @@ from ..core.device.device import parallel
 WIDTH = 4.0
 """Width of a cube in particle spacings.
 
-With 3 the solves take a tenth fewer iterations but need twice as many cubes; with 6 they take a quarter more.
+With a width of 3 the solves take a tenth fewer iterations but need twice as many cubes. With a width of 6 they take a
+quarter more iterations.
 """
 LEAST = 12.0
 """Minimum height of a column, in cubes, for a coarse grid; for lower columns the diagonal preconditioner is as fast."""
