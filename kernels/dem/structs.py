@@ -198,7 +198,7 @@ def links_struct(scalar):
         link: wp.array(dtype=wp.vec4i)  # lower and higher sphere, entry and twin, numbered per scene; or -1: unused
         scene: wp.array(dtype=wp.int32)  # index of each link's scene in the batch, shape (links,)
         touched: wp.array(dtype=wp.int32)  # state: 0 apart, 1 touching, 2 parted with loss to count, 3 in a stiff bond
-        more: wp.array(dtype=wp.int32)  # touching bits of list entries beyond the first BLOCK, shape (spheres * MORE,)
+        more: wp.array(dtype=wp.int32)  # touching bits of later list entries, MORE integers a sphere
         end: wp.array(dtype=wp.int32)  # for each list entry, the index p of its link in the scene; -1 - p for a twin
         # `pull` holds the result of each link in this step. A link has two rows: (force on its lower sphere [N], arm of
         # that sphere [m]) and (contact moment divided by the arm [N], arm of the higher sphere [m]). With bonds,
