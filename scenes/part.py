@@ -213,7 +213,7 @@ def _line(given: PartParameters) -> _Course:
 def _axis(given: PartParameters, bends: bool) -> Axis:
     """Return the axis of a single part, which starts at the origin; z points up."""
     origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
-    # A cone lies in the middle of a straight unit, or one stretch behind a bend.
+    # A cone lies in the middle of a straight unit, or one stretch downstream of a bend.
     narrowing = given.straight + given.taper if given.outlet_diameter is not None else 0.0
     if not bends:
         return Axis(

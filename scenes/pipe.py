@@ -1,4 +1,4 @@
-"""Concrete that a piston pumps through one pipe unit, against a small pressure on a plug (Zhan et al. 2019).
+"""Concrete that a piston pumps through one pipe unit, while a plug resists slightly (Zhan et al. 2019).
 
 The units are A `vertical` (upward), B `horizontal`, C `bend-to-horizontal` (an elbow with upward inlet and horizontal
 outlet), and D `bend-to-vertical` (an elbow with horizontal inlet and upward outlet).

@@ -322,8 +322,8 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
 def wall_kernel(scalar, law, dissipation: bool, wear: bool):
     """Return the CPU kernel that adds the forces of planes and pipes to the spheres.
 
-    It is separate from the kernel for contacts between spheres because that is faster: clang inlines a contact law that
-    a kernel calls once, but not a law that it calls twice.
+    This kernel is separate from the kernel for contacts between spheres because that is faster: clang inlines a contact
+    law that a kernel calls once, but not a law that it calls twice.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Slots, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Walls

@@ -106,7 +106,7 @@ def contact_functions(scalar):
 
     @wp.func
     def spring_energy(history: t.vec3, stiffness: scalar):
-        """Return the elastic energy of a spring with force or moment `history` [J]; zero without stiffness."""
+        """Return the elastic energy of a spring with force or moment `history` [J]; zero for zero stiffness."""
         square = wp.length_sq(history)
         stored = scalar(0.0)
         if square > scalar(0.0):

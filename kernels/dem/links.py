@@ -25,8 +25,8 @@ from .structs import DT_PREVIOUS, array_structs, links_struct
 def pull_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
     """Return the number of rows in `links.pull` per link: four with bonds, rolling or dissipation, else two.
 
-    Two rows serve both spheres. Where a link has a moment of its own or loses energy, each sphere needs its own two
-    rows.
+    Two rows are enough for both spheres, because their forces are opposite. If a link has a moment of its own or loses
+    energy, each sphere needs its own two rows.
     """
     return 4 if bonds or rolls or dissipation else 2
 

@@ -39,7 +39,7 @@ LEAP = 0.4
 Two spheres that approach each other may close in by twice that distance.
 """
 LONGEST = 1.0e30
-"""Step size where no limit applies [s]."""
+"""Step size that stands for "no limit" [s]."""
 
 
 def estimate_options(half: bool) -> dict:

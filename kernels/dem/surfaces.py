@@ -1,6 +1,7 @@
 """Contacts of spheres with planes and pipes on a GPU, with one or a few threads for each sphere.
 
-Most spheres touch no wall. These contacts have a kernel of their own, which runs concurrently with that of `links`.
+Most spheres touch no wall. These contacts have a kernel of their own, which runs concurrently with the kernel of
+`links.py`.
 """
 
 import functools
@@ -20,7 +21,8 @@ def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int):
     """Return the kernel over `count` spheres that stores the force and moment of planes and pipes on each sphere.
 
     Each sphere has 2^`lane_bits` threads, and the launch consists of whole warps of `width` threads (1 on a CPU). The
-    mesh kernel adds its forces to these, and the kernel that moves bodies reads and clears them.
+    mesh kernel adds the forces of meshes to the stored values; the kernel that moves bodies reads and clears these
+    values.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Slots, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Walls

@@ -14,7 +14,7 @@ SPEED_LIMIT = 1.0e4  # Speed above which a scene fails [m/s], far above the spee
 
 @wp.func
 def ramped(time: wp.float64, ramp: wp.float64):
-    """Return the integral of min(time / ramp, 1): the distance travelled at a final speed of 1."""
+    """Return the distance of a motion whose speed rises linearly to 1: the integral of min(time / ramp, 1)."""
     if time <= wp.float64(0.0):
         return wp.float64(0.0)
     if time < ramp:

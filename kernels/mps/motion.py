@@ -118,7 +118,7 @@ def advance_kernel(scalar, dimensions: int, serial: bool):
 
 @wp.kernel(enable_backward=False)
 def finish(late: wp.array(dtype=wp.int32), flags: wp.array(dtype=wp.int32)):
-    """Complete the step in one thread: count it, and halt if the lists are stale or a particle is lost."""
+    """Complete the step in one thread: increase the step count, and halt if lists are stale or a particle is lost."""
     if flags[HALTED] != 0:
         return
     flags[STEPS] = flags[STEPS] + 1

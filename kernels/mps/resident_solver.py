@@ -70,9 +70,9 @@ def sum_functions(width: int) -> SimpleNamespace:
 def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNamespace:
     """Build what a GPU thread does for its row, or its rigid grain, in a solve.
 
-    Each function returns its contributions to inner products. `begin`, `update` and `share` (for a grain) return those
-    of the residual with the preconditioned residual and with itself. `multiply` returns that of the search direction
-    with its matrix product.
+    Each function returns its contributions to inner products. `begin`, `update` and `share` (for a grain) return the
+    inner products of the residual with the preconditioned residual and with itself. `multiply` returns the inner
+    product of the search direction with its matrix product.
     """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value

@@ -30,9 +30,10 @@ BLOCKING = 3.0
 """Ratio of pipe diameter to largest stone below which pipes are known to block. ACI 304.2R requires 3 for crushed
 stone."""
 CURVED = ((0.0, 0.15, 0.3, 0.6), (0.0, 0.023, 0.042, 0.125))
-"""Additional pressure loss of a bend, relative to straight pipe of its length (second row), against the pipe's diameter
-over the bend's radius (first row). Source: simulated flows of the concrete no1, the highest loss of three concretes,
-through bends of 150 mm pipe at 30 m3/h. The loss of a hose is computed from this table."""
+"""Additional pressure loss of a bend, relative to straight pipe of its length (second row), by the pipe's diameter over
+the bend's radius (first row). Source: simulated flows of the concrete no1, the highest loss of three concretes, through
+bends of 150 mm pipe at 30 m3/h. The loss of a hose is computed from this table.
+"""
 ASKEW = 20.0
 """Largest angle between a line and the first direction of a hose's points at which the hose still continues the line
 without a kink [degrees]."""
@@ -197,7 +198,7 @@ def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
 def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path()) -> PipeLine:
     """Build a line from the entries of its file.
 
-    Required are `parts`, a list of mappings from a kind to its entries, and `diameter`, that of the first part.
+    Required are `parts`, a list of mappings from a kind to its entries, and `diameter`, the diameter of the first part.
     Optional are `begin`, the direction in which the line starts, and `flow`, `concrete`, `largest_stone`, `source` and
     `recorded`. Mesh files are searched for in `folder`. Raises :class:`SceneError` if an entry is wrong or the parts do
     not fit.

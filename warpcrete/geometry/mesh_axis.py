@@ -264,7 +264,7 @@ def _slope(points: list[np.ndarray], last: np.ndarray, apart: float, tangent: np
         before = chosen[1] - chosen[2]
         behind = float(np.linalg.norm(before))
         # The slope of a parabola at its end is the slope of the last chord plus the change of slope from the previous
-        # chord, weighted with the length of the last chord over that of both.
+        # chord, weighted with the length of the last chord over the length of both chords.
         slope = slope + (slope - before / behind) * length / (length + behind)
     return slope / np.linalg.norm(slope)
 

@@ -57,7 +57,7 @@ def said_by_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) -> dict[
 
 
 def ends(line: PipeLine) -> np.ndarray:
-    """Return the arc lengths at which the parts of a line begin, and that of its end [m], shape (parts + 1,)."""
+    """Return the arc lengths at which the parts of a line begin, and that of the line's end [m], shape (parts + 1,)."""
     return np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
 
 

@@ -30,7 +30,7 @@ SHEARED: dict[str, Any] = {
 LEAST_SLIP = 0.9
 """Minimum ratio of slip to mean velocity for a column on a piston to keep its volume and force balance."""
 FEWEST_ACROSS = 4
-"""Minimum number of particles across a pipe when a study of accuracy against time coarsens the spacing."""
+"""Minimum number of particles across a pipe when a trade-off between accuracy and run time coarsens the spacing."""
 FLOW = 1500e-6
 """Volume flow of the paper's reference case [m3/s]."""
 TWO_PHASES = Needs("aggregates", bool, "is on")

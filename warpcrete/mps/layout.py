@@ -10,7 +10,9 @@ import numpy as np
 from .scene import FluidScene
 
 LAYERS = 4
-"""Number of layers of dummy particles behind a wall, which replace the fluid there in all sums over neighbours."""
+"""Number of layers of dummy particles behind a wall. In all sums over neighbours, they stand for fluid that the wall
+cuts off.
+"""
 
 
 @dataclass(frozen=True)
@@ -18,7 +20,7 @@ class Layout:
     """Initial positions of particles, relative to the piston's middle; the last coordinate runs along the pipe."""
 
     spacing: float
-    """Distance of particles [m]."""
+    """Distance between neighbouring particles [m]."""
     volume: float
     """Volume of a particle [m3], or its area in two dimensions [m2]."""
     fluid: np.ndarray

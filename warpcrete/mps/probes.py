@@ -78,7 +78,7 @@ def section(flow: MovingParticles) -> float:
 def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> dict[str, float]:
     """Return a row of the series; the change of momentum is taken from `before`, the previous row.
 
-    The momentum of a channel is that of a metre of depth. The pressure on the piston is extrapolated by a straight line
+    The momentum of a channel is given per metre of depth. The pressure on the piston is extrapolated by a straight line
     from the particles near it, plus half a spacing times the gradient: surface particles have zero pressure at their
     centres, although half of each lies above its centre.
     """

@@ -48,8 +48,8 @@ class Known:
     def error(self, name: str) -> float:
         """Return the relative error of a column against theory.
 
-        The error of the slip velocity is relative to the mean velocity, because a flow without slip has no useful slip
-        velocity.
+        The error of the slip velocity is relative to the mean velocity, because a slip velocity near zero is no useful
+        scale.
         """
         size = self.scene.velocity if name == "slip_velocity" else self.by_theory(name)
         return (self.mean(name) - self.by_theory(name)) / size

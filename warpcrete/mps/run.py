@@ -30,7 +30,7 @@ class FlowRun(Simulation):
 
     @abstractmethod
     def placed(self) -> Any:
-        """Return the flow at its start."""
+        """Return the flow at its start, with its particles placed."""
 
     @abstractmethod
     def measured(self) -> dict[str, float]:

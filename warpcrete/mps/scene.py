@@ -34,7 +34,7 @@ class Aggregates:
     fraction: float
     """Volume fraction of the coarse aggregate."""
     mortar: Concrete
-    """Density and Bingham constants of the mortar between the aggregates; its slip layer is that of the concrete."""
+    """Density and Bingham constants of the mortar between aggregates; its slip layer equals the concrete's."""
     density: float = 2630.0
     """Density of the aggregate [kg/m3]."""
     sizes: tuple[tuple[float, float, float], ...] = ((5e-3, 10e-3, 0.3), (10e-3, 15e-3, 0.4), (15e-3, 20e-3, 0.3))

@@ -114,7 +114,8 @@ class FluidSimulation(FlowRun):
             return False  # the structure may break so slowly that no other quantity shows it
         earlier = []
         for wanted in (now["time"] - APART, now["time"] - 2 * APART):
-            # In the first row the slip layer is not computed yet. Two earlier rows must agree: one may do so by chance.
+            # In the first row the slip layer is not computed yet. Two earlier rows must agree with the last one,
+            # because a single row may agree by chance.
             found = [row for row in self._rows[1:] if row["time"] <= wanted + 1e-9]
             if not found:
                 return False

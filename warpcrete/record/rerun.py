@@ -54,11 +54,11 @@ def with_values(tensor: Any, values: np.ndarray) -> Any:
 class RerunRecorder(Recorder):
     """Recorder of bodies, moving walls, curves and profiles on one timeline, with a legend and a cut through the scene.
 
-    Every clump is drawn by its own spheres. `path` is that of the .rrd file, or None. `live` is True to open a viewer,
-    or the URL of a running one (`rerun+http://127.0.0.1:9876/proxy`). `bind` is the IP address on which a newly opened
-    viewer listens. `colouring` selects the colours of bodies from those of the method's display. `network` adds lines
-    between bodies, if the display has any. Lines of contacts are as wide and bright as their forces, and bonds without
-    compression are orange.
+    Every clump is drawn by its own spheres. `path` is the path of the .rrd file, or None. `live` is True to open a
+    viewer, or the URL of a running one (`rerun+http://127.0.0.1:9876/proxy`). `bind` is the IP address on which a newly
+    opened viewer listens. `colouring` selects the colours of bodies from those of the method's display. `network` adds
+    lines between bodies, if the display has any. Lines of contacts are as wide and bright as their forces, and bonds
+    without compression are orange.
 
     Every checkpoint closes a part of the recording (`run.rrd`, `run-0001.rrd` and so on), so that a resumed run
     continues after a complete part. At the end the parts are joined into one file.

@@ -157,7 +157,7 @@ class TableRecorder(Recorder):
 
 
 def _check_same_run(path: Path, record: dict[str, Any]) -> None:
-    """Refuse a scene.json that belongs to a run other than that of `record`."""
+    """Refuse a scene.json that belongs to another run than `record`."""
     there, here = read_json(path), json.loads(json.dumps(record))
     for name in ("scene", "parameters", "files", "device", "precision", "command"):
         if there.get(name) != here[name]:

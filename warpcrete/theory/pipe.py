@@ -165,9 +165,9 @@ def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> S
 def rested(concrete: Concrete, rest: float, thixotropy: float) -> Concrete:
     """Return the concrete after `rest` [s], when the yield stresses of bulk and slip layer have grown by A_thix t.
 
-    The linear growth is Roussel's (2006) and holds for some tens of minutes at most. In his classes A_thix, the
-    `thixotropy` [Pa/s], is below 0.1 for a concrete that hardly stiffens and above 0.5 for one that stiffens strongly.
-    The constant was measured on bulk concrete; the same growth of the slip layer is an assumption.
+    The linear growth was proposed by Roussel (2006) and holds for some tens of minutes at most. In Roussel's classes,
+    the `thixotropy` A_thix [Pa/s] is below 0.1 for a concrete that hardly stiffens and above 0.5 for one that stiffens
+    strongly. The constant was measured on bulk concrete; the same growth of the slip layer is an assumption.
     """
     between("rest", rest, 0, np.inf, "s")
     between("thixotropy", thixotropy, 0, np.inf, "Pa/s")

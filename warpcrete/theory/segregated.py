@@ -25,7 +25,7 @@ bounds.
 
 @dataclass(frozen=True)
 class Segregated:
-    """Concrete in a pipe whose aggregate is unevenly shared between the region at the wall and that about the axis."""
+    """Concrete in a pipe whose aggregate is unevenly shared between the outer and the inner half of the radius."""
 
     concrete: Concrete
     """Concrete with its aggregate evenly distributed."""

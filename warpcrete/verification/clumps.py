@@ -1,4 +1,4 @@
-"""Verification of clumps: mass properties against exact integrals, and free tumbling of a triaxial body."""
+"""Verification of clumps: mass properties compared with exact integrals, and free tumbling of a triaxial body."""
 
 from __future__ import annotations
 

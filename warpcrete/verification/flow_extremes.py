@@ -55,7 +55,7 @@ class FlowOutcome:
         """Return whether the result is acceptable.
 
         A completed flow must be within bounds. The message of a stopped flow must name time, quantity and cures, and
-        that of a refused scene the field. The result must also agree with `must`.
+        the message of a refused scene must name the field. The result must also agree with `must`.
         """
         if self.stopped:
             words = (" = ", ": ") if self.refused else ("t = ", "usual cure")

@@ -137,7 +137,7 @@ def restitution(device, precision) -> list[Row]:
         error = np.abs(np.array(ours) - wanted)
         worst = 1 + int(np.argmax(error[1:]))
         rows.append(Row(f"test 3, {name}: e = {wanted[worst]:.1f}, the worst of 5", ours[worst], wanted[worst], 2e-3))
-        # With e = 0 the rebound takes for ever. The row shows the velocity after three durations of an elastic impact.
+        # With e = 0 the rebound never ends. The row shows the velocity after three durations of an elastic impact.
         rows.append(Row(f"test 3, {name}: e = 0", ours[0], 0.0, 1e-2, scale=1.0))
     return rows
 

@@ -17,7 +17,10 @@ HALF = 0.2, 0.05
 
 
 def let_go(yield_stress: float, width: float, duration: float) -> FreeScene:
-    """Return the scene of a box of concrete that is released on a plate; it has 10 Pa s and sticks to the plate."""
+    """Return the scene of a box of concrete that is released on a plate.
+
+    The concrete has a viscosity of 10 Pa s and sticks to the plate.
+    """
     concrete = Concrete(
         density=2000.0, viscosity=10.0, yield_stress=yield_stress, slip_viscosity=STICKS, slip_yield=0.0
     )
@@ -44,7 +47,7 @@ def dam_break(device: str, precision: str) -> list[Row]:
 
 
 def heap(device: str, precision: str) -> list[Row]:
-    """Compare the heap in which concrete with a yield stress of 50 Pa comes to rest with theory."""
+    """Compare the heap in which concrete comes to rest with theory, for a yield stress of 50 Pa."""
     simulation = FreeSimulation(let_go(50.0, 0.45, 10.0), device=device, precision=precision)
     run = simulation.run()
     paste = simulation.scene.concrete

@@ -118,7 +118,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         velocity: wp.array(dtype=t.vec)  # Velocity of each particle [m/s], shape (n,).
         gradient: wp.array(dtype=t.mat)  # Velocity gradient at each particle [1/s], shape (n,).
         pressure: wp.array(dtype=scalar)  # Pressure at each particle [Pa], shape (n,).
-        mass: wp.array(dtype=scalar)  # Mass over that of the mean particle; 0 if the particle has left the grid.
+        # Mass of each particle over the mass of the mean particle; 0 if the particle has left the grid.
+        mass: wp.array(dtype=scalar)
 
     @wp.struct
     class Mesh:
@@ -139,7 +140,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         rubbed: wp.array(dtype=scalar)  # Area of a pipe's walls along the volume of each face.
         traction: wp.array(dtype=scalar)  # Shear stress of a pipe's walls, with the sign of the velocity [Pa].
         growth: wp.array(dtype=scalar)  # Derivative of `traction` with respect to the velocity of the face [Pa s/m].
-        slip: wp.array(dtype=scalar)  # Velocity of concrete at a pipe's wall; without a wall, that of the face [m/s].
+        # Velocity of concrete at a pipe's wall, or velocity of the face if there is no wall [m/s].
+        slip: wp.array(dtype=scalar)
         # Walls in cut cells: force of a wall between a face and the next face along an axis, over the velocity at the
         # wall. Shape (axes^2 * slots,), ordered by the face's axis, then by the axis along which the next face lies.
         grip: wp.array(dtype=scalar)
@@ -198,7 +200,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def at(g: Cells, c: whole) -> wp.int32:
-        """Return the number of the cell with the indices `c`, which is also that of its edge and of its first face."""
+        """Return the number of the cell with the indices `c`; the cell's edge and first face have the same number."""
         k = c[last]
         if wp.static(of.periodic):
             k = (k + g.n[last]) % g.n[last]
@@ -335,7 +337,7 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def sheared(kind: wp.int32) -> wp.bool:
-        """Return whether a face has a velocity that counts in rates of shear and stretch."""
+        """Return whether a face has a velocity that enters the rates of shear and stretch."""
         return unknown(kind) or kind == FIXED
 
     @wp.func

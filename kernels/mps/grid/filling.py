@@ -71,8 +71,8 @@ def level_functions(scalar, of: Kind) -> SimpleNamespace:
     def behind(g: Cells, mesh: Mesh, c: whole, d: vec) -> scalar:
         """Return the share of a particle's weight that would fall on neighbouring wall cells.
 
-        This share counts for the particle's own cell. Otherwise concrete that lies on a wall would have only half its
-        weight.
+        This share is added to the weight in the particle's own cell. Otherwise concrete that lies on a wall would have
+        only half its weight.
         """
         sum = scalar(0.0)
         for n in range(1, corners):

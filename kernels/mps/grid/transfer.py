@@ -31,7 +31,7 @@ CLEAR = wp.constant(0.02)
 """Minimum distance of particles from a wall, over the width of a cell."""
 
 LIGHT = wp.constant(0.1)
-"""Inertia of a ghost face inside a wall, over the inertia of a full face in the concrete."""
+"""Inertia of a ghost face inside a wall, relative to a face that lies wholly in the concrete."""
 
 
 @functools.cache

@@ -184,7 +184,7 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
 def expected(scene: FreeScene) -> dict[str, float]:
     """Return the quantities of a test by closed forms.
 
-    The slump is that of a heap if the heap is wider than high, else that of a tall cone.
+    The slump is calculated for a wide heap if the heap is wider than high, else for a tall cone.
     """
     known = Known(scene, {}, start_volume(scene))
     closed = {each.name: each.of(known) for each in QUANTITIES if each.name.endswith(("_theory", "_heap"))}

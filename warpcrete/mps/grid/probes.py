@@ -20,7 +20,7 @@ FINE = 40
 def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str, float]:
     """Return a row of the series; the change of momentum is taken from `before`, the previous row.
 
-    The momentum of a channel is that of a metre of depth. The pressure of a periodic pipe is the force per volume that
+    The momentum of a channel is given per metre of depth. The pressure of a periodic pipe is the force per volume that
     drives it, weight included, times its length.
     """
     scene, state, layout = flow.scene, flow.state, flow.state.layout
