@@ -1,8 +1,9 @@
 """Scenes, one file for each: the function `scene(**parameters)` builds a scene, and `check(run)` judges its runs.
 
-Every file in this folder is a scene, which `modules` finds by the file's name with hyphens. The scene functions are
-also attributes of this package. If both a flow and discrete elements can simulate a test, there are two scenes: NAME
-and NAME-dem.
+Every file in this folder is a scene, which `modules` finds by the file's name with hyphens; the scene functions are
+also attributes of this package. If both a flow and discrete elements can simulate a test, there are two scenes, NAME
+and NAME-dem. Scenes import `core`, `geometry`, `theory`, `dem` and `mps`, and never what runs or records them. Start
+with `slump`, a complete scene in one file.
 """
 
 from __future__ import annotations

@@ -133,10 +133,7 @@ def test_arguments_are_bound_by_name():
 
 def launches_of(simulation) -> list[Stage]:
     """Every recorded launch of a step and of a rebuild of its lists."""
-    launches = simulation.stepper.lists._launches(True)
-    rebuild = [getattr(launches, field.name) for field in dataclasses.fields(launches)]
-    entries = [entry if isinstance(entry, list) else [entry] for entry in rebuild]
-    found = [stage for entry in entries for stage in entry if isinstance(stage, Stage)]
+    found = simulation.stepper.lists._rebuild(True).kernel_stages()
     return found + [stage for part in element_stages(simulation.stepper.batch) for stage in part]
 
 

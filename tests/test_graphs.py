@@ -83,9 +83,9 @@ def test_an_interruption_loses_nothing_that_was_to_be_sent(monkeypatch):
         monkeypatch.setattr(Exchange, "write", interrupted)
         batch.estimated(0, 7)
         with pytest.raises(KeyboardInterrupt):
-            batch.device_changed()
+            batch.flush()
         assert simulation.stepper.time == 0 and len(calls) == 1  # something looks at the clock
-        batch.device_changed()
+        batch.flush()
         assert len(calls) == 2 and batch.flags.numpy()[0, int(ESTIMATED)] == 7
 
 

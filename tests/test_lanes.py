@@ -42,7 +42,7 @@ def stepped(scene, many, monkeypatch, precision):
     for _ in range(5):  # the second of a rebuild's parts is a graph, the third uses it
         stepper.take(80)
         stepper.rebuild()
-    assert set(stepper.lists._launches(False).graphs) == {"_before", "_search_all", "_fill", "_after"}
+    assert set(stepper.lists._rebuild(False).graphs) == {("cells", "starts"), ("fill", "near")}
     return stepper
 
 

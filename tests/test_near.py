@@ -26,7 +26,7 @@ from warpcrete.kernels.dem.linking import BITS
 from warpcrete.kernels.dem.motion import rotation_functions
 from warpcrete.kernels.dem.near import CHOICE_BLOCK, NEAR, near_kernels
 from warpcrete.kernels.dem.pairs import BLOCK
-from warpcrete.kernels.dem.structs import array_structs, links_struct, scene_struct
+from warpcrete.kernels.dem.structs import APART, STIFF, TOUCHING, array_structs, links_struct, scene_struct
 
 SMALL = dict(length=0.1, diameter=0.06, ramp=0.005, travel=0.01, settle=0.02, size_min=8e-3, size_max=12e-3)
 
@@ -174,7 +174,8 @@ def test_near_links_are_those_within_a_quarter_of_the_skin_and_those_that_rememb
     """A pair that touched or is bonded stays near however far it is: it must be told that the touch is over."""
     skin, t = 0.01, types(scalar)
     gaps = skin * np.array([-0.5, 0.24, 0.26, 0.26, 0.9, 0.24])
-    touched, listed = [0, 0, 0, 1, 3, 0], [1, 1, 1, 1, 1, 0]
+    touched = [int(state) for state in (APART, APART, APART, TOUCHING, STIFF, APART)]
+    listed = [1, 1, 1, 1, 1, 0]
     count = len(gaps)
     place = np.zeros((2 * count, 4))
     place[:, 3] = 0.02

@@ -8,7 +8,7 @@ import warp as wp
 from ..common.control import STALE
 from ..common.types import types
 from .pairs import BLOCK, decode
-from .structs import array_structs, links_struct
+from .structs import APART, TOUCHING, array_structs, links_struct
 
 MORE = wp.constant(4)
 """Number of bit masks per sphere for its list entries beyond the first BLOCK, whose bits are in `spheres.touching`."""
@@ -128,7 +128,7 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
                         # Both list entries of a pair share one row of `pairs.load`.
                         pairs.bond[row + twin] = pairs.bond[row + k]
                 links.link[p] = wp.vec4i(i - base, j, k, twin)
-                links.touched[p] = wp.where(remembers, 1, 0)
+                links.touched[p] = wp.where(remembers, TOUCHING, APART)
                 links.end[row + k] = p - row / 2
                 links.end[row + twin] = -1 - (p - row / 2)
                 # Every step adds up the results of entries that have no touching bit, so these results must start at

@@ -19,7 +19,7 @@ from .contact_law import contact_functions
 from .contacts import contact_options
 from .linking import BITS, MORE, mark_function
 from .pairs import BLOCK, bonded_function, pair_functions
-from .structs import DT_PREVIOUS, array_structs, links_struct
+from .structs import APART, DT_PREVIOUS, PARTED, STIFF, TOUCHING, array_structs, links_struct
 
 
 def pull_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
@@ -222,17 +222,17 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
                 # The sub-cycling rounds, not this kernel, step a pair that is held by a stiff bond.
                 held_apart = kind == HYDRATED
                 close = close and not held_apart
-        after = wp.where(close, 1, 0)
+        after = wp.where(close, TOUCHING, APART)
         if held_apart:
-            after = 3  # state of a pair in a stiff bond; it may part at the first check after the bond broke
+            after = STIFF  # the pair may part at the first check after the bond broke
         if state != after:
             lost = scalar(0.0)
             row = scenes.row[s].pairs
             twin = row + links.link[p][3]
-            if after == 0 and state != 2:
+            if after == APART and state != PARTED:
                 lost = part(scenes, spheres, pairs, parameters, s, i, j, k, twin)
             if lost > scalar(0.0):
-                after = 2  # the link's rows stay in the sums for one more step, which counts the loss
+                after = PARTED  # the link's rows stay in the sums for one more step, which counts the loss
             else:
                 mark(spheres, links, i, k - row - pairs.start[i + s], close)
                 mark(spheres, links, j, twin - row - pairs.start[j + s], close)

@@ -14,7 +14,7 @@ import warp as wp
 
 from ..common.rows import row_functions
 from ..common.types import vector_functions
-from .structs import SINCE_BUILD, array_structs, links_struct
+from .structs import APART, SINCE_BUILD, array_structs, links_struct
 
 NEAR = 0.25
 """Largest gap of a near link when it is chosen, as a fraction of the neighbour list's skin."""
@@ -93,7 +93,7 @@ def near_kernels(scalar) -> SimpleNamespace:
             reach = a[3] + b[3] + scalar(wp.static(NEAR)) * scenes.row[s].skin
             near = wp.length_sq(xyz(b) - xyz(a)) < reach * reach
             # A link that touched must be visited again, so that its parting is noticed. Bonded links count as touching.
-            near = near or links.touched[p] != 0
+            near = near or links.touched[p] != APART
         place = take_place(links.near_count, near)
         if near:
             links.near[place] = wp.vec4i(first + link[0], first + link[1], row + link[2], p)

@@ -27,6 +27,12 @@ STABLE = wp.constant(5)  # latest estimate of the stable step, without safety fa
 # Number of columns of `clock`.
 CLOCK = 8
 
+# States of a link, in `links.touched`.
+APART = wp.constant(0)  # the spheres do not touch
+TOUCHING = wp.constant(1)  # the spheres touch or are bonded, or a new list has taken over their contact history
+PARTED = wp.constant(2)  # just parted with energy left in the springs; the sums of the next step count this loss
+STIFF = wp.constant(3)  # in a stiff bond, which sub-cycling rounds step
+
 
 @functools.cache
 def scene_struct(scalar):
@@ -197,7 +203,7 @@ def links_struct(scalar):
     class Links:
         link: wp.array(dtype=wp.vec4i)  # lower and higher sphere, entry and twin, numbered per scene; or -1: unused
         scene: wp.array(dtype=wp.int32)  # index of each link's scene in the batch, shape (links,)
-        touched: wp.array(dtype=wp.int32)  # state: 0 apart, 1 touching, 2 parted with loss to count, 3 in a stiff bond
+        touched: wp.array(dtype=wp.int32)  # state: APART, TOUCHING, PARTED or STIFF, shape (links,)
         more: wp.array(dtype=wp.int32)  # touching bits of later list entries, MORE integers a sphere
         end: wp.array(dtype=wp.int32)  # for each list entry, the index p of its link in the scene; -1 - p for a twin
         # `pull` holds the result of each link in this step. A link has two rows: (force on its lower sphere [N], arm of

@@ -1,1 +1,5 @@
-"""Code that all simulation methods share: errors, units, devices, parameters, kernel launches and the run loop."""
+"""Code that all simulation methods share: errors, units, inputs, devices, drawing and the run loop.
+
+Modules here import `kernels.common` and each other, but no geometry and no simulation method. Start with
+`run.run_loop`, and go on with `run.method`, the interface of a simulation method.
+"""

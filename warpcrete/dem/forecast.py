@@ -225,7 +225,6 @@ class _Copy:
         kinds = None if held is None else bond_kinds(held)
 
         def estimate() -> float:
-            stepper.batch.device_changed()
             return safety * stepper.estimate()
 
         names = [*(["bonds"] if scene.bonds else []), *(["hydrated bonds"] if scene.hydration else []),

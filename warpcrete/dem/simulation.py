@@ -206,7 +206,7 @@ class ElementSimulation(Simulation):
 
     def state_dict(self) -> dict[str, Any]:
         """Return the checkpoint: state, stepper and packing; also progress of settling, or measurements after t = 0."""
-        self.stepper.batch.device_changed()
+        self.stepper.batch.flush()
         found = {
             "state": state_dict(self.state),
             "stepper": self.stepper.state_dict(),

@@ -108,7 +108,7 @@ def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | 
             replace(simulation.scene, **changes), device=str(simulation.device), precision=simulation.precision,
             threads=simulation.threads,
         )  # fmt: skip
-        run = copy.run()
+        run, steady = copy.run(), copy.steady
     except (InstabilityError, SceneError) as error:
         remark = f"the simulated time is uncertain, because a coarser copy of this flow stopped: {error}"
         return None, simulation.duration, [remark]
@@ -116,7 +116,7 @@ def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | 
         if copy is not None:
             copy.release()
     reached = float(run.result["simulated_time"]["value"])
-    return run, reached, [] if copy.steady else [f"{unmet} within {reached:g} s"]
+    return run, reached, [] if steady else [f"{unmet} within {reached:g} s"]
 
 
 def step_time(simulation: Any) -> float:

@@ -220,6 +220,26 @@ class MovingParticles(Stepping):
     # The following methods provide the stages of a step and the state for checkpoints.
 
     @property
+    def _kernel_arrays(self) -> dict[str, Any]:
+        """Arrays and structs of the flow, by the names of the kernel parameters that receive them."""
+        return {
+            "flags": self.flags,
+            "flow": self.flow,
+            "particles": self.particles,
+            "grains": self.grains,
+            "fields": self.fields,
+            "lists": self.lists,
+            "points": self.points,
+            "matrix": self.matrix,
+            "viscous": self.viscous,
+            "projection": self.projection,
+            "shifting": self.shifting,
+            "gate": self.gate,
+            "count": self.count,
+            "blocks": self.blocks,
+        }
+
+    @property
     def step(self) -> Step:
         """Stages of one step on the current arrays, one list for each thread."""
         if self._step is None:

@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 
 from ..core.device.device import parallel
-from ..core.device.launching import Launcher, Size, Stage, Step, graph_sizes, parameter_names, telling
+from ..core.device.launching import Launcher, Size, Stage, Step, completed, graph_sizes, telling
 from ..core.errors import CapacityError, ConvergenceError, InstabilityError
 from ..core.run.method import Progress, run_in_turn
 from ..core.run.run_loop import Coroutine, Run
@@ -60,11 +60,13 @@ class Stepping(ABC):
         """Return the working arrays of the linear systems, by what they solve for."""
 
     def stage(self, kernel: Any, dim: Size, *, block: int | None = None, **named: Any) -> Stage:
-        """Return a stage that launches `kernel`; parameters not in `named` come from attributes of the same names."""
-        for name in parameter_names(kernel):
-            if name not in named:
-                named[name] = getattr(self, name)
-        return Stage(kernel, dim, named, self.device, block=block)
+        """Return a stage that launches `kernel`; parameters not in `named` receive the arrays of the flow."""
+        return Stage(kernel, dim, completed(kernel, named, self._kernel_arrays), self.device, block=block)
+
+    @property
+    @abstractmethod
+    def _kernel_arrays(self) -> dict[str, Any]:
+        """Arrays and structs of the flow, by the names of the kernel parameters that receive them."""
 
     def _alone(self) -> Step:
         return self.step

@@ -1,7 +1,9 @@
 """Verification: results of the simulators compared with published results and closed-form solutions.
 
-`run_cases` runs the cases and returns rows of results, which `table` and `figure` show. The command `warpcrete verify`
-does both. The tolerances follow from measured errors. Tests run the same cases on every device and in both precisions.
+`run_cases` runs the cases and returns rows of results, which `table` and `figure` show; the command `warpcrete verify`
+does both. The tolerances follow from measured errors, and tests run the same cases on every device and in both
+precisions. Modules here import `core`, `geometry`, `theory`, both simulation methods and `kernels`, but no recorder.
+Start with `case`, and go on with `contacts`.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ import gc
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Protocol
 
 import warp as wp
 
@@ -49,6 +49,29 @@ def captured(device: Any, launch: Callable[[], None]) -> Any:
     with put_off(), _uncollected(), wp.ScopedCapture(device=device) as capture:
         launch()
     return capture.graph
+
+
+class Recordable(Protocol):
+    """Work on a device that is prepared once and launched many times, such as a stage."""
+
+    def record(self) -> None:
+        """Prepare the launch, for example by loading its kernel, without running it."""
+
+    def __call__(self) -> None:
+        """Launch the work."""
+
+
+class Copy:
+    """Stage that copies one array to another array of the same length."""
+
+    def __init__(self, target: wp.array, source: wp.array) -> None:
+        self.target, self.source = target, source
+
+    def record(self) -> None:
+        """Do nothing, because this stage needs no preparation."""
+
+    def __call__(self) -> None:
+        wp.copy(self.target, self.source)
 
 
 class Zero:

@@ -61,6 +61,11 @@ def bound(kernel: Any, named: Mapping[str, Any]) -> list[Any]:
     return [named[name] for name in names]
 
 
+def completed(kernel: Any, named: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments `named`, and from `common` those of the kernel's other parameters, by parameter name."""
+    return {**{name: common[name] for name in parameter_names(kernel) if name in common}, **named}
+
+
 def members(kernel: Any, **structs: Any) -> dict[str, Any]:
     """Return struct members for a kernel's parameters that are named ``STRUCT_member``, by parameter name."""
     found = {}

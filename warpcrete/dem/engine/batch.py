@@ -9,7 +9,8 @@ and a scene gives bitwise identical results alone and in a batch. A finished sce
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property
 from typing import Any
 
@@ -26,8 +27,8 @@ from ...core.device.launching import (
     Stage,
     Step,
     by_one_thread,
+    completed,
     graph_sizes,
-    parameter_names,
 )
 from ...core.errors import refuse
 from ...kernels.common.control import ESTIMATED, FAILED, GOAL, HALTED, STALE, WAITS
@@ -125,13 +126,11 @@ class Batch(JointArrays):
     ) -> Stage:  # fmt: skip
         """Return a recorded launch of `kernel` over `dim` tasks.
 
-        `named` gives arguments by the kernel's parameter names; missing ones are the batch's attributes of the same
-        name. `beside`, `meets`, `every` and `block` have the meaning described in :class:`Stage`.
+        `named` gives arguments by the kernel's parameter names; missing ones come from `kernel_arrays`. `beside`,
+        `meets`, `every` and `block` have the meaning described in :class:`Stage`.
         """
-        for name in parameter_names(kernel):
-            if name not in named:
-                named[name] = getattr(self, name)
-        return Stage(kernel, dim, named, self.device, beside=beside, meets=meets, every=every, block=block)
+        arguments = completed(kernel, named, self.kernel_arrays)
+        return Stage(kernel, dim, arguments, self.device, beside=beside, meets=meets, every=every, block=block)
 
     def invalidate_graphs(self) -> None:
         """Discard recorded launches, because they refer to arrays or chunks that have been replaced."""
@@ -234,8 +233,20 @@ class Batch(JointArrays):
         first = int(self.rows["walls"][s])
         return values[first : first + int(self.rows["wall_count"][s])]
 
-    def device_changed(self) -> None:
-        """Send pending host changes to the device and discard host copies that a launch makes out of date."""
+    @contextmanager
+    def changing(self) -> Iterator[None]:
+        """Let the code inside change flags, clocks or walls on the device, by launches or by writing to arrays.
+
+        The host's pending changes are sent first. Afterwards the host's copies are discarded, also after an exception.
+        """
+        self.flush()
+        try:
+            yield
+        finally:
+            self.flush()
+
+    def flush(self) -> None:
+        """Send pending host changes to the device, so that its arrays are complete, and discard the host's copies."""
         unsent = [(self.scenes.row, self.rows)] if self._row_unsent else []
         if self.parallel and self._unsent:
             assert self._flags is not None
@@ -252,7 +263,13 @@ class Batch(JointArrays):
         """Launch steps until some scene needs attention; on a GPU the steps run while Python continues."""
         pieces = self.ahead.pieces(self.host_flags(), self.host_clock(), self.rows)
         interval = self.rows["interval"][self.host_flags()[:, int(HALTED)] == 0].min(initial=NEVER)
-        self.device_changed()
+        with self.changing():
+            self._launch(pieces, interval)
+        self.ahead.stepped(sum(pieces))
+        self.exchange.ask(self.flags, self.scenes.clock)
+
+    def _launch(self, pieces: list[int], interval: int) -> None:
+        """Launch `pieces` of steps, each followed by what a GPU does between steps; see :meth:`use_step`."""
         rounds = 0 if self.parallel else self.subcycles.rounds  # a GPU runs all rounds of a step in one kernel
         largest = self.ahead.largest_graph(self.threads, rounds)
         flags = np.empty((0, 0)) if self.parallel else self.host_flags()
@@ -275,16 +292,13 @@ class Batch(JointArrays):
         finally:  # the bodies must match their spheres even after an interruption
             for stage in self.sync_stages():
                 stage()
-        self.ahead.stepped(sum(pieces))
-        self.exchange.ask(self.flags, self.scenes.clock)
 
     def rebuild(self) -> None:
         """Rebuild the neighbour lists now, with the recorded launch that a GPU otherwise uses between steps."""
         assert self._rebuild is not None
         self.outdate(range(self.count))
-        self.device_changed()
-        self._rebuild()
-        self.device_changed()
+        with self.changing():
+            self._rebuild()
 
     @property
     def settled(self) -> bool:

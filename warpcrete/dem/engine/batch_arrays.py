@@ -97,6 +97,34 @@ class JointArrays:
         self._place_pairs()
         self.links = make_links(self)
 
+    @property
+    def kernel_arrays(self) -> dict[str, Any]:
+        """Arrays and structs of all scenes, by the names of the kernel parameters that receive them."""
+        return {
+            "flags": self.flags,
+            "scenes": self.scenes,
+            "bodies": self.bodies,
+            "spheres": self.spheres,
+            "slots": self.slots,
+            "pairs": self.pairs,
+            "links": self.links,
+            "candidates": self.candidates,
+            "walls": self.walls,
+            "corners": self.corners,
+            "faces": self.faces,
+            "across": self.across,
+            "ring_start": self.ring_start,
+            "ring": self.ring,
+            "face_wall": self.face_wall,
+            "pair_parameters": self.pair_parameters,
+            "wall_parameters": self.wall_parameters,
+            "bond_parameters": self.bond_parameters,
+            "segments": self.segments,
+            "drive_axis": self.drive_axis,
+            "drive_force": self.drive_force,
+            "slot_scene": self.slot_scene,
+        }
+
     @abstractmethod
     def invalidate_graphs(self) -> None:
         """Discard recorded launches, because arrays have been replaced."""

@@ -23,7 +23,7 @@ class DeviceRebuild:
     def __init__(self, lists: NeighborLists) -> None:
         b = lists.batch
         self.lists = lists
-        self._stages = lists.device_stages()
+        self._rebuild = lists.device_rebuild()
         self._asked, self._fits = (wp.zeros(1, dtype=wp.int32, device=b.device) for _ in range(2))
         kernels = rebuilding_kernels(b.scalar)
         self.ask = b.stage(kernels.ask, 1, asked=self._asked)
@@ -48,7 +48,8 @@ class DeviceRebuild:
 
     def record(self) -> None:
         """Record all launches, which loads their kernels; nothing runs yet."""
-        for stage in (*self._stages, *self.stages()):
+        self._rebuild.record()
+        for stage in self.stages():
             stage.record()
 
     def __call__(self) -> None:
@@ -56,6 +57,9 @@ class DeviceRebuild:
         wp.capture_if(self._asked, self._search)
 
     def _search(self) -> None:
-        self.lists.search_on_device()
+        self._rebuild.launch_singly("bodies", "count")
         self.fit()
-        wp.capture_if(self._fits, self.lists.complete_on_device)
+        wp.capture_if(self._fits, self._complete)
+
+    def _complete(self) -> None:
+        self._rebuild.launch_singly("starts", "near")

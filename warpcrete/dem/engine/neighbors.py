@@ -7,15 +7,13 @@ holds each pair once, in the row of one of its spheres (CPU); a CPU's threads ea
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from ...core.device.graphs import captured
+from ...core.device.graphs import Copy, Recordable, Zero
 from ...core.device.launching import Stage
 from ...core.device.scan import scan_stages
 from ...core.errors import CapacityError
@@ -29,6 +27,7 @@ from .batch import Batch
 from .batch_arrays import MAXIMUM_ENTRIES
 from .cells import Cells
 from .links import rows_of
+from .rebuild_phases import Chunks, Phase, Rebuild
 from .sorting import sort_bodies, sorting_kernels
 from .stages import MANY, near_stages, tasks
 from .state import PAIR_ARRAYS, pair_bytes
@@ -41,37 +40,6 @@ KEPT = 32
 """Neighbours per sphere that the search stores for the fill kernel; a sphere with more is searched a second time."""
 MOST_KEPT = 64
 """Larger number of stored neighbours, used once some sphere had more than `KEPT` but no more than this."""
-
-
-@dataclass
-class _Launches:
-    """Recorded launches of one rebuild, and the CUDA graphs made of them."""
-
-    centres: Stage
-    stretch: Stage
-    cells: list[Stage]
-    """Stages that sort the spheres' centres into the cells of the grid."""
-    search: list[Stage]
-    fill: list[Stage]
-    """Stage that writes the neighbours found by the search into the rows of the lists (GPU only)."""
-    scan: list[Stage]
-    """Stages that turn the lengths of the rows into their starts by a prefix sum."""
-    starts: Stage
-    transfer: list[Stage]
-    drift: Stage
-    clear_stale: Stage
-    links: list[Stage] = field(default_factory=list)
-    """Stages that clear, count and fill the links, which are the pairs as a GPU evaluates them (GPU only)."""
-    near: list[Stage] = field(default_factory=list)
-    """Stages that select the near links, whose spheres may touch within the next steps (GPU only)."""
-    graphs: dict[str, Any] = field(default_factory=dict)
-    """CUDA graphs of parts of the rebuild, by the name of the method that launches the part."""
-    ran: set[str] = field(default_factory=set)
-    """Names of the parts that have been launched at least once, so that their kernels are loaded."""
-    count_faces: list[Stage] = field(default_factory=list)
-    """Stages that count the triangles within reach of each sphere."""
-    fill_faces: list[Stage] = field(default_factory=list)
-    """Stages that compute where the rows of mesh candidates start, and fill the rows."""
 
 
 class NeighborLists:
@@ -118,7 +86,7 @@ class NeighborLists:
         self._old.start = zeros(n + scenes)
         self._entries = np.array([state.pair_total for state in batch.states])
         self._kept = [name for name in pair_bytes(batch.models[0]) if name != "other" or f.history or f.bonds]
-        self._recorded: dict[tuple[bool, int], _Launches] = {}
+        self._recorded: dict[tuple[bool, int], Rebuild] = {}
         self._version: tuple[int, ...] = ()
 
     @property
@@ -132,13 +100,15 @@ class NeighborLists:
 
     def __call__(self) -> None:
         """Rebuild the lists of every scene that is flagged as stale."""
+        with self.batch.changing():
+            self._build()
+
+    def _build(self) -> None:
         b = self.batch
-        b.device_changed()
         flags, sort_every = b.host_flags(), b.rows["sort_every"]
         if b.sphere_count == 0:
             b.ahead.built(flags)
-            self._launches(False).clear_stale()
-            b.device_changed()
+            self._rebuild(False).launch_singly("fresh", "fresh")
             return
         stale = flags[:, int(STALE)] != 0
         # Re-sort only at fixed step counts: rebuilds come at varying times, which must not change the results.
@@ -156,180 +126,42 @@ class NeighborLists:
         self._cells.use_width(width)
         if self._cells.made > made and b.ahead.rebuilds_itself:
             b.invalidate_graphs()
-        launches = self._launches(sort)
-        self._run(launches, self._before)
-        if b.features.half_list:
-            launches = self._search(sort)
-            for stage in (*launches.scan, launches.starts):
-                stage()
-        else:
-            self._run(launches, self._search_all)
+        rebuild = self._search(sort) if b.features.half_list else self._rebuild(sort)
+        # A half list has been searched chunk by chunk already.
+        rebuild.launch("count" if b.features.half_list else "cells", "starts")
         wanted, longest = self._found_of(self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
             b.reserve_pairs(np.maximum(wanted, self._entries))
             # The larger arrays hold the scenes' rows at other places, so copy the old lists again.
             self._keep_old(np.flatnonzero(stale))
-            launches = self._launches(sort)
         self._entries[stale] = wanted[stale]
-        if b.features.half_list:
-            b.in_parts(launches.transfer)
-        else:
-            self._run(launches, self._fill)
+        if b.features.meshes:
+            wanted, _ = self._found_of(self._face_total, "mesh candidates", "faces")
+            b.reserve_faces(wanted)
+        # The following phases write to larger arrays if the lists have outgrown theirs.
+        self._rebuild(sort).launch("fill", "near")
         if len(self._finds) < longest <= MOST_KEPT:
             self._finds = wp.empty((MOST_KEPT, b.sphere_count), dtype=wp.int32, device=b.device)
             self._version = ()  # record all launches anew at the next build, with the enlarged array
             if b.ahead.rebuilds_itself:
                 b.invalidate_graphs()
-        if b.features.meshes:
-            begin, fill = launches.fill_faces
-            for stage in (*launches.count_faces, begin):
-                stage()
-            wanted, _ = self._found_of(self._face_total, "mesh candidates", "faces")
-            if np.any(wanted > b.face_capacity):
-                b.reserve_faces(wanted)
-                launches = self._launches(sort)
-                _, fill = launches.fill_faces
-            fill()
-        b.subcycles.locate()
-        self._run(launches, self._after)
-        b.device_changed()
 
-    def _run(self, launches: _Launches, part: Callable[[_Launches], None]) -> None:
-        """Run one part of a rebuild; on a GPU as a graph from the second time on.
-
-        Most of the time of a rebuild on a GPU is spent waiting for launches, which a graph avoids.
-        """
-        name, device = part.__name__, self.batch.device
-        if name not in launches.ran or not device.is_cuda:
-            part(launches)
-            launches.ran.add(name)
-            return
-        if name not in launches.graphs:
-            launches.graphs[name] = captured(device, lambda: part(launches))
-        wp.capture_launch(launches.graphs[name])
-
-    def _before(self, launches: _Launches) -> None:
-        wp.copy(self._old.start, self.batch.pairs.start)
-        launches.centres()
-        if self.batch.features.bonds and self.batch.features.half_list:
-            self._stretched.zero_()
-            launches.stretch()
-        self._cells.grid.held.zero_()
-        for stage in launches.cells:
-            stage()
-
-    def _search_all(self, launches: _Launches) -> None:
-        self._find_all(launches)
-        launches.starts()
-
-    def _find_all(self, launches: _Launches) -> None:
-        self._count.zero_()
-        self._total.zero_()
-        for stage in (*launches.search, *launches.scan):
-            stage()
-
-    def _fill(self, launches: _Launches) -> None:
-        for stage in (*launches.fill, *launches.transfer):
-            stage()
-        self._link(launches)
-
-    def _after(self, launches: _Launches) -> None:
-        launches.drift()
-        launches.clear_stale()
-        for stage in launches.near:
-            stage()
-
-    def _link(self, launches: _Launches) -> None:
-        if launches.links:
-            clear, count, fill = launches.links
-            for stage in (clear, count, *launches.scan, fill):
-                stage()
-
-    # The following methods serve rebuilds inside a CUDA graph, for a batch of one scene; see `rebuilding`.
-
-    def lay_out_cells(self) -> None:
-        """Lay out grid cells for scenes whose lists were loaded, so that the host has built none for them."""
-        width = self._cells.width()
-        self._cells.fit(width, np.zeros(self.batch.count, dtype=bool))
-        self._cells.use_width(width)
-
-    def device_stages(self) -> list[Stage]:
-        """Return all stages that a rebuild inside a graph launches, bound to the arrays that exist now."""
-        self._searchers = self._searchers_for(self.batch.sphere_count)
-        self._keep_old(np.arange(self.batch.count))
-        each = self._launches(False)
-        return [
-            *self.batch.sync_stages(), each.centres, *each.cells, *each.search, *each.scan, *each.count_faces,
-            each.starts, *each.fill, *each.transfer, *each.links, *each.fill_faces, *self.batch.subcycles.locating(),
-            each.drift, each.clear_stale, *each.near,
-        ]  # fmt: skip
-
-    def search_on_device(self) -> None:
-        """Run the first half of a rebuild inside a graph: search, and count the entries of each row."""
-        launches = self._launches(False)
-        for stage in self.batch.sync_stages():
-            stage()
-        for name in self._kept:
-            wp.copy(getattr(self._old, name), getattr(self.batch.pairs, name))
-        self._before(launches)
-        self._find_all(launches)
-        for stage in launches.count_faces:
-            stage()
-
-    def complete_on_device(self) -> None:
-        """Run the second half of a rebuild inside a graph: fill the rows, transfer history, choose near links."""
-        launches = self._launches(False)
-        launches.starts()
-        self._fill(launches)
-        for stage in (*launches.fill_faces, *self.batch.subcycles.locating()):
-            stage()
-        self._after(launches)
-
-    def link(self, s: int) -> None:
-        """Build the links of scene `s`, whose lists came from a checkpoint; does nothing for half lists."""
-        if self.batch.features.half_list:
-            return
-        before = self.batch.flags.numpy().copy()
-        flags = before.copy()
-        flags[:, int(STALE)] = np.arange(self.batch.count) == s
-        self.batch.flags.assign(flags)
-        launches = self._launches(False)
-        self._link(launches)
-        self.batch.flags.assign(before)
-        for stage in launches.near:
-            stage()
-
-    def kernels(self) -> list[Any]:
-        """Return the kernels and stages of everything that a rebuild launches, so that they can be compiled."""
+    def _search(self, sort: bool) -> Rebuild:
+        """Search half lists, repeat the search with larger buffers if one was too small, and return the rebuild."""
         b = self.batch
-        self._keep_old(np.arange(b.count))
-        each = self._launches(False)
-        few = []
-        # A rebuild of only some scenes of the batch may involve so few spheres that eight threads search for each.
-        if b.parallel and self._searchers == 1 and b.count > 1:
-            other = self._launches(False, OCTANTS)
-            few = [*other.search, *other.fill]
-        stretch = [each.stretch] if b.features.bonds and b.features.half_list else []
-        return [
-            each.centres, *each.cells, *each.scan, each.starts, each.drift, each.clear_stale, *few, *each.search,
-            *each.fill, *each.transfer, *each.links, *each.near, *each.count_faces, *each.fill_faces, *stretch,
-            *sorting_kernels(b),
-        ]  # fmt: skip
-
-    def _search(self, sort: bool) -> _Launches:
-        """Search half lists chunk by chunk into buffers, and repeat with larger buffers if one was too small."""
-        b = self.batch
+        rebuild = self._rebuild(sort)
+        rebuild.launch("cells", "cells")
         if b.threads > 1:
             places = self._centre.numpy()
             nowhere = [np.full(3, np.inf), np.full(3, -np.inf)]
             chunks = [places[first:last] for first, last in pairwise(b.sphere_chunks.tolist())]
             self._boxes.assign(np.array([[c.min(0), c.max(0)] if len(c) else nowhere for c in chunks]))
         while True:
-            launches = self._launches(sort)
-            b.in_parts(launches.search)
+            rebuild = self._rebuild(sort)
+            rebuild.launch("search", "search")
             wanted = self._wanted.numpy().astype(np.int64)
             if np.all((wanted >= 0) & (wanted <= self._room)):
-                return launches
+                return rebuild
             room = np.maximum(self._room, wanted + wanted // 4)
             if np.any(wanted < 0) or room.sum() > MAXIMUM_ENTRIES:
                 raise CapacityError(
@@ -339,6 +171,44 @@ class NeighborLists:
             self._room = room
             self._found = wp.empty(int(self._room.sum()), dtype=wp.int32, device=b.device)
             self._recorded.clear()
+
+    def device_rebuild(self) -> Rebuild:
+        """Return the rebuild for use inside a CUDA graph, for a batch of one scene; see :class:`DeviceRebuild`.
+
+        The device launches all phases, while the host copies the old lists itself and starts at the phase `cells`.
+        """
+        self._searchers = self._searchers_for(self.batch.sphere_count)
+        self._keep_old(np.arange(self.batch.count))
+        return self._rebuild(False)
+
+    def lay_out_cells(self) -> None:
+        """Lay out grid cells for scenes whose lists were loaded, so that the host has built none for them."""
+        width = self._cells.width()
+        self._cells.fit(width, np.zeros(self.batch.count, dtype=bool))
+        self._cells.use_width(width)
+
+    def link(self, s: int) -> None:
+        """Build the links of scene `s`, whose lists came from a checkpoint; does nothing for half lists."""
+        if self.batch.features.half_list:
+            return
+        before = self.batch.flags.numpy().copy()
+        flags = before.copy()
+        flags[:, int(STALE)] = np.arange(self.batch.count) == s
+        self.batch.flags.assign(flags)
+        rebuild = self._rebuild(False)
+        rebuild.launch_singly("links", "links")
+        self.batch.flags.assign(before)
+        rebuild.launch_singly("near", "near")
+
+    def kernels(self) -> list[Any]:
+        """Return the kernels and stages of everything that a rebuild launches, so that they can be compiled."""
+        b = self.batch
+        self._keep_old(np.arange(b.count))
+        stages = self._rebuild(False).kernel_stages()
+        # A rebuild of only some scenes of the batch may involve so few spheres that eight threads search for each.
+        if b.parallel and self._searchers == 1 and b.count > 1:
+            stages += self._rebuild(False, OCTANTS).kernel_stages("search", "fill")
+        return [*stages, *sorting_kernels(b)]
 
     def _keep_old(self, scenes: np.ndarray) -> None:
         """Copy the current lists of `scenes`, from which their new lists take over contact history."""
@@ -364,8 +234,8 @@ class NeighborLists:
                 if count:  # for a count of 0 `wp.copy` would copy the whole array
                     wp.copy(kept, array, first, first, count)
 
-    def _launches(self, sorted_now: bool, searchers: int | None = None) -> _Launches:
-        """Return the recorded launches of a rebuild on the batch's current arrays, with or without a re-sorting.
+    def _rebuild(self, sorted_now: bool, searchers: int | None = None) -> Rebuild:
+        """Return the recorded phases of a rebuild on the batch's current arrays, with or without a re-sorting.
 
         `searchers` is the number of threads that search for one sphere's neighbours; default: as many as now.
         """
@@ -375,81 +245,131 @@ class NeighborLists:
             self._version = version
         key = sorted_now, searchers or self._searchers
         if key not in self._recorded:
-            self._recorded[key] = self._record(*key)
+            self._recorded[key] = Rebuild(self._phases(*key), self.batch.device)
         return self._recorded[key]
 
-    def _record(self, sorted_now: bool, searchers: int) -> _Launches:
-        b, f, n = self.batch, self.batch.features, self.batch.sphere_count
+    def _phases(self, sorted_now: bool, searchers: int) -> list[Phase]:
+        """Return the phases of a rebuild, in the only order in which they may run.
+
+        No phase changes the current lists before `starts`. A device that finds its arrays too small therefore stops
+        after `count` and leaves the rebuild to the host, which reads the lengths of the lists after `starts`.
+        """
+        b, n = self.batch, self.batch.sphere_count
         old_place = self._old_place if sorted_now else self._identity
         new_place = self._new_place if sorted_now else self._identity
-        found = self._found if f.half_list else b.pairs.other
-        edges = np.concatenate([[0], np.cumsum(self._room)]).tolist()
-        chunks = list(pairwise(b.sphere_chunks.tolist()))
+        old = {"old_pairs": self._old, "old_place": old_place}
+        search, fill = self._search_stages(old | {"stretched": self._stretched}, new_place, searchers)
+        scan = scan_stages(self._count, self.scanned)
+        count_faces, face_starts, fill_faces = self._face_stages()
         lists = list_kernels(b.scalar)
-        lanes = 1 if f.half_list else OCTANTS
-        transfer = transfer_kernel(b.scalar, f.half_list, f.history, f.pair_law.rolls, f.bonds, f.healing, lanes)
-        cells = {"grid": self._cells.grid, "shift": self._cells.shift}
-        before = {"old_pairs": self._old, "old_place": old_place, "stretched": self._stretched}
-        if f.half_list:
-            kernel = half_search_kernel(b.scalar, f.bonds)
-            search = [
-                b.stage(
-                    kernel, 1, first=first, last=last, part=part, boxes=self._boxes, count=self._count,
-                    place=self._place, room=wp.vec2i(edges[part], edges[part + 1]), wanted=self._wanted, other=found,
-                    **cells, **before,
-                )
-                for part, (first, last) in enumerate(chunks)
-            ]  # fmt: skip
-            fill = []
-        else:
-            search_kernel, fill_kernel = full_search_kernels(b.scalar, f.bonds, searchers)
-            finds = {"count": self._count, "finds": self._finds, "new_place": new_place, **cells, **before}
-            search = [b.stage(search_kernel, n * searchers, total=self._total, **finds)]
-            fill = [b.stage(fill_kernel, n * searchers, **finds)]
+        return [
+            # Copy the motion of single spheres to their bodies.
+            Phase("bodies", b.sync_stages()),
+            # Keep the previous lists, from which the new lists take over contact history.
+            Phase("history", [Copy(getattr(self._old, name), getattr(b.pairs, name)) for name in self._kept]),
+            # Sort the spheres' centres into the cells of the grid.
+            Phase("cells", [
+                Copy(self._old.start, b.pairs.start),
+                b.stage(lists.centres, n, shift=self._cells.shift, centre=self._centre),
+                *self._stretch_stages(old | {"new_place": new_place}),
+                Zero(self._cells.grid.held),
+                *self._cells.stages(self._centre),
+            ]),
+            # Find the neighbours of each sphere and count them.
+            Phase("search", search),
+            # Turn the lengths of the rows into their starts by a prefix sum.
+            Phase("count", [*scan, *count_faces]),
+            # Write the starts of the rows, which ends the validity of the previous lists.
+            Phase("starts", [self._starts(self.scanned, b.pairs.start, self._total), *face_starts]),
+            # Write the neighbours into the rows, with the contact history of the previous lists.
+            Phase("fill", [*fill, self._transfer(old)]),
+            # Clear, count and fill the links, which are the pairs as a GPU evaluates them.
+            Phase("links", self._link_stages(scan)),
+            # Write the triangles within reach of each sphere into the rows of mesh candidates.
+            Phase("candidates", fill_faces),
+            # Look up sub-cycled pairs and bodies in the new lists.
+            Phase("subcycles", b.subcycles.locating()),
+            # Find the common drift, relative to which the skin limits the motion of the spheres.
+            Phase("drift", [b.stage(lists.drift, (b.count, DRIFT_LANES), lanes=self._lanes)]),
+            Phase("fresh", [b.stage(lists.clear_stale, b.count, lanes=self._lanes)]),
+            # Select the near links, whose spheres may touch within the next steps.
+            Phase("near", near_stages(b)),
+        ]  # fmt: skip
 
-        def starts(scanned: wp.array, start: wp.array, total: wp.array) -> Stage:
-            return b.stage(lists.starts, n + b.count, scanned=scanned, start=start, total=total)
+    def _stretch_stages(self, old: dict[str, Any]) -> list[Recordable]:
+        """Return the stages that find how far each sphere's bonds reach; empty unless half lists have bonds."""
+        b = self.batch
+        if not (b.features.bonds and b.features.half_list):
+            return []
+        stretch = b.stage(list_kernels(b.scalar).stretch, b.sphere_count, stretched=self._stretched, **old)
+        return [Zero(self._stretched), stretch]
 
-        launches = _Launches(
-            centres=b.stage(lists.centres, n, shift=self._cells.shift, centre=self._centre),
-            stretch=b.stage(
-                lists.stretch, n, old_pairs=self._old, old_place=old_place, new_place=new_place,
-                stretched=self._stretched,
-            ),
-            cells=self._cells.stages(self._centre),
-            search=search,
-            fill=fill,
-            scan=scan_stages(self._count, self.scanned),
-            starts=starts(self.scanned, b.pairs.start, self._total),
-            transfer=[
-                b.stage(
-                    transfer, lanes * tasks(b, last - first), first=first, last=last, old_pairs=self._old,
-                    old_place=old_place, place=self._place, found=found,
-                )
-                for first, last in chunks
-            ],
-            drift=b.stage(lists.drift, (b.count, DRIFT_LANES), lanes=self._lanes),
-            clear_stale=b.stage(lists.clear_stale, b.count, lanes=self._lanes),
-        )  # fmt: skip
+    def _search_stages(
+        self, old: dict[str, Any], new_place: wp.array, searchers: int
+    ) -> tuple[list[Recordable], list[Stage]]:
+        """Return the stages that find neighbours, and on a GPU those that write them into the rows of the lists."""
+        b, f, n = self.batch, self.batch.features, self.batch.sphere_count
+        grid = {"grid": self._cells.grid, "shift": self._cells.shift, "count": self._count}
         if not f.half_list:
-            linking = linking_kernels(b.scalar, f.history, f.pair_law.rolls, f.bonds, rows_of(f), OCTANTS)
-            launches.links = [
-                b.stage(linking.clear_links, len(b.links.link)),
-                b.stage(linking.count_own, n, count=self._count),
-                b.stage(linking.fill_links, OCTANTS * n, scanned=self.scanned),
-            ]
-            launches.near = near_stages(b)
-        if f.meshes:
-            count_faces, fill_faces = candidate_kernels(b.scalar)
-            launches.count_faces = [
-                b.stage(count_faces, n, count=self._face_count),
-                *scan_stages(self._face_count, self.face_scanned),
-            ]
-            launches.fill_faces = [
-                starts(self.face_scanned, b.candidates.start, self._face_total),
-                b.stage(fill_faces, n, count=self._face_count),
-            ]
-        return launches
+            search_kernel, fill_kernel = full_search_kernels(b.scalar, f.bonds, searchers)
+            finds = {"finds": self._finds, "new_place": new_place, **grid, **old}
+            search = b.stage(search_kernel, n * searchers, total=self._total, **finds)
+            return [Zero(self._count), Zero(self._total), search], [b.stage(fill_kernel, n * searchers, **finds)]
+        kernel = half_search_kernel(b.scalar, f.bonds)
+        edges = np.concatenate([[0], np.cumsum(self._room)]).tolist()
+        parts = [
+            b.stage(
+                kernel, 1, first=first, last=last, part=part, boxes=self._boxes, place=self._place,
+                room=wp.vec2i(edges[part], edges[part + 1]), wanted=self._wanted, other=self._found, **grid, **old,
+            )
+            for part, (first, last) in enumerate(pairwise(b.sphere_chunks.tolist()))
+        ]  # fmt: skip
+        return [Chunks(parts, b.in_parts)], []
+
+    def _starts(self, scanned: wp.array, start: wp.array, total: wp.array) -> Stage:
+        b = self.batch
+        kernel = list_kernels(b.scalar).starts
+        return b.stage(kernel, b.sphere_count + b.count, scanned=scanned, start=start, total=total)
+
+    def _transfer(self, old: dict[str, Any]) -> Recordable:
+        """Return the launch that takes contact history over from the old lists, one stage for each chunk."""
+        b, f = self.batch, self.batch.features
+        lanes = 1 if f.half_list else OCTANTS
+        kernel = transfer_kernel(b.scalar, f.half_list, f.history, f.pair_law.rolls, f.bonds, f.healing, lanes)
+        found = self._found if f.half_list else b.pairs.other
+        parts = [
+            b.stage(
+                kernel, lanes * tasks(b, last - first), first=first, last=last, place=self._place, found=found, **old
+            )
+            for first, last in pairwise(b.sphere_chunks.tolist())
+        ]
+        return Chunks(parts, b.in_parts) if f.half_list else parts[0]
+
+    def _link_stages(self, scan: list[Stage]) -> list[Stage]:
+        """Return the stages that set up a GPU's links; empty for half lists. `scan` sums the lengths of the rows."""
+        b, f, n = self.batch, self.batch.features, self.batch.sphere_count
+        if f.half_list:
+            return []
+        linking = linking_kernels(b.scalar, f.history, f.pair_law.rolls, f.bonds, rows_of(f), OCTANTS)
+        return [
+            b.stage(linking.clear_links, len(b.links.link)),
+            b.stage(linking.count_own, n, count=self._count),
+            *scan,
+            b.stage(linking.fill_links, OCTANTS * n, scanned=self.scanned),
+        ]
+
+    def _face_stages(self) -> tuple[list[Stage], list[Stage], list[Stage]]:
+        """Return the stages that count mesh candidates, write the starts of their rows, and fill the rows."""
+        b, n = self.batch, self.batch.sphere_count
+        if not b.features.meshes:
+            return [], [], []
+        count_faces, fill_faces = candidate_kernels(b.scalar)
+        count = b.stage(count_faces, n, count=self._face_count)
+        return (
+            [count, *scan_stages(self._face_count, self.face_scanned)],
+            [self._starts(self.face_scanned, b.candidates.start, self._face_total)],
+            [b.stage(fill_faces, n, count=self._face_count)],
+        )
 
     def _found_of(self, total: wp.array, what: str, entries: str) -> tuple[np.ndarray, int]:
         """Return the number of list entries of each scene, shape (scenes,), and the last element of `total`."""

@@ -54,7 +54,7 @@ class Regrouping:
 def regroup(steppers: Sequence[Any]) -> None:
     """Move steppers of one batch to a new batch that holds only them; their results stay the same to the bit."""
     old = steppers[0].batch
-    old.device_changed()
+    old.flush()
     before = [(stepper.index, stepper.state_dict()) for stepper in steppers]
     states: list[State] = [stepper.state for stepper in steppers]
     for state in states:

@@ -75,9 +75,8 @@ class StableStep:
         if not np.array_equal(asked, self._asked_before):
             self._asked.assign(asked)
             self._asked_before = asked
-        self.batch.device_changed()
-        self._launch(scenes[0])()
-        self.batch.device_changed()
+        with self.batch.changing():
+            self._launch(scenes[0])()
 
     def by_device(self, first: Sequence[Any] = ()) -> AtOnce:
         """Return a launch that estimates all scenes in need of it and lets them continue, without the host.

@@ -198,14 +198,13 @@ class Stepper:
     def restart_clock(self) -> None:
         """Set time, step count and the walls' records to zero; the next step begins with half a kick (leapfrog)."""
         state = self.state
-        self.batch.device_changed()
-        clock = state.scenes.clock.numpy()
-        clock[0, [int(TIME), int(DT_PREVIOUS)]] = 0.0
-        state.scenes.clock.assign(clock)
-        state.flags.zero_()
-        self.batch.device_changed()
-        for name in ("impulse", "angular_impulse", "travel", "work"):
-            getattr(state.walls, name).zero_()
+        with self.batch.changing():
+            clock = state.scenes.clock.numpy()
+            clock[0, [int(TIME), int(DT_PREVIOUS)]] = 0.0
+            state.scenes.clock.assign(clock)
+            state.flags.zero_()
+            for record in (state.walls.impulse, state.walls.angular_impulse, state.walls.travel, state.walls.work):
+                record.zero_()
         state.spheres.dissipated_energy.zero_()
         state.spheres.broken.zero_()
         state.slots.worn.zero_()

@@ -12,7 +12,7 @@ import warp as wp
 
 from ...core.device.exchange import Reading
 from ...core.device.graphs import AtOnce, Zero
-from ...core.device.launching import DEFAULT_BLOCK, Size, Stage, parameter_names
+from ...core.device.launching import DEFAULT_BLOCK, Size, Stage, completed
 from ...kernels.dem import probes as column
 from ..engine.model import Model
 from ..engine.pairs import listed_pairs
@@ -180,11 +180,13 @@ def _adding(state: State, what: str, values: wp.array, rows: int, maxima: tuple[
 
 
 def scene_stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
-    """Return a launch over one scene of a batch; unnamed kernel parameters are the batch's attributes of that name."""
+    """Return a launch over one scene of a batch.
+
+    Kernel parameters that `named` leaves out receive the arrays of the batch, and `s` the number of the scene.
+    """
     batch = state.batch
-    given = {"s": state.index, **named}
-    bound = {name: given[name] if name in given else getattr(batch, name) for name in parameter_names(kernel)}
-    return Stage(kernel, dim, bound, batch.device, block=DEFAULT_BLOCK)
+    arguments = completed(kernel, named, {"s": state.index, **batch.kernel_arrays})
+    return Stage(kernel, dim, arguments, batch.device, block=DEFAULT_BLOCK)
 
 
 def launched(state: State, what: str, make: Callable[[], list[Any]]) -> None:

@@ -1,4 +1,4 @@
 """Description of a scene of discrete elements: bodies, clumps, sizes, containers, bonds, walls in strokes.
 
-Modules here import `core`, `geometry` and `dem.laws`; they hold no device arrays. Start with `scene`.
+Modules here import `core`, `geometry`, `mix` and `dem.laws`; they hold no device arrays. Start with `scene`.
 """

@@ -1,1 +1,5 @@
-"""Standard tests of fresh concrete with a free surface, as flows on a grid."""
+"""Standard tests of fresh concrete with a free surface, as flows on a grid.
+
+Modules here import the packages that `mps` imports, `mps.grid` and the modules of `mps` itself. Start with `scene`, and
+go on with `quantities`, which lists the results.
+"""

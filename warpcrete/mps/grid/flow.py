@@ -233,6 +233,25 @@ class GridFlow(Stepping):
             self._step = [self._stages()]
         return self._step
 
+    @property
+    def _kernel_arrays(self) -> dict[str, Any]:
+        """Arrays and structs of the flow, by the names of the kernel parameters that receive them."""
+        return {
+            "flags": self.flags,
+            "particles": self.particles,
+            "mesh": self.mesh,
+            "walls": self.walls,
+            "geometry": self.geometry,
+            "solid_after": self.solid_after,
+            "g": self.g,
+            "pace": self.pace,
+            "late": self.late,
+            "count": self.count,
+            "viscous_least": self.viscous_least,
+            "pressure_least": self.pressure_least,
+            "crowding_least": self.crowding_least,
+        }
+
     def _stages(self) -> list[Any]:
         """Return all stages of one step in their order.
 

@@ -1,4 +1,4 @@
 """Calibration: fit parameters of a concrete to measured values, with a Bayesian posterior.
 
-Modules here run studies of scenes and import `dem`, `mps`, `theory` and `record`. Start with `calibrate`.
+Modules here import `core`, `methods`, `record`, `scenes` and the modules of `studies` itself. Start with `calibrate`.
 """

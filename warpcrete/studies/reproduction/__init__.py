@@ -1,4 +1,5 @@
 """Reproduction of the results of the two source papers, with a verdict on every claim.
 
-Modules here run studies of the papers' cases. Start with `papers`, which lists cases and claims.
+Modules here import `core`, `scenes` and the modules of `studies` itself. Start with `papers`, which lists cases and
+claims.
 """

@@ -1,4 +1,5 @@
 """Trade-off studies: measured errors and costs of the accuracy settings of a scene.
 
-Modules here run a scene with many settings and keep the cheapest ones. Start with `trade`.
+Modules here import `core`, `methods`, `record` and the modules of `studies` itself. Start with `trade`, and go on with
+`fronts`, which keeps the cheapest settings.
 """
