@@ -225,7 +225,7 @@ def kick_functions(scalar, dissipation: bool):
 
     @wp.func
     def book(subcycled: Subcycled, spheres: Spheres, q: wp.int32, i: wp.int32):
-        """Add energy loss and broken bonds of body q's stiff pairs to sphere i; the lower sphere counts a pair."""
+        """Add energy loss and broken bonds of body q's stiff pairs to sphere i, each pair at its lower sphere only."""
         for place in range(subcycled.start[q], subcycled.start[q + 1]):
             if subcycled.ref[place] % 2 == 0:
                 p = subcycled.ref[place] / 2

@@ -81,7 +81,7 @@ class FluidSimulation(FlowRun):
 
     @property
     def frame_step(self) -> float:
-        """Size of the time steps [s], which is constant for particles alone; infinite for flows on a grid."""
+        """Size of the time steps [s]: constant for flows of particles alone, infinite for flows on a grid."""
         return np.inf if self.scene.ends == "periodic" else self.scene.time_step
 
     def unit(self, column: str) -> str:

@@ -27,9 +27,7 @@ from .joining import join
 from .legend import legend, paint_legend
 
 PATIENCE = 4.0
-"""Longest time [s] that the recorder waits until a viewer has received the remaining data, or while the file stops
-growing.
-"""
+"""Longest wait [s] for a viewer to receive the remaining data, or for a file that has stopped growing."""
 GOODBYE = 30.0
 """Longest time [s] for opening the file, or for closing it after a viewer did not receive the whole recording."""
 LOOK = 0.5

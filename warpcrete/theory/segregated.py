@@ -18,9 +18,7 @@ from .pipe import Concrete, Line, Steady
 from .suspension import SUSPENSIONS, thickening
 
 STEPS = 200
-"""Maximum number of bisections; the bisection ends earlier when no floating-point number lies between the two
-bounds.
-"""
+"""Maximum number of bisections, which end earlier when no floating-point number lies between the bounds."""
 
 
 @dataclass(frozen=True)

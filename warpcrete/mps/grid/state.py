@@ -49,7 +49,9 @@ class GridState:
     mesh: Any
     """Arrays on cells, faces and edges, a struct `Mesh`."""
     geometry: Any
-    """Current geometry of the walls, a struct `Geometry`; the attribute `opened` has that behind an opened gate."""
+    """Current geometry of the walls, a struct `Geometry`; the attribute `opened` holds the geometry once the gate has
+    opened.
+    """
     walls: Any
     """Motions and slip layers of the walls, a struct `Walls`."""
     grains = None
