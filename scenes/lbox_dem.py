@@ -38,7 +38,8 @@ def scene(parameters: BoxElements) -> Scene:
     """Model a column of grains that flows into a box when its gate is lifted: H2/H1, T200 and T400.
 
     The gate lies in front of the column's wall, at a distance of the smallest grain's radius, so that no grain touches
-    both. `plate_grip` scales the floor's resistance to sliding, and `mould_grip` that of all sides and the gate.
+    both. `plate_grip` scales the floor's resistance to sliding, and `mould_grip` scales the resistance of all sides and
+    of the gate.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """

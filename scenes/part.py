@@ -39,7 +39,7 @@ REMARKS = ("concrete enters through a plane as a plug with uniform velocity, and
 
 ALONE = Needs("line", lambda line: line is None, "is left out")
 APART = 3.0
-"""Minimum distance between two legs of a line, in cells, so that no cell contains concrete of both."""
+"""Minimum distance between two legs of a line, in cells, so that no cell contains concrete of both legs."""
 
 
 def _is_given(value: Any) -> bool:
@@ -48,7 +48,7 @@ def _is_given(value: Any) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class PartParameters(ConcreteParameters, PartSettings):
-    """Pipe and flow."""
+    """Parameters of the pipe and of the flow in it."""
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -154,7 +154,7 @@ def _check_wall(given: PartParameters) -> None:
 
 
 def _mesh(given: PartParameters) -> _Course:
-    """Return the course of a mesh's bore, with straight stretches before its start and behind its end."""
+    """Return the course of a mesh's bore, with straight stretches before its start and beyond its end."""
     if given.wall is None:
         refuse("unit", given.unit, "needs a wall, the path of a mesh file", "set wall, or choose another unit")
     _check_wall(given)
@@ -213,7 +213,7 @@ def _line(given: PartParameters) -> _Course:
 def _axis(given: PartParameters, bends: bool) -> Axis:
     """Return the axis of a single part, which starts at the origin; z points up."""
     origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
-    # A cone lies in the middle of a straight unit, or one stretch behind a bend.
+    # A cone lies in the middle of a straight unit, or one stretch downstream of a bend.
     narrowing = given.straight + given.taper if given.outlet_diameter is not None else 0.0
     if not bends:
         return Axis(

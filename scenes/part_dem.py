@@ -32,9 +32,9 @@ from .pipe import check as check_of_pipe
 def scene(parameters: PartElements) -> Scene:
     """Model aggregates pushed through a part of a line, or a line: pressure, and the loss of a bend or taper.
 
-    The pipe begins with a run-up, in which the piston travels, so that the part, which begins at the origin, stays
-    full. Slices along the part measure stress, wall stress, solid fraction and velocity (`stations.csv`). The losses of
-    straight stretches, and of the bend or taper between them, follow from the slices.
+    The part begins at the origin. A straight run-up before it holds the concrete that the piston pushes into the part,
+    so that the part stays full. Slices along the part measure stress, wall stress, solid fraction and velocity
+    (`stations.csv`). The losses of straight stretches, and of the bend or taper between them, follow from the slices.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """

@@ -1,4 +1,4 @@
-"""Concrete that a piston pumps through one pipe unit, against a small pressure on a plug (Zhan et al. 2019).
+"""Concrete that a piston pumps through one pipe unit, while a plug resists slightly (Zhan et al. 2019).
 
 The units are A `vertical` (upward), B `horizontal`, C `bend-to-horizontal` (an elbow with upward inlet and horizontal
 outlet), and D `bend-to-vertical` (an elbow with horizontal inlet and upward outlet).
@@ -54,7 +54,7 @@ FEWEST = 30
 LEAK = 0.01
 """Largest fraction of the aggregates that may slip past the plug."""
 LAST_OF_PAUSE = 0.05
-"""Fraction of the last pause that remains when the long rest begins."""
+"""Fraction of the last pause that is still to come when the long rest begins."""
 SLICES, MOST_SLICES = 2.0, 1000
 """Number of slices per pipe diameter, and their maximum number, in which recordings show the stress along the pipe."""
 BALANCED = 0.01
@@ -130,7 +130,7 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
     bodies = run.bodies  # type: ignore[attr-defined]
     wall = next(wall for wall in scene.walls if wall.name == "pipe")
     outside = int(np.count_nonzero(~enclosed(wall, scene.pipe.axis, bodies.position)))
-    # The last step may end after the planned duration, so allow the travel of one step.
+    # The last step may end after the planned duration, so allow for the piston's travel in one step.
     step = scene.pipe.velocity * number(result["simulated_time"]) / max(result["steps"], 1)
     blocked = bool(result.get("blocked"))
     whole = abs(travel - goal) < 1e-3 * goal + step or (blocked and scene.blockage.stop)
@@ -163,7 +163,7 @@ trading = Trading(pumping_knobs, ("plateau_pressure", "peak_pressure"))
 
 
 def _past_plug(run: Run) -> tuple[int, int] | None:
-    """Count the aggregates ahead of the plug of balls, and all aggregates; return None without such a plug."""
+    """Count the aggregates that slipped past the plug of balls, and all aggregates; return None without such a plug."""
     bodies, axis = run.bodies, run.scene.pipe.axis  # type: ignore[attr-defined]
     plug = np.array([group == "plug" for group in bodies.group], bool)
     if not plug.any():
@@ -238,7 +238,7 @@ def _stations(given: PipeParameters, axis: Axis) -> Stations:
 
 
 def _odd_bore(given: PipeParameters, axis: Axis, pipe: Wall, begin: float, end: float) -> Bore | None:
-    """Return the bore between two arc lengths [m]; None if the pipe is round there."""
+    """Return the bore between two arc lengths [m], or None if the pipe is round there."""
     if not isinstance(pipe, MeshWall):
         return None
     # Many probes are needed, because a pipe of few facets is narrowest between its corners.

@@ -12,7 +12,7 @@ from warpcrete.mps.scene import FluidScene
 
 @dataclass(frozen=True, kw_only=True)
 class TubeParameters(FlowParameters):
-    """Concrete column in a round pipe."""
+    """Parameters of a concrete column in a round pipe."""
 
     spacing: Annotated[float, "Spacing of the particles [m], rounded so that it divides the radius"] = 10e-3
 

@@ -66,5 +66,5 @@ def meet(gate: wp.array(dtype=wp.int32), parties: wp.int32): ...
 
 @wp.kernel(enable_backward=False)
 def barrier(gate: wp.array(dtype=wp.int32), parties: wp.int32):
-    """Wait until `parties` threads have launched this kernel, each with one task."""
+    """Wait until `parties` threads have each launched this kernel with a single task."""
     meet(gate, parties)

@@ -8,10 +8,11 @@ FAILED = wp.constant(2)  # Nonzero if the scene's state is no longer valid; each
 STEPS = wp.constant(3)  # Number of completed steps.
 GOAL = wp.constant(4)  # Step count at which the scene halts.
 OVERFLOW = wp.constant(5)  # Nonzero if a list of fixed size was too short.
-LATE = wp.constant(6)  # Set within a step if the neighbour lists became stale; STALE is set when the step is complete.
+# Nonzero if the neighbour lists became stale during the present step; the end of the step then sets STALE.
+LATE = wp.constant(6)
 ESTIMATED = wp.constant(7)  # Step count at which the stable time step was last estimated.
 FLAGS = 8
 
-# The value of HALTED says why a scene of discrete elements has halted.
+# In a discrete-element scene, the value of HALTED gives the reason for the halt.
 WAITS = wp.constant(1)  # The scene waits for new neighbour lists, or it has failed and cannot continue.
 ARRIVED = wp.constant(2)  # The scene has reached its goal, or its stable time step must be estimated again.

@@ -52,7 +52,7 @@ def ray_distances(
 
 @wp.kernel(enable_backward=False)
 def nearest_faces(mesh: wp.uint64, points: wp.array(dtype=wp.vec3), reach: wp.float32, face: wp.array(dtype=wp.int32)):
-    """Find the number of the triangle nearest to each point, or -1 where no triangle lies within `reach`."""
+    """Find the index of the triangle nearest to each point, or -1 where no triangle lies within `reach`."""
     i = wp.tid()
     query = wp.mesh_query_point_no_sign(mesh, points[i], reach)
     face[i] = -1

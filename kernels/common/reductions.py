@@ -15,7 +15,7 @@ def block_sums(width: int) -> SimpleNamespace:
 
     @wp.func
     def keep(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64):
-        """Store a block's sum of `own` in `partial[first + block]`; all threads of the block must call this."""
+        """Store the sum of `own` over a block's threads in `partial[first + block]`; all these threads must call."""
         whole = wp.tile_sum(wp.tile(own))
         sum = whole[0]
         if thread % width == 0:
@@ -23,7 +23,7 @@ def block_sums(width: int) -> SimpleNamespace:
 
     @wp.func
     def total(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, blocks: wp.int32) -> wp.float64:
-        """Return the sum of all blocks' partial sums; all threads of the calling block must call this."""
+        """Return the sum of all blocks' partial sums; all threads of the calling block must call this function."""
         own = wp.float64(0.0)
         for k in range(thread % width, blocks, width):
             own += partial[first + k]
@@ -38,7 +38,7 @@ keep, total = block_sums(BLOCK).keep, block_sums(BLOCK).total
 
 @functools.cache
 def serial_scale(scalar):
-    """Build the CPU kernel (one task) that computes the factor by which weights must be scaled to a wanted sum."""
+    """Build the CPU kernel (one task) that computes the factor by which weights are scaled to reach a wanted sum."""
 
     @wp.kernel(enable_backward=False, module="unique")
     def scale_alone(
@@ -54,7 +54,7 @@ def serial_scale(scalar):
 
 @functools.cache
 def parallel_scale(scalar):
-    """Build the GPU kernels that compute the factor by which weights must be scaled to a wanted sum.
+    """Build the GPU kernels that compute the factor by which weights are scaled to reach a wanted sum.
 
     `gather` runs in whole blocks and stores partial sums; `divide` then runs in a single block.
     """

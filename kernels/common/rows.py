@@ -132,8 +132,8 @@ DOUBLE = SimpleNamespace(
 def row_functions(scalar) -> SimpleNamespace:
     """Return the functions of one precision that read and write array rows.
 
-    They are `read_int`, `read_vec3`, `read_vec4`, `write_vec3`, `write_vec4`, `read_half` and `write_half`. The last
-    two access the first (0) or second (1) four numbers of a row of eight.
+    They are `read_int`, `read_vec3`, `read_vec4`, `write_vec3`, `write_vec4`, `read_half` and `write_half`. `read_half`
+    and `write_half` access the first (0) or the second (1) four numbers of a row of eight numbers.
     """
     return DOUBLE if scalar is wp.float64 else SINGLE
 

@@ -7,8 +7,11 @@ from types import SimpleNamespace
 import warp as wp
 
 SPAN = 1024
-"""Number of bodies that one task of a CPU kernel processes in a loop. Warp loads a kernel's arguments again for each
-task, which costs 10 to 20 ns. On a GPU a task is a thread, which processes one body."""
+"""Number of bodies that one task of a CPU kernel processes in a loop.
+
+Few, long tasks are faster, because Warp loads a kernel's arguments again for each task in 10 to 20 ns. On a GPU a task
+is a thread, which processes one body.
+"""
 
 
 vec8f, vec8d = wp.types.vector(8, wp.float32), wp.types.vector(8, wp.float64)

@@ -72,7 +72,7 @@ def wall_functions(scalar):
 
     @wp.func
     def distance_to_wall(wall: Wall, segments: wp.array(dtype=Segment), place: t.vec3, normal: t.vec3, x: t.vec3):
-        """Return the distance of `x` from a wall's surface [m], negative behind it, and a vector towards the wall.
+        """Return the distance of `x` from a wall [m], negative beyond its surface, and a vector towards the wall.
 
         `place` is the wall's position and `normal` the present normal of a plane. The vector points towards the
         nearest point of the surface, and its length has no meaning.
@@ -84,7 +84,7 @@ def wall_functions(scalar):
 
     @wp.func
     def into_wall(wall: Wall, direction: t.vec3):
-        """Return the unit vector of a direction that `distance_to_wall` has returned."""
+        """Return the unit vector along a vector that `distance_to_wall` has returned."""
         if wall.kind == PLANE:
             return direction
         # On the axis of a pipe every direction leads to the wall, so any unit vector is correct.

@@ -18,8 +18,10 @@ from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs, scene_struct
 from .warps import warp_functions
 from .wear import wear_functions
 
-FARTHEST = 1.0e15  # distance beyond any wall [m]; its square still fits into single precision
-WALL_BITS = wp.constant(31)  # number of walls with a touching bit; the history of further walls is read in every step
+# Distance [m] larger than any distance from a wall. The square of this number still fits into single precision.
+FARTHEST = 1.0e15
+# Number of walls that have a bit in the mask of touched walls; the history of all other walls is read in every step.
+WALL_BITS = wp.constant(31)
 LEADER = """
 #if defined(__CUDA_ARCH__)
     unsigned column = 0;
@@ -92,7 +94,7 @@ def warp_force_function(scalar):
         step_force: wp.array3d(dtype=wp.int64), touches: wp.bool, thread: wp.int32, lanes: wp.int32, w: wp.int32,
         f: t.vec3, m: t.vec3, scale: wp.float64,
     ):  # fmt: skip
-        """Add the wall forces of a warp; all its threads must call this, with zero `f`, `m` if they do not touch."""
+        """Add the forces of a warp's threads to walls; all threads must call, with zero `f`, `m` if they touch none."""
         first = leader(touches, w, lanes)
         for c in range(3):
             force = warp_total(wp.int64(wp.round(wp.float64(f[c]) * scale)), lanes)
@@ -174,7 +176,7 @@ def meeting_function(scalar, law, dissipation: bool, wear: bool):
         gap = distance - radius
         if gap < scalar(0.0):
             touches = wp.bool(True)
-            n = into_wall(walls.table[w], direction)  # normal from the sphere into the wall
+            n = into_wall(walls.table[w], direction)  # Normal vector that points from the sphere into the wall.
             touch, point = surface_touch(
                 walls.position[w], walls.velocity[w], walls.spin[w], n, gap, x, radius, velocity, spin, dt
             )  # fmt: skip
@@ -237,7 +239,7 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
 
     @wp.func
     def far_from_walls(position: t.vec4, clear: t.vec4):
-        """Return True if a sphere is surely out of reach of all fixed walls, by its last measured clearance."""
+        """Return True if a sphere's last measured clearance shows that no fixed wall is within its reach."""
         room = clear[3] - position[3]
         return room > scalar(0.0) and wp.length_sq(xyz(position) - xyz(clear)) < room * room
 
@@ -309,7 +311,7 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
         if here and now != before:
             slots.touching[i] = now
         if here and not far:
-            # the clearance is reduced by 1 % to cover rounding
+            # The clearance is reduced by 1 % to cover rounding errors.
             write_vec4(spheres.clear, i, pack(x, scalar(0.99) * nearest))
         return total_force, total_moment, total_lost
 
@@ -320,8 +322,8 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
 def wall_kernel(scalar, law, dissipation: bool, wear: bool):
     """Return the CPU kernel that adds the forces of planes and pipes to the spheres.
 
-    It is separate from the kernel for contacts between spheres because that is faster: clang inlines a contact law that
-    a kernel calls once, but not a law that it calls twice.
+    This kernel is separate from the kernel for contacts between spheres because that is faster: clang inlines a contact
+    law that a kernel calls once, but not a law that it calls twice.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Slots, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Walls
@@ -332,17 +334,17 @@ def wall_kernel(scalar, law, dissipation: bool, wear: bool):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def wall_contacts(
-        # Arrays of the model.
+        # The next arguments are arrays of the model.
         wall_parameters: wp.array(dtype=Parameters),
         segments: wp.array(dtype=Segment),
-        # Range of rows that this launch processes, and number of the CPU thread.
+        # The next arguments are the range of rows that this launch processes, and the index of the CPU thread.
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # Arrays of the state, read and written.
+        # The next arguments are arrays of the state that this kernel reads and writes.
         spheres: Spheres,
         slots: Slots,
         walls: Walls,

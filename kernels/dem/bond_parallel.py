@@ -9,14 +9,15 @@ import warp as wp
 from ..common.types import types, vector_functions
 from .contact_law import contact_functions
 
-# State of a pair's bond. A positive value combines the bond's kind with the row of its load.
+# State of a pair's bond: 0 without a bond, negative if the bond broke. A positive state combines the bond's kind with
+# the row of `pairs.load` that holds the bond's force and moment.
 UNBONDED = wp.constant(0)
 BROKEN_IN_TENSION = wp.constant(-1)
 BROKEN_IN_SHEAR = wp.constant(-2)
-HYDRATED = wp.constant(2)  # kind of the stiff bonds at hydrated contacts; kind 1 is the ordinary bond
+HYDRATED = wp.constant(2)  # Kind of the stiff bonds at hydrated contacts; kind 1 is the ordinary bond.
 
-# The lowest KIND_BITS bits of a bond state are its kind; the bits above are its row in `pairs.load`. Loads have rows of
-# their own because few pairs of a list are bonded.
+# The lowest KIND_BITS bits of a bond state are the bond's kind. The bits above are the row of `pairs.load` that holds
+# the bond's force and moment. Few pairs of a neighbour list are bonded, so `pairs.load` has rows for bonded pairs only.
 KIND_BITS = wp.constant(4)
 MOST_KINDS = 2 ** int(KIND_BITS) - 1
 MOST_ROWS = 2 ** (31 - int(KIND_BITS))
@@ -30,13 +31,13 @@ def kind_of(bond: wp.int32):
 
 @wp.func
 def load_row(bond: wp.int32):
-    """Return the row of the bond's load, counted from the scene's first load row."""
+    """Return the row of `pairs.load` that holds the bond's force and moment, counted from the scene's first row."""
     return bond >> KIND_BITS
 
 
 @wp.func
 def bond_with(kind: wp.int32, row: wp.int32):
-    """Return the state of a pair with a bond of this kind whose load is stored in this row."""
+    """Return the bond state for a bond of this kind whose force and moment are stored in this row of `pairs.load`."""
     return kind | (row << KIND_BITS)
 
 
@@ -54,9 +55,9 @@ def bond_functions(scalar):
         shear_to_normal: scalar  # ratio of shear stiffness to normal stiffness
         tensile_strength: scalar  # normal stress at which the bond breaks [Pa]
         cohesion: scalar  # shear strength at zero normal stress [Pa]
-        tan_friction_angle: scalar  # increase of shear strength per compressive stress
-        radius_multiplier: scalar  # bond radius divided by the smaller sphere radius
-        moment_factor: scalar  # share of bending and torsion that counts in the peak stresses
+        tan_friction_angle: scalar  # increase of the shear strength over the increase of the compressive stress
+        radius_multiplier: scalar  # bond radius over the radius of the smaller sphere
+        moment_factor: scalar  # fraction of the bending and torsion moments that enters the peak stresses
 
     @wp.func
     def bond_stiffness(p: Bond, touch: Touch):
@@ -83,7 +84,7 @@ def bond_functions(scalar):
         moment: t.vec4,
         dt: scalar,
     ):
-        """Return the new force, moment and state of a bond; a broken bond returns the load that broke it.
+        """Return the new force, moment and state of a bond; a broken bond returns the force and moment that broke it.
 
         `force` and `moment` hold the shear (bending) vector and, last, the normal (twisting) component. `stretch` is
         the exact change of the distance between the centres in this step. The approximation `velocity dt` along the
@@ -100,7 +101,7 @@ def bond_functions(scalar):
 
         radius = p.radius_multiplier * touch.smaller_radius
         per_area = scalar(wp.static(float(1.0 / np.pi))) / (radius * radius)
-        per_section = scalar(4.0) * per_area / radius  # bond radius divided by its moment of area, R / I
+        per_section = scalar(4.0) * per_area / radius  # Bond radius R over the bond's moment of area I.
         stress = tension * per_area
         peak_tension = stress + p.moment_factor * wp.length(bending) * per_section
         peak_shear = wp.length(shear) * per_area + scalar(0.5) * p.moment_factor * wp.abs(torsion) * per_section

@@ -27,16 +27,16 @@ def bond_kernels(scalar):
         healing: wp.bool,
         gap: scalar,
         group: wp.int32,
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         bodies: Bodies,
         spheres: Spheres,
-        # Arrays of the state, read and written.
+        # The next arguments are arrays of the state that this kernel reads and writes.
         pairs: Pairs,
     ):
         """Bond all pairs within the gap that have no intact bond; `group` >= 0 selects pairs inside that group.
 
-        With `healing`, each list entry has its own load row, which is cleared here. Without it, bonds receive their
-        load rows later.
+        With `healing`, each list entry has its own row in `pairs.load`, which this kernel clears. Without `healing`,
+        the bonds receive their rows in `pairs.load` later.
         """
         i = wp.tid()
         for k in range(pairs.start[i], pairs.start[i + 1]):
@@ -56,9 +56,9 @@ def bond_kernels(scalar):
         new_kind: wp.int32,
         fraction: wp.float64,
         seed: wp.uint32,
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         spheres: Spheres,
-        # Arrays of the state, read and written.
+        # The next arguments are arrays of the state that this kernel reads and writes.
         pairs: Pairs,
     ):
         """Give a random fraction of the bonds of one kind another kind.

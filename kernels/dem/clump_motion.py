@@ -102,7 +102,7 @@ def carry_function(scalar, growth: bool, meshes: bool, half: bool):
     ):  # fmt: skip
         """Set position and velocity of sphere i from the motion of its body.
 
-        `x` and the following arguments belong to the body; `size` is the current scale factor of its size.
+        The arguments from `x` on belong to the body; `size` is the current scale factor of the body's size.
         """
         offset = read_vec4(spheres.offset, i)
         arm = wp.quat_rotate(orientation, xyz(offset)) * size
@@ -128,8 +128,8 @@ def clump_kernel(
     rounds instead; for them the kernel only stores the forces.
 
     On a GPU (full lists), 2^`lane_bits` threads of a warp of `width` share a body. Each thread sums the forces of some
-    of the body's spheres (`rows` rows a link), all threads compute the body's motion, and each updates the positions of
-    its spheres. The launch consists of whole warps.
+    of the body's spheres (the results of a link take `rows` rows), all threads compute the body's motion, and each
+    updates the positions of its spheres. The launch consists of whole warps.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -143,13 +143,13 @@ def clump_kernel(
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
     def move_clumps(
-        # Arrays of the model.
+        # The next arguments are arrays of the model.
         segments: wp.array(dtype=Segment), drive_axis: wp.array2d(dtype=wp.int32), drive_force: wp.array(dtype=scalar),
-        # Range of rows that this launch processes, in which 2^lane_bits threads share a body.
+        # The next arguments are the range of rows of this launch, in which 2^lane_bits threads share a body.
         first: wp.int32, last: wp.int32, lane_bits: wp.int32,
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         scenes: Scenes, pairs: Pairs,
-        # Arrays of the state, read and written.
+        # The next arguments are arrays of the state that this kernel reads and writes.
         flags: wp.array2d(dtype=wp.int32), bodies: Bodies, spheres: Spheres, links: Links, subcycled: Subcycled,
     ):  # fmt: skip
         lanes = 1 << lane_bits

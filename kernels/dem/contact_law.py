@@ -29,13 +29,13 @@ def contact_functions(scalar):
     class Touch:
         normal: t.vec3
         gap: scalar  # distance between the surfaces, negative where they overlap [m]
-        velocity: t.vec3  # relative velocity at the contact point [m/s]
+        velocity: t.vec3  # velocity of body b relative to body a at the contact point [m/s]
         twist: scalar  # mean rotation of the two bodies about the normal in this step [rad]
-        tilt: t.vec3  # rotation of the normal itself in this step [rad]; zero against a wall
-        smaller_radius: scalar  # smaller radius of the two spheres; the sphere's radius against a wall [m]
-        length: scalar  # distance of the centres at first contact; the radius against a wall [m]
-        reduced_radius: scalar  # reduced radius R1 R2 / (R1 + R2); the radius against a wall [m]
-        mass: scalar  # reduced mass of the two bodies; the body's own mass against a wall [kg]
+        tilt: t.vec3  # rotation of the normal itself in this step [rad]; zero at a wall
+        smaller_radius: scalar  # smaller radius of the two spheres; at a wall, the sphere's radius [m]
+        length: scalar  # distance of the centres at first contact; at a wall, the sphere's radius [m]
+        reduced_radius: scalar  # reduced radius R1 R2 / (R1 + R2); at a wall, the sphere's radius [m]
+        mass: scalar  # reduced mass of the two bodies; at a wall, the body's own mass [kg]
 
     @wp.func
     def sphere_touch(
@@ -100,13 +100,13 @@ def contact_functions(scalar):
 
     @wp.func
     def shear_spring(touch: Touch, history: t.vec3, stiffness: scalar, limit: scalar, dt: scalar):
-        """Step the spring that is loaded by sliding; results as for `plane_spring`."""
+        """Step the spring that sliding loads, and return the same results as `plane_spring`."""
         vn = wp.dot(touch.velocity, touch.normal)
         return plane_spring(touch, touch.velocity - vn * touch.normal, history, stiffness, limit, dt)
 
     @wp.func
     def spring_energy(history: t.vec3, stiffness: scalar):
-        """Return the elastic energy of a spring with force or moment `history` [J]; zero without stiffness."""
+        """Return the elastic energy of a spring with force or moment `history` [J]; zero for zero stiffness."""
         square = wp.length_sq(history)
         stored = scalar(0.0)
         if square > scalar(0.0):

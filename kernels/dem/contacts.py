@@ -59,22 +59,22 @@ def contact_kernel(
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(True))
     def contacts(
-        # Arrays of the model.
+        # The next arguments are arrays of the model.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # Range of rows that this launch processes.
+        # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         last: wp.int32,
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # Arrays of the state, read and written.
+        # The next arguments are arrays of the state that this kernel reads and writes.
         spheres: Spheres,
         pairs: Pairs,
     ):
         columns = wp.zeros(shape=(numbers,), dtype=scalar)
         ints = wp.zeros(shape=(integers,), dtype=wp.int32)
-        count = wp.int32(0)  # number of lanes in use
+        count = wp.int32(0)  # Number of lanes that hold a contact.
         used_row = wp.int32(0)
         used_dt = scalar(0.0)
         i = first + wp.tid() * SPAN - 1
@@ -119,7 +119,8 @@ def contact_kernel(
                             base = scenes.row[s].spheres
                             material = spheres.material[i]
                             row = scenes.row[s].laws + material * scenes.row[s].materials
-                            # dt is the previous step, because the displacement of that step led to the current overlap.
+                            # Here dt is the previous time step, because the displacement of that step led to the
+                            # current overlap.
                             dt = scalar(scenes.clock[s, DT_PREVIOUS])
                             position_i = read_vec4(spheres.position, i)
                             velocity_i = read_vec4(spheres.velocity, i)
@@ -130,7 +131,8 @@ def contact_kernel(
                 if block < end:
                     bits, held = close_entries(spheres, pairs, base, position_i, block, wp.min(BLOCK, end - block))
                     if wp.static(history or healing):
-                        # A pair held by a stiff bond may part at the first check after that bond broke.
+                        # A pair that a stiff bond has held may already be separated when this kernel first checks the
+                        # pair after the break.
                         parted = wp.static(ALL_TOUCHED) & ~(bits | held)
                         if block == begin:
                             before = spheres.touching[i]

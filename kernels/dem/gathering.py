@@ -49,26 +49,26 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
 
     @wp.kernel(module="unique", enable_backward=False, module_options=estimate_options(half))
     def gather_stiffness(
-        # Arrays of the model.
+        # The next arguments are arrays of the model.
         pair_parameters: wp.array(dtype=PairParameters),
         bond_parameters: wp.array(dtype=Bond),
         wall_parameters: wp.array(dtype=WallParameters),
         segments: wp.array(dtype=Segment),
-        # Scenes with an estimate due, rows of this launch, number of the CPU thread, and kind of pairs.
+        # The next arguments are the scenes with an estimate due, the rows, the CPU thread, and the kind of pairs.
         due: wp.array(dtype=wp.int32),
         begin: wp.int32,
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,
         stiff: wp.bool,
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         scenes: Scenes,
         bodies: Bodies,
         spheres: Spheres,
         slots: Slots,
         pairs: Pairs,
         walls: Walls,
-        # Arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         estimate: Estimate,
     ):
         i = begin + wp.tid() / wp.static(lanes)
@@ -101,7 +101,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
             met = 0
         for slot in range(met):
             w = first_wall + slot
-            n = t.vec3()  # normal into the wall
+            n = t.vec3()  # Normal vector that points into the wall.
             overlap = scalar(-1.0)
             if slot < scenes.row[s].analytic:
                 distance, direction = distance_to_wall(walls.table[w], segments, walls.position[w], walls.normal[w], xi)
@@ -121,7 +121,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
                 sums.k_turn = sums.k_turn + turning(arm_i + radius_i * n, n, k[0], k[1], zero, zero)
                 sums.c_turn = sums.c_turn + turning(arm_i + radius_i * n, n, k[2], k[3], zero, zero)
                 load_wall(estimate, part, w, k)
-        if wp.static(half):  # add the pairs that are listed at the other sphere
+        if wp.static(half):  # Add the stiffness and damping of the pairs that are listed at the other sphere.
             sums.k = sums.k + estimate.sums[i, 0]
             sums.c = sums.c + estimate.sums[i, 1]
             sums.k_turn = sums.k_turn + estimate.sums[i, 2]

@@ -27,7 +27,8 @@ def grid_struct(scalar):
         held: wp.array(dtype=wp.int32)  # number of points in each cell, followed by a zero, shape (cells + 1,)
         start: wp.array(dtype=wp.int32)  # index in `point` of each cell's first point, and the end, shape (cells + 1,)
         cell: wp.array(dtype=wp.int32)  # cell index of each point, shape (points,)
-        rank: wp.array(dtype=wp.int32)  # rank of each point within its cell, in any order, shape (points,)
+        # rank of each point among the points of its cell, in no particular order, shape (points,)
+        rank: wp.array(dtype=wp.int32)
         point: wp.array(dtype=wp.int32)  # point indices, sorted by cell, shape (points,)
 
     return Grid
@@ -46,13 +47,13 @@ def grid_functions(scalar) -> SimpleNamespace:
 
     @wp.struct
     class Region:
-        lowest: wp.vec3i  # lowest cell of the block
-        count: wp.vec3i  # number of cells along each axis
+        lowest: wp.vec3i  # index of the lowest cell of the block along each axis
+        count: wp.vec3i  # number of cells of the block along each axis
         runs: wp.int32
 
     @wp.func
     def along(v: scalar) -> wp.int32:
-        """Return the cell number of a coordinate, given in cell widths."""
+        """Return the index along one axis of the cell that holds a coordinate, which is given in cell widths."""
         far = scalar(wp.static(FARTHEST))
         place = wp.where(v > -far, v, -far)  # NaN fails this comparison and is mapped to the farthest cell
         return wp.int32(wp.floor(wp.where(place < far, place, far)))
@@ -85,7 +86,7 @@ def grid_functions(scalar) -> SimpleNamespace:
 
     @wp.func
     def run_of(grid: Grid, region: Region, number: wp.int32) -> wp.vec2i:
-        """Return the first and the end entry in `point` of a run."""
+        """Return where a run of cells begins and ends in `point`, the list of points sorted by cell."""
         row = number
         begin = region.lowest[0]
         end = begin + region.count[0]

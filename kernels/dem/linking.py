@@ -11,9 +11,9 @@ from .pairs import BLOCK, decode
 from .structs import APART, TOUCHING, array_structs, links_struct
 
 MORE = wp.constant(4)
-"""Number of bit masks per sphere for list entries after the first BLOCK, whose bits are in `spheres.touching`."""
+"""Number of bit masks per sphere for its list entries beyond the first BLOCK, whose bits are in `spheres.touching`."""
 BITS = wp.constant((int(MORE) + 1) * int(BLOCK))
-"""Number of leading entries in a row whose touching is recorded in bit masks; later entries have no bits.
+"""Number of leading entries of a list row for which a bit mask records whether the pair touches.
 
 A row with more entries is rare: a large sphere among small ones has about a hundred.
 """
@@ -66,7 +66,7 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
         flags: wp.array2d(dtype=wp.int32), scenes: Scenes, pairs: Pairs, count: wp.array(dtype=wp.int32),
         spheres: Spheres, links: Links,
     ):  # fmt: skip
-        """Count each row's entries that are not twins, and clear the touching bits of spheres in stale scenes."""
+        """Count the first entries of pairs (not the twins) in each row, and clear the touching bits of stale scenes."""
         i = wp.tid()
         s = spheres.scene[i]
         own = wp.int32(0)
@@ -98,7 +98,7 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
         flags: wp.array2d(dtype=wp.int32), scenes: Scenes, pairs: Pairs, scanned: wp.array(dtype=wp.int32),
         spheres: Spheres, links: Links,
     ):  # fmt: skip
-        """Fill in the links of a row's own entries, and copy bonds to the twin entries.
+        """Create the link of each pair at the first of its two list entries, and copy bonds to the other entry.
 
         A link with contact history or a bond counts as touching until a step checks it.
         """
@@ -125,12 +125,14 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
                 if wp.static(bonds):
                     remembers = remembers or pairs.bond[row + k] != 0
                     if pairs.bond[row + k] > 0:
-                        pairs.bond[row + twin] = pairs.bond[row + k]  # both entries share one load row
+                        # Both list entries of a pair share one row of `pairs.load`.
+                        pairs.bond[row + twin] = pairs.bond[row + k]
                 links.link[p] = wp.vec4i(i - base, j, k, twin)
                 links.touched[p] = wp.where(remembers, TOUCHING, APART)
                 links.end[row + k] = p - row / 2
                 links.end[row + twin] = -1 - (p - row / 2)
-                # entries without bits are always summed, so their results must start at zero
+                # Every step adds up the results of entries that have no touching bit, so these results must start at
+                # zero.
                 if k - pairs.start[i + s] >= BITS or twin - begin >= BITS:
                     for each in range(rows):
                         links.pull[rows * p + each] = t.vec4()

@@ -23,10 +23,10 @@ from .structs import APART, DT_PREVIOUS, PARTED, STIFF, TOUCHING, array_structs,
 
 
 def pull_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
-    """Return the number of `links.pull` rows a link has: four with bonds, rolling or dissipation, else two.
+    """Return the number of rows in `links.pull` per link: four with bonds, rolling or dissipation, else two.
 
-    Two rows serve both spheres. Where a link has a moment of its own or loses energy, each sphere needs its own two
-    rows.
+    Two rows are enough for both spheres, because their forces are opposite. If a link has a moment of its own or loses
+    energy, each sphere needs its own two rows.
     """
     return 4 if bonds or rolls or dissipation else 2
 
@@ -66,21 +66,21 @@ def pull_functions(scalar, count: int):
 
     @wp.func
     def row_of(first: wp.int32, end: wp.int32):
-        """Return the first row in `links.pull` that holds a link's result at one of its ends."""
+        """Return the row in `links.pull` where the results of a link for one of its two spheres begin."""
         if wp.static(apart):
             return count * (first + wp.where(end >= 0, end, -1 - end)) + wp.where(end >= 0, 0, 2)
         return count * (first + wp.where(end >= 0, end, -1 - end))
 
     @wp.func
     def force_at(end: wp.int32, force: t.vec4):
-        """Return the link's force on the sphere at this end [N]."""
+        """Return the link's force on the sphere at this end of the link [N]."""
         if wp.static(apart):
             return xyz(force)
         return wp.where(end >= 0, xyz(force), -xyz(force))
 
     @wp.func
     def moment_at(end: wp.int32, force: t.vec4, turn: t.vec4):
-        """Return the link's moment about the centre of the sphere at this end [N m]."""
+        """Return the link's moment about the centre of the sphere at this end of the link [N m]."""
         if wp.static(apart):
             return xyz(turn)
         return wp.where(end >= 0, force[3], turn[3]) * xyz(turn)
@@ -143,7 +143,7 @@ def pull_functions(scalar, count: int):
                     lost = (((lost + wp.float64(a[3])) + wp.float64(c[3])) + wp.float64(e[3])) + wp.float64(g[3])
             block += BLOCK
             word += 1
-        for entry in range(begin + BITS, end):  # entries beyond BITS have no touching bits
+        for entry in range(begin + BITS, end):  # List entries beyond the first BITS have no touching bits.
             q = read_int(links.end, entry)
             r = row_of(row / 2, q)
             a, b = read_vec4(links.pull, r), read_vec4(links.pull, r + 1)
@@ -198,7 +198,7 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
                 pairs.rolling[k] = t.vec3()
         if wp.static(healing):
             if pairs.bond[k] < 0:
-                pairs.bond[k] = 0  # the pair may bond again at the next touch
+                pairs.bond[k] = 0  # The pair may bond again when its spheres next touch.
                 pairs.load[k] = t.vec8()
                 pairs.bond[twin] = 0
         return lost
@@ -219,7 +219,8 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
         if wp.static(bonds):
             close = close or kind > 0
             if wp.static(subcycling):
-                held_apart = kind == HYDRATED  # sub-cycling rounds step a pair in a stiff bond
+                # The sub-cycling rounds, not this kernel, step a pair that is held by a stiff bond.
+                held_apart = kind == HYDRATED
                 close = close and not held_apart
         after = wp.where(close, TOUCHING, APART)
         if held_apart:
@@ -272,7 +273,7 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
         bond_parameters: wp.array(dtype=Bond), s: wp.int32, ends: wp.vec4i, position_i: t.vec4, position_j: t.vec4,
     ):  # fmt: skip
         i, j, k, p = ends[0], ends[1], ends[2], ends[3]
-        # dt is the previous step, because the displacement of that step led to the current overlap.
+        # Here dt is the previous time step, because the displacement of that step led to the current overlap.
         dt = scalar(scenes.clock[s, DT_PREVIOUS])
         spin_i, spin_j = xyz(read_vec4(spheres.spin, i)), xyz(read_vec4(spheres.spin, j))
         material = read_int(spheres.material, i)
@@ -324,7 +325,7 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
 def link_kernel(
     scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool, mixed: bool
 ):
-    """Return the kernel over links that computes the contacts of those that touch.
+    """Return the kernel over links that computes the contacts of those links that touch.
 
     The launch has `threads` threads. They first share the near links. Then they share all links of those scenes whose
     near links may miss a contact; for these scenes the near links are skipped.
@@ -340,14 +341,14 @@ def link_kernel(
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
     def link_contacts(
-        # Arrays of the model.
+        # The next arguments are arrays of the model.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         threads: wp.int32,
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # Arrays of the state, read and written.
+        # The next arguments are arrays of the state that this kernel reads and writes.
         spheres: Spheres,
         pairs: Pairs,
         links: Links,

@@ -35,10 +35,11 @@ def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool,
 
     @wp.func
     def row_of_entry(scenes: Scenes, pairs: Pairs, s: wp.int32, bond: wp.int32, own: wp.bool):
-        """Return the bond number to store at an entry of a half list.
+        """Return the bond state to store at an entry of a half list.
 
-        Both CPU threads step the load of a bond whose pair crosses a chunk border, and each needs its own copy. The
-        owning entry uses an even row of `load`; the other entry uses the odd row after it.
+        Both CPU threads step the bond of a pair that crosses a chunk border, and each thread needs its own copy of the
+        bond's force and moment. The entry that owns the bond uses an even row of `load`; the other entry uses the odd
+        row after it.
         """
         found = bond
         if bond > 0:
@@ -52,17 +53,17 @@ def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool,
 
     @wp.kernel(module="unique", enable_backward=False)
     def transfer_history(
-        # Range of rows that this launch processes.
+        # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         last: wp.int32,
-        # Arrays that are only read.
+        # The next arguments are arrays that this kernel only reads.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
         old_pairs: Pairs,
         old_place: wp.array(dtype=wp.int32),
         place: wp.array(dtype=wp.int32),
         found: wp.array(dtype=wp.int32),
-        # Arrays that are read and written.
+        # The next arguments are arrays that this kernel reads and writes.
         spheres: Spheres,
         pairs: Pairs,
     ):
@@ -101,7 +102,7 @@ def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool,
                         if old >= 0:
                             bond = old_pairs.bond[old]
                         if wp.static(healing):
-                            load = t.vec8()  # an unbonded pair must start with zero load if it bonds again
+                            load = t.vec8()  # An unbonded pair must start with zero force and moment if it bonds again.
                             if bond > 0:
                                 load = old_pairs.load[old]
                                 bond = bond_with(kind_of(bond), k - row)

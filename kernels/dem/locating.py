@@ -59,14 +59,14 @@ def locating_kernels(scalar, half: bool, history: bool):
         subcycled.higher_offset[p] = spheres.offset[j]
         row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
         subcycled.law[p] = row + spheres.material[j]
-        # A pair across two chunks, or in a full list, has an entry at both spheres. Both entries must be kept up to
+        # In a full list, or across two chunks, a pair has an entry at both spheres, and both entries must be kept up to
         # date.
         k = find(pairs, s, base, scenes.row[s].pairs, i, j)
         copy = find_own(pairs, s, base, scenes.row[s].pairs, j, i)
         subcycled.entry[p] = k
         subcycled.copy[p] = wp.where(copy == k, -1, copy)
         subcycled.active[p] = 0
-        if k >= 0:  # a missing pair parted long after its bond broke
+        if k >= 0:  # A pair that is missing in the new list had lost its bond long before its spheres moved apart.
             bond = pairs.bond[k]
             subcycled.active[p] = wp.where(kind_of(bond) == HYDRATED, 1, 0)
             subcycled.held.bond[p] = bond

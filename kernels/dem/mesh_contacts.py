@@ -30,10 +30,13 @@ from .analytic_walls import surface_touch_function, wall_force_function
 from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs
 from .wear import wear_functions
 
-MERGE_ANGLE = 30.0  # angle between the normals of two mesh contacts below which they count as one [degrees]
+MERGE_ANGLE = 30.0  # Angle between the normals of two mesh contacts below which they count as one contact [degrees].
 MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
-BEHIND = 2.0e-2  # largest distance in front of the plane at which a point still counts as hidden [sphere radii]
-MESH_SLOTS = 6  # mesh contact slots of a sphere, after those of planes and pipes; more contacts set OVERFLOW
+# Largest distance in front of the plane through a nearer contact at which a point still counts as hidden [sphere
+# radii].
+BEHIND = 2.0e-2
+# Slots of a sphere for mesh contacts, which follow the slots for planes and pipes. More contacts set OVERFLOW.
+MESH_SLOTS = 6
 Owners = wp.types.vector(MESH_SLOTS, wp.int32)
 
 
@@ -83,7 +86,7 @@ def surface_functions(scalar) -> SimpleNamespace:
             return True
         if feature < 4:
             edge = feature - 1
-            # index of the neighbour's far corner; `edge + 3` holds the neighbour's face number
+            # Index of the far corner of the neighbouring face; `edge + 3` holds the index of the neighbouring face.
             beyond = across[face, edge]
             if beyond == BORDER:
                 return True
@@ -92,19 +95,22 @@ def surface_functions(scalar) -> SimpleNamespace:
             if beyond <= SHARED:
                 row = SHARED - beyond
                 if ring[ring_start[row]] != face - wall.first_face:
-                    return False  # avoid a duplicate: the face with the lowest number reports this edge
+                    # Avoid a duplicate: of several faces at this edge, only the face with the lowest index reports the
+                    # edge.
+                    return False
                 for k in range(ring_start[row] + 1, ring_start[row + 1]):
                     if falls_towards(across_edge(corners[ring[k]] - a, along), offset):
                         return False
                 return True
             if across[face, edge + 3] < face:
-                return False  # avoid a duplicate: the neighbour has a lower number and reports this edge
+                return False  # Avoid a duplicate: the neighbouring face has the lower index and reports this edge.
             return not falls_towards(across_edge(corners[beyond] - a, along), offset)
         corner = faces[face, feature - 4]
         a = corners[corner]
         lowest = ring[ring_start[corner]]
         if lowest != face - wall.first_face:
-            return False  # avoid a duplicate: the lowest face of the ring reports this corner
+            # Avoid a duplicate: only the face with the lowest index of all faces at a corner reports the corner.
+            return False
         for k in range(ring_start[corner] + 1, ring_start[corner + 1]):
             if falls_towards(corners[ring[k]] - a, offset):
                 return False
@@ -118,7 +124,7 @@ def surface_functions(scalar) -> SimpleNamespace:
         corners: wp.array(dtype=t.vec3),
         faces: wp.array2d(dtype=wp.int32),
     ):
-        """Return the normal into the wall: against `offset`, or against the face's normal if the centre is on it."""
+        """Return the normal into the wall: opposite to `offset`, or to the face's normal if the centre is on it."""
         a = corners[faces[face, 0]]
         plain = wp.cross(corners[faces[face, 1]] - a, corners[faces[face, 2]] - a)
         n = -safe_normalize(offset, -wp.normalize(plain))
@@ -135,7 +141,7 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
 
     @wp.func
     def hides(n: t.vec3, gap: scalar, farther_n: t.vec3, farther_gap: scalar, radius: scalar):
-        """Return True if a contact merges with a `farther` one with the same wall, or hides it behind its surface."""
+        """Return True if a contact merges with a `farther` contact with the same wall, or hides that contact."""
         if gap > farther_gap:
             return False
         c = wp.dot(n, farther_n)
@@ -192,7 +198,8 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
         This matters when the sphere's centre has been pushed through the surface: the normal must then not flip.
         """
         gap = distance - radius
-        side = scalar(0.0)  # cosine between `n` and the old normal on this wall that is most nearly parallel to it
+        # Cosine of the angle between `n` and the old normal on this wall that is most nearly parallel to `n`.
+        side = scalar(0.0)
         for s in range(MESH_SLOTS):
             if slot_wall[i, first + s] == wall:
                 c = wp.dot(slot_normal[i, first + s], n)
@@ -303,17 +310,17 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def mesh_contacts(
-        # Arrays of the model.
+        # The next arguments are arrays of the model.
         wall_parameters: wp.array(dtype=parts.Parameters), corners: wp.array(dtype=t.vec3),
         faces: wp.array2d(dtype=wp.int32), across: wp.array2d(dtype=wp.int32), ring_start: wp.array(dtype=wp.int32),
         ring: wp.array(dtype=wp.int32), face_wall: wp.array(dtype=wp.int32), wall_table: wp.array(dtype=parts.Wall),
-        # Range of rows that this launch processes, and number of the CPU thread.
+        # The next arguments are the range of rows that this launch processes, and the index of the CPU thread.
         first: wp.int32, last: wp.int32, part: wp.int32,
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         scenes: parts.Scenes, candidates: parts.Candidates, wall_position: wp.array(dtype=t.vec3),
         wall_orientation: wp.array(dtype=t.quat), wall_velocity: wp.array(dtype=t.vec3),
         wall_spin: wp.array(dtype=t.vec3),
-        # Arrays of the state, read and written.
+        # The next arguments are arrays of the state that this kernel reads and writes.
         flags: wp.array2d(dtype=wp.int32), spheres: parts.Spheres, slot_wall: wp.array2d(dtype=wp.int32),
         slot_normal: wp.array2d(dtype=t.vec3), slot_overlap: wp.array2d(dtype=scalar),
         slot_history: wp.array2d(dtype=t.vec3), slot_rolling: wp.array2d(dtype=t.vec3),
@@ -427,15 +434,15 @@ def candidate_kernels(scalar):
     def kernel(fill: bool):
         @wp.kernel(module="unique", enable_backward=False)
         def find_candidates(
-            # Arrays of the model.
+            # The next arguments are arrays of the model.
             corners: wp.array(dtype=t.vec3),
             faces: wp.array2d(dtype=wp.int32),
-            # Arrays of the state, read only.
+            # The next arguments are arrays of the state that this kernel only reads.
             flags: wp.array2d(dtype=wp.int32),
             scenes: Scenes,
             spheres: Spheres,
             walls: Walls,
-            # Arrays that are written: the count of each sphere, or its candidates.
+            # The next arguments are arrays that this kernel writes: each sphere's candidate count, or the candidates.
             count: wp.array(dtype=wp.int32),
             candidates: Candidates,
         ):

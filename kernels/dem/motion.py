@@ -70,7 +70,7 @@ def rotation_functions(scalar):
         spin = spin_of(q, angular_momentum, inertia)
         if inertia[0] != inertia[1] or inertia[1] != inertia[2]:
             iteration = wp.int32(0)
-            while iteration < 3:  # a `while` loop keeps the compiler from unrolling the iterations
+            while iteration < 3:  # A `while` loop keeps the compiler from unrolling the iterations.
                 spin = spin_of(turned(q, scalar(0.5) * dt * spin), angular_momentum, inertia)
                 iteration += 1
         return spin
@@ -103,7 +103,7 @@ def motion_functions(scalar, dissipation: bool):
 
     @wp.func
     def damped(total: t.vec3, velocity: t.vec3, damping: scalar, kick: scalar):
-        """Return the force (or moment) after local damping, which opposes each velocity component, and the loss."""
+        """Return the force (or moment) after local damping, which opposes velocity components, and the energy loss."""
         lost = wp.float64(0.0)
         if damping > scalar(0.0):
             for c in range(3):
@@ -228,8 +228,8 @@ def sphere_kernel(
 ):
     """Return the kernel over single-sphere bodies that makes one leapfrog step on the sphere arrays alone.
 
-    The step is the same as in `clump_kernel`. With full lists (GPU) it adds up the results of `links`, `rows` rows a
-    link. The remaining arrays of bodies are updated later by `sync_kernel`, when they are needed.
+    The step is the same as in `clump_kernel`. With full lists (GPU) it adds up the results of `links`, where a link has
+    `rows` rows. The remaining arrays of bodies are updated later by `sync_kernel`, when they are needed.
     """
     t = types(scalar)
     span = SPAN if half else 1
@@ -249,17 +249,17 @@ def sphere_kernel(
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
     def move_spheres(
-        # Arrays of the model.
+        # The next arguments are arrays of the model.
         segments: wp.array(dtype=Segment),
         drive_axis: wp.array2d(dtype=wp.int32),
         drive_force: wp.array(dtype=scalar),
-        # Range of rows that this launch processes.
+        # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         last: wp.int32,
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         scenes: Scenes,
         pairs: Pairs,
-        # Arrays of the state, read and written.
+        # The next arguments are arrays of the state that this kernel reads and writes.
         flags: wp.array2d(dtype=wp.int32),
         bodies: Bodies,
         spheres: Spheres,

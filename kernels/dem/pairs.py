@@ -11,8 +11,10 @@ from .bond_parallel import BROKEN_IN_TENSION, HYDRATED, UNBONDED, bond_functions
 from .contact_law import contact_functions
 from .structs import array_structs
 
-BLOCK = wp.constant(31)  # list entries checked at a time; one bit each, without the sign bit of an int32
-ALL_TOUCHED = 2**31 - 1  # all bits set: after a rebuild every entry counts as touched before
+# Number of list entries that are checked at a time: one bit per entry in an int32, without its sign bit.
+BLOCK = wp.constant(31)
+# Mask with all bits set. After a rebuild, every entry counts as having touched in the previous step.
+ALL_TOUCHED = 2**31 - 1
 
 
 @wp.func
@@ -144,7 +146,7 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
                 pairs.rolling[k] = t.vec3()
         if wp.static(healing):
             if pairs.bond[k] < 0:
-                pairs.bond[k] = 0  # the pair may bond again at the next touch
+                pairs.bond[k] = 0  # The pair may bond again when its spheres next touch.
                 pairs.load[k] = t.vec8()
         return lost
 
@@ -170,7 +172,7 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
             left = left & (left - 1)
             if wp.static(subcycling):
                 if k < end and kind_of(pairs.bond[k]) == HYDRATED:
-                    continue  # the sub-cycling rounds, not this kernel, update the history of a stiff pair
+                    continue  # The sub-cycling rounds, not this kernel, update the history of a stiff pair.
             if k < end:
                 lost += part(spheres, pairs, parameters, row, base, first, last, radius, mass, k)
         return lost
@@ -206,13 +208,13 @@ def bond_pull_functions(scalar, dissipation: bool):
 
     @wp.struct
     class BondPull:
-        force: t.vec4  # shear vector and tension [N]; zero if the bond broke
-        moment: t.vec4  # bending vector and torsion [N m]; zero if the bond broke
+        force: t.vec4  # new shear force vector and tension of the bond [N]; zero if the bond broke
+        moment: t.vec4  # new bending moment vector and torsion of the bond [N m]; zero if the bond broke
         total: t.vec3  # force of the bond on the first body [N]
         bending: t.vec3  # moment of the bond on the first body [N m]
         contact: scalar  # 0 if the bond broke and the spheres do not touch, else 1
         lost: scalar  # energy lost by contact and bond [J]
-        outcome: wp.int32  # 1: the bond holds; negative: code of the failure mode
+        outcome: wp.int32  # 1 if the bond holds; negative: code of how the bond broke
 
     @wp.func
     def bond_pull(

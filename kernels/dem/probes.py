@@ -14,8 +14,8 @@ from .pairs import decode
 from .structs import DT_PREVIOUS, array_structs
 
 # Columns of the sums over the contacts of each sphere.
-CONTACTS = wp.constant(0)  # number of touching pairs
-OVERLAP_SUM = wp.constant(1)  # sum of overlap divided by the smaller radius
+CONTACTS = wp.constant(0)  # number of pairs in contact
+OVERLAP_SUM = wp.constant(1)  # sum over pairs of the overlap divided by the smaller radius
 # OVERLAP_MAX is the largest overlap divided by the smaller radius.
 OVERLAP_MAX = wp.constant(2)
 ELASTIC_ENERGY = wp.constant(3)  # energy of contact springs, walls included, at the middle of the last step [J]
@@ -30,15 +30,15 @@ BROKEN_TENSION = wp.constant(9)  # number of bonds broken in tension since the s
 BROKEN_SHEAR = wp.constant(10)  # number of bonds broken in shear since the start
 CONTACT_COLUMNS = wp.constant(11)
 ContactRow = wp.types.vector(int(CONTACT_COLUMNS), wp.float64)
-CONTACT_MAXIMA = (int(OVERLAP_MAX), int(DEPTH_MAX))  # columns of which the maximum is taken
+CONTACT_MAXIMA = (int(OVERLAP_MAX), int(DEPTH_MAX))  # Columns whose maximum is taken instead of their sum.
 
 # Columns of the sums over bodies.
 KINETIC = wp.constant(0)  # kinetic energy at the middle of the last step [J]
 POTENTIAL = wp.constant(1)  # potential energy of gravity, relative to the origin, at the middle of the last step [J]
 MOMENTUM = wp.constant(2)  # columns 2 to 4: momentum at the middle of the last step [kg m/s]
 LIFT = wp.constant(5)  # columns 5 to 7: sum of mass times position [kg m]
-DRIVEN = wp.constant(8)  # columns 8 to 10: sum of axis drive forces [N]
-DRIVE_POWER = wp.constant(11)  # power of the axis drives [W]
+DRIVEN = wp.constant(8)  # columns 8 to 10: sum of the forces that drive bodies along the axis [N]
+DRIVE_POWER = wp.constant(11)  # power of the forces that drive bodies along the axis [W]
 REACH = wp.constant(12)  # largest absolute coordinate of any body [m]
 BODY_COLUMNS = wp.constant(13)
 BODY_MAXIMA = (int(REACH),)
@@ -51,7 +51,7 @@ TRAVEL = wp.constant(16)  # displacement of the wall along its path [m]
 WORK = wp.constant(17)  # work done by the wall on the concrete [J]
 WALL_COLUMNS = 18
 
-LANES = 256  # number of partial sums of a column; the order of a sum depends only on the number of rows
+LANES = 256  # Number of partial sums of a column. The order of a sum depends only on the number of rows.
 
 
 @functools.cache
@@ -121,15 +121,15 @@ def body_probe(scalar):
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure_bodies(
-        # Arrays of the model.
+        # The next arguments are arrays of the model.
         segments: wp.array(dtype=Segment),
         drive_axis: wp.array2d(dtype=wp.int32),
         drive_force: wp.array(dtype=scalar),
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         s: wp.int32,
         scenes: Scenes,
         bodies: Bodies,
-        # Arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         values: wp.array2d(dtype=wp.float64),
     ):
         b = scenes.row[s].bodies + wp.tid()
@@ -251,12 +251,12 @@ def load_probe(scalar):
     @wp.kernel(module="unique", enable_backward=False)
     def raise_loads(
         s: wp.int32,
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         scenes: Scenes,
         spheres: Spheres,
         pairs: Pairs,
         pair_normal_force: wp.array(dtype=scalar),
-        # Arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         loads: wp.array(dtype=scalar),
     ):
         base = scenes.row[s].spheres
@@ -295,23 +295,23 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure_contacts(
-        # Arrays of the model.
+        # The next arguments are arrays of the model.
         pair_parameters: wp.array(dtype=PairParameters),
         bond_parameters: wp.array(dtype=Bond),
         wall_parameters: wp.array(dtype=WallParameters),
         segments: wp.array(dtype=Segment),
-        # Scene, and range of rows that this launch processes.
+        # The next arguments are the scene, and the range of rows that this launch processes.
         s: wp.int32,
         first: wp.int32,
         last: wp.int32,
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         scenes: Scenes,
         bodies: Bodies,
         spheres: Spheres,
         slots: Slots,
         pairs: Pairs,
         walls: Walls,
-        # Arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         values: wp.array2d(dtype=wp.float64),
         pair_normal_force: wp.array(dtype=scalar),
     ):
@@ -342,7 +342,7 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
         material = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
         for slot in range(slots.history.shape[1]):
             w = scenes.row[s].walls + slot
-            n = t.vec3()  # normal into the wall
+            n = t.vec3()  # Normal vector that points into the wall.
             overlap = scalar(-1.0)
             towards = half_step
             known = slot < scenes.row[s].analytic
@@ -352,7 +352,7 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
                 overlap = radius - distance
             else:
                 known = slots.wall[i, slot] >= 0
-                towards = -half_step  # a mesh contact stores the overlap at the start of the step
+                towards = -half_step  # A mesh contact stores the overlap at the start of the step.
                 if known:
                     w = scenes.row[s].walls + slots.wall[i, slot]
                     n = slots.normal[i, slot]

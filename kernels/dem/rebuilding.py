@@ -13,15 +13,17 @@ from .structs import array_structs
 def rebuilding_kernels(scalar) -> SimpleNamespace:
     """Return two kernels of one thread each, for a scene that runs alone: ``ask`` and ``fit``.
 
-    ``ask`` decides if the lists must be rebuilt now. ``fit`` decides if the arrays have room for the new lists. Where
-    either answers no, the host handles the rebuild.
+    ``ask`` decides if the device must rebuild the lists now. It leaves rebuilds with sorting, and scenes that have
+    failed, to the host. ``fit`` decides if the arrays have room for the new lists. If they have not, the host rebuilds
+    the lists.
     """
     Scenes = array_structs(scalar).Scenes
 
     @wp.kernel(module="unique", enable_backward=False)
     def ask(flags: wp.array2d(dtype=wp.int32), scenes: Scenes, asked: wp.array(dtype=wp.int32)):
         every = scenes.row[0].sort_every
-        sorts = every > 0 and flags[0, STEPS] % wp.max(every, 1) == 0  # sorting is left to the host
+        # The host sorts the bodies, so a rebuild with sorting is left to the host.
+        sorts = every > 0 and flags[0, STEPS] % wp.max(every, 1) == 0
         fails = flags[0, FAILED] != 0 or flags[0, OVERFLOW] != 0
         asked[0] = wp.where(flags[0, STALE] != 0 and not fails and not sorts, 1, 0)
 

@@ -42,7 +42,7 @@ def find_function(scalar, half: bool):
 
 @wp.func
 def insert(other: wp.array(dtype=wp.int32), row: wp.int32, found: wp.int32, entry: wp.int32):
-    """Insert an entry at its sorted position in a row that holds `found` entries.
+    """Insert an entry at its sorted position in a list row that already holds `found` entries.
 
     Rows are sorted in ascending order, whatever the order in which the grid finds neighbours. The sums of a step then
     do not depend on the grid, which is shared by all scenes of a batch.
@@ -129,12 +129,12 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
 
     @wp.struct
     class Seeker:
-        s: wp.int32  # scene index in the batch
-        base: wp.int32  # first sphere of the scene
+        s: wp.int32  # index in the batch of the sphere's scene
+        base: wp.int32  # index of the scene's first sphere
         body: wp.int32
         x: t.vec3  # centre of the sphere [m]
         radius: scalar  # radius of the sphere [m]
-        margin: scalar  # largest gap to a neighbour [m]
+        margin: scalar  # largest gap at which another sphere counts as a neighbour [m]
 
     is_close = close_function(scalar)
     wider = half and bonds
@@ -184,7 +184,7 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
         scenes: Scenes, spheres: Spheres, old_pairs: Pairs, new_place: wp.array(dtype=wp.int32), seeker: Seeker,
         old: wp.int32,
     ) -> wp.int32:  # fmt: skip
-        """Return the sphere that an old list entry binds across a gap wider than the skin, or -1."""
+        """Return the sphere to which an entry of the old list holds a bond across a gap wider than the skin, or -1."""
         if old_pairs.bond[old] <= 0:
             return -1
         j = new_place[seeker.base + decode(old_pairs.other[old])]
@@ -236,19 +236,19 @@ def half_search_kernel(scalar, bonds: bool):
     def search(
         grid: Grid,
         shift: wp.array(dtype=t.vec3),
-        # Rows and number of this chunk, and bounding boxes of all chunks.
+        # The next arguments are the rows and the index of this chunk, and the bounding boxes of all chunks.
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,
         boxes: wp.array2d(dtype=t.vec3),
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
         spheres: Spheres,
         old_pairs: Pairs,
         old_place: wp.array(dtype=wp.int32),
         stretched: wp.array(dtype=scalar),
-        # Arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         count: wp.array(dtype=wp.int32),
         place: wp.array(dtype=wp.int32),
         room: wp.vec2i,
@@ -367,7 +367,7 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
     def search(
         grid: Grid,
         shift: wp.array(dtype=t.vec3),
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
         spheres: Spheres,
@@ -375,7 +375,7 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
         old_place: wp.array(dtype=wp.int32),
         new_place: wp.array(dtype=wp.int32),
         stretched: wp.array(dtype=scalar),
-        # Arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         count: wp.array(dtype=wp.int32),
         finds: wp.array2d(dtype=wp.int32),
         total: wp.array(dtype=wp.int32),

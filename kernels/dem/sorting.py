@@ -11,7 +11,7 @@ from .structs import array_structs, scene_struct
 
 @functools.cache
 def permute_kernels(scalar) -> dict:
-    """Return kernels for target[i] = source[order[i]], keyed by data type and True for arrays with columns."""
+    """Return kernels for target[i] = source[order[i]], by data type and whether the array has columns."""
     t = types(scalar)
     module = module_of("permuting", scalar)
 
@@ -68,12 +68,12 @@ def order_kernels(scalar):
 
     @wp.kernel(module=module_of("sorting", scalar), enable_backward=False)
     def keys(
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         scenes: Scenes,
         bodies: Bodies,
         sort: wp.array(dtype=wp.int32),
         lowest: wp.array2d(dtype=wp.int32),
-        # Arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         key: wp.array(dtype=wp.int64),
         value: wp.array(dtype=wp.int32),
     ):
@@ -103,12 +103,12 @@ def order_kernels(scalar):
 
     @wp.kernel(module=module_of("sorting", scalar), enable_backward=False)
     def place_spheres(
-        # Arrays that are only read.
+        # The next arguments are arrays that this kernel only reads.
         scenes: Scenes,
         order: wp.array(dtype=wp.int32),
         old_first: wp.array(dtype=wp.int32),
         new_start: wp.array(dtype=wp.int32),
-        # Arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         bodies: Bodies,
         spheres: Spheres,
         old_place: wp.array(dtype=wp.int32),

@@ -39,7 +39,7 @@ LEAP = 0.4
 Two spheres that approach each other may close in by twice that distance.
 """
 LONGEST = 1.0e30
-"""Step size where no limit applies [s]."""
+"""Step size that stands for "no limit" [s]."""
 
 
 def estimate_options(half: bool) -> dict:
@@ -55,8 +55,8 @@ def estimate_options(half: bool) -> dict:
 def begin_kernel(scalar):
     """Return the kernel over scenes that selects the scenes with an estimate due and resets their sums.
 
-    A scene is due if the host set its entry in `asked`. With `by_device` the device decides instead: a scene is due if
-    it has halted because its interval between estimates is over.
+    An estimate is due for a scene if the host set the scene's entry in `asked`. With `by_device` the device decides
+    instead: an estimate is due if the scene has halted because its interval between estimates is over.
     """
     structs = array_structs(scalar)
     Scenes = structs.Scenes
@@ -64,12 +64,12 @@ def begin_kernel(scalar):
 
     @wp.kernel(module="unique", enable_backward=False)
     def begin_estimate(
-        # Arrays that are only read.
+        # The next arguments are arrays that this kernel only reads.
         asked: wp.array(dtype=wp.int32),
         by_device: wp.bool,
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # Arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         due: wp.array(dtype=wp.int32),
         estimate: Estimate,
     ):
@@ -221,10 +221,10 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
 
     @wp.kernel(module="unique", enable_backward=False, module_options=estimate_options(True))
     def reduce_step(
-        # Arrays of the model.
+        # The next arguments are arrays of the model.
         pair_parameters: wp.array(dtype=PairParameters),
         wall_parameters: wp.array(dtype=WallParameters),
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         due: wp.array(dtype=wp.int32),
         begin: wp.int32,
         part: wp.int32,
@@ -232,7 +232,7 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
         scenes: Scenes,
         bodies: Bodies,
         spheres: Spheres,
-        # Arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         estimate: Estimate,
     ):
         b = begin + wp.tid()
@@ -303,7 +303,7 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
 
 @functools.cache
 def keep_kernel(scalar):
-    """Return the kernel over scenes that keeps the estimate as the stable step of sub-cycled pairs."""
+    """Return the kernel over scenes that stores the latest estimate as the stable step of sub-cycled pairs."""
     Estimate, Subcycled = estimate_struct(scalar), subcycled_struct(scalar)
     least = noting_functions(scalar).least
 
@@ -331,13 +331,13 @@ def settle_kernel(scalar, subcycling: bool):
 
     @wp.kernel(module="unique", enable_backward=False)
     def settle_step(
-        # Arrays that are only read.
+        # The next arguments are arrays that this kernel only reads.
         due: wp.array(dtype=wp.int32),
         by_device: wp.bool,
         estimate: Estimate,
         subcycled: Subcycled,
         walls: Walls,
-        # Arrays that are read and written.
+        # The next arguments are arrays that this kernel reads and writes.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
     ):

@@ -58,21 +58,21 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure_forces(
-        # Arrays of the model.
+        # The next arguments are arrays of the model.
         pair_parameters: wp.array(dtype=PairParameters),
         wall_parameters: wp.array(dtype=WallParameters),
         segments: wp.array(dtype=Segment),
-        # Scene, and range of rows that this launch processes.
+        # The next arguments are the scene, and the range of rows that this launch processes.
         s: wp.int32,
         first: wp.int32,
         last: wp.int32,
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         scenes: Scenes,
         spheres: Spheres,
         slots: Slots,
         pairs: Pairs,
         walls: Walls,
-        # Arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         pair_push: wp.array(dtype=t.vec3),
         wall_push: wp.array2d(dtype=t.vec3),
         wall_arm: wp.array2d(dtype=t.vec3),
@@ -97,7 +97,7 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
         radius = spheres.position[i][3]
         for slot in range(slots.history.shape[1]):
             w = scenes.row[s].walls + slot
-            n = t.vec3()  # normal into the wall
+            n = t.vec3()  # Normal vector that points into the wall.
             gap = scalar(1.0)
             if slot < scenes.row[s].analytic:
                 distance, direction = distance_to_wall(walls.table[w], segments, walls.position[w], walls.normal[w], x)
@@ -132,8 +132,8 @@ STRESSES = wp.constant(6)
 def stress_probe(scalar):
     """Return the kernel over spheres of scene `s` that adds force times branch vector of contacts to the bodies.
 
-    The forces come from :func:`force_probe`. Each body of a pair receives half; compression is positive. Sums are
-    integers in units of 1 / `scale` joules, so they are the same in any order.
+    The forces come from :func:`force_probe`. Each body of a pair receives half of the product; compression is positive.
+    Sums are integers in units of 1 / `scale` joules, so they are the same in any order.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -155,7 +155,7 @@ def stress_probe(scalar):
     def add_stresses(
         s: wp.int32,
         scale: wp.float64,
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         scenes: Scenes,
         bodies: Bodies,
         spheres: Spheres,
@@ -163,7 +163,7 @@ def stress_probe(scalar):
         pair_push: wp.array(dtype=t.vec3),
         wall_push: wp.array2d(dtype=t.vec3),
         wall_arm: wp.array2d(dtype=t.vec3),
-        # Arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         stress: wp.array2d(dtype=wp.int64),
     ):
         base = scenes.row[s].spheres

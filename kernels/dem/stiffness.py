@@ -26,9 +26,10 @@ def estimate_struct(scalar):
     @wp.struct
     class Estimate:
         sums: wp.array2d(dtype=vec6)  # one row a sphere, shape (spheres, 4); zero between estimates
-        wall_load: wp.array3d(dtype=wp.int64)  # stiffness [mN/m], damping [mN s/m] of walls, shape (parts, walls, 2)
+        # stiffness [mN/m] and damping [mN s/m] of the contacts of each wall, shape (parts, walls, 2)
+        wall_load: wp.array3d(dtype=wp.int64)
         smallest: wp.array2d(dtype=wp.float64)  # smallest stable step of any body, shape (parts, scenes) [s]
-        finest: wp.array2d(dtype=wp.float64)  # smallest step limit by impacts and speeds, (parts, scenes) [s]
+        finest: wp.array2d(dtype=wp.float64)  # smallest step limit by impacts and speeds [s], shape (parts, scenes)
         fastest: wp.array2d(dtype=wp.float64)  # largest speed of any body or wall, shape (parts, scenes) [m/s]
 
     return Estimate
@@ -220,7 +221,7 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
         else:
             # The threads of a group first search together for the pairs that count. Then they share these pairs evenly,
             # so that all threads evaluate pairs at the same time.
-            others = lane  # number of pairs left to other threads before this thread takes its next pair
+            others = lane  # Number of pairs left to other threads before this thread takes its next pair.
             for block in range(begin, end, BLOCK):
                 left = wp.int32(0)
                 for place in range(lane, wp.min(BLOCK, end - block), wp.static(lanes)):

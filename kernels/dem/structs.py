@@ -19,7 +19,8 @@ from ..common.walls import wall_struct
 # Columns of the double-precision array `clock`, which has one row a scene.
 TIME = wp.constant(0)  # simulated time [s]
 DT = wp.constant(1)  # the coming time step [s]
-DT_PREVIOUS = wp.constant(2)  # the previous time step; 0 at the start, which halves the first velocity kick [s]
+# previous time step [s]; 0 at the start, so that the first velocity kick has half the length
+DT_PREVIOUS = wp.constant(2)
 SINCE_BUILD = wp.constant(3)  # time since the neighbour lists were built [s]
 FORCE_SCALE = wp.constant(4)  # fixed-point units per newton, for sums of wall forces in integers
 STABLE = wp.constant(5)  # latest estimate of the stable step, without safety factor [s]
@@ -45,7 +46,8 @@ def scene_struct(scalar):
         speed_limit: scalar  # body speed above which the scene fails [m/s]
         skin: scalar  # margin of the pair lists beyond contact [m]
         mesh_skin: scalar  # margin of the sphere-triangle candidate lists [m]
-        sphere_allowance: scalar  # part of the mesh skin reserved for motion of spheres; moving meshes use the rest [m]
+        # part of the mesh skin that motion of spheres may use up; motion of meshes may use up the rest [m]
+        sphere_allowance: scalar
         growth_rate: scalar  # increase of the size scale factor per step, during growth in packing
         growth_end: scalar  # size scale factor at which the growth stops
         safety: wp.float64  # safety factor of the automatic time step
@@ -57,7 +59,7 @@ def scene_struct(scalar):
         foreseen_speed: wp.float64  # largest speed expected before the next stable step estimate [m/s]
         wall_stiffness: wp.float64  # lower bound of the contact stiffness that a driven wall meets [N/m]
         largest_radius: scalar  # largest sphere radius, at full size [m]
-        bodies: wp.int32  # first row of the scene in each flat array, here and below; `..._count`: number of rows
+        bodies: wp.int32  # first row of the scene in this and each following flat array; `..._count`: number of rows
         body_count: wp.int32
         spheres: wp.int32
         sphere_count: wp.int32
@@ -68,8 +70,8 @@ def scene_struct(scalar):
         walls: wp.int32
         wall_count: wp.int32
         analytic: wp.int32  # number of planes and pipes, which precede meshes in the list of walls
-        still: wp.int32  # 1: planes and pipes never move
-        held: wp.int32  # 1: walls with prescribed motion are held at rest for now
+        still: wp.int32  # 1 if no plane or pipe of the scene ever moves, else 0
+        held: wp.int32  # 1 if walls with prescribed motion are held at rest for now, else 0
         materials: wp.int32  # number of materials; contact parameters form a square table over pairs of materials
         laws: wp.int32  # first row of the scene in the table of contact parameters
         bonds: wp.int32
@@ -96,8 +98,8 @@ def array_structs(scalar) -> SimpleNamespace:
     class Bodies:
         id: wp.array(dtype=wp.int32)  # permanent number of each body, shape (bodies,)
         scene: wp.array(dtype=wp.int32)  # index of the scene in the batch
-        shape: wp.array(dtype=wp.int32)  # index into the state's clump templates
-        group: wp.array(dtype=wp.int32)  # index into the model's groups; 0: no group
+        shape: wp.array(dtype=wp.int32)  # index of each body's template in the state's clump templates
+        group: wp.array(dtype=wp.int32)  # index of each body's group in the model; 0: no group
         size: wp.array(dtype=scalar)  # diameter of the sphere of equal volume, at full size [m]
         mass: wp.array(dtype=scalar)  # body mass [kg]
         inertia: wp.array(dtype=t.vec3)  # principal moments of inertia [kg m2]
@@ -107,15 +109,16 @@ def array_structs(scalar) -> SimpleNamespace:
         spin: wp.array(dtype=t.vec3)  # angular velocity in space axes, in the middle of the last step [rad/s]
         orientation: wp.array(dtype=t.quat)  # rotation from body axes to space axes
         angular_momentum: wp.array(dtype=t.vec3)  # angular momentum in space axes [kg m2/s]
-        first: wp.array(dtype=wp.int32)  # first sphere of each body, and an end marker per scene, (bodies + scenes,)
+        # index of each body's first sphere, and an end marker per scene, shape (bodies + scenes,)
+        first: wp.array(dtype=wp.int32)
 
     @wp.struct
     class Spheres:
         id: wp.array(dtype=wp.int32)  # permanent number of each sphere, shape (spheres,)
         scene: wp.array(dtype=wp.int32)  # index of the scene in the batch
         body: wp.array(dtype=wp.int32)  # index of the body that the sphere belongs to
-        material: wp.array(dtype=wp.int32)  # index into the model's materials
-        offset: wp.array(dtype=t.vec4)  # centre in the body's frame, and radius, at full size [m]
+        material: wp.array(dtype=wp.int32)  # index of each sphere's material in the model
+        offset: wp.array(dtype=t.vec4)  # sphere centre in the body's frame, and sphere radius, both at full size [m]
         position: wp.array(dtype=t.vec4)  # centre in space, and radius [m]
         velocity: wp.array(dtype=t.vec4)  # velocity of the centre [m/s], and mass of the body [kg]
         spin: wp.array(dtype=t.vec4)  # angular velocity of the body [rad/s], padded to four numbers for fast access
@@ -143,10 +146,12 @@ def array_structs(scalar) -> SimpleNamespace:
     @wp.struct
     class Pairs:
         start: wp.array(dtype=wp.int32)  # first list entry of each sphere, and end markers, shape (spheres + scenes,)
-        other: wp.array(dtype=wp.int32)  # the neighbour j, or -1 - j if j has the lower permanent number, (pairs,)
+        # index j of the neighbour, or -1 - j if j has the lower permanent number, shape (pairs,)
+        other: wp.array(dtype=wp.int32)
         history: wp.array(dtype=t.vec4)  # contact history, for springs the shear force [N], padded to four, (pairs,)
         rolling: wp.array(dtype=t.vec3)  # moment of the rolling-resistance spring [N m], shape (pairs,)
-        bond: wp.array(dtype=wp.int32)  # bond kind and load row (`bond_parallel`); 0: no bond, < 0: broken, (pairs,)
+        # bond state, see `bond_parallel.py`; 0 without a bond, negative if it broke, shape (pairs,)
+        bond: wp.array(dtype=wp.int32)
         # `load` holds the load of each bond, shape (rows,): shear vector and tension [N], bending vector and torsion
         # [N m]. It is one array because a GPU moves memory in units of 32 bytes. See `warpcrete/dem/bonding.py`.
         load: wp.array(dtype=t.vec8)
@@ -154,7 +159,8 @@ def array_structs(scalar) -> SimpleNamespace:
     @wp.struct
     class Candidates:
         start: wp.array(dtype=wp.int32)  # first entry of each sphere, and end markers, shape (spheres + scenes,)
-        face: wp.array(dtype=wp.int32)  # triangles within reach of each sphere, numbered per scene, shape (candidates,)
+        # indices within the scene of the triangles within reach of each sphere, shape (candidates,)
+        face: wp.array(dtype=wp.int32)
 
     @wp.struct
     class Walls:
@@ -174,8 +180,10 @@ def array_structs(scalar) -> SimpleNamespace:
         angular_impulse: wp.array(dtype=wp.vec3d)  # time integral of the contact moment since the start [N m s]
         travel: wp.array(dtype=wp.float64)  # displacement along the wall's path since the start [m]
         work: wp.array(dtype=wp.float64)  # work done by the wall on the concrete since the start [J]
-        moved: wp.array(dtype=wp.float64)  # meshes only: largest possible corner displacement since the rebuild [m]
-        step_force: wp.array3d(dtype=wp.int64)  # force and moment of this step in fixed point, (threads, walls, 6)
+        # meshes only: largest possible displacement of a corner since the lists were built [m]
+        moved: wp.array(dtype=wp.float64)
+        # force and moment on each wall in this step, in fixed point, shape (threads, walls, 6)
+        step_force: wp.array3d(dtype=wp.int64)
 
     return SimpleNamespace(
         Scenes=Scenes, Bodies=Bodies, Spheres=Spheres, Slots=Slots, Pairs=Pairs, Candidates=Candidates, Walls=Walls,
@@ -197,15 +205,15 @@ def links_struct(scalar):
         scene: wp.array(dtype=wp.int32)  # index of each link's scene in the batch, shape (links,)
         touched: wp.array(dtype=wp.int32)  # state: APART, TOUCHING, PARTED or STIFF, shape (links,)
         more: wp.array(dtype=wp.int32)  # touching bits of later list entries, MORE integers a sphere
-        end: wp.array(dtype=wp.int32)  # per list entry: index p of its link in the scene; for a twin, -1 - p
+        end: wp.array(dtype=wp.int32)  # for each list entry, the index p of its link in the scene; -1 - p for a twin
         # `pull` holds the result of each link in this step. A link has two rows: (force on its lower sphere [N], arm of
         # that sphere [m]) and (contact moment divided by the arm [N], arm of the higher sphere [m]). With bonds,
         # rolling resistance or energy sums it has four rows, two for each sphere: (force on the sphere [N], lost
         # energy [J] at the lower sphere or 0) and (moment about its centre [N m], 0).
         pull: wp.array(dtype=t.vec4)
-        near: wp.array(dtype=wp.vec4i)  # links that are close: both spheres, entry and link, numbered over the batch
+        near: wp.array(dtype=wp.vec4i)  # near links: indices in the batch of both spheres, the list entry and the link
         near_count: wp.array(dtype=wp.int32)  # number of near links, and 1 if any scene must check all its links, (2,)
-        outrun: wp.array(dtype=wp.int32)  # 1: the scene's near links may miss a contact, shape (scenes,)
+        outrun: wp.array(dtype=wp.int32)  # 1 if the scene's near links may miss a contact, else 0, shape (scenes,)
         seen: wp.array(dtype=t.vec4)  # sphere positions and radii when near links were chosen [m], (spheres,)
         seen_at: wp.array(dtype=wp.float64)  # time since the list rebuild when near links were chosen [s], (scenes,)
 
@@ -227,23 +235,26 @@ def subcycled_struct(scalar):
         rounds: wp.array(dtype=wp.int32)  # number of rounds in a step; 0: no sub-cycling, shape (scenes,)
         stable: wp.array(dtype=wp.float64)  # stable step of the stiff pairs alone [s], shape (scenes,)
         pair_scene: wp.array(dtype=wp.int32)  # index of each pair's scene in the batch, shape (pairs,)
-        lower: wp.array(dtype=wp.int32)  # permanent number of the sphere with the lower number
-        higher: wp.array(dtype=wp.int32)  # permanent number of the sphere with the higher number
-        ends: wp.array(dtype=wp.vec4i)  # rows of both bodies, and rows of both ends in `force`
+        lower: wp.array(dtype=wp.int32)  # lower permanent number of the pair's two spheres
+        higher: wp.array(dtype=wp.int32)  # higher permanent number of the pair's two spheres
+        # rows of the pair's two bodies in this struct, and rows in `force` of the pair's forces on these bodies
+        ends: wp.array(dtype=wp.vec4i)
         lower_offset: wp.array(dtype=t.vec4)  # lower sphere: centre in the body's frame, and radius [m]
         higher_offset: wp.array(dtype=t.vec4)  # higher sphere: centre in the body's frame, and radius [m]
         law: wp.array(dtype=wp.int32)  # row of the pair's contact parameters
         entry: wp.array(dtype=wp.int32)  # index of the neighbour list entry that holds the pair
         copy: wp.array(dtype=wp.int32)  # index of the second list entry that holds the pair, or -1
         held: Pairs  # history and bond of each pair; copied to the neighbour list at the end of a step
-        active: wp.array(dtype=wp.int32)  # 0: the bond is broken and the pair is an ordinary contact again
+        # 1 while the bond holds; 0 once it is broken and the pair is an ordinary contact again
+        active: wp.array(dtype=wp.int32)
         lost: wp.array(dtype=wp.float64)  # energy lost in the rounds of this step so far [J]
         outcome: wp.array(dtype=wp.int32)  # 1: the bond holds; negative: failure mode of a bond that broke in this step
         body_scene: wp.array(dtype=wp.int32)  # index of each body's scene in the batch, shape (bodies,)
-        body_number: wp.array(dtype=wp.int32)  # permanent number of the body
-        place: wp.array(dtype=wp.int32)  # current row of the body in the batch
+        body_number: wp.array(dtype=wp.int32)  # permanent number of each body
+        place: wp.array(dtype=wp.int32)  # current row of each body in the batch
         start: wp.array(dtype=wp.int32)  # first row of each body in `force`, and an end marker, shape (bodies + 1,)
-        ref: wp.array(dtype=wp.int32)  # twice the pair's index, plus 1 at the pair's higher end, shape (2 pairs,)
+        # twice the index of the pair, plus 1 for the pair's higher sphere, shape (2 pairs,)
+        ref: wp.array(dtype=wp.int32)
         mass: wp.array(dtype=scalar)  # body mass [kg]
         inertia: wp.array(dtype=t.vec3)  # principal moments of inertia [kg m2]
         position: wp.array(dtype=t.vec3)  # centroid, in the middle of a step like the velocities of all bodies [m]
@@ -254,8 +265,11 @@ def subcycled_struct(scalar):
         angular_momentum: wp.array(dtype=t.vec3)  # angular momentum in space axes [kg m2/s]
         other_force: wp.array(dtype=t.vec3)  # all forces other than those of stiff pairs, gravity included [N]
         other_torque: wp.array(dtype=t.vec3)  # torque of those other forces about the centroid [N m]
-        force: wp.array(dtype=t.vec3)  # force of each pair end on its body, grouped by body [N], shape (2 pairs,)
-        torque: wp.array(dtype=t.vec3)  # torque of each pair end about the centroid [N m], shape (2 pairs,)
-        member: wp.array(dtype=wp.int32)  # for every body of the batch: 1 + its row in this struct, or 0
+        # force of each pair on each of its two bodies, grouped by body [N], shape (2 pairs,)
+        force: wp.array(dtype=t.vec3)
+        # torque of each pair on each of its two bodies about their centroids [N m], shape (2 pairs,)
+        torque: wp.array(dtype=t.vec3)
+        # for every body of the batch: 1 + the body's row in this struct, or 0 if it has no stiff bond
+        member: wp.array(dtype=wp.int32)
 
     return Subcycled

@@ -20,15 +20,17 @@ def wear_kernel(scalar, law):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def wear_structure(
-        own_yield: wp.array(dtype=scalar),  # yield stress without the gain at rest, one a law [Pa]
-        gained: wp.array(dtype=wp.float64),  # yield stress gained at rest, one a scene [Pa]; 0: no gain yet
-        breakdown: wp.array(dtype=wp.float64),  # slip after which the gain has fallen to 1/e, one a scene [m]
-        begun: wp.array(dtype=wp.float64),  # travel of the wall at which slip began, one a scene [m]
-        slip_wall: wp.array(dtype=wp.int32),  # index in the batch of the wall whose travel is the slip, one a scene
-        # Arrays of the state, read only.
+        own_yield: wp.array(dtype=scalar),  # yield stress without the gain at rest [Pa], one value per contact law
+        gained: wp.array(dtype=wp.float64),  # yield stress gained at rest [Pa], one value per scene; 0 before a rest
+        # slip after which the gained yield stress has fallen to 1/e [m], one value per scene
+        breakdown: wp.array(dtype=wp.float64),
+        begun: wp.array(dtype=wp.float64),  # travel of the wall when slip began [m], one value per scene
+        # index in the batch of the wall whose travel counts as slip, one per scene
+        slip_wall: wp.array(dtype=wp.int32),
+        # The next arguments are arrays of the state that this kernel only reads.
         scenes: Scenes,
         walls: Walls,
-        # Arrays that are read and written.
+        # The next arguments are arrays that this kernel reads and writes.
         wall_parameters: wp.array(dtype=Parameters),
     ):
         s = wp.tid()

@@ -152,14 +152,14 @@ def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: 
             scalar(RELAXATION) * step, dt,
         )  # fmt: skip
         if turn + 1 == rounds:
-            # the bond broke: from the next step on, the contact kernels evaluate the pair
+            # The bond broke, so the contact kernels evaluate the pair from the next step on.
             if subcycled.held.bond[p] <= 0:
                 subcycled.active[p] = 0
                 total = t.vec3()
                 moment = t.vec3()
                 if wp.static(healing):
                     if pair.touch.gap >= scalar(0.0):
-                        subcycled.held.bond[p] = 0  # the pair may bond again at the next touch
+                        subcycled.held.bond[p] = 0  # The pair may bond again when its spheres next touch.
             first_load = scenes.row[s].loads
             keep(pairs, subcycled, p, first_load, subcycled.entry[p])
             if subcycled.copy[p] >= 0:
@@ -184,17 +184,17 @@ def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(True))
     def subcycle_pairs(
-        # Arrays of the model.
+        # The next arguments are arrays of the model.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # Range of rows that this launch processes, and number of the round.
+        # The next arguments are the range of rows that this launch processes, and the number of the round.
         first: wp.int32,
         last: wp.int32,
         turn: wp.int32,
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # Arrays of the state, read and written.
+        # The next arguments are arrays of the state that this kernel reads and writes.
         pairs: Pairs,
         subcycled: Subcycled,
     ):
@@ -225,7 +225,7 @@ def kick_functions(scalar, dissipation: bool):
 
     @wp.func
     def book(subcycled: Subcycled, spheres: Spheres, q: wp.int32, i: wp.int32):
-        """Add energy loss and broken bonds of body q's stiff pairs to sphere i; pairs count at their lower end."""
+        """Add energy loss and broken bonds of body q's stiff pairs to sphere i, each pair at its lower sphere only."""
         for place in range(subcycled.start[q], subcycled.start[q + 1]):
             if subcycled.ref[place] % 2 == 0:
                 p = subcycled.ref[place] / 2
@@ -281,14 +281,14 @@ def body_kernel(scalar):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def subcycle_bodies(
-        # Range of rows that this launch processes, and number of the round.
+        # The next arguments are the range of rows that this launch processes, and the number of the round.
         first: wp.int32,
         last: wp.int32,
         turn: wp.int32,
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # Arrays of the state, read and written.
+        # The next arguments are arrays of the state that this kernel reads and writes.
         subcycled: Subcycled,
     ):
         begin_q = first + wp.tid() * SPAN
@@ -314,18 +314,18 @@ def rounds_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
     def subcycle_all(
-        # Arrays of the model.
+        # The next arguments are arrays of the model.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # Number of threads and of barrier participants, and sizes of the arrays.
+        # The next arguments are the numbers of threads and of barrier participants, and sizes of the arrays.
         threads: wp.int32,
         parties: wp.int32,
         body_count: wp.int32,
         pair_count: wp.int32,
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # Arrays of the state, read and written.
+        # The next arguments are arrays of the state that this kernel reads and writes.
         pairs: Pairs,
         subcycled: Subcycled,
         gate: wp.array(dtype=wp.int32),
@@ -365,12 +365,12 @@ def foreseeing_kernel(scalar, meshes: bool, half: bool, dissipation: bool):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def foresee_bodies(
-        # Range of rows that this launch processes.
+        # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         last: wp.int32,
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         scenes: Scenes,
-        # Arrays of the state, read and written.
+        # The next arguments are arrays of the state that this kernel reads and writes.
         flags: wp.array2d(dtype=wp.int32),
         bodies: Bodies,
         spheres: Spheres,

@@ -1,6 +1,7 @@
 """Contacts of spheres with planes and pipes on a GPU, with one or a few threads for each sphere.
 
-Most spheres touch no wall. These contacts have a kernel of their own, which runs concurrently with that of `links`.
+Most spheres touch no wall. These contacts have a kernel of their own, which runs concurrently with the kernel of
+`links.py`.
 """
 
 import functools
@@ -17,10 +18,11 @@ from .warps import warp_functions
 
 @functools.cache
 def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int):
-    """Return the kernel over `count` spheres that stores force and moment of the planes and pipes they touch.
+    """Return the kernel over `count` spheres that stores the force and moment of planes and pipes on each sphere.
 
     Each sphere has 2^`lane_bits` threads, and the launch consists of whole warps of `width` threads (1 on a CPU). The
-    mesh kernel adds its forces to these, and the kernel that moves bodies reads and clears them.
+    mesh kernel adds the forces of meshes to the stored values; the kernel that moves bodies reads and clears these
+    values.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Slots, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Walls
@@ -33,15 +35,15 @@ def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
     def surface_contacts(
-        # Arrays of the model.
+        # The next arguments are arrays of the model.
         wall_parameters: wp.array(dtype=Parameters),
         segments: wp.array(dtype=Segment),
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         count: wp.int32,
         lane_bits: wp.int32,
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
-        # Arrays of the state, read and written.
+        # The next arguments are arrays of the state that this kernel reads and writes.
         spheres: Spheres,
         slots: Slots,
         walls: Walls,

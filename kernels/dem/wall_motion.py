@@ -9,12 +9,12 @@ from ..common.types import types
 from ..common.walls import DRIVEN, FIXED, MESH, PRESCRIBED, wall_struct
 from .structs import DT, DT_PREVIOUS, FORCE_SCALE, TIME, array_structs
 
-SPEED_LIMIT = 1.0e4  # speed above which a scene fails [m/s]; far above that of pumped or dropped concrete
+SPEED_LIMIT = 1.0e4  # Speed above which a scene fails [m/s], far above the speed of pumped or falling concrete.
 
 
 @wp.func
 def ramped(time: wp.float64, ramp: wp.float64):
-    """Return the integral of min(time / ramp, 1): the distance travelled at a final speed of 1."""
+    """Return the distance of a motion whose speed rises linearly to 1: the integral of min(time / ramp, 1)."""
     if time <= wp.float64(0.0):
         return wp.float64(0.0)
     if time < ramp:
@@ -33,7 +33,7 @@ def stopped(time: wp.float64, ramp: wp.float64, stroke: wp.float64, pause: wp.fl
     each = stroke - ramp
     if done == stops:
         return stops * each + ramped(left, ramp)
-    if left >= stroke:  # the distance is constant through the pause, to the last bit
+    if left >= stroke:  # The distance stays constant during the pause, to the last bit.
         return (done + wp.float64(1.0)) * each
     return done * each + ramped(left, ramp) - ramped(left - each, ramp)
 
@@ -65,7 +65,7 @@ def motion_functions(scalar, strokes: bool):
             after = wall.pivot + wp.quat_rotate(q, after - wall.pivot)
             walls.orientation[w] = t.quat(q)
             walls.normal[w] = wp.quat_rotate(t.quat(q), wall.normal)
-        after += gone * wall.velocity  # the pivot moves with the wall's velocity
+        after += gone * wall.velocity  # The pivot moves with the wall's velocity.
         rate = wp.float64(0.0)
         if dt > wp.float64(0.0):
             rate = (gone - gone_at(wall, now - dt)) / dt
@@ -120,9 +120,9 @@ def advance_kernel(scalar, strokes: bool):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def advance_walls(
-        # Arrays of the state, read only.
+        # The next arguments are arrays of the state that this kernel only reads.
         scenes: Scenes,
-        # Arrays of the state, read and written.
+        # The next arguments are arrays of the state that this kernel reads and writes.
         flags: wp.array2d(dtype=wp.int32),
         walls: Walls,
     ):
@@ -131,7 +131,8 @@ def advance_kernel(scalar, strokes: bool):
         if flags[s, HALTED] != 0:
             return
         dt, previous = wp.float64(scenes.clock[s, DT]), wp.float64(scenes.clock[s, DT_PREVIOUS])
-        kick = wp.float64(0.5) * (dt + previous)  # time from the middle of the previous step to that of this one
+        # Time from the middle of the previous step to the middle of this step [s].
+        kick = wp.float64(0.5) * (dt + previous)
         motion = walls.table[w].motion
         unit = wp.float64(1.0) / scenes.clock[s, FORCE_SCALE]
         # All loads are issued before the first store. Alternating loads and stores would add up memory latencies and
@@ -152,8 +153,8 @@ def advance_kernel(scalar, strokes: bool):
         walls.moment[w] = m
         walls.impulse[w] = impulse + kick * f
         walls.angular_impulse[w] = angular_impulse + kick * m
-        # The wall's work on the concrete is added in two halves. This half belongs to the previous step, with the
-        # velocity of that step. The half of the coming step is added below.
+        # The wall's work on the concrete is added in two halves. The first half, added here, belongs to the previous
+        # step, with the velocity of that step. The second half, for the coming step, is added below.
         work = work - wp.float64(0.5) * previous * (wp.dot(f, velocity) + wp.dot(m, spin))
         now = scenes.clock[s, TIME] + dt - walls.table[w].start_time
         if motion == PRESCRIBED and scenes.row[s].held == 0:

@@ -40,14 +40,14 @@ def list_kernels(scalar, dimensions: int, serial: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def search(
-        # Input: parameters of the flow.
+        # The next argument holds the parameters of the flow.
         flow: Flow,
         near_reach: scalar,
         whole_reach: scalar,
         grid: wp.uint64,
-        # Input: state, which is only read.
+        # The next arguments are the state, which this kernel only reads.
         points: wp.array(dtype=wp.vec3f),
-        # Output: arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         flags: wp.array(dtype=wp.int32),
         lists: Lists,
     ):

@@ -50,7 +50,7 @@ def rheology_functions(scalar, dimensions: int):
         if bent_rate > scalar(1.0e-3):
             viscosity += flow.yield_stress * (scalar(1.0) - fall) / rate
         else:
-            # Use the series for small rates, where the fraction loses digits.
+            # Use a series for small rates, because the fraction (1 - exp(-x)) / x loses digits there.
             viscosity += flow.yield_stress * flow.regularisation * (scalar(1.0) - scalar(0.5) * bent_rate)
         return viscosity, flow.viscosity + flow.yield_stress * flow.regularisation * fall
 
@@ -185,18 +185,18 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def geometry(
-        # Input: parameters of the flow.
+        # The next argument holds the parameters of the flow.
         flow: Flow,
-        # Input: range of rows of this launch.
+        # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         end: wp.int32,
-        # Input: state, which is only read.
+        # The next arguments are the state, which this kernel only reads.
         flags: wp.array(dtype=wp.int32),
         particle_position: wp.array(dtype=t.vec),
         particle_velocity: wp.array(dtype=t.vec),
         particle_pressure: wp.array(dtype=scalar),
         lists: Lists,
-        # Output: arrays that are written. The residual of `shifting` becomes the error of the density.
+        # The next arguments are arrays that this kernel writes. The residual of `shifting` becomes the density error.
         fields: Fields,
         matrix: Matrix,
         shifting: Solve,

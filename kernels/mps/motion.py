@@ -27,16 +27,16 @@ def shift_kernel(scalar, dimensions: int, serial: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def shift(
-        # Input: parameters of the flow.
+        # The next argument holds the parameters of the flow.
         flow: Flow,
-        # Input: range of rows of this launch.
+        # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         end: wp.int32,
-        # Input: state, which is only read.
+        # The next arguments are the state, which this kernel only reads.
         flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
-        # Output: arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         fields: Fields,
     ):
         if flags[HALTED] != 0:
@@ -78,15 +78,15 @@ def advance_kernel(scalar, dimensions: int, serial: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def advance(
-        # Input: parameters of the flow.
+        # The next argument holds the parameters of the flow.
         flow: Flow,
-        # Input: range of rows of this launch.
+        # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         end: wp.int32,
-        # Input: state, which is only read, apart from the flags `fields.late`.
+        # The next arguments are the state, which this kernel only reads, apart from the flags `fields.late`.
         flags: wp.array(dtype=wp.int32),
         fields: Fields,
-        # Input and output: arrays that are read and written.
+        # The next arguments are arrays that this kernel reads and writes.
         particles: Particles,
     ):
         if flags[HALTED] != 0:
@@ -118,7 +118,7 @@ def advance_kernel(scalar, dimensions: int, serial: bool):
 
 @wp.kernel(enable_backward=False)
 def finish(late: wp.array(dtype=wp.int32), flags: wp.array(dtype=wp.int32)):
-    """Complete the step in one thread: count it, and halt if the lists are stale or a particle is lost."""
+    """Complete the step in one thread: increase the step count, and halt if lists are stale or a particle is lost."""
     if flags[HALTED] != 0:
         return
     flags[STEPS] = flags[STEPS] + 1

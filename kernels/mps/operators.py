@@ -72,16 +72,16 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def momentum(
-        # Input: parameters of the flow.
+        # The next argument holds the parameters of the flow.
         flow: Flow,
-        # Input: range of rows of this launch.
+        # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         end: wp.int32,
-        # Input: state, which is only read.
+        # The next arguments are the state, which this kernel only reads.
         flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
-        # Output: arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         fields: Fields,
         matrix: Matrix,
         viscous: Solve,
@@ -157,16 +157,16 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def divergence(
-        # Input: parameters of the flow.
+        # The next argument holds the parameters of the flow.
         flow: Flow,
-        # Input: range of rows of this launch.
+        # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         end: wp.int32,
-        # Input: state, which is only read.
+        # The next arguments are the state, which this kernel only reads.
         flags: wp.array(dtype=wp.int32),
         particles: Particles,
         lists: Lists,
-        # Output: arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         fields: Fields,
         matrix: Matrix,
         projection: Solve,
@@ -231,16 +231,16 @@ def gradient_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
 
     @wp.kernel(enable_backward=False, module="unique")
     def project(
-        # Input: parameters of the flow.
+        # The next argument holds the parameters of the flow.
         flow: Flow,
-        # Input: range of rows of this launch.
+        # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         end: wp.int32,
-        # Input: state, which is only read.
+        # The next arguments are the state, which this kernel only reads.
         flags: wp.array(dtype=wp.int32),
         lists: Lists,
         fields: Fields,
-        # Input and output: arrays that are read and written.
+        # The next arguments are arrays that this kernel reads and writes.
         particles: Particles,
     ):
         if flags[HALTED] != 0:

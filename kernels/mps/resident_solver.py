@@ -70,9 +70,9 @@ def sum_functions(width: int) -> SimpleNamespace:
 def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNamespace:
     """Build what a GPU thread does for its row, or its rigid grain, in a solve.
 
-    Each function returns its contributions to inner products. `begin`, `update` and `share` (for a grain) return those
-    of the residual with the preconditioned residual and with itself. `multiply` returns that of the search direction
-    with its matrix product.
+    Each function returns its contributions to inner products. `begin`, `update` and `share` (for a grain) return the
+    inner products of the residual with the preconditioned residual and with itself. `multiply` returns the inner
+    product of the search direction with its matrix product.
     """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value
@@ -157,17 +157,17 @@ def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, 
 
     @wp.kernel(enable_backward=False, module="unique", launch_bounds=(width, 1 if width == WIDE else RESIDENT))
     def solve(
-        # Input: equations, error code, tolerance and iteration limit.
+        # The next arguments are the equations, the error code, the tolerance and the iteration limit.
         count: wp.int32,
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
-        # Input: number of blocks, and their barrier.
+        # The next arguments are the number of blocks, and the barrier of these blocks.
         parties: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # Input: state, which is only read.
+        # The next arguments are the state, which this kernel only reads.
         matrix: Matrix,
-        # Output: arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         flags: wp.array(dtype=wp.int32),
         system: Solve,
         x: wp.array(dtype=value),

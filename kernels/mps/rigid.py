@@ -43,7 +43,7 @@ def rotation_functions(scalar, dimensions: int):
 
     @wp.func
     def turned(m: t.mat, angle: vec3) -> t.mat:
-        """Return rotation `m` followed by a small rotation, given as a rotation vector [rad]."""
+        """Return rotation matrix `m` followed by a small rotation, which is given as a rotation vector [rad]."""
         size = wp.length(angle)
         if size == scalar(0.0):
             return m

@@ -47,7 +47,7 @@ def flow_struct(scalar):
         radius: scalar  # Radius of the pipe, or half the width of the channel [m].
         highest: scalar  # Position along the pipe beyond which a particle counts as lost [m].
         piston_speed: scalar  # Speed of the piston [m/s].
-        gravity: scalar  # Gravitational acceleration along the pipe, positive against the flow [m/s2].
+        gravity: scalar  # Gravitational acceleration along the pipe, positive if opposite to the flow [m/s2].
         dt: scalar  # Time step [s].
         density: scalar  # Reference density of the pressure equation [kg/m3].
         viscosity: scalar  # Plastic viscosity of the Bingham law [Pa s].
@@ -201,7 +201,7 @@ def mps_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def beyond_room(flow: Flow, x: t.vec) -> scalar:
-        """Return how far `x` exceeds the limit for particles [m], which is a quarter of a spacing from the wall."""
+        """Return how far `x` lies beyond the limit for particles [m], which is a quarter of a spacing from the wall."""
         return wp.length(across(x)) - (flow.radius - scalar(0.25) * flow.spacing)
 
     @wp.func

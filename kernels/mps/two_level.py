@@ -80,20 +80,20 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def solve(
-        # Input: equations, error code, tolerance and iteration limit.
+        # The next arguments are the equations, the error code, the tolerance and the iteration limit.
         flow: Flow,
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
-        # Input: chunks of this thread, and the barrier of all threads.
+        # The next arguments are the chunks of this thread, and the barrier of all threads.
         parts: wp.int32,
         lower: wp.int32,
         upper: wp.int32,
         workers: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # Input: state, which is only read.
+        # The next arguments are the state, which this kernel only reads.
         matrix: Matrix,
-        # Output: arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         flags: wp.array(dtype=wp.int32),
         system: Solve,
         x: wp.array(dtype=value),
@@ -167,7 +167,7 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
             system.outcome[AFTER] = wp.sqrt(rr)
             if not rr <= goal:
                 flags[FAILED] = what
-        # All threads must have left the loop before one of them changes the flag that halts the flow.
+        # All threads must have left the loop before any thread changes the flag that halts the flow.
         meet(gate, workers)
         if lower == 0 and flags[FAILED] != 0:
             flags[HALTED] = 1
@@ -246,17 +246,17 @@ def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK
 
     @wp.kernel(enable_backward=False, module="unique", launch_bounds=(width, 1 if width == WIDE else RESIDENT))
     def solve(
-        # Input: equations, error code, tolerance and iteration limit.
+        # The next arguments are the equations, the error code, the tolerance and the iteration limit.
         count: wp.int32,
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
-        # Input: number of blocks, and their barrier.
+        # The next arguments are the number of blocks, and the barrier of these blocks.
         parties: wp.int32,
         gate: wp.array(dtype=wp.int32),
-        # Input: state, which is only read.
+        # The next arguments are the state, which this kernel only reads.
         matrix: Matrix,
-        # Output: arrays that are written.
+        # The next arguments are arrays that this kernel writes.
         flags: wp.array(dtype=wp.int32),
         system: Solve,
         x: wp.array(dtype=value),

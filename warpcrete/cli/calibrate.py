@@ -22,7 +22,7 @@ ONE = {
     "precision": str, "processes": int, **ON_WORKERS,
 }  # fmt: skip
 ANEW = ("trials", "processes", *ON_WORKERS)
-"""Settings of a calibration that may change when it is continued."""
+"""Names of settings that may differ when a calibration is continued."""
 
 
 def run(arguments: list[str], modules: dict[str, Any]) -> None:

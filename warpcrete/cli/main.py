@@ -20,7 +20,8 @@ from .texts import MIX_HELP
 LAST_WORDS = 3.0
 """Time that a command has to end after it has reported a full disk [s]."""
 
-# Warp takes half a second to load, and so do scenes. Each subcommand therefore loads its modules when it is called.
+# Warp takes half a second to load, and so do the scenes. Each subcommand therefore loads the modules that it needs only
+# when it is called.
 
 
 def _part(name: str) -> ModuleType:
@@ -51,7 +52,7 @@ def list_scenes() -> None:
 
 
 def _by_method(arguments: list[str]) -> list[str]:
-    """Remove `--method NAME` from a command's words and complete the scene's name with it.
+    """Remove `--method NAME` from a command's words and complete the scene's name with the method.
 
     For example, `slump --method dem` becomes `slump-dem`.
     """

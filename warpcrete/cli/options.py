@@ -91,7 +91,7 @@ def parameter_options(fields: Iterable[Field]) -> list[click.Parameter]:
 
 
 class Quantity(click.ParamType):
-    """Option type for a number, or a text of a number and a common unit."""
+    """Option type that accepts a number, or a number with a common unit, such as "125 mm"."""
 
     name = "number"
 
@@ -109,7 +109,7 @@ NO_NUMBERS = ("nan", "inf", "infinity")
 def quantity_of(value: Any, field: Field, called: str) -> float:
     """Return a number, or a text such as "125 mm", in the field's unit; `called` is the name of its option."""
     if isinstance(value, str) and value.strip().lower().lstrip("+-") in NO_NUMBERS:
-        return float(value)  # The field's own check refuses these values.
+        return float(value)  # The parameter's own check refuses such a value later.
     return amount(called, value, field.units)
 
 
@@ -128,7 +128,7 @@ def flag(name: str) -> str:
 
 
 def given(values: Mapping[str, Any], context: click.Context | None = None) -> dict[str, Any]:
-    """Return the values of the options that were stated on the command line, without defaults."""
+    """Return the values of the options that the user stated on the command line, without defaults."""
     context = context or click.get_current_context()
     default = click.core.ParameterSource.DEFAULT
     return {name: value for name, value in values.items() if context.get_parameter_source(name) != default}
@@ -144,7 +144,7 @@ def check_scene(name: str | None, modules: Mapping[str, Any], more: str = "") ->
 
 
 def run_options() -> list[click.Parameter]:
-    """Return the options of every run, which do not depend on its scene."""
+    """Return the options that every run has, whatever its scene."""
     colourings = list(dict.fromkeys(colour for method in METHODS for colour in method.display.colourings))
     return [
         click.Option(["--out"], type=click.Path(path_type=Path), help="New run folder  [default: runs/SCENE-NNN]"),

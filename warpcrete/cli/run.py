@@ -33,14 +33,15 @@ INTERRUPTED = 130
 
 
 def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str, quiet: bool) -> None:
-    """Continue an interrupted run in its folder; `live` opens a viewer from here on."""
+    """Continue an interrupted run in its folder; with `live`, a viewer shows the run from the checkpoint on."""
     if not (folder / "scene.json").is_file():
         raise RunFolderError(f"resume = '{folder}': is not a run folder (it holds no scene.json)")
     record, module = repeatable_scene(folder / "scene.json", modules)
     if is_finished(folder):
         raise RunFolderError(f"resume = '{folder}': the run is already finished; start a new one with another --out")
     settings = dict(record.get("command", {}))
-    settings = {kind.name: False for kind in RECORDERS} | settings  # Recorders that the old run did not have are off.
+    # Recorders that the interrupted run did not have stay off.
+    settings = {kind.name: False for kind in RECORDERS} | settings
     if set(settings) != set(KEPT):
         raise RunFolderError(
             f"'{folder / 'scene.json'}': was not written by 'warpcrete run' and cannot be resumed by it; "
@@ -178,7 +179,7 @@ def pipeline_report(run: Run, settings: dict[str, Any]) -> list[tuple[str, str]]
 
 
 def report(run: Run, more: Iterable[tuple[str, str]] = ()) -> None:
-    """Print the main results of a run; `more` holds labels and texts that follow the method's own report."""
+    """Print the main results of a run; `more` holds labels and texts that are printed after the method's own report."""
     result = run.result
 
     def show(label: str, text: str) -> None:

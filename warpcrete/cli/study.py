@@ -37,7 +37,7 @@ SETTINGS = {
 
 
 WHERE = ("processes", *ON_WORKERS)
-"""Settings that determine where cases run; they may change when a study is continued."""
+"""Settings that determine on which devices or machines cases run; they may change when a study is continued."""
 
 
 def _where(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -110,7 +110,7 @@ def report(study: Study) -> None:
 
 
 def single(options: dict[str, list[str]], kinds: Mapping[str, Any]) -> dict[str, Any]:
-    """Remove the settings that take a single value from `options`, and return them converted."""
+    """Remove those settings from `options` that take a single value, and return the converted values."""
     found = {}
     for name in kinds.keys() & options.keys():
         values = options.pop(name)

@@ -93,7 +93,7 @@ def run(
 
 
 def _share(given: float | None, name: str) -> float:
-    """Return the share of aggregate in the volume, as stated or from the mix of a concrete."""
+    """Return the share of aggregate in the concrete's volume, as stated by the user or from the concrete's mix."""
     if given is not None:
         return given
     mix = mix_named(name)
@@ -104,7 +104,7 @@ def _share(given: float | None, name: str) -> float:
 
 
 def growth_of(rest: float | None, thixotropy: float | None) -> float:
-    """Return A_thix [Pa/s], stated or usual; refuse a stated value without a time of rest."""
+    """Return A_thix [Pa/s], either stated or the usual value; refuse a stated value if no time of rest is given."""
     if thixotropy is not None and rest is None:
         refuse("thixotropy", thixotropy, "needs the time of rest", "add, for example, --rest 600")
     return THIXOTROPY if thixotropy is None else thixotropy

@@ -1,4 +1,4 @@
-"""Command `warpcrete trade`: speed against accuracy of a scene, measured within a limited time."""
+"""Command `warpcrete trade`: trade-off between speed and accuracy of a scene, measured within a limited time."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def seconds(text: str) -> float:
 
 
 def run(arguments: list[str], modules: dict[str, Any]) -> None:
-    """Start or continue a trade-off of speed against accuracy, and print its tables."""
+    """Start or continue a trade-off between speed and accuracy, and print its tables."""
     scene, options = parsed(arguments)
     quiet = options.pop("quiet", None) is not None
     settings = single(options, ONE)

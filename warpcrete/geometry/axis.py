@@ -195,7 +195,7 @@ class Axis:
         return points, tangents, np.cross(sides, tangents), sides
 
     def carried(self, s: np.ndarray | float, side: np.ndarray) -> np.ndarray:
-        """Return the unit normal `side` of the axis' start, transported along the axis without twist.
+        """Return the unit normal `side` at the start of the axis, transported along the axis without twist.
 
         The result holds the normals at the arc lengths `s` [m], shape (n, 3).
         """
@@ -203,7 +203,8 @@ class Axis:
         found, begin = np.empty((len(s), 3)), 0.0
         for segment in self.segments():
             piece = segment["piece"]
-            # Each piece fills all places beyond its start, and the next piece overwrites those beyond its own start.
+            # Each piece fills in the results at all arc lengths beyond the piece's start; the next piece then
+            # overwrites the results beyond its own start.
             beyond = s >= begin if begin > 0 else np.ones(len(s), bool)
             turn = np.zeros(np.count_nonzero(beyond))
             hinge = np.zeros(3)
@@ -251,8 +252,8 @@ class Axis:
         """Return a triangle mesh of the pipe's inner surface, open at both ends, with normals inward.
 
         The vertices lie on circles of `radius` [m] with `facets` facets each. Along bends the facets are as long as
-        they are wide. The tube starts `before` [m] ahead of the axis and ends `after` [m] behind it. The result holds
-        vertices [m], shape (v, 3), and faces, shape (f, 3).
+        they are wide. The tube extends `before` [m] beyond the start of the axis and `after` [m] beyond the end of the
+        axis. The result holds vertices [m], shape (v, 3), and faces, shape (f, 3).
         """
         between("facets", facets, 3, 100_000)
         width = 2 * np.pi * radius / facets

@@ -12,12 +12,14 @@ from .axis import Arc, Axis
 FACETS = 32
 """Number of facets around the circumference of a pipe that is drawn with triangles."""
 FINE = 400
-"""Number of arc lengths at which the volume of a pipe is tabulated to find where a given part of it ends."""
+"""Number of arc lengths at which the volume of a pipe is tabulated to find the arc length at which a given share of the
+volume ends.
+"""
 
 
 @dataclass(frozen=True)
 class Bores:
-    """Inner radius of a pipe along its axis, linear between given arc lengths and constant before and behind them."""
+    """Inner radius of a pipe along its axis: linear between given arc lengths, and constant beyond them."""
 
     places: tuple[float, ...]
     """Arc lengths at which the radius is given, increasing [m]."""
@@ -82,8 +84,9 @@ class Bores:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return a triangle mesh of the wall that encloses the same volume as the round pipe.
 
-        The mesh is open at both ends and its normals point inward. It starts `before` [m] ahead of the axis and ends
-        `after` [m] behind it. The result holds vertices [m], shape (v, 3), and faces, shape (f, 3).
+        The mesh is open at both ends and its normals point inward. The mesh extends `before` [m] beyond the start of
+        the axis and `after` [m] beyond the end of the axis. The result holds vertices [m], shape (v, 3), and faces,
+        shape (f, 3).
         """
         return self.mesh_between(axis, -before, axis.length + after, facets)
 

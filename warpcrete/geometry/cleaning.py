@@ -26,7 +26,7 @@ def clean(
 
     Args:
         vertices: Corners [m], shape (v, 3).
-        faces: Corner numbers of each triangle, shape (f, 3).
+        faces: Corner indices of each triangle, shape (f, 3).
         tolerance: Distance below which two corners are merged, and height below which a triangle has no area [m]; the
             default is :func:`default_tolerance` of the mesh.
 
@@ -48,7 +48,7 @@ def clean(
 
 
 def merged_corners(vertices: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return for each corner the lowest number of all corners at the same place, shape (v,).
+    """Return for each corner the lowest index of all corners at the same place, shape (v,).
 
     Corners whose coordinates all differ by less than half the `tolerance` [m] are always merged. Corners with a
     coordinate that differs by more than the tolerance are merged only through corners between them.
@@ -71,7 +71,7 @@ def merged_corners(vertices: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 def _cells(places: np.ndarray) -> np.ndarray:
-    """Return the number of the unit cell that holds each of `places` (n, 3); only occupied cells are numbered."""
+    """Return the index of the unit cell that holds each of `places` (n, 3); only occupied cells are counted."""
     number = np.zeros(len(places), np.int64)
     for axis in np.floor(places).astype(np.int64).T:
         _, column = np.unique(axis, return_inverse=True)

@@ -15,7 +15,7 @@ itself."""
 
 
 def meeting(axis: Axis, spans: Sequence[tuple[float, float, int]], gap: float = 0.0) -> tuple[int, int] | None:
-    """Return the numbers, from 0, of the first two spans of a pipe whose walls are closer than `gap` [m], or None.
+    """Return the indices of the first two spans of a pipe whose walls are closer than `gap` [m], or None.
 
     A span is a section of the pipe, given by its length [m], its diameter [m] and the number of points along it.
     Between these points the axis is taken to be straight. Each span begins where the one before it ends.

@@ -27,7 +27,7 @@ def through(points: np.ndarray, tangent: np.ndarray) -> list[Line | Arc]:
 
 
 def begins(points: np.ndarray) -> np.ndarray:
-    """Return the unit tangent at the first of `points` (n, 3): that of the circle through the first three points."""
+    """Return the unit tangent, at the first of `points` (n, 3), of the circle through the first three points."""
     chord = _unit(points[1] - points[0])
     if len(points) == 2:
         return chord

@@ -10,20 +10,22 @@ from .cleaning import clean, default_tolerance, merged_corners
 from .meshes import FARTHEST_WALL, SurfaceQueries
 
 WIDEST_ERROR = 0.1
-"""Largest difference between the bore of a mesh and the pipe it stands for, as a share of the pipe's radius."""
+"""Largest difference between the bore of a mesh and the pipe that the mesh represents, as a share of the pipe's
+radius.
+"""
 AROUND = 24
 """Number of directions in which the wall's distance is measured at each cross-section."""
 INSET = 1e-3
 """Distance in radii that cross-sections keep from a rim or lid, because rays exactly there may miss the wall."""
 SHORT = 0.02
-"""Length in radii by which a mesh may be shorter than the part it stands for."""
+"""Length in radii by which a mesh may be shorter than the pipeline part that the mesh represents."""
 ACROSS, NEAR = 0.9, 0.1
 """Limits that identify a facet of a lid: the cosine between its normal and the axis must exceed the first number, and
 the facet must lie beyond an end of the pipe or nearer to it than the second number in radii."""
 SEEN = 1e-3
 """Distance in radii in front of a facet within which another surface does not hide the facet."""
 OFFSET = 1e-4
-"""Distance in radii, on both sides of a facet, of the points from which its visibility is tested."""
+"""Distance in radii from a facet, on both of its sides, of the points from which the facet's visibility is tested."""
 CORNERS = 0.8
 """Weight of a corner in a mean of a triangle's corner and centre. At these means, and at the centre, the visibility of
 the triangle is tested."""
@@ -38,7 +40,7 @@ class InnerSurface:
 
     Args:
         vertices: Corners of the mesh [m], shape (v, 3).
-        faces: Corner numbers of each triangle, shape (f, 3).
+        faces: Corner indices of each triangle, shape (f, 3).
         axis: The pipe's axis, straight at both ends.
         radius: Approximate radius of the bore [m].
         field: Name of the field that error messages show.
@@ -77,7 +79,7 @@ class InnerSurface:
         self.faces = corners.reshape(-1, 3)
         """Triangles of the inner surface, shape (m, 3)."""
         self.origin = origin[kept]
-        """Number of each triangle of the inner surface in the original mesh, shape (m,)."""
+        """Index in the original mesh of each triangle of the inner surface, shape (m,)."""
         self._queries = SurfaceQueries(self.vertices, self.faces)
 
     def sections(self, s: np.ndarray, around: int = AROUND) -> np.ndarray:
@@ -140,7 +142,7 @@ class InnerSurface:
         return begin, end
 
     def _rim(self, closed: float, beyond: float) -> float:
-        """Return the arc length [m] at which closed cross-sections end, by bisection between two places.
+        """Return the arc length [m] at which closed cross-sections end, found by bisection between two arc lengths.
 
         The cross-section at `closed` is closed; `beyond` lies at or outside the end.
         """
@@ -184,9 +186,9 @@ class InnerSurface:
         """Refuse an inner surface with open edges between its ends.
 
         An open edge is either a hole in the mesh, or an edge that hides a part of the wall from the axis. `vertices`
-        and `faces` are those of the original mesh. `whole` holds the numbers of its triangles with an area, and `kept`
-        those of the inner surface. Triangles without area are counted too, because they close edges that CAD programs
-        have split.
+        and `faces` are those of the original mesh. `whole` holds the indices of the original triangles that have an
+        area, and `kept` the indices of the inner surface's triangles. Triangles without area are counted too, because
+        they close edges that CAD programs have split.
         """
         corners = np.sort(merged_corners(vertices, default_tolerance(vertices))[faces], axis=1)
         _, first = np.unique(corners, axis=0, return_index=True)
@@ -211,7 +213,7 @@ class InnerSurface:
                    "from its start", "fill the undercut")  # fmt: skip
 
     def _seen(self, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-        """Return the numbers of the facets of the inner surface: visible from the axis and not part of a lid."""
+        """Return the indices of the facets of the inner surface: visible from the axis and not part of a lid."""
         corners = vertices[faces]
         middles = corners.mean(axis=1)
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

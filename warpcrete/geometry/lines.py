@@ -30,9 +30,10 @@ BLOCKING = 3.0
 """Ratio of pipe diameter to largest stone below which pipes are known to block. ACI 304.2R requires 3 for crushed
 stone."""
 CURVED = ((0.0, 0.15, 0.3, 0.6), (0.0, 0.023, 0.042, 0.125))
-"""Additional pressure loss of a bend, relative to straight pipe of its length (second row), against the pipe's diameter
-over the bend's radius (first row). Source: simulated flows of the concrete no1, the highest loss of three concretes,
-through bends of 150 mm pipe at 30 m3/h. The loss of a hose is computed from this table."""
+"""Additional pressure loss of a bend, relative to straight pipe of its length (second row), by the pipe's diameter over
+the bend's radius (first row). Source: simulated flows of the concrete no1, the highest loss of three concretes, through
+bends of 150 mm pipe at 30 m3/h. The loss of a hose is computed from this table.
+"""
 ASKEW = 20.0
 """Largest angle between a line and the first direction of a hose's points at which the hose still continues the line
 without a kink [degrees]."""
@@ -97,7 +98,7 @@ class Part:
 
     @property
     def alike(self) -> tuple[Any, ...]:
-        """Key that is equal for parts with equal pressure loss; straight parts are compared per metre."""
+        """Key that is equal for parts with equal pressure loss; straight parts are compared by their loss per metre."""
         if self.by_length:
             return ("straight", self.diameter, self.layer)
         shape = self.mesh.digest if self.mesh else ""
@@ -137,7 +138,7 @@ class PipeLine:
 
     @property
     def clear(self) -> Bores:
-        """Radii along the axis of the largest circles about the axis that are free of the wall."""
+        """Radii of the largest circles about the axis that do not touch the wall, along the axis."""
         return self._profile("least")
 
     def _profile(self, of: str) -> Bores:
@@ -197,7 +198,7 @@ def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
 def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path()) -> PipeLine:
     """Build a line from the entries of its file.
 
-    Required are `parts`, a list of mappings from a kind to its entries, and `diameter`, that of the first part.
+    Required are `parts`, a list of mappings from a kind to its entries, and `diameter`, the diameter of the first part.
     Optional are `begin`, the direction in which the line starts, and `flow`, `concrete`, `largest_stone`, `source` and
     `recorded`. Mesh files are searched for in `folder`. Raises :class:`SceneError` if an entry is wrong or the parts do
     not fit.
@@ -256,7 +257,7 @@ def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
 
 
 def _text(given: Mapping[str, Any], field: str, default: str) -> str:
-    """Return a text without control characters for terminals, or the default if the entry is missing."""
+    """Return a text without the control characters of terminals, or the default if the entry is missing."""
     found = given.get(field, default)
     if isinstance(found, Mapping | list):
         with within(given, field):
@@ -287,7 +288,7 @@ class _Course:
         self.pieces: list[Line | Arc] = []
 
     def add(self, number: int, entry: Any) -> None:
-        """Append a part to the line, given as its entry in the file."""
+        """Append a part, given by its entry in the pipeline file, to the line."""
         if not isinstance(entry, Mapping) or len(entry) != 1:
             refuse(f"part {number}", entry, f"must be one of {', '.join(PARTS)} with its properties",
                    "for example '- straight: {length: 10 m}'")  # fmt: skip
@@ -364,7 +365,7 @@ class _Course:
             self.heading = level / np.linalg.norm(level)
 
     def _hose(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
-        """Return a hose as a curve through points, given relative to its start as ahead, left and up."""
+        """Return a hose as a curve through points, given relative to the hose's start as forward, left and up."""
         field = f"part {number}, hose"
         given = said.get("points")
         if not isinstance(given, Sequence) or isinstance(given, str) or not given:

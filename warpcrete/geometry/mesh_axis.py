@@ -19,14 +19,14 @@ ADVANCE = 0.25
 FINEST = 1 / 256
 """Smallest step, in radii, of the search for the last cross-section before the end of a bore."""
 SHORTEST = ADVANCE / 16
-"""Smallest distance between neighbouring cross-sections, in radii, while a bore is followed."""
+"""Smallest distance between neighbouring cross-sections, in radii, in the search along a bore."""
 TURNS, TURN = 6, 0.4
 """Number of times a new cross-section is turned towards the local direction of the bore, and the fraction of the
 remaining angle by which it is turned each time."""
 SHARPEST = 0.6
 """Largest angle between the directions of neighbouring cross-sections [rad]."""
 BEYOND = (0.1, 0.3)
-"""Distances behind an end of a bore, in radii, at which no wall may surround the axis."""
+"""Distances beyond an end of a bore, in radii, at which no wall may surround the axis."""
 MOST = 4000
 """Largest number of cross-sections of a bore."""
 ROUNDS = 3
@@ -54,7 +54,7 @@ class Sections:
     """Cross-sections of a bore, in order from its start to its end."""
 
     ahead: np.ndarray
-    """Unit direction of the bore at its start, shape (3,)."""
+    """Unit vector along the bore at its start, shape (3,)."""
     points: np.ndarray
     """Centres of the cross-sections [m], shape (n, 3)."""
     radii: np.ndarray
@@ -66,13 +66,13 @@ def follow(
 ) -> Sections:
     """Follow a bore from a point on its axis to its end, section by section.
 
-    Each cross-section is perpendicular to the local direction of the bore and is measured by rays from its centre, so
-    that outer skins, rims and lids have no influence. The bore ends where a cross-section is open; this is also the
-    case behind a lid.
+    Each cross-section is perpendicular to the local direction of the bore and is measured by rays from the centre of
+    the cross-section, so that outer skins, rims and lids have no influence. The bore ends where a cross-section is
+    open; this is also the case behind a lid.
 
     Args:
         vertices: Corners of the mesh [m], shape (v, 3).
-        faces: Corner numbers of each triangle, shape (f, 3).
+        faces: Corner indices of each triangle, shape (f, 3).
         start: Point on the axis where the bore begins [m], shape (3,).
         ways: Unit directions in which the axis may start, shape (3,) each; the first that leads into the bore is taken.
         field: Name of the field that error messages show.
@@ -85,8 +85,8 @@ def follow(
     ahead, radius = _first_way(queries, start, ways, float(np.ptp(vertices, axis=0).max()), field, name)
     points, radii = _march(queries, start, ahead, radius, field, name)
     _square(queries, points, radii, ahead)
-    # The last cross-section found while following the bore may be tilted by as much as the bore turns within one step.
-    # Now that its direction is corrected, a closed cross-section may be possible nearer to the end.
+    # The last cross-section found in the search may be tilted by as much as the bore turns within one step. Now that
+    # its direction is corrected, a closed cross-section may exist nearer to the end.
     points, radii = _to_the_end(queries, points, radii, directions(points, ahead))
     _square(queries, points, radii, ahead)
     last = directions(points, ahead)[-1]
@@ -109,7 +109,7 @@ def _square(queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, ahea
 def _to_the_end(
     queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, tangents: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Advance the last cross-section towards the end, as long as it stays closed and keeps its size."""
+    """Move the last cross-section towards the end of the bore, as long as it stays closed and keeps its size."""
     bend = (tangents[-1] - tangents[-2]) / np.linalg.norm(points[-1] - points[-2])
     step, far, found = 0.5 * ADVANCE * radii[-1], 0.0, None
     while step > FINEST / 4 * radii[-1]:
@@ -153,7 +153,7 @@ def pieces_through(points: np.ndarray, ahead: np.ndarray, radius: float) -> tupl
 
 
 def directions(points: np.ndarray, ahead: np.ndarray) -> np.ndarray:
-    """Return unit tangents at points (n, 3) of a curve, from parabolas through neighbours; the first is `ahead`."""
+    """Return unit tangents of a curve at points (n, 3), from parabolas through neighbours; the first is `ahead`."""
     found = np.empty_like(points)
     count = len(points)
     for k in range(count):
@@ -227,7 +227,7 @@ def _march(
 def _advanced(
     queries: SurfaceQueries, points: list[np.ndarray], tangent: np.ndarray, step: float, radius: float
 ) -> tuple[np.ndarray, float, np.ndarray] | None:
-    """Return centre, radius and direction of the section one `step` [m] ahead, or None if no closed one exists.
+    """Return centre, radius and direction of the section one `step` [m] further on, or None if none there is closed.
 
     The section is turned perpendicular to the parabola through its own centre and two earlier ones. In a cone, the
     centre of a tilted section is displaced from the axis by up to the radius times the slope. The iteration therefore
@@ -264,7 +264,7 @@ def _slope(points: list[np.ndarray], last: np.ndarray, apart: float, tangent: np
         before = chosen[1] - chosen[2]
         behind = float(np.linalg.norm(before))
         # The slope of a parabola at its end is the slope of the last chord plus the change of slope from the previous
-        # chord, weighted with the length of the last chord over that of both.
+        # chord, weighted with the length of the last chord over the length of both chords.
         slope = slope + (slope - before / behind) * length / (length + behind)
     return slope / np.linalg.norm(slope)
 
@@ -276,7 +276,7 @@ def _length(points: list[np.ndarray]) -> float:
 def _check_open(
     queries: SurfaceQueries, end: np.ndarray, outward: np.ndarray, radius: float, field: str, name: str, *words: str
 ) -> None:
-    """Refuse a bore that continues behind one of its ends, where most rays must not meet any wall."""
+    """Refuse a bore that continues beyond one of its ends, where most rays must not meet any wall."""
     normal, side = _across(outward)
     places = end + radius * np.array(BEYOND)[:, None] * outward
     missed = queries.around(places, normal[[0, 0]], side[[0, 0]], AROUND, FARTHEST_WALL * radius) < 0
@@ -323,7 +323,7 @@ def _longest(
     attempt: Callable[..., Curve], points: np.ndarray, tangents: np.ndarray, here: int, position: np.ndarray,
     tangent: np.ndarray, allowed: float,
 ) -> tuple[Curve, int]:  # fmt: skip
-    """Return the curve of one kind that spans the most points from point `here` on, and the last point's number."""
+    """Return the curve of one kind that spans the most points from point `here` on, and the last point's index."""
     best, reached = None, here
     step, last = 1, len(points) - 1
     while step > 0 and reached < last:

@@ -43,12 +43,12 @@ WAYS: tuple[Way, ...] = (
     (0.0, 0.0, -1.0),
     (0.0, -1.0, 0.0),
 )
-"""Directions in which the bore of a mesh may lead away from its origin."""
+"""Directions in which the bore of a mesh may start at the mesh's origin."""
 
 
 @dataclass(frozen=True)
 class MeshBore:
-    """Bore of a mesh that is one part of a pipeline."""
+    """Bore of a mesh; the mesh is one part of a pipeline."""
 
     file: str
     """Absolute path of the mesh file."""
@@ -222,9 +222,9 @@ def wall_of(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return vertices [m] (v, 3) and faces (f, 3) of the wall of a pipe that contains mesh bores.
 
-    Between the meshes lies round pipe with `facets` facets and the volume of the exact pipe. Its ends overlap slightly
-    with the meshes, so that the wall has no gap. The wall starts `before` [m] ahead of the axis and ends `after` [m]
-    behind it. :func:`directions_at` defines how the meshes are oriented.
+    Between the meshes lies round pipe with `facets` facets and the volume of the exact pipe. The ends of the round pipe
+    overlap slightly with the meshes, so that the wall has no gap. The wall extends `before` [m] beyond the start of the
+    axis and `after` [m] beyond the end of the axis. :func:`directions_at` defines how the meshes are oriented.
     """
     parts, begin = [], -before
     for insert in inserts:

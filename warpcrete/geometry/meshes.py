@@ -53,7 +53,7 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
                 mesh = trimesh.load_mesh(path)
                 if isinstance(mesh, trimesh.Scene):
                     mesh = mesh.to_mesh()
-        except Exception as error:  # Trimesh passes on any error of its readers.
+        except Exception as error:  # Catch every error, because trimesh passes on any error of its readers.
             # A file in an unknown format fails in the last reader that trimesh tries, perhaps with an ImportError
             # because that reader is not installed.
             why = (
@@ -86,7 +86,7 @@ def _check_size(mesh: trimesh.Trimesh, field: str, name: str, scale: float) -> N
 
 
 def border_edges(mesh: trimesh.Trimesh) -> np.ndarray:
-    """Return the edges that belong to exactly one triangle, as pairs of corner numbers, shape (n, 2)."""
+    """Return the edges that belong to exactly one triangle, as pairs of corner indices, shape (n, 2)."""
     edges = mesh.edges_sorted
     unique, count = np.unique(edges, axis=0, return_counts=True)
     return unique[count == 1]
@@ -157,7 +157,7 @@ def _stations(radius: float, end: float, begin: float = 0.0) -> np.ndarray:
 
 
 def bore_probes(mesh: Any, axis: Axis, radius: float, end: float, around: int = 12, begin: float = 0.0) -> np.ndarray:
-    """Return distances [m] from an axis to a mesh at places between two arc lengths, -1 where a ray meets nothing.
+    """Return distances [m] from an axis to a mesh at places between two arc lengths, -1 where a ray meets no wall.
 
     `mesh` is any object with `vertices` (v, 3) and `faces` (f, 3), and `radius` is the expected radius [m]. The result
     has one row for each place along the axis and one column for each of the `around` directions.
@@ -178,9 +178,9 @@ def enclosed(wall: PipeWall | MeshWall, axis: Axis, points: np.ndarray) -> np.nd
 
 
 def faces_at(mesh: Any, points: np.ndarray, reach: float) -> np.ndarray:
-    """Return the number of the mesh's triangle nearest to each of `points` (n, 3) [m], in single precision.
+    """Return the index of the mesh's triangle nearest to each of `points` (n, 3) [m], in single precision.
 
-    `mesh` is any object with `vertices` (v, 3) and `faces` (f, 3). The number is -1 where no triangle lies within
+    `mesh` is any object with `vertices` (v, 3) and `faces` (f, 3). The index is -1 where no triangle lies within
     `reach` [m].
     """
     surface = _warp_mesh(mesh, "cpu")

@@ -1,4 +1,4 @@
-"""Pipelines simulated as one pipe: run parameters taken from its file or mesh, and limits of its course."""
+"""Pipelines simulated as one pipe: parameters that follow from the line's file or mesh, and limits of its shape."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def said_by_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) -> dict[
 
 
 def ends(line: PipeLine) -> np.ndarray:
-    """Return the arc lengths at which the parts of a line begin, and that of its end [m], shape (parts + 1,)."""
+    """Return the arc lengths at which the parts of a line begin, and that of the line's end [m], shape (parts + 1,)."""
     return np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
 
 

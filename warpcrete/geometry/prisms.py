@@ -34,7 +34,7 @@ class Solid:
     def without(self, *edges: int) -> np.ndarray:
         """Return all faces except those of some sides, shape (4 n - 2 edges, 3).
 
-        The numbers in `edges` are those of edges of the rings; edge 0 begins at corner 0.
+        `edges` holds the indices of ring edges whose sides are left out; edge 0 begins at corner 0.
         """
         left = np.delete(self.sides.reshape(-1, 2, 3), list(edges), axis=0).reshape(-1, 3)
         return np.concatenate([left, self.ends])

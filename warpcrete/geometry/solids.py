@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # Importing trimesh takes half a second.
 
 
 def without_cavities(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Return a closed mesh without the surfaces that lie inside others, and with all normals outward.
+    """Return a closed mesh without surfaces that lie inside other surfaces, and with all normals outward.
 
     A clump of spheres touches other bodies only with its outer surface, so that a hollow stone is treated as solid.
     """
@@ -39,7 +39,7 @@ def without_cavities(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def _connected(faces: np.ndarray, corners: int) -> list[np.ndarray]:
-    """Return the connected components of a mesh, each as the numbers of the faces linked by common corners."""
+    """Return the connected components of a mesh, each as the indices of faces that are linked by common corners."""
     label = np.arange(corners)
     while True:
         lowest = label[faces].min(axis=1)

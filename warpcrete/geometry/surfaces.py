@@ -27,7 +27,7 @@ class Surfaces:
         return self._face_count
 
     def add(self, vertices: np.ndarray, faces: np.ndarray, wall: int) -> int:
-        """Add a mesh without coincident corners or repeated faces; return the number of its first face."""
+        """Add a mesh without coincident corners or repeated faces, and return the index of its first face."""
         first_corner, first_face = self._corner_count, self._face_count
         ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1).astype(np.int64)
         far = np.roll(faces, -2, axis=1).ravel()
@@ -60,28 +60,28 @@ class Surfaces:
         return np.concatenate([np.empty((0, 3)), *self._corners])
 
     def faces(self) -> np.ndarray:
-        """Return the corner numbers of each face, shape (faces, 3)."""
+        """Return the corner indices of each face, shape (faces, 3)."""
         return np.concatenate([np.empty((0, 3), np.int32), *self._faces]).astype(np.int32)
 
     def across(self) -> np.ndarray:
         """Return the neighbours across the three edges of each face, shape (faces, 6).
 
         The first three entries are the corners opposite to the edges in the neighbouring faces; the last three are the
-        numbers of these faces. At an edge without a neighbour the corner is `BORDER`. At an edge shared by three or
+        indices of these faces. At an edge without a neighbour the corner is `BORDER`. At an edge shared by three or
         more faces, the corner is ``SHARED - row``, where `row` is the edge's row in `ring`.
         """
         across = np.concatenate([np.empty((0, 6), np.int64), *self._across])
         return np.where(across <= int(SHARED), across - self._corner_count, across).astype(np.int32)
 
     def owner(self) -> np.ndarray:
-        """Return the number of the wall to which each face belongs, shape (faces,)."""
+        """Return the index of the wall to which each face belongs, shape (faces,)."""
         return np.concatenate([np.empty(0, np.int32), *self._owner]).astype(np.int32)
 
     def ring(self) -> np.ndarray:
         """Return adjacency rows of all corners, then of all edges shared by three or more faces, concatenated.
 
-        A row begins with the lowest number of its adjacent faces, counted within their mesh. In the row of a corner,
-        the other ends of its edges follow; in the row of an edge, the opposite corners of its faces follow.
+        A row begins with the lowest index, within the mesh, of the faces next to the corner or edge. In the row of a
+        corner, the other ends of its edges follow; in the row of an edge, the opposite corners of its faces follow.
         """
         return np.concatenate([np.empty(0, np.int32), *self._rows()]).astype(np.int32)
 
@@ -94,7 +94,7 @@ class Surfaces:
 
 
 def _rings(count: int, faces: np.ndarray, edges: np.ndarray, first_corner: int) -> list[np.ndarray]:
-    """Return the adjacency row of each of `count` corners: its lowest face, then the other ends of its edges."""
+    """Return the adjacency row of each of `count` corners: the lowest face index, then the edges' other ends."""
     lowest = np.full(count, len(faces))
     np.minimum.at(lowest, faces.ravel(), np.repeat(np.arange(len(faces)), 3))
     here = np.concatenate([np.arange(count), edges.ravel()])

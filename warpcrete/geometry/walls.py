@@ -116,7 +116,7 @@ class Driven:
 Motion = Prescribed | Driven
 
 AddAxis = Callable[[Axis], tuple[int, int]]
-"""Function that adds a pipe's axis to the device's table of segments and returns its range there."""
+"""Function that adds a pipe's axis to the device's table of segments and returns the range of the axis in the table."""
 
 
 class _Wall:
@@ -228,7 +228,7 @@ class PipeWall(_Wall):
 
     @property
     def reference_points(self) -> np.ndarray:
-        # A pipe wall may translate but not rotate, so that all of its points have the same speed.
+        # All points of a pipe wall have the same speed, because a pipe wall may translate but not rotate.
         return np.array([self.motion.pivot if isinstance(self.motion, Prescribed) else (0.0, 0.0, 0.0)])
 
     def fill(self, row: Any, add_axis: AddAxis) -> None:
@@ -253,7 +253,7 @@ class MeshWall(_Wall):
     vertices: np.ndarray
     """Corners of the mesh [m] in the wall's frame, which initially coincides with the world's, shape (v, 3)."""
     faces: np.ndarray
-    """Corner numbers of each triangle, shape (f, 3)."""
+    """Corner indices of each triangle, shape (f, 3)."""
     material: str = "wall"
     motion: Motion | None = None
 

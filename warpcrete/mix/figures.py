@@ -23,7 +23,7 @@ class Figure:
     """Lower and upper end of the band in which the true value is expected, in `unit`."""
     unit: str
     way: str
-    """Entry of the mix from which the value follows."""
+    """Entry of the mix from which the value is calculated."""
     source: str
     """Author of the relation, and how reliable the value is."""
     instrument: str = "rheometer"
@@ -40,7 +40,7 @@ class Figure:
 
 
 def short(value: float) -> str:
-    """Format a number with three significant digits, without an exponent where readers expect none."""
+    """Format a number with three significant digits, and without an exponent if readers expect none."""
     return f"{float(f'{value:.3g}'):g}"
 
 
@@ -50,9 +50,9 @@ def around(name: str, value: float, off: float, unit: str, way: str, source: str
 
 
 def agreed(candidates: list[Figure]) -> tuple[Figure, list[str]]:
-    """Return the first of several values for one property, and remarks on differences between them.
+    """Return the first of several values for one property, and remarks on differences between the values.
 
-    The candidates come from different entries of the mix. Raises :class:`SceneError` if the bands of two of them
+    The candidates come from different entries of the mix. Raises :class:`SceneError` if the bands of two candidates
     contradict each other. Between a rheometer and a cone, bands may differ by a factor of :data:`INSTRUMENTS`.
     """
     first, remarks = candidates[0], []

@@ -20,7 +20,7 @@ T = TypeVar("T")
 UNITS = {"yield_stress": "Pa", "viscosity": "Pa s"}
 SLIPPED = {"speed": "m/s", "stress": "Pa"}
 SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity"}
-"""Names under which limits are stated for the constants of a slip layer."""
+"""Names by which the table of limits holds the constants of a slip layer."""
 SHEARED = {"rate": "1/s", "stress": "Pa"}
 """Columns of points measured with a viscometer, with their SI units."""
 
@@ -70,7 +70,7 @@ SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crush
 """Words for the shape of stones, with the shapes that discrete elements use for them. A numeric shape factor stands for
 a row of spheres."""
 FINEST, COARSEST = 1e-3, 0.3
-"""Smallest and largest stone that counts as coarse aggregate [m]."""
+"""Smallest and largest size of stones that count as coarse aggregate [m]."""
 PACKED = 0.57
 """Volume fraction of equal spheres in random loose packing (Mahaut et al. 2008); no concrete has more coarse
 aggregate."""
@@ -79,7 +79,7 @@ GRAVEL = 2650.0
 OFF = 0.03
 """Relative difference allowed between two densities that should be equal."""
 MORTARS = (1200.0, 2800.0)
-"""Smallest and largest possible density of a mortar [kg/m3]."""
+"""Smallest and largest density of mortar that is possible [kg/m3]."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class Given:
     density: float
     """Density of the concrete [kg/m3]."""
     summed: bool
-    """Whether the density is the sum of the ingredients."""
+    """True if the density was calculated as the sum of the ingredients."""
     share: float | None
     """Coarse aggregate as a share of the concrete's volume."""
     aggregate_density: float

@@ -19,7 +19,7 @@ from .rheology import layer, mortar, unknown_viscosity, viscosities, yield_stres
 
 FLOW = {"density": "density", "viscosity": "viscosity", "yield_stress": "yield stress",
         "slip_viscosity": "slip viscosity", "slip_yield": "slip yield"}  # fmt: skip
-"""Names of the constants of a flow, each with the name of the corresponding property of a mix."""
+"""Names of the constants of a flow; each is mapped to the name of the same property of a mix."""
 UNITS = {"density": "kg/m3", "viscosity": "Pa s", "yield_stress": "Pa", "slip_viscosity": "Pa s/m", "slip_yield": "Pa"}
 COLUMNS = ("quantity", "value", "unit", "band", "from", "source")
 
@@ -136,12 +136,12 @@ def read_mix(name: Path | str) -> Mix:
 
 
 def mix_named(name: str) -> Mix | None:
-    """Return the mix of a concrete, given by its name or path, or None if it has no mix; `own` has none."""
+    """Return the mix of a concrete given by its name or path, or None if the concrete has no mix, like `own`."""
     return None if name == "own" else mix_in(concrete(name))
 
 
 def mix_in(found: NamedConcrete) -> Mix | None:
-    """Return the mix of a concrete, or None if it has no mix.
+    """Return the mix of a concrete, or None if the concrete has no mix.
 
     Constants in the concrete's own section `flow` take precedence over those calculated from the mix.
     """
@@ -187,7 +187,7 @@ def mix_of(
 
 
 def _named(key: str, value: Any) -> Figure:
-    """Return a constant of the section `flow` as a property without uncertainty."""
+    """Return a constant that a section `flow` states as a property without uncertainty."""
     value = amount(f"concrete flow {key}", value, UNITS[key])
     if key in ("yield_stress", "slip_yield"):
         between(f"concrete flow {key}", value, 0, math.inf, UNITS[key])

@@ -33,10 +33,11 @@ READ_SLUMP, READ_SPREAD, READ_TIME = 0.01, 0.02, 0.5
 """Possible reading errors of slump [m], spread [m] and T500 [s]; EN 12350-2 and -8 give a repeatability of 16 to 42
 mm."""
 ROUGHEST, EASIEST = (3.25, PACKED), (2.5, 0.65)
-"""Intrinsic viscosity and densest packing at the ends of the band of the mortar's thickening by aggregate. The upper
-end stands for rough grains: an intrinsic viscosity a third above that of spheres, which is a choice (ascribed to
-Barnes, Hutton & Walters 1989, for ground gypsum; not seen), in the packing of equal spheres (Mahaut et al. 2008). The
-lower end stands for spheres of mixed sizes."""
+"""Intrinsic viscosity and densest packing for the lower and the upper end of the band of factors by which aggregate
+thickens mortar. The upper end stands for rough grains: an intrinsic viscosity a third above that of spheres, which is a
+choice (ascribed to Barnes, Hutton & Walters 1989, for ground gypsum; not seen), in the packing of equal spheres (Mahaut
+et al. 2008). The lower end stands for spheres of mixed sizes.
+"""
 SLOWER = 1.3
 """Factor by which the relation for T500 may be wrong, because of inertia and of lifting the cone in 1 to 3 s, as found
 in simulations."""
@@ -100,7 +101,7 @@ def unknown_viscosity() -> Figure:
 
 
 def mortar(given: Given, concrete: Concrete, bulk: dict[str, Figure]) -> list[Figure]:
-    """Return density, viscosity and yield stress of the mortar; empty if the share of coarse aggregate is unknown."""
+    """Return density, viscosity and yield stress of the mortar; empty if the coarse aggregate's share is unknown."""
     found = []
     if given.share is None:
         return found
@@ -160,12 +161,12 @@ def _mortar(given: Given, key: str, unit: str) -> Figure | None:
 
 
 def _factors(share: float) -> tuple[tuple[float, float], ...]:
-    """Return the factors by which aggregate raises viscosity and yield stress: most likely, lowest and highest."""
+    """Return the most likely, lowest and highest factor by which aggregate raises viscosity and yield stress."""
     return tuple(thickening(share, *each) for each in (SUSPENSIONS["spheres"], EASIEST, ROUGHEST))
 
 
 def _thickened(own: Figure, given: Given, place: int, source: str) -> Figure:
-    """Return the concrete's viscosity or yield stress, calculated from its mortar's."""
+    """Return the concrete's viscosity or yield stress, calculated from the same constant of its mortar."""
     assert given.share is not None
     value, least, most = (each[place] for each in _factors(given.share))
     return Figure(own.name, value * own.value, least * own.low, most * own.high, own.unit,

@@ -17,12 +17,15 @@ from ..core.device.device import parallel
 WIDTH = 4.0
 """Width of a cube in particle spacings.
 
-With 3 the solves take a tenth fewer iterations but need twice as many cubes; with 6 they take a quarter more.
+With a width of 3 the solves take a tenth fewer iterations but need twice as many cubes. With a width of 6 they take a
+quarter more iterations.
 """
 LEAST = 12.0
-"""Minimum height of a column, in cubes, for a coarse grid; below it the diagonal preconditioner is as fast."""
+"""Minimum height of a column, in cubes, for a coarse grid; for lower columns the diagonal preconditioner is as fast."""
 ABOVE = 1.1
-"""Height of the grid of cubes, relative to the column's height; particles above belong to the topmost cubes."""
+"""Height of the grid of cubes, relative to the column's height; particles above the grid belong to the topmost
+cubes.
+"""
 
 
 class CoarseGrid:

@@ -26,18 +26,18 @@ SHEARED: dict[str, Any] = {
     "concrete": "own", "viscosity": 30.0, "yield_stress": 40.0, "slip_viscosity": 1000.0, "slip_yield": 20.0,
     "density": 2350.0,
 }  # fmt: skip
-"""Self-compacting concrete whose slip carries only 0.7 of the flow in the paper's case."""
+"""Name of a self-compacting concrete; in the paper's case, slip carries only 0.7 of its flow."""
 LEAST_SLIP = 0.9
 """Minimum ratio of slip to mean velocity for a column on a piston to keep its volume and force balance."""
 FEWEST_ACROSS = 4
-"""Minimum number of particles across a pipe when a study of accuracy against time coarsens the spacing."""
+"""Minimum number of particles across a pipe when a trade-off between accuracy and run time coarsens the spacing."""
 FLOW = 1500e-6
 """Volume flow of the paper's reference case [m3/s]."""
 TWO_PHASES = Needs("aggregates", bool, "is on")
 
 
 def twice(radius: Any) -> Any:
-    """Return the diameter for a radius; anything that is not a number is returned as it is."""
+    """Return the diameter for a radius; a value that is not a number is returned unchanged."""
     return 2 * radius if isinstance(radius, int | float) and not isinstance(radius, bool) else radius
 
 
@@ -73,7 +73,7 @@ class ConcreteParameters:
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the constants of a concrete file, so that a run's record holds them even if the file changes later."""
+        """Return the constants of a concrete file, to keep them in a run's record even if the file changes later."""
         return file_constants(values)
 
 
@@ -222,7 +222,7 @@ def column_scene(
 
 
 def _is_papers(given: FlowParameters) -> bool:
-    """Return whether this is the paper's own case, with one phase and a slip layer of zero thickness."""
+    """Return whether the scene is the paper's own case, with one phase and a slip layer of zero thickness."""
     free = {"concrete", "spacing", "flow", *(f.name for f in fields(FlowSettings))} - {"gravity", "rest"}
     other = [f.name for f in fields(given) if f.name not in free and getattr(given, f.name) != f.default]
     return not other and given.flow in (None, FLOW)
@@ -273,7 +273,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
         "volume": (abs(result["volume_error"]) < 1e-3, f"largest error {100 * result['volume_error']:+.3f} %"),
         "balance of forces": (abs(balance) < 5e-3, f"{100 * balance:+.2f} % of the piston's force is not balanced"),
     }  # fmt: skip
-    if scene.gained:  # closed-form theory does not cover structure that partly survives in the bulk
+    if scene.gained:  # The closed-form theory does not cover structure that partly survives in the bulk.
         found = {name: found[name] for name in ("volume", "balance of forces")}
         peak, least, most = number(result["restart_pressure"]), scene.theory().pressure, all_slip(scene).pressure
         # A plug that slips as a whole still has most of its layer's gained yield stress when the first sample is taken.
@@ -284,7 +284,8 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
             f"{peak / 1e3:.4g} kPa; theory: {least / 1e3:.4g} kPa without structure, {most / 1e3:.4g} kPa with all of "
             "the structure, as a plug",
         )
-    if scene.duration is None:  # a run of given duration need not be steady; the report says if it is not
+    # A run of given duration need not become steady; the report says if the flow is not steady.
+    if scene.duration is None:
         found = {"steady": (result["steady"], f"after {number(result['simulated_time']):g} s"), **found}
     if not two and not scene.gained:
         found["slip velocity"] = (abs(slip) < limit, f"off theory by {100 * slip:+.2f} % of the mean velocity")
@@ -296,7 +297,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def all_slip(scene: FluidScene) -> Steady:
-    """Return the state just after a rest in which the whole section slips as a plug on a layer that is still intact."""
+    """Return the state just after a rest, when the whole section slips as a plug on an intact layer."""
     concrete = rested(scene.concrete, scene.rest, scene.thixotropy)
     stress = concrete.slip_yield + concrete.slip_viscosity * scene.velocity
     return steady_of_stress(replace(concrete, yield_stress=max(stress, concrete.yield_stress)), scene.line, stress,
@@ -317,8 +318,9 @@ def flow_trading(dimensions: int) -> Trading:
 def _variants(given: FlowParameters, dimensions: int) -> dict[str, dict[str, Any]]:
     """Return parameters of other concretes, flows and pipes in one phase, for which theory is the reference.
 
-    With more or less flow, slip carries a larger or smaller part of it; the self-compacting concrete is sheared almost
-    everywhere. All variants keep the ends of the given flow, because its settings are applied to them.
+    With more or less flow, slip carries a larger or smaller part of the flow; the self-compacting concrete is sheared
+    almost everywhere. All variants keep the ends of the given flow, because the settings found for the given flow are
+    applied to the variants.
     """
     if given.aggregates or given.pressure is not None:
         return {}

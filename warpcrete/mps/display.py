@@ -52,13 +52,13 @@ class FlowDisplay(Display):
         x[:, -1] += self.simulation.scene.velocity * self.time
         if self.simulation.scene.dimensions == 2:
             return np.insert(x, 1, 0.0, axis=1)
-        if x.shape[1] == 2:  # a flow about the axis is two-dimensional; each particle is drawn at its own angle
+        if x.shape[1] == 2:  # A flow about the axis is two-dimensional; each particle is drawn at an angle of its own.
             angle = GOLDEN * np.arange(len(x))
             return np.stack([x[:, 0] * np.cos(angle), x[:, 0] * np.sin(angle), x[:, 1]], 1)
         return x
 
     def scale(self) -> tuple[str, float, float] | None:
-        """Return label, lowest and highest value of what the colours show, or None where they show materials."""
+        """Return label, lowest and highest value of the coloured quantity, or None if colours show materials."""
         scene, theory = self.simulation.scene, self.simulation.scene.theory()
         if self.colouring == "pressure":
             return "pressure [kPa]", 0.0, theory.pressure / 1e3
@@ -68,7 +68,7 @@ class FlowDisplay(Display):
         return None
 
     def things(self) -> dict[str, np.ndarray]:
-        """Return the colours of grains and mortar where the colours show materials."""
+        """Return the colours of grains and mortar if the colours show materials."""
         return {"coarse aggregate": GRAIN, "mortar": MORTAR} if self.scale() is None else {}
 
     def _snap(self) -> Snapshot:
@@ -90,7 +90,7 @@ class FlowDisplay(Display):
         grains = self.simulation.state.grains
         coarse = np.zeros(len(snap.height), bool) if grains is None else grains.group >= 0
         shade = np.ones(len(coarse))
-        if grains is not None:  # different shades tell neighbouring grains apart
+        if grains is not None:  # Different shades distinguish neighbouring grains.
             shade[coarse] = 0.75 + 0.25 * ((grains.group[coarse] * 7919) % 13) / 12
         return (np.where(coarse[:, None], GRAIN, MORTAR) * shade[:, None]).astype(np.uint8)
 
@@ -132,7 +132,7 @@ class FlowDisplay(Display):
 
     @property
     def cut(self) -> float | None:
-        """Coordinate y [m] of the plane that cuts a tube open through its axis; None for a channel, which is flat."""
+        """Coordinate y [m] of the plane through a tube's axis where the tube is cut open; None for a channel."""
         return None if self.simulation.scene.dimensions == 2 else 0.0
 
     def walls(self) -> list[DrawnWall]:

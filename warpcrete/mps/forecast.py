@@ -1,6 +1,7 @@
 """Forecasts of flows: a coarser copy gives the simulated time of the run, the first steps give their cost.
 
-Start-up is physics rather than numerics, so the coarser flow takes as much simulated time as the finer one.
+Start-up is physics rather than numerics, so the coarser flow needs as much simulated time as the finer one until it is
+steady.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from .simulation import FluidSimulation
 
 ENOUGH = 2500
 """Number of particles of the coarser copy."""
-SPENT = 1.0  # wall time for which steps are timed [s]
-TAKEN = 10  # number of steps that are timed together
+SPENT = 1.0  # Wall time for which steps are timed [s].
+TAKEN = 10  # Number of steps that are timed together.
 
 
 @dataclass(frozen=True)
@@ -48,9 +49,9 @@ def flow_forecast(
 ) -> Forecast:
     """Return the forecast of a flow; `probe` times one frame of the recordings.
 
-    `simulated` creates the simulation. `course_of` and `features_of` return the course of the run and descriptions of
-    what is computed, by feature, for a prepared simulation. `limits` and `governing` describe the time step, as in
-    :class:`Forecast`.
+    `simulated` creates the simulation. `course_of` and `features_of` take a prepared simulation; they return the
+    expected course of the run, and descriptions of the computed features. `limits` and `governing` describe the time
+    step, as in :class:`Forecast`.
     """
 
     def begun() -> FlowRun:
@@ -59,8 +60,9 @@ def flow_forecast(
         return simulation
 
     scene = (loading := begun()).scene
-    count = max(1, min(round(scene.sample_interval / scene.time_step), TAKEN))  # at most the steps between two samples
-    loading.flow.take(count)  # loads the kernels, so that later timings exclude the loading
+    # Take at most as many steps as lie between two samples.
+    count = max(1, min(round(scene.sample_interval / scene.time_step), TAKEN))
+    loading.flow.take(count)  # This call loads the kernels, so that later timings exclude the loading.
     course = course_of(loading)
     loading.release()
     simulation, placing = timed(begun, loading.device)
@@ -96,8 +98,9 @@ def flow_forecast(
 def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | None, float, list[str]]:
     """Run a coarser copy of a flow, whose scene has some `changes`.
 
-    Return the run, the simulated time that it took [s], and remarks. If the copy has not become steady, a remark says
-    what is `unmet`. If it stops with an error, the run is None and the time is the longest allowed one.
+    Return the run, the simulated time that it took [s], and remarks. If the copy has not become steady, a remark names
+    the state `unmet` that it missed. If the copy stops with an error, the run is None and the time is the longest
+    allowed one.
     """
     copy = None
     try:
@@ -119,11 +122,11 @@ def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | 
 def step_time(simulation: Any) -> float:
     """Return the wall time of a step [s]."""
     flow = simulation.flow
-    flow.take(TAKEN)  # captures the graph before steps are timed
+    flow.take(TAKEN)  # This call captures the launch graph before steps are timed.
     times: list[float] = []
     while sum(times) < SPENT:
         times.append(timed(lambda: flow.take(TAKEN), flow.device)[1])
-    # Other programs only slow steps down, and do so rarely in a long run, so the forecast uses the lower quartile.
+    # Other programs only slow steps down, and rarely during a long run, so the forecast uses the lower quartile.
     return float(np.quantile(times, 0.25)) / TAKEN
 
 
@@ -154,7 +157,7 @@ def _course(simulation: FluidSimulation) -> Course:
 
 
 def _features(simulation: FluidSimulation) -> dict[str, str]:
-    """Return short descriptions of what is computed, by feature."""
+    """Return short descriptions of what the flow computes, by feature."""
     scene, flow = simulation.scene, simulation.flow
     concrete = scene.concrete
     return {

@@ -14,7 +14,7 @@ from .scene import FluidScene
 
 @dataclass(frozen=True)
 class Grains:
-    """Rigid grains of coarse aggregate; each grain is a group of elementary particles."""
+    """Rigid grains of coarse aggregate; each grain is a group of particles."""
 
     order: np.ndarray
     """Indices of the layout's particles in the order of the state: grain by grain, then the mortar."""
@@ -57,7 +57,8 @@ def scatter(scene: FluidScene, layout: Layout) -> Grains:
             size = rng.uniform(smallest, largest)
             centre = places[rng.integers(n)] + rng.uniform(-0.5, 0.5, dimensions) * spacing
             wave = _outline(rng, dimensions, aggregates.roundness)
-            # The layout stores particles layer by layer from the piston, so those near a grain form a contiguous range.
+            # The layout stores particles layer by layer from the piston, so the particles near a grain form a
+            # contiguous range.
             widest = 0.5 * size * (2 - aggregates.roundness) + rim_width
             near = np.arange(*np.searchsorted(places[:, -1], [centre[-1] - widest, centre[-1] + widest]))
             offset = places[near] - centre

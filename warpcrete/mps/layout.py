@@ -10,7 +10,9 @@ import numpy as np
 from .scene import FluidScene
 
 LAYERS = 4
-"""Number of layers of dummy particles behind a wall, which replace the fluid there in all sums over neighbours."""
+"""Number of layers of dummy particles behind a wall. In all sums over neighbours, they stand for fluid that the wall
+cuts off.
+"""
 
 
 @dataclass(frozen=True)
@@ -18,7 +20,7 @@ class Layout:
     """Initial positions of particles, relative to the piston's middle; the last coordinate runs along the pipe."""
 
     spacing: float
-    """Distance of particles [m]."""
+    """Distance between neighbouring particles [m]."""
     volume: float
     """Volume of a particle [m3], or its area in two dimensions [m2]."""
     fluid: np.ndarray
@@ -48,7 +50,8 @@ def layout(scene: FluidScene) -> Layout:
         outside = np.concatenate([_ring(k, spacing) for k in range(rings, rings + LAYERS)])
         area = math.pi * scene.radius**2
     layers = round(scene.length / spacing)
-    step = scene.length / layers  # distance of layers with which the column has exactly the scene's length
+    # This distance between layers gives the column exactly the length that the scene states.
+    step = scene.length / layers
     height = (np.arange(layers) + 0.5) * step
     beneath = (np.arange(-LAYERS, 0) + 0.5) * step
     # The front bulges while the concrete flows, so the walls reach beyond the column.

@@ -23,8 +23,9 @@ AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mo
 def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | None) -> Concrete:
     """Return a concrete by name or from a file, or `own` with all five :data:`CONSTANTS`.
 
-    Given constants replace those of the named concrete. A slip layer whose thickness [m] is in the paper's Table 3
-    takes the eta_L printed there. Raises :class:`SceneError` if constants are missing, also that of the layer.
+    Given constants replace those of the named concrete. If the thickness [m] of the slip layer is listed in Table 3 of
+    Xu, Li & Jiang 2021, eta_L is taken from that table. Raises :class:`SceneError` if constants are missing, also that
+    of the layer.
     """
     given = {key: value for key, value in constants.items() if value is not None}
     named = {} if len(given) == len(CONSTANTS) else _flow_of(name)
@@ -84,7 +85,7 @@ def file_aggregates(values: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _flow_of(name: str) -> dict[str, float]:
-    """Return the constants of a concrete by name or from a file; `own` has none."""
+    """Return the flow constants of a concrete by name or from a file; the concrete `own` has none."""
     if name == "own":
         return {}
     if not is_file(name):

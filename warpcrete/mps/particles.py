@@ -25,9 +25,9 @@ from .stages import step_by_one_thread, step_stages
 from .state import CUTOFF, WIDE, FluidState, flow_numbers
 from .stepping import Stepping
 
-SKIN = 0.1  # skin of the neighbour lists in spacings; the column moves as a whole, so lists last some eighty steps
-CORRECTION = 0.2  # fraction of the density error that one step removes
-HISTORY = 256  # maximum number of iterations whose residuals are kept
+SKIN = 0.1  # Skin of the neighbour lists in spacings. The column moves as a whole, so lists last some eighty steps.
+CORRECTION = 0.2  # Fraction of the density error that one step removes.
+HISTORY = 256  # Maximum number of iterations of a solve whose residuals are kept.
 
 
 class MovingParticles(Stepping):
@@ -108,7 +108,7 @@ class MovingParticles(Stepping):
         return matrix
 
     def _coarse(self) -> CoarseGrid | None:
-        """Return the coarse grid that preconditions the solves, or None where it is of no use.
+        """Return the coarse grid that preconditions the solves, or None if a coarse grid is of no use.
 
         The coarse grid cannot serve rigid grains, which are larger than its cubes. For short columns the diagonal
         preconditioner alone is as fast.
@@ -143,7 +143,7 @@ class MovingParticles(Stepping):
 
     @property
     def wet_area(self) -> float:
-        """Area of the pipe's wall that the column covers [m2], or length [m] of both walls in two dimensions."""
+        """Area of the pipe's wall that the column covers [m2]; in two dimensions, the length of both walls [m]."""
         around = 2.0 if self.scene.dimensions == 2 else 2 * math.pi * self.scene.radius
         return around * self.state.layout.height
 
@@ -186,10 +186,10 @@ class MovingParticles(Stepping):
             )
 
     def build(self) -> None:
-        """Rebuild the neighbour lists at the current positions, with longer rows if a list overflows.
+        """Rebuild the neighbour lists at the current positions, and allocate longer rows if a list overflows.
 
-        The lists hold all neighbours within reach plus a skin, so they last until a particle has moved about half the
-        skin.
+        The lists hold all neighbours within reach plus a skin, so the lists stay valid until a particle has moved about
+        half the skin.
         """
         place, search = list_kernels(self.scalar, self.scene.dimensions, not self.parallel)
         near_reach, whole_reach = self._list_reach
@@ -256,8 +256,8 @@ class MovingParticles(Stepping):
     def state_arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays that the next step depends on.
 
-        Among the arrays are the positions at which the neighbour lists were built: lists rebuilt from these positions
-        have the same order, and so have all sums.
+        Among the arrays are the positions at which the neighbour lists were built: neighbour lists rebuilt from these
+        positions have the same order, so that all sums have the same bits.
         """
         lists = {"built": self.fields.built.numpy(), "late": self.fields.late.numpy()}
         return self.state.state_dict() | lists

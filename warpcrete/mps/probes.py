@@ -17,7 +17,9 @@ STRAIGHT = (0.2, 0.8)
 LOWEST = 0.1
 """Height, relative to the column's, up to which pressures are fitted and extrapolated to the piston."""
 WINDOW = (0.65, 0.85)
-"""Heights, relative to the column's, between which the weight in the volume measurement falls from one to zero."""
+"""Heights, relative to the column's, between which a particle's weight in the volume measurement falls from one to
+zero.
+"""
 UNITS = {
     "time": "s",
     "travel": "m",
@@ -45,7 +47,7 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Arrays of the particles at one moment, on the host and in double precision."""
+    """Arrays of all particles at one point in time, on the host and in double precision."""
 
     height: np.ndarray
     """Height of each particle above the piston [m]."""
@@ -76,7 +78,7 @@ def section(flow: MovingParticles) -> float:
 def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> dict[str, float]:
     """Return a row of the series; the change of momentum is taken from `before`, the previous row.
 
-    The momentum of a channel is that of a metre of depth. The pressure on the piston is extrapolated by a straight line
+    The momentum of a channel is given per metre of depth. The pressure on the piston is extrapolated by a straight line
     from the particles near it, plus half a spacing times the gradient: surface particles have zero pressure at their
     centres, although half of each lies above its centre.
     """
@@ -131,7 +133,7 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
 
 
 def window(part: np.ndarray, weight: np.ndarray | float = 1.0) -> float:
-    """Return the number of particles in a window whose weight falls smoothly with height.
+    """Return the number of particles, weighted with a factor that falls smoothly with height.
 
     The number stays as at the start if the concrete neither loses nor gains volume.
     """

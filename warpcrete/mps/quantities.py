@@ -14,7 +14,7 @@ from ..theory.pipe import Steady
 from .scene import FluidScene
 
 LAST = 0.2
-"""Last part of a run of given duration over which quantities are averaged; other runs take them from the last row."""
+"""Last fraction of a run of given duration over which quantities are averaged; other runs use the last row."""
 COMPARED = ("pressure", "slip_velocity", "wall_stress")
 """Columns of the series that theory predicts."""
 UNITS = {"pressure": "Pa", "slip_velocity": "m/s", "wall_stress": "Pa"}
@@ -46,9 +46,10 @@ class Known:
         return float(getattr(self.theory, name))
 
     def error(self, name: str) -> float:
-        """Return the relative error against theory; that of the slip velocity is relative to the mean velocity.
+        """Return the relative error of a column against theory.
 
-        A flow may be all shear, and then its slip velocity is no useful scale.
+        The error of the slip velocity is relative to the mean velocity, because a slip velocity near zero is no useful
+        scale.
         """
         size = self.scene.velocity if name == "slip_velocity" else self.by_theory(name)
         return (self.mean(name) - self.by_theory(name)) / size

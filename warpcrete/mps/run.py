@@ -20,17 +20,17 @@ class FlowRun(Simulation):
 
     flow: Any
     goal: ClassVar[str] = "steady"
-    """Name of `steady` in the result."""
+    """Name under which the result stores `steady`."""
 
     def set_up(self) -> None:
         """Start an empty series; the particles are placed later, because they take memory."""
         self._rows: list[dict[str, float]] = []
         self.steady = False
-        """Whether the flow has reached the state at which it ends: it is steady or at rest."""
+        """True once the flow has reached the state at which it ends: it is steady or at rest."""
 
     @abstractmethod
     def placed(self) -> Any:
-        """Return the flow at its start."""
+        """Return the flow at its start, with its particles placed."""
 
     @abstractmethod
     def measured(self) -> dict[str, float]:
@@ -42,7 +42,7 @@ class FlowRun(Simulation):
 
     @abstractmethod
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
-        """Return entries of the result, and tables, that a series of two rows or more gives."""
+        """Return the entries and tables of the result that follow from the series, which has two rows or more."""
 
     @property
     def prepared(self) -> bool:
@@ -68,7 +68,7 @@ class FlowRun(Simulation):
         self._spent["packing"] = wall_clock.perf_counter() - started
 
     def measure(self) -> dict[str, float]:
-        """Measure, and append the row to `rows`."""
+        """Measure the flow and append the row to `rows`."""
         row = self.measured()
         self._rows.append(row)
         return row
@@ -91,7 +91,7 @@ class FlowRun(Simulation):
 
     def release(self) -> None:
         """Release the device memory; the results of the run stay."""
-        for name in ("flow", "stepper"):  # a run that failed early may lack these attributes
+        for name in ("flow", "stepper"):  # A run that failed early may lack these attributes.
             self.__dict__.pop(name, None)
 
     def series(self) -> dict[str, np.ndarray]:

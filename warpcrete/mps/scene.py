@@ -18,12 +18,13 @@ from ..core.errors import between, one_of, positive, refuse
 from ..core.inputs.parameters import Above, Alias, Declared, Needs, OneOf, Within
 from ..theory.pipe import Concrete, Line, Steady, restart, steady
 
-FEWEST_ACROSS = 4  # minimum number of particles across the pipe
+FEWEST_ACROSS = 4  # Minimum number of particles across the pipe.
 ENDS = ("piston", "periodic")
 RESTED = Needs("rest", lambda rest: rest > 0, "is above 0")
 MOST_PARTICLES = 2**26
 """Maximum number of particles of a column; their neighbour lists still fit in the memory of today's largest GPU."""
-SHORTEST = 8  # minimum length of a column in spacings; piston and surface disturb a shorter column everywhere
+# Minimum length of a column in spacings. In a shorter column, piston and surface disturb the flow everywhere.
+SHORTEST = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +34,7 @@ class Aggregates:
     fraction: float
     """Volume fraction of the coarse aggregate."""
     mortar: Concrete
-    """Density and Bingham constants of the mortar between the aggregates; its slip layer is that of the concrete."""
+    """Density and Bingham constants of the mortar between aggregates; its slip layer equals the concrete's."""
     density: float = 2630.0
     """Density of the aggregate [kg/m3]."""
     sizes: tuple[tuple[float, float, float], ...] = ((5e-3, 10e-3, 0.3), (10e-3, 15e-3, 0.4), (15e-3, 20e-3, 0.3))

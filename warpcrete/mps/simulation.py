@@ -81,7 +81,7 @@ class FluidSimulation(FlowRun):
 
     @property
     def frame_step(self) -> float:
-        """Size of the time steps [s], which is constant for particles alone; infinite for flows on a grid."""
+        """Size of the time steps [s]: constant for flows of particles alone, infinite for flows on a grid."""
         return np.inf if self.scene.ends == "periodic" else self.scene.time_step
 
     def unit(self, column: str) -> str:
@@ -114,7 +114,8 @@ class FluidSimulation(FlowRun):
             return False  # the structure may break so slowly that no other quantity shows it
         earlier = []
         for wanted in (now["time"] - APART, now["time"] - 2 * APART):
-            # In the first row the slip layer is not computed yet. Two earlier rows must agree: one may do so by chance.
+            # In the first row the slip layer is not computed yet. Two earlier rows must agree with the last one,
+            # because a single row may agree by chance.
             found = [row for row in self._rows[1:] if row["time"] <= wanted + 1e-9]
             if not found:
                 return False

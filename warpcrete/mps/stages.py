@@ -39,7 +39,7 @@ LEAST_PRESSURE = 1e-4
 The absolute tolerance is a fraction of the residual for a divergence of (piston speed / radius).
 """
 SHIFTING = 0.1, 1e-7
-"""Relative tolerance of the density solve, and the rms residual at which the solve stops in any case."""
+"""Relative tolerance of the density solve, and the rms residual below which the solve stops in any case."""
 
 
 def step_stages(particles: Any) -> Step:
@@ -53,7 +53,7 @@ def step_by_one_thread(particles: Any) -> Step:
 
 
 def step_parts(particles: Any) -> list[StepPart]:
-    """Return the part of a step that each thread does."""
+    """Return the part of a step for each thread."""
     meet = particles.barrier()
     return [StepPart(particles, range(part, part + 1), meet) for part in range(particles.threads)]
 

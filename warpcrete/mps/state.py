@@ -125,8 +125,8 @@ GRAIN_ARRAYS = ("turn", "middle", "middle_rounding")
 def flow_numbers(state: FluidState, *, skin: float, correction: float) -> Any:
     """Return the struct of constants of a flow for the kernels.
 
-    `skin` is that of the neighbour lists in particle spacings, `correction` the fraction of the density error that a
-    step removes.
+    `skin` is the skin of the neighbour lists in particle spacings, `correction` the fraction of the density error that
+    a step removes.
     """
     scene = state.scene
     flow = flow_struct(state.scalar)()
@@ -168,7 +168,7 @@ def _density_weight(q: np.ndarray) -> np.ndarray:
 
 
 def _sum_at_start(layout: Layout, reach: float, weight: Callable[[np.ndarray], np.ndarray]) -> float:
-    """Return the sum of weights of all neighbours within `reach` spacings, the mean over a layer at mid-height."""
+    """Return the sum of weights of all neighbours within `reach` spacings, averaged over a layer at mid-height."""
     everything = np.concatenate([layout.fluid, layout.wall])
     middle = layout.fluid[np.argmin(np.abs(layout.fluid[:, -1] - 0.5 * layout.height)), -1]
     layer = layout.fluid[np.abs(layout.fluid[:, -1] - middle) < 1e-6 * layout.spacing]

@@ -25,8 +25,8 @@ from ..kernels.common.control import FAILED, HALTED, STALE, STEPS
 from ..kernels.mps.conjugate_gradient import AFTER, BEFORE, ITERATIONS
 from ..kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY
 
-LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}  # maximum number of steps of a graph
-LAUNCH = 4  # number of largest graphs that are launched between two reads of the flags
+LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}  # Maximum number of steps in one graph.
+LAUNCH = 4  # Number of graphs of the largest size that are launched between two reads of the flags.
 WHAT = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
 ABREAST = 64
 """Maximum number of flows that run on one GPU at a time."""
@@ -72,7 +72,7 @@ class Stepping(ABC):
         return self.step
 
     def build(self) -> None:
-        """Do between two steps what a step has requested, such as a rebuild of the neighbour lists."""
+        """Do the work that a step has requested, such as a rebuild of the neighbour lists, before the next step."""
         raise TypeError(f"{type(self).__name__} has nothing to build between steps")
 
     def share(self, abreast: int) -> None:
@@ -87,7 +87,7 @@ class Stepping(ABC):
         self._go()
 
     def advance(self, until: float) -> None:
-        """Take whole steps up to the one that ends nearest to `until` [s]; raise the same errors as `take`."""
+        """Take whole steps up to the step that ends nearest to `until` [s]; raise the same errors as `take`."""
         self.aim(until)
         self._go()
 
@@ -188,7 +188,7 @@ class _Run:
             self._go_on(failure)
 
     def look(self) -> None:
-        """Check the steps that have been launched, then set the next goal or keep the outcome."""
+        """Check the launched steps, then set the run's next goal or store the finished run or its error."""
         try:
             self._flow.settle()
         except (Exception, KeyboardInterrupt) as failure:
@@ -210,7 +210,8 @@ class _Run:
         except StopIteration as end:
             self.outcome = end.value
         except (Exception, KeyboardInterrupt) as failure:
-            traceback.clear_frames(failure.__traceback__)  # the frames of the traceback hold device memory
+            # Drop the traceback, because its frames keep device memory alive.
+            traceback.clear_frames(failure.__traceback__)
             self.outcome = failure
 
     def stop(self, why: KeyboardInterrupt) -> None:
@@ -258,7 +259,7 @@ def _together(everyone: list[_Run], device: Any, progress: Progress) -> None:
             except CapacityError as error:
                 run.simulation.release()
                 if under_way:
-                    full = True  # no other run fits until one has ended
+                    full = True  # No further run fits into memory until one has ended.
                     break
                 run.outcome = error
             except (Exception, KeyboardInterrupt) as failure:

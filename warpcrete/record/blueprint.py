@@ -14,10 +14,11 @@ PAPER = (250, 250, 250)
 PLAYED = 8.0
 """Shortest time for which the viewer plays a run [s]; shorter simulated times are played in slow motion."""
 SLIM = 0.25
-"""Ratio of width to height, or of height to width, of the scene below which all views are arranged in one row or
-column."""
+"""Aspect ratio of the scene, width to height or height to width, below which all views are arranged in one row or
+column.
+"""
 CHAINS, CUT = "scene/network", "scene/cut"
-"""Paths of the entities that the view of the whole scene leaves out."""
+"""Paths of the entities that are hidden in the view of the whole scene."""
 PAINT_LEGEND = "legend_of_walls"
 
 

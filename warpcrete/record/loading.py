@@ -24,7 +24,7 @@ TABLES = ("stations",)
 
 
 def load(folder: Path | str) -> Run:
-    """Return the run in a folder, as far as it was written: scene, series and results.
+    """Return the run in a folder, as far as its files were written: scene, series and results.
 
     Data that only exists during a simulation, such as the final positions of bodies, is missing. A run that was killed
     may lack its result, and one without samples has an empty series. The scene has only its name and its parameters if
@@ -104,7 +104,7 @@ def _check_unchanged(path: Path, record: Mapping[str, Any]) -> None:
 
 
 def _series(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Return the columns of a table and their units, without a last row that a killed run left incomplete."""
+    """Return the columns of a table and their units; drop the last row if a killed run left it incomplete."""
     if not path.is_file():
         return {}, {}
     try:

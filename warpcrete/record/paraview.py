@@ -110,7 +110,7 @@ class ParaViewRecorder(Recorder):
         self._files["walls"].add(time, np.concatenate(points), np.concatenate(faces), {"wall": np.concatenate(of)})
 
     def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
-        """Return the number of frames."""
+        """Return the number of frames so far, after the background jobs have ended."""
         self._later.wait()
         return {"frames": self._frames}
 
@@ -123,7 +123,7 @@ class ParaViewRecorder(Recorder):
         if self._files:
             try:
                 self._later.close()
-            finally:  # Write what is there even if a job failed.
+            finally:  # Write the frames that are complete, even if a background job of this recorder failed.
                 self._write()
 
     def _write(self) -> None:

@@ -25,7 +25,7 @@ class Look:
     """Quantity that the colours show; None selects a suitable one for the method."""
     network: bool = False
     live: bool | str = False
-    """Display in a Rerun viewer during the run: True opens a viewer, and a URL names a running one."""
+    """Viewer that shows the run while it is computed: True opens a new Rerun viewer, and a URL names a running one."""
     bind: str = LOOPBACK
     """IP address on which a newly opened viewer listens."""
 

@@ -27,9 +27,9 @@ from .joining import join
 from .legend import legend, paint_legend
 
 PATIENCE = 4.0
-"""Time [s] for which the recorder waits for a viewer, or for a file that does not grow, to take the remaining data."""
+"""Longest wait [s] for a viewer to receive the remaining data, or for a file that has stopped growing."""
 GOODBYE = 30.0
-"""Time [s] that Rerun has for closing a file after a viewer has not taken the recording."""
+"""Longest time [s] for opening the file, or for closing it after a viewer did not receive the whole recording."""
 LOOK = 0.5
 """Time [s] between two checks whether the file has grown."""
 AXIS = (200, 200, 200)
@@ -40,7 +40,8 @@ colours slightly outside the triangles."""
 
 def with_values(tensor: Any, values: np.ndarray) -> Any:
     """Return the Arrow array of a Rerun tensor with its values replaced by others of the same number and type."""
-    union = tensor.field("buffer")  # Union of list arrays, one for each data type.
+    # The values of a Rerun tensor are an Arrow union of list arrays, one for each data type.
+    union = tensor.field("buffer")
     kind = union.type_codes[0].as_py()
     members = [union.field(number) for number in range(union.type.num_fields)]
     members[kind] = type(members[kind]).from_arrays(members[kind].offsets, values).cast(members[kind].type)
@@ -51,11 +52,11 @@ def with_values(tensor: Any, values: np.ndarray) -> Any:
 class RerunRecorder(Recorder):
     """Recorder of bodies, moving walls, curves and profiles on one timeline, with a legend and a cut through the scene.
 
-    Every clump is drawn by its own spheres. `path` is that of the .rrd file, or None. `live` is True to open a viewer,
-    or the URL of a running one (`rerun+http://127.0.0.1:9876/proxy`). `bind` is the IP address on which a newly opened
-    viewer listens. `colouring` selects the colours of bodies from those of the method's display. `network` adds lines
-    between bodies, if the display has any. Lines of contacts are as wide and bright as their forces, and bonds without
-    compression are orange.
+    Every clump is drawn by its own spheres. `path` is the path of the .rrd file, or None. `live` is True to open a
+    viewer, or the URL of a running one (`rerun+http://127.0.0.1:9876/proxy`). `bind` is the IP address on which a newly
+    opened viewer listens. `colouring` selects the colours of bodies from those of the method's display. `network` adds
+    lines between bodies, if the display has any. Lines of contacts are as wide and bright as their forces, and bonds
+    without compression are orange.
 
     Every checkpoint closes a part of the recording (`run.rrd`, `run-0001.rrd` and so on), so that a resumed run
     continues after a complete part. At the end the parts are joined into one file.
@@ -122,7 +123,7 @@ class RerunRecorder(Recorder):
         display, self._later = simulation.display(self.colouring), Later.of(simulation)
         layout = self._blueprint(simulation, display) if self.live else None
         self._open(display, state["recording_id"], state["parts"], layout)
-        if not self.live:  # A newly opened viewer needs the positions of all bars again.
+        if not self.live:  # A newly opened viewer has no data yet, so the positions of all bars must be sent again.
             self._places = dict(state["places"])
         if self.live:
             self._describe(display)
@@ -260,7 +261,7 @@ class RerunRecorder(Recorder):
             except BaseException:
                 self._disconnect(LOOK)
                 raise
-            # Rerun waits for a viewer that has gone before it closes the file.
+            # If the viewer has disconnected, Rerun first waits for the viewer and only then closes the file.
             if not self._disconnect(GOODBYE if watched and not self.live else PATIENCE):
                 raise self._trouble(RuntimeError("the writer thread did not finish in time"))
 
@@ -311,7 +312,7 @@ class RerunRecorder(Recorder):
         self._log(path, pose, static=static)
 
     def _set_time(self, time: float, steps: int) -> None:
-        """Set the time and the step of what this thread records next."""
+        """Set the time and the step for the data that this thread records next."""
         self._recording.set_time("time", duration=time)
         self._recording.set_time("step", sequence=steps)
 
@@ -360,7 +361,7 @@ class RerunRecorder(Recorder):
             raise self._trouble(failures[0]) from failures[0]
 
     def _finishes(self, call: Callable[[], None], patience: float) -> bool:
-        """Return whether a call of Rerun ends within `patience` [s], or earlier than the disk is found to be full.
+        """Return whether a call of Rerun ends within `patience` [s]; stop waiting if the disk turns out to be full.
 
         A call that never ends must not block the end of the program either.
         """
@@ -388,7 +389,8 @@ class RerunRecorder(Recorder):
                 return
             except (RuntimeError, ValueError) as error:
                 trouble = error
-                time.sleep(0.05)  # A writer that has died answers at once.
+                # If Rerun's writer has crashed, `flush` fails at once, so pause before the next attempt.
+                time.sleep(0.05)
             # After a full disk, the writer may never answer; a slow writer can be recognised by the growing file.
             if self.path is not None:
                 before, size = size, self._part(self._parts).stat().st_size
@@ -398,7 +400,7 @@ class RerunRecorder(Recorder):
                 break
         if not self.live:
             raise self._trouble(trouble) from trouble
-        # A viewer that has gone must not stop the run, because the file has all data.
+        # A viewer that has disconnected must not stop the run, because the file has all data.
         warnings.warn(f"the Rerun viewer did not receive the whole recording: {trouble}", stacklevel=2)
         self.live = False
 

@@ -22,7 +22,7 @@ def scene_record(simulation: Simulation, command: dict[str, Any] | None = None) 
     """Return the contents of scene.json: the scene function's name, all arguments, and the settings of the run.
 
     If a scene differs from what its function builds, because it was modified afterwards or built by hand, the fields in
-    question are stored under `modified`; such a run cannot be repeated from its record.
+    question are stored under `modified`; such a run cannot be repeated from scene.json.
     """
     scene = simulation.scene
     made = scene.parameters if isinstance(scene.parameters, Arguments) else Arguments()
@@ -157,7 +157,7 @@ class TableRecorder(Recorder):
 
 
 def _check_same_run(path: Path, record: dict[str, Any]) -> None:
-    """Refuse a scene.json that belongs to a run other than that of `record`."""
+    """Refuse a scene.json that belongs to another run than `record`."""
     there, here = read_json(path), json.loads(json.dumps(record))
     for name in ("scene", "parameters", "files", "device", "precision", "command"):
         if there.get(name) != here[name]:

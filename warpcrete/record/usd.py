@@ -67,7 +67,7 @@ class UsdRecorder(Recorder):
         self._build(simulation, Usd.Stage.Open(layer))
 
     def _build(self, simulation: Simulation, stage: Any) -> None:
-        """Define everything that does not change; on a stage that has these objects already, nothing changes."""
+        """Define everything that does not change in time; objects that the stage already has are left as they are."""
         from pxr import UsdGeom
 
         self._stage, self._later = stage, Later.of(simulation)
@@ -164,7 +164,7 @@ class UsdRecorder(Recorder):
         if self._stage is not None:
             try:
                 self._later.close()
-            finally:  # Write what is there even if a job failed.
+            finally:  # Write the frames that are complete, even if a background job of this recorder failed.
                 self._write()
 
     def checkpoint(self, simulation: Simulation) -> dict[str, Any]:

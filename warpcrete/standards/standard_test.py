@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import refuse
-from ..core.run.method import Quantity
+from ..core.run.method import Quantity, passage_time
 from ..core.run.run import Run
 from ..core.units import number
 

@@ -16,7 +16,7 @@ class StraightLine:
     slope: float
     offset: float
     slope_error: float
-    """Standard error of the slope; NaN for two points, through which a line always passes."""
+    """Standard error of the slope; NaN if there are only two points, which a line always fits exactly."""
     offset_error: float
 
 

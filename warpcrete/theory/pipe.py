@@ -102,7 +102,7 @@ class Steady:
 
 
 def _bulk(concrete: Concrete, line: Line, stress, form: str):
-    """Return the mean velocity that shear of the bulk adds [m/s], averaged over the whole section.
+    """Return the mean velocity that shear of the bulk adds to the slip velocity [m/s], averaged over the section.
 
     `stress` is the shear stress tau at the wall [Pa], a number or an array. With x = yield stress / tau the velocity is
     R tau / (4 mu_b) (1 - 4 x / 3 + x^4 / 3) in a pipe and R tau / (3 mu_b) (1 - 3 x / 2 + x^3 / 2) in a channel.
@@ -151,7 +151,7 @@ def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> S
         high *= 2
         if high > 1e30:
             refuse("flow", flow, "needs a wall stress beyond the range of numbers")
-    for _ in range(200):  # bisection, until no floating-point number lies between the bounds
+    for _ in range(200):  # Bisect until no floating-point number lies between the bounds.
         middle = 0.5 * (low + high)
         if not low < middle < high:
             break
@@ -165,9 +165,9 @@ def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> S
 def rested(concrete: Concrete, rest: float, thixotropy: float) -> Concrete:
     """Return the concrete after `rest` [s], when the yield stresses of bulk and slip layer have grown by A_thix t.
 
-    The linear growth is Roussel's (2006) and holds for some tens of minutes at most. In his classes A_thix, the
-    `thixotropy` [Pa/s], is below 0.1 for a concrete that hardly stiffens and above 0.5 for one that stiffens strongly.
-    The constant was measured on bulk concrete; the same growth of the slip layer is an assumption.
+    The linear growth was proposed by Roussel (2006) and holds for some tens of minutes at most. In Roussel's classes,
+    the `thixotropy` A_thix [Pa/s] is below 0.1 for a concrete that hardly stiffens and above 0.5 for one that stiffens
+    strongly. The constant was measured on bulk concrete; the same growth of the slip layer is an assumption.
     """
     between("rest", rest, 0, np.inf, "s")
     between("thixotropy", thixotropy, 0, np.inf, "Pa/s")

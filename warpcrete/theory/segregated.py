@@ -18,12 +18,12 @@ from .pipe import Concrete, Line, Steady
 from .suspension import SUSPENSIONS, thickening
 
 STEPS = 200
-"""Maximum number of bisections; the search ends earlier when no number lies between its bounds."""
+"""Maximum number of bisections, which end earlier when no floating-point number lies between the bounds."""
 
 
 @dataclass(frozen=True)
 class Segregated:
-    """Concrete in a pipe whose aggregate is unevenly shared between the region at the wall and that about the axis."""
+    """Concrete in a pipe whose aggregate is unevenly shared between the outer and the inner half of the radius."""
 
     concrete: Concrete
     """Concrete with its aggregate evenly distributed."""

@@ -52,9 +52,9 @@ def heap_depth(
 ) -> np.ndarray:
     """Return the depth [m] of a heap at rest at distances `inward` from its front [m].
 
-    The depth h follows from rho g h^2 / 2 = tau (inward + HEAPS h). Weight presses outward, the plate holds back with
-    tau over the distance, and the stretch resists with HEAPS tau on the section. The long heap lacks the last term.
-    `form` is "plane" or "axial".
+    The depth h follows from rho g h^2 / 2 = tau (inward + HEAPS h). The left side is the outward pressure of the weight
+    over the depth. The plate resists it with tau along the distance `inward`, and the stretched section resists it with
+    HEAPS tau h. The long heap lacks the last term. `form` is "plane" or "axial".
     """
     bears = yield_stress / (density * gravity)
     front = HEAPS[form] * bears
@@ -66,8 +66,8 @@ def heap_at_rest(
 ) -> tuple[float, float]:
     """Return the radius or half-width [m] and the central depth [m] of a wide heap that resists being stretched.
 
-    `volume` is that of the whole heap about an axis [m3], or of one half per metre of depth in a plane [m2]. The theory
-    leaves out inertia and holds for heaps wider than high.
+    `volume` is the volume of the whole heap about an axis [m3], or in a plane the volume of one half per metre of depth
+    [m2]. The theory leaves out inertia and holds for heaps wider than high.
     """
     widest = 1.0
     while heap_volume(widest, yield_stress, density, gravity, form) < volume:
@@ -77,7 +77,7 @@ def heap_at_rest(
 
 
 def heap_volume(reach: float, yield_stress: float, density: float, gravity: float = 9.81, form: str = "axial") -> float:
-    """Return the volume of a heap at rest of radius `reach` [m]: all of it [m3], or one half in a plane [m2]."""
+    """Return the volume of a heap at rest of radius `reach` [m]: the whole [m3], or one half in a plane [m2]."""
     place = (np.arange(LAYERS) + 0.5) * reach / LAYERS
     depth = heap_depth(reach - place, yield_stress, density, gravity, form)
     return float(np.sum(depth * (2 * math.pi * place if form == "axial" else 1.0)) * reach / LAYERS)
@@ -105,7 +105,7 @@ def tall_cone_slump(
     radius = top + (base - top) * depth / height
     area = math.pi * radius**2
     load = density * gravity * math.pi * depth / 3 * (top * top + top * radius + radius * radius)
-    stays = np.minimum(1.0, bears * yield_stress * area / load)  # fraction of the layer's height that remains
+    stays = np.minimum(1.0, bears * yield_stress * area / load)  # Fraction of the layer's initial height that remains.
     return float(np.sum(1 - stays) * height / LAYERS)
 
 
@@ -114,9 +114,9 @@ def box_at_rest(
 ) -> tuple[float, float, float]:
     """Return the depths of concrete at rest at both ends of a box [m], and how far it has flowed along the box [m].
 
-    The concrete enters at one end without inertia and sticks to floor and sides. It rests where these bear its slope:
-    h' = tau (b + 2 h) / (rho g b h) (Nguyen, Roussel & Coussot 2006). The equation is integrated from the far end, or
-    from the front if the concrete does not reach the far end.
+    The concrete enters at one end without inertia and sticks to floor and sides. The concrete rests where floor and
+    sides bear its slope: h' = tau (b + 2 h) / (rho g b h) (Nguyen, Roussel & Coussot 2006). The equation is integrated
+    from the far end, or from the front if the concrete does not reach the far end.
     """
     pull = yield_stress / (density * gravity)
 
@@ -141,7 +141,7 @@ def box_at_rest(
 
 
 def root(function: Callable[[float], float], low: float, high: float) -> float:
-    """Return the zero of an increasing function between `low` and `high`, by bisection."""
+    """Return the zero of an increasing function between `low` and `high`, found by bisection."""
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if function(middle) < 0 else (low, middle)

@@ -86,7 +86,7 @@ def _momenta(state):
 def pumping(device, precision) -> list[Row]:
     """Check the energy balance of a pumping run: the work done equals the stored energy plus the dissipated energy.
 
-    A piston pushes a column of bonded bodies up a pipe against a loaded plate.
+    A piston pushes a column of bonded bodies up a pipe, at whose upper end they push a loaded plate.
     """
     axis = Axis((0, 0, 0), UP, (Line(0.4),))
     radius, length = 0.035, 0.1

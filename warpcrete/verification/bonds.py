@@ -1,4 +1,4 @@
-"""Verification of bonds: chains against beam theory, torsional oscillation, and the load at which a bond breaks."""
+"""Verification of bonds: chains and beam theory, torsional oscillation, and the load at which a bond breaks."""
 
 from __future__ import annotations
 

@@ -22,7 +22,9 @@ class Row:
     ours: float
     expected: float
     tolerance: float
-    """Allowed error |ours - expected|, relative to `scale` if it is given, otherwise relative to |expected|."""
+    """Allowed error |ours - expected| of the computed value `ours`, relative to `scale` if given, otherwise to
+    |expected|.
+    """
     unit: str = "1"
     scale: float | None = None
     at_least: bool = False
@@ -30,7 +32,7 @@ class Row:
 
     @property
     def error(self) -> float:
-        """Return the relative error: |ours - expected| over `scale`, or over |expected| without a scale."""
+        """Return the error |ours - expected| of the computed value `ours`, over `scale` or else over |expected|."""
         if self.at_least and self.ours >= self.expected:
             return 0.0
         return abs(self.ours - self.expected) / (abs(self.expected) if self.scale is None else self.scale)
@@ -57,7 +59,7 @@ class Case:
 
 
 def start(scene: Scene, device: str, precision: str) -> Stepper:
-    """Return a stepper for a scene whose bodies are placed one by one."""
+    """Return a stepper for a scene whose bodies the caller places one by one."""
     model = build_model(scene, find_device(device), precision)
     stepper = Stepper(model, State(model, placed_bodies(scene)), scene.time_step)
     stepper.choose_dt()

@@ -1,4 +1,4 @@
-"""Verification of clumps: mass properties against exact integrals, and free tumbling of a triaxial body."""
+"""Verification of clumps: mass properties compared with exact integrals, and free tumbling of a triaxial body."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def union_properties(device, precision) -> list[Row]:
         along = np.trapezoid(math.pi / 2 * square**2, x)
         across = np.trapezoid(math.pi / 4 * square**2 + math.pi * square * (x - centre) ** 2, x)
         template = clump(label, np.array([[c, 0.0, 0.0] for c in centres]), np.array(radii))
-        # Templates are scaled such that the sphere of equal volume has a diameter of 1. Undo this scaling.
+        # Templates are scaled so that the sphere of equal volume has a diameter of 1. Undo this scaling here.
         size = (6 * volume / math.pi) ** (1 / 3)
         ours = np.sort(template.inertia) * volume * size**2
         rows += [

@@ -24,7 +24,7 @@ from ..geometry.axis import Axis, Line
 from ..geometry.walls import Driven, PipeWall, PlaneWall, Prescribed
 
 STEPS = 2000
-ENERGY = 0.1  # Largest energy gain without work, over the energy in play, in a run that counts as stable.
+ENERGY = 0.1  # Largest energy that a stable run may gain without work being done, relative to the energy in play.
 RADIUS = 0.03
 AXIS = Axis((0, 0, -1.0), (0, 0, 1), (Line(4.0),))
 
@@ -60,7 +60,7 @@ class Outcome:
 def cup(*, modulus=1e6, ratio=2.0, density=2500.0, velocity=0.3, gravity=9.81, restitution=0.5, friction=0.3,
         load=1e3, dt_fraction=0.8, bonds: Bonds | None = None, hydration: Hydration | None = None, count=80,
         origin=(0.0, 0.0, 0.0), **changes) -> Scene:  # fmt: skip
-    """Return the scene of a cup of spheres; `ratio` relates the two sizes, `load` is the pressure on the plate [Pa]."""
+    """Return the scene of a cup of spheres; `ratio` is the ratio of both sizes, `load` the plate's pressure [Pa]."""
     random = np.random.default_rng(0)
     large = 0.012
     layer = 1.04 * large
@@ -117,7 +117,8 @@ def outcome(name: str, scene: Scene, device: str, precision: str, steps: int = S
     return Outcome(name, stopped, deepest, growth, taken, must(name, precision))
 
 
-# Scenes that must stop, with a pattern for the reason. The prefix `float32:` limits this to single precision.
+# The following scenes must stop; each has a pattern for the error message. The prefix `float32:` limits this
+# requirement to single precision.
 MUST_STOP = {
     "time step 3 of the estimate": "speed|energy|radius",
     "modulus 10000": "overlap",
@@ -178,7 +179,7 @@ def scenes(large: bool = False) -> Iterator[tuple[str, Callable[[], Scene], int]
 
 
 def _moved(scene: Scene, count: int) -> Scene:
-    """Return the scene with its first `count` bodies moved to the position of the body that follows them."""
+    """Return the scene with its first `count` bodies all moved to the position of the body that comes after them."""
     bodies = scene.bodies[0]
     places = bodies.positions.copy()
     places[:count] = places[min(count, len(places) - 1)]

@@ -55,7 +55,7 @@ class FlowOutcome:
         """Return whether the result is acceptable.
 
         A completed flow must be within bounds. The message of a stopped flow must name time, quantity and cures, and
-        that of a refused scene the field. The result must also agree with `must`.
+        the message of a refused scene must name the field. The result must also agree with `must`.
         """
         if self.stopped:
             words = (" = ", ": ") if self.refused else ("t = ", "usual cure")
@@ -141,7 +141,9 @@ MUST: dict[str, str] = {
         ("a concrete that shears, for 1 s", ""),
     )
 }
-"""Flows that need not run, with part of the message with which they must stop; empty if both are acceptable."""
+"""Flows that need not run to the end, each with part of the message with which the flow must stop. If the text is
+empty, running and stopping are both acceptable.
+"""
 AXES: dict[str, tuple[float, float]] = {
     "viscosity": (0.1, 1e5),
     "yield_stress": (0.0, 1e4),

@@ -137,7 +137,7 @@ def restitution(device, precision) -> list[Row]:
         error = np.abs(np.array(ours) - wanted)
         worst = 1 + int(np.argmax(error[1:]))
         rows.append(Row(f"test 3, {name}: e = {wanted[worst]:.1f}, the worst of 5", ours[worst], wanted[worst], 2e-3))
-        # With e = 0 the rebound takes for ever. The row shows the velocity after three durations of an elastic impact.
+        # With e = 0 the rebound never ends. The row shows the velocity after three durations of an elastic impact.
         rows.append(Row(f"test 3, {name}: e = 0", ours[0], 0.0, 1e-2, scale=1.0))
     return rows
 
@@ -182,8 +182,8 @@ def oblique(device, precision) -> list[Row]:
             place = np.flatnonzero(which)[np.argmax(np.abs(ours - published)[which])]
             label = f"test 4: {name}, worst {where}"
             rows.append(Row(label, float(ours[place]), float(published[place]), tolerance, unit, scale))
-    # These errors are relative to each value. An impact at 5 degrees causes hardly any spin. The spin then equals a
-    # small difference between the tangential restitution and 1, and the restitution is compared above.
+    # The errors of the final spin are relative to each value. An impact at 5 degrees causes hardly any spin. The spin
+    # then equals a small difference between the tangential restitution and 1, and the restitution is compared above.
     for which, where, tolerance in ((TEST_4[:, 0] == 10, "at 10 degrees", 0.1), (~steep, "from 15 degrees on", 0.03)):
         label = f"test 4: final angular velocity {where}"
         rows.append(_worst(label, turning[which], TEST_4[which, 2], tolerance, "rad/s"))

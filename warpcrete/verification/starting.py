@@ -111,8 +111,8 @@ def start(device: str, precision: str) -> list[Row]:
         for number, layer, error, end in BEGUN:
             rms, largest = worst(dimensions, number, layer, LONGEST, error, end, device, precision)
             name = f"{form}, Bn {number:g}" + (", slips" if layer < 1e6 else "")
-            # Measured errors of both rows: 0.11 to 0.38 % and 0.15 to 0.7 % without a yield stress, and 0.8 % and 1.4 %
-            # with a yield stress (on the axis of the tube).
+            # The measured errors of the velocity profile are 0.11 to 0.38 % (largest rms) and 0.15 to 0.7 % (largest in
+            # any cell) without a yield stress, and 0.8 % and 1.4 % (on the axis of the tube) with a yield stress.
             found += [
                 Row(f"{name}: profile, largest rms error", rms, 0.0, 0.01, scale=1.0),
                 Row(f"{name}: largest error of any cell", largest, 0.0, 0.015, scale=1.0),

@@ -28,7 +28,7 @@ def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
         bent = g.regularisation * rate
         if bent > scalar(1.0e-3):
             return g.viscosity + g.yield_stress * (scalar(1.0) - wp.exp(-bent)) / rate
-        # Use the series for small rates, where the fraction loses digits.
+        # Use a series for small rates, because the fraction (1 - exp(-x)) / x loses digits there.
         return g.viscosity + g.yield_stress * g.regularisation * (scalar(1.0) - scalar(0.5) * bent)
 
     @wp.func
@@ -136,9 +136,10 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
     ):  # fmt: skip
         """Return a wall's stress on the cell beside it, its derivative with respect to `speed`, and the slip velocity.
 
-        `speed` is the cell's mean velocity along the wall. It is the sum of the slip velocity (Xu, Li & Jiang 2021, Eq.
-        8) and the mean velocity due to shear within the cell; `ring` corrects the latter for cells that are rings about
-        an axis. Newton's method solves for the stress. It starts above the solution, where the function is convex.
+        `speed` is the cell's mean velocity along the wall. This mean velocity is the sum of the slip velocity (Xu, Li &
+        Jiang 2021, Eq. 8) and the mean velocity due to shear within the cell; `ring` corrects the latter for cells that
+        are rings about an axis. Newton's method solves for the stress. It starts above the solution, where the function
+        is convex.
         """
         # Start from an upper bound of the stress: all of the speed is slip, or (with a margin) all of it is shear.
         sheared = scalar(3.0) * (g.yield_stress + scalar(4.0) * g.viscosity * speed / width)

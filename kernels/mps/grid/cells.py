@@ -24,7 +24,8 @@ import warp as wp
 from ...common.types import types
 from ..structs import mps_types
 
-OPEN = wp.constant(0)  # Value of `solid` for a cell that concrete may fill; other values are the number of a wall.
+# Value of `solid` for a cell that concrete may fill; any other value is the number that identifies a wall.
+OPEN = wp.constant(0)
 SMOOTH = wp.constant(2)  # Number of the frictionless wall, which is an axis or a plane of symmetry.
 GATE = wp.constant(3)  # Number of the wall that opens at a given time.
 # The following constants are kinds of faces, except ROUGH, which is the number of a wall.
@@ -117,7 +118,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         velocity: wp.array(dtype=t.vec)  # Velocity of each particle [m/s], shape (n,).
         gradient: wp.array(dtype=t.mat)  # Velocity gradient at each particle [1/s], shape (n,).
         pressure: wp.array(dtype=scalar)  # Pressure at each particle [Pa], shape (n,).
-        mass: wp.array(dtype=scalar)  # Mass over that of the mean particle; 0 if the particle has left the grid.
+        # Mass of each particle over the mass of the mean particle; 0 if the particle has left the grid.
+        mass: wp.array(dtype=scalar)
 
     @wp.struct
     class Mesh:
@@ -138,7 +140,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         rubbed: wp.array(dtype=scalar)  # Area of a pipe's walls along the volume of each face.
         traction: wp.array(dtype=scalar)  # Shear stress of a pipe's walls, with the sign of the velocity [Pa].
         growth: wp.array(dtype=scalar)  # Derivative of `traction` with respect to the velocity of the face [Pa s/m].
-        slip: wp.array(dtype=scalar)  # Velocity of concrete at a pipe's wall; without a wall, that of the face [m/s].
+        # Velocity of concrete at a pipe's wall, or velocity of the face if there is no wall [m/s].
+        slip: wp.array(dtype=scalar)
         # Walls in cut cells: force of a wall between a face and the next face along an axis, over the velocity at the
         # wall. Shape (axes^2 * slots,), ordered by the face's axis, then by the axis along which the next face lies.
         grip: wp.array(dtype=scalar)
@@ -197,7 +200,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def at(g: Cells, c: whole) -> wp.int32:
-        """Return the number of the cell with the indices `c`, which is also that of its edge and of its first face."""
+        """Return the number of the cell with the indices `c`; the cell's edge and first face have the same number."""
         k = c[last]
         if wp.static(of.periodic):
             k = (k + g.n[last]) % g.n[last]
@@ -225,7 +228,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def on_grid(g: Cells, c: whole) -> wp.bool:
-        """Return whether a face or an edge with the indices `c` exists; a periodic grid has one layer less of them."""
+        """Return whether a face or edge with the indices `c` exists; a periodic grid lacks those at its upper end."""
         found = c[last] >= 0 and c[last] <= g.n[last] - wp.static(1 if of.periodic else 0)
         for b in range(last):
             if c[b] < 0 or c[b] > g.n[b]:
@@ -234,7 +237,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def reached(g: Cells, c: whole) -> wp.bool:
-        """Return whether a face or an edge with the indices `c` exists, where a periodic grid continues without end."""
+        """Return whether a face or edge with the indices `c` exists, if a periodic grid continues without end."""
         found = wp.bool(True)
         for b in range(wp.static(last if of.periodic else dims)):
             if c[b] < 0 or c[b] > g.n[b]:
@@ -334,7 +337,7 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def sheared(kind: wp.int32) -> wp.bool:
-        """Return whether a face has a velocity that counts in rates of shear and stretch."""
+        """Return whether a face has a velocity that enters the rates of shear and stretch."""
         return unknown(kind) or kind == FIXED
 
     @wp.func

@@ -45,7 +45,7 @@ def level_functions(scalar, of: Kind) -> SimpleNamespace:
     def lies(crowd: scalar) -> scalar:
         """Return the height of a free surface of concrete that lies on a wall, from 0 at the wall to 1 at the top.
 
-        Up to half the cell's height it equals the density of particles at the cell's centre.
+        Up to half the cell's height, this height equals the density of particles at the cell's centre.
         """
         return wp.where(crowd < scalar(0.5), crowd, level(crowd))
 
@@ -71,8 +71,8 @@ def level_functions(scalar, of: Kind) -> SimpleNamespace:
     def behind(g: Cells, mesh: Mesh, c: whole, d: vec) -> scalar:
         """Return the share of a particle's weight that would fall on neighbouring wall cells.
 
-        This share counts for the particle's own cell. Otherwise concrete that lies on a wall would have only half its
-        weight.
+        This share is added to the weight in the particle's own cell. Otherwise concrete that lies on a wall would have
+        only half its weight.
         """
         sum = scalar(0.0)
         for n in range(1, corners):

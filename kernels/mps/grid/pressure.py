@@ -118,7 +118,7 @@ def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
     def missing(g: Cells, mesh: Mesh, c: whole) -> scalar:
         """Return by how much a cell's particle density is below 1 because the cells around it are not full.
 
-        The cells around are taken to be filled evenly.
+        Concrete in the cells around is taken to be spread evenly.
         """
         sum = scalar(0.0)
         for n in range(wp.static(3**dims)):

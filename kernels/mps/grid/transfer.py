@@ -31,7 +31,7 @@ CLEAR = wp.constant(0.02)
 """Minimum distance of particles from a wall, over the width of a cell."""
 
 LIGHT = wp.constant(0.1)
-"""Inertia of a ghost face inside a wall, over the inertia of a full face in the concrete."""
+"""Inertia of a ghost face inside a wall, relative to a face that lies wholly in the concrete."""
 
 
 @functools.cache
@@ -396,7 +396,8 @@ def advect_kernel(scalar, of: Kind):
             length = scalar(g.n[last]) * g.width[last]
             after[last] = after[last] - length * wp.floor(after[last] / length)
         if wp.static(of.cut):
-            # Rounding and the curvature of its path may lead a particle into a wall, so push it out again.
+            # Rounding errors and the curvature of the particle's path may lead a particle into a wall, so push the
+            # particle out.
             for _ in range(2):
                 gap, outward = clearance(g, geometry, after)
                 steep = wp.length(outward)

@@ -18,7 +18,7 @@ class Later:
     """Queue that runs jobs of recorders one after the other, in a thread of its own if `beside` is set.
 
     Without `beside`, the caller runs each job at once. After a job fails, every call raises its error, and no other job
-    runs. With `gives_way`, the thread lets the run use Python's interpreter first: see :mod:`.turns`.
+    runs. With `gives_way`, the thread lets the run use Python's interpreter first: see :mod:`.interpreter_priority`.
     """
 
     def __init__(self, beside: bool, gives_way: bool = False) -> None:

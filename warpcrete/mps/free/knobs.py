@@ -15,7 +15,8 @@ def free_knobs(
     """Yield the knobs of a free-surface flow: cell width, time step or its error, regularisation and precision.
 
     Cells are `spacing` [m] times `factors` wide, at most `coarsest` [m]. With equal steps a cell must be wider than the
-    distance that concrete passes in a step after a fall by `fall` [m]. Run time goes with the `power` of the spacing.
+    distance that concrete passes in a step after a fall by `fall` [m]. Run time is proportional to the spacing to the
+    power `power`.
     """
     finest = 0.0 if given.step_error else given.time_step * math.sqrt(2 * given.gravity * fall)
     yield scaled("spacing", "spacing", spacing, [f for f in factors if finest < f * spacing <= coarsest], power, "m")

@@ -27,7 +27,10 @@ from ..grid.state import STICKS
 from .scene import SIDES, FreeScene
 
 ABREAST = {2: 3, 3: 2}
-"""Number of particles per cell along each axis, by number of axes; a free surface needs more than a pipe does."""
+"""Number of particles per cell along each axis, by number of axes.
+
+A flow with a free surface needs more particles than a pipe flow.
+"""
 THREE = 0.125, 0.5, 0.875
 """Positions of three particles along a cell, in cell widths.
 
@@ -39,7 +42,7 @@ FINE = {2: 8, 3: 4}
 HEAVIEST = 3.0
 """Maximum mass of a particle, relative to a whole particle; the minimum is the inverse."""
 NEVER = 1e30
-"""Opening time of cells that never open [s]."""
+"""Opening time [s] that stands for cells that never open."""
 
 
 def free_cells(scene: FreeScene) -> tuple[int, ...]:
@@ -110,7 +113,7 @@ def fill_cells(room: Room, abreast: int, concrete: Callable[[np.ndarray], np.nda
     there = concrete(each.reshape(-1, axes)).reshape(each.shape[:-1])
     count = there.sum(-1)
     part = count / abreast**axes
-    # Cells that the edge of the concrete may cross, and their neighbours, are sampled more finely.
+    # The edge of the concrete may cross these cells, so they and their neighbours are sampled more finely.
     edge = (part > 0) & (part < 1)
     for axis in range(axes):
         step = np.diff((part > 0).astype(int), axis=axis) != 0
@@ -144,7 +147,7 @@ def _sides(scene: FreeScene, axes: int) -> tuple[tuple[str, str], ...]:
 
 
 def _differ(one: Geometry, two: Geometry) -> np.ndarray:
-    """Return a mask of the cells in which two geometries differ, shape as `solid`."""
+    """Return a mask of the cells in which two geometries differ, with the shape of `solid`."""
     faces = (one.part != two.part) | (one.gap != two.gap) | (one.shut != two.shut) | (one.surface != two.surface)
     return (
         faces.any(0)

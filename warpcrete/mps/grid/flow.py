@@ -41,13 +41,14 @@ from ..stages import LEAST_PRESSURE, VELOCITY_ERROR
 from ..stepping import Stepping
 from .state import GridState, grid_numbers
 
-HISTORY = 256  # maximum number of iterations whose residuals are kept
-ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # relative rounding error of the flow through a cell's sides
-EXTENDED = 3  # number of cells beyond the concrete, in air and walls, to which velocities are extrapolated
-CROWDING = 0.1, 1e-5  # solve that moves particles apart: tolerances relative to its initial residual and to a full cell
+HISTORY = 256  # Maximum number of iterations of a solve whose residuals are kept.
+ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # Relative rounding error of the flow through a cell's sides.
+EXTENDED = 3  # Number of cells beyond the concrete, in air and walls, to which velocities are extrapolated.
+# Tolerances of the solve that moves particles apart, relative to the solve's initial residual and to a full cell.
+CROWDING = 0.1, 1e-5
 SLOWEST = 0.05
 """Minimum speed, relative to the typical speed of the flow, to which the error of a step is compared."""
-FOR_EVER = 2**31 - 1  # a number of steps that no run reaches
+FOR_EVER = 2**31 - 1  # This number of steps is never reached by a run.
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,8 @@ class GridFlow(Stepping):
         kind, faces = state.layout.kind, state.layout.axes * state.slots
         self.viscous = self._system(faces, kind.velocity_neighbours)
         self.projection = self._system(state.slots, kind.pressure_neighbours)
-        # A second system with the pressure matrix moves particles out of crowded regions. A full pipe does without.
+        # A second system with the pressure matrix moves particles out of crowded regions. A full pipe does not need
+        # this system.
         self.dispersion = None if self.full else replace(self.projection, arrays=self._arrays(state.slots))
         self.late = wp.zeros(2, dtype=wp.int32, device=self.device)
         self._idle = wp.zeros(1, dtype=wp.float64, device=self.device)
@@ -181,7 +183,7 @@ class GridFlow(Stepping):
         matrix.near_capacity = near
         for name in structs.Matrix.vars:
             if name not in ("near_capacity", "bound", "grains", "coarse"):
-                # Only particle flows bind velocities to walls through drag and position; here both arrays stay zero.
+                # The struct's arrays for drag and position serve particle flows only; on a grid both arrays stay zero.
                 size = {"near": rows * near, "coefficient": rows * near, "drag": rows, "position": rows}
                 allocate(structs.Matrix, self.device, matrix, **{name: size.get(name, rows)})
         numbers = flow_struct(self.scalar)()

@@ -49,7 +49,7 @@ Distance = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Geometry:
-    """Open parts of the cells, faces and edges of a grid, named as in the kernels' struct `Geometry`.
+    """Open parts of the cells, faces and edges of a grid, with the same names as in the kernels' struct `Geometry`.
 
     The arrays include the frame of one cell around the grid, with the last axis first. Arrays of faces have the shape
     (axes, *shape), `depth` has (*shape, 2^axes), and the others `shape`.
@@ -146,7 +146,7 @@ def _quarters(corners: np.ndarray) -> np.ndarray:
     """Return the open fractions of the quarters of each cell around its edges, shape (pairs, 4, cells...)."""
     axes, half = corners.ndim, corners
     for axis in range(axes):
-        # Insert values at the middle of cells, so that the two halves of each cell follow one another.
+        # Insert values at the middle of cells, so that the two halves of each cell are adjacent in the arrays.
         half = np.moveaxis(half, axis, -1)
         middle = np.stack([half[..., :-1], 0.5 * (half[..., :-1] + half[..., 1:])], -1)
         half = np.concatenate([middle.reshape(*half.shape[:-1], -1), half[..., -1:]], -1)
@@ -226,7 +226,7 @@ def _hold(room: Room, corners: np.ndarray, shut: np.ndarray, wall: np.ndarray, a
     inner = (np.arange(fine) + 0.5) / fine
     values = corners
     for axis in range(axes):
-        # Interpolate between corners; the sample points of one cell follow one another.
+        # Interpolate between the corners of cells; the sample points of one cell are adjacent in the arrays.
         values = np.moveaxis(values, axis, -1)
         low, high = values[..., :-1, None], values[..., 1:, None]
         values = np.moveaxis((low + inner * (high - low)).reshape(*values.shape[:-1], -1), -1, axis)
@@ -257,7 +257,7 @@ def _behind(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
     axes, half = wall.ndim, fine // 2
     shape = [n for length in wall.shape for n in (length, fine)]
     inner = found.reshape(shape).transpose(*range(0, 2 * axes, 2), *range(1, 2 * axes, 2))
-    away = (np.arange(half) + 0.5) / fine  # distance from the middle of a cell, in cell widths
+    away = (np.arange(half) + 0.5) / fine  # Distance of each sample point from the middle of its cell, in cell widths.
     sum = np.zeros(wall.shape)
     for side in np.ndindex((2,) * axes):
         # Select the sample points on this side of the middle along each axis, from the middle outward.
@@ -273,7 +273,7 @@ def _behind(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
 
 
 def _corners(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
-    """Return the values at the lower and upper ends of cells along some axes, as new last axes of length two."""
+    """Return the values at the lower and upper ends of cells along some axes, as new last axes of length 2."""
     for axis in axes:
         count = values.shape[axis]
         values = np.stack([np.take(values, range(count - 1), axis), np.take(values, range(1, count), axis)], -1)
@@ -281,7 +281,7 @@ def _corners(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
 
 
 def _open(corners: np.ndarray, ends: int) -> np.ndarray:
-    """Return the fraction where values, linear between corners along the last `ends` axes, are positive."""
+    """Return the part of cells with positive values, which are linear between corners along the last `ends` axes."""
     if ends == 1:
         a, b = corners[..., 0], corners[..., 1]
         high, low = np.maximum(a, b), np.minimum(a, b)

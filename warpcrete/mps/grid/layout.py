@@ -33,7 +33,7 @@ class GridLayout:
     slip: tuple[float, float]
     """Viscosity [Pa s/m] and yield stress [Pa] of the slip layer on walls."""
     speed: float
-    """Typical speed of the flow [m/s], by which errors of the solves are judged."""
+    """Typical speed of the flow [m/s], with which errors of the solves are compared."""
     length: float
     """Length over which the velocity typically varies [m]."""
     frame: float = 0.0
@@ -51,7 +51,7 @@ class GridLayout:
     opens: np.ndarray = field(default_factory=lambda: np.zeros(0))
     """Time at which each cell takes its geometry from `opened` [s], shape as `solid`; empty if nothing opens."""
     full: bool = False
-    """True if concrete fills the room at all times, so that there is no free surface even if it is not periodic."""
+    """True if concrete fills the room at all times, so that even a room that is not periodic has no free surface."""
     rough: tuple[float, float] = (STICKS, 0.0)
     """Viscosity [Pa s/m] and yield stress [Pa] of the layer on walls of number ROUGH; by default concrete sticks."""
     weightless: bool = False
@@ -176,7 +176,7 @@ def pipe_layout(scene: FluidScene) -> GridLayout:
 def _resistance(scene: FluidScene) -> float:
     """Return the increase of the wall's force per volume with the mean velocity in the steady state [kg/m3/s].
 
-    The driving force of a periodic pipe uses this slope to anticipate how the wall answers a change of velocity.
+    The driving force of a periodic pipe uses this slope to anticipate how the wall's force changes with the velocity.
     """
     little, flow = 1e-3, math.pi * scene.radius**2 * scene.velocity
     now, more = (steady(scene.concrete, scene.line, flow * (1 + part), scene.form) for part in (0.0, little))

@@ -14,13 +14,13 @@ from .flow import GridFlow
 from .layout import GridLayout
 
 FINE = 40
-"""Number of points per cell over which theory's velocity is averaged."""
+"""Number of points per cell over which the theoretical velocity is averaged."""
 
 
 def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str, float]:
     """Return a row of the series; the change of momentum is taken from `before`, the previous row.
 
-    The momentum of a channel is that of a metre of depth. The pressure of a periodic pipe is the force per volume that
+    The momentum of a channel is given per metre of depth. The pressure of a periodic pipe is the force per volume that
     drives it, weight included, times its length.
     """
     scene, state, layout = flow.scene, flow.state, flow.state.layout
@@ -33,7 +33,7 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
     kind = state.faces("kind")[1] == int(LIQUID)
     mass = scene.concrete.density * area * layout.height
     momentum = mass * scene.velocity
-    if flow.steps:  # before the first step the grid holds no velocities
+    if flow.steps:  # Before the first step, the grid holds no velocities.
         momentum = scene.concrete.density * float(np.sum(volume * along, where=kind))
     # The faces along the wall belong to the first and last cells across a channel, or to the last cell of a tube.
     beside = [-2] if layout.axial else [1, -2]
@@ -69,7 +69,7 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
 
 
 def _structure(flow: GridFlow, beside: list[int]) -> dict[str, float]:
-    """Return the mean yield stresses [Pa] that the slip layer and the concrete next to it still have from the rest."""
+    """Return the mean gain of yield stress [Pa] at rest that the slip layer and the concrete beside it still have."""
     if not flow.state.layout.kind.thixotropic:
         return {}
     layer, bulk = flow.state.faces("layer")[1], flow.state.faces("gained")[0]
@@ -77,9 +77,9 @@ def _structure(flow: GridFlow, beside: list[int]) -> dict[str, float]:
 
 
 def _within(layout: GridLayout, places: np.ndarray, scene: FluidScene) -> float:
-    """Return the mass of concrete in a window whose weight falls smoothly from the middle to the wall.
+    """Return the mass of concrete, weighted with a factor that falls smoothly from the middle to the wall.
 
-    The mass stays as at the start unless particles go astray.
+    The result stays as at the start unless particles accumulate in the wrong places.
     """
     part = (np.abs(places[:, 0]) / scene.radius) ** (2 if layout.axial else 1)
     return window(part, layout.mass)
@@ -99,7 +99,7 @@ def profile(flow: GridFlow, height: float | None = None) -> tuple[np.ndarray, np
 
 
 def theory_profile(scene: FluidScene, layout: GridLayout) -> np.ndarray:
-    """Return theory's velocity [m/s], averaged over the section of each cell, in the order of `profile`."""
+    """Return the theoretical velocity [m/s], averaged over the section of each cell, in the order of `profile`."""
     nx = layout.cells[0]
     across = np.abs(layout.left + (np.arange(nx * FINE) + 0.5) * layout.spacing / FINE).reshape(nx, FINE)
     weight = across if layout.axial else np.ones_like(across)

@@ -49,11 +49,13 @@ class GridState:
     mesh: Any
     """Arrays on cells, faces and edges, a struct `Mesh`."""
     geometry: Any
-    """Current geometry of the walls, a struct `Geometry`; the attribute `opened` has that behind an opened gate."""
+    """Current geometry of the walls, a struct `Geometry`; the attribute `opened` holds the geometry once the gate has
+    opened.
+    """
     walls: Any
     """Motions and slip layers of the walls, a struct `Walls`."""
     grains = None
-    """Coarse aggregate; always None on a grid."""
+    """Coarse aggregate; always None, because flows on a grid have no separate aggregate."""
 
     def __init__(self, scene: Any, layout: GridLayout, device: Any, precision: str) -> None:
         self.scene, self.layout, self.device, self.scalar = scene, layout, device, scalar_of(precision)
@@ -72,7 +74,7 @@ class GridState:
         drive[int(FORCE)] = layout.drive
         clock = np.zeros(CLOCK)
         clock[[int(DT), int(WANTED)]] = scene.time_step * (FIRST if scene.step_error else 1.0)
-        full = np.zeros(self.shape, np.int32)  # cells of a full pipe stay full
+        full = np.zeros(self.shape, np.int32)  # Cells of a full pipe always stay full.
         if layout.periodic or layout.full:
             inner = (slice(1, -1),) * layout.axes
             full[inner] = layout.solid[inner] == NONE
@@ -113,7 +115,7 @@ class GridState:
         )
 
     def _rows(self, name: str) -> int:
-        """Return the number of rows of a mesh array."""
+        """Return the number of rows of the mesh array with a given name."""
         if name in LISTS:
             return self.count
         if name == "listed":

@@ -94,7 +94,7 @@ class PartDisplay(Display):
         )  # fmt: skip
 
     def profiles(self) -> tuple[Profile, ...]:
-        """Return the pressure along the axis, with that of straight pipes by theory."""
+        """Return the pressure along the axis, and the theoretical pressure along straight pipes."""
         return (Profile("pressure", "Pressure [kPa] over the position along the axis [m]", (
             Points("this run", self._pressures, OURS), Points("theory", self._expected, THEORY),
         )),)  # fmt: skip

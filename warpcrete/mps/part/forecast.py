@@ -26,7 +26,7 @@ def forecast(scene: PartScene, device: Any, precision: str, threads: int | None,
 
 
 def _course(simulation: PartSimulation) -> Course:
-    """Return the course of a run until the flow is steady, as a coarser copy shows it."""
+    """Return the course of a run until the flow is steady, found with a coarser copy."""
     scene = simulation.scene
     spacing = max(scene.spacing, 0.95 * 2 * scene.narrowest / FEWEST)
     _, reached, remarks = coarser_run(simulation, "the pressure is not steady", spacing=spacing)

@@ -26,7 +26,9 @@ The inlet plane extends BEHIND cells beyond that radius.
 ABREAST = 2
 """Number of particles per cell along each axis."""
 PLACES, A_RADIUS = 200, 8
-"""Minimum number of points along the axis from which a part's extent is found, and points per radius of the bore."""
+"""Minimum number of points along the axis at which a part's extent is sampled, and number of points per radius of
+the bore.
+"""
 
 
 class Frame:
@@ -61,7 +63,7 @@ def part_room(scene: PartScene) -> Room:
     frame, size = Frame(scene), scene.radius
     h = size / max(3, round(size / scene.spacing))
     wide = scene.widest
-    # A long part needs more points, so that every bend is sampled where it reaches farthest.
+    # A long part needs more points, so that each of its bends is sampled at its farthest point.
     count = max(PLACES, math.ceil(A_RADIUS * scene.axis.length / size))
     points, tangents = scene.axis.at(np.linspace(0, scene.axis.length, count))
     places = frame.inward(points)
@@ -152,7 +154,7 @@ def part_layout(scene: PartScene) -> GridLayout:
 
 
 def _area(geometry, room: Room, way: np.ndarray) -> float:
-    """Return the area of the inlet plane as the cells represent it [m2]: the inflow divided by the plane's speed.
+    """Return the area of the inlet plane as represented by cells [m2]: the volume flow over the plane's speed.
 
     The unit vector `way` is the plane's normal.
     """
@@ -163,7 +165,7 @@ def _area(geometry, room: Room, way: np.ndarray) -> float:
     for axis in range(3):
         area = room.width[0] ** 2
         shut = np.where(geometry.surface[axis] == INLET, 1 - geometry.part[axis], 0.0) * area * way[axis]
-        above = np.roll(liquid, 1, 2 - axis)  # the arrays have their last axis first
+        above = np.roll(liquid, 1, 2 - axis)  # The arrays of cells have their last axis first.
         total += float(np.sum(shut * liquid) - np.sum(shut * above))
     return total
 

@@ -14,8 +14,8 @@ from .scene import PartScene
 def plot_part(run: Run) -> Any:
     """Return a figure of the frictional pressure along the part and of the pressure over time.
 
-    The frictional pressure at a place is the loss still to come downstream; that of straight pipes by theory is drawn
-    for comparison.
+    The frictional pressure at a place is the loss still to come downstream; the theoretical frictional pressure of
+    straight pipes is drawn for comparison.
     """
     from matplotlib.figure import Figure
 

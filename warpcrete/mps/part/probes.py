@@ -26,7 +26,7 @@ UNITS = {
 """Units of the columns of the time series."""
 
 FULL = 0.3
-"""Minimum fraction of a slice's volume that its cells must hold for the slice to count."""
+"""Minimum fraction of the bore's volume within a slice that cells must cover; other slices are left out."""
 
 
 def loss_along(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
@@ -49,7 +49,7 @@ def loss_along(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
 
 
 def straight_lines(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return straight lines fitted to the pressure in the straight stretches before and behind the middle.
+    """Return straight lines fitted to the pressure in the straight stretches upstream and downstream of the middle.
 
     Each line is its slope [Pa/m] and its value at arc length zero [Pa]. A length of CLEAR radii at both ends of a
     stretch is left out. A stretch with fewer than three points gives NaN.
@@ -67,9 +67,9 @@ def straight_lines(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> tup
 
 
 def stations_of(scene: PartScene, s: np.ndarray, friction: np.ndarray) -> Table:
-    """Return a table of the bore's radius, the friction ahead and the pressure at arc lengths `s` [m].
+    """Return a table of the bore's radius, the remaining friction and the pressure at arc lengths `s` [m].
 
-    The friction ahead, `friction`, is the frictional loss still to come downstream [Pa]; the pressure includes weight.
+    The column `friction` is the frictional loss still to come downstream [Pa]; the pressure includes weight.
     """
     columns = {"place": s, "radius": scene.bore(s), "friction_ahead": friction, "pressure": friction + scene.weight(s)}
     return Table(columns, {"place": "m", "radius": "m", "friction_ahead": "Pa", "pressure": "Pa"})

@@ -65,7 +65,7 @@ class PartSettings(Declared):
 
 @dataclass(frozen=True)
 class Section:
-    """Piece of a part, such as a bend or a taper, between two arc lengths of the axis."""
+    """Piece of a part of a line, such as a bend or a taper, between two arc lengths of the axis."""
 
     kind: str
     """Kind of the piece, such as "straight", "bend" or "taper"."""
@@ -108,7 +108,7 @@ class PartScene(Parametrised, PartSettings):
     insert: tuple[float, float] | None = None
     """Arc lengths of the ends of a mesh that is shorter than the part [m]; None if it is as long as the part.
 
-    Beyond its ends the bore continues as it is there.
+    Beyond the ends of the mesh, the bore keeps the cross-section that it has there.
     """
     published: Mapping[str, float] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
@@ -150,7 +150,8 @@ class PartScene(Parametrised, PartSettings):
         begin, end = self.middle
         for length, at in ((begin, 0.0), (self.axis.length - end, self.axis.length)):
             wanted = (2 if end > begin else 1) * CLEAR * float(self.bore(at)) + LEFT * self.spacing
-            if length < wanted * (1 - 1e-9):  # lengths are differences and so carry rounding errors
+            # Lengths are differences of arc lengths and therefore carry rounding errors.
+            if length < wanted * (1 - 1e-9):
                 share = "" if end > begin else ", half of the pipe"
                 refuse("straight", length, f"is too short to measure the loss of a straight stretch{share}",
                        f"use {wanted:.3g} m or more")  # fmt: skip
@@ -187,7 +188,7 @@ class PartScene(Parametrised, PartSettings):
         return getattr(self, "_inner", None)
 
     def bore(self, s: np.ndarray | float) -> np.ndarray:
-        """Return the bore's radius at arc lengths `s` [m], from its area where a mesh is not round; shape as `s`."""
+        """Return the radius of a circle with the bore's area at arc lengths `s` [m], with the shape of `s`."""
         measured = getattr(self, "_bores", None)
         if measured is not None:
             return np.asarray(np.interp(s, *measured))
@@ -249,7 +250,7 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def sections(self) -> tuple[Section, ...]:
-        """Pieces of the part in a row, straight or not."""
+        """Pieces of the part in order, straight or not."""
         if self.parts:
             return self.parts
         found, begin = [], 0.0
@@ -300,7 +301,7 @@ class PartScene(Parametrised, PartSettings):
         return sum(self._friction(*stretch) for stretch in pairwise([begin, *inner, end]))
 
     def _friction(self, begin: float, end: float) -> float:
-        """Return the frictional loss of a piece whose bore changes evenly or is measured [Pa]."""
+        """Return the frictional loss of a piece whose bore changes linearly or was measured [Pa]."""
         edges = np.linspace(begin, end, 41)
         middles = 0.5 * (edges[1:] + edges[:-1])
         if np.ptp(self.bore(edges)) < 1e-9:

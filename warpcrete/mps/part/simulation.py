@@ -24,7 +24,7 @@ from .quantities import QUANTITIES, Known
 from .scene import PartScene
 
 SAMPLES = 10
-"""Number of steps over which the pressure must not change, twice in a row, for the flow to be steady."""
+"""Number of steps during which the pressure must not change. Two such periods in a row make the flow steady."""
 
 
 class PartSimulation(FlowRun):
@@ -63,7 +63,8 @@ class PartSimulation(FlowRun):
         apart = max(1, math.ceil(SAMPLES * scene.time_step / scene.sample_interval - 1e-9))
         if len(rows) <= 2 * apart:
             return False
-        weight = scene.concrete.density * scene.gravity * scene.rise  # hydrostatic part, independent of the flow
+        # Hydrostatic part of the pressure, which does not depend on the flow.
+        weight = scene.concrete.density * scene.gravity * scene.rise
         now, before, long_before = (rows[-1 - n * apart]["pressure"] - weight for n in range(3))
         least = scene.steadiness * abs(now)
         self.steady = abs(now - before) < least and abs(before - long_before) < least
@@ -81,7 +82,7 @@ class PartSimulation(FlowRun):
         }
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
-        """Return entries of the result that the series and the pressure along the part give, and the stations."""
+        """Return entries of the result from the series and the pressure along the part, and the table of stations."""
         scene = self.scene
         result = results_of(QUANTITIES, Known(scene, series))
         s, pressure = loss_along(self.flow)
