@@ -153,7 +153,7 @@ def array_structs(scalar) -> SimpleNamespace:
         # bond state, see `bond_parallel.py`; 0 without a bond, negative if it broke, shape (pairs,)
         bond: wp.array(dtype=wp.int32)
         # `load` holds the load of each bond, shape (rows,): shear vector and tension [N], bending vector and torsion
-        # [N m]. It is one array because a GPU moves memory in units of 32 bytes. See `warpcrete/dem/bonding.py`.
+        # [N m]. It is one array because a GPU moves memory in units of 32 bytes. See `warpcrete/dem/engine/bonding.py`.
         load: wp.array(dtype=t.vec8)
 
     @wp.struct
