@@ -19,9 +19,10 @@ from ..core.run.run_loop import Coroutine
 from .engine.batch import batch_key
 from .engine.memory import check_memory
 from .engine.model import build_model
-from .engine.scheduling import Steps, drive
+from .engine.scheduling import drive
 from .engine.state import State
 from .engine.stepper import Stepper, steppers_of
+from .engine.stepper_protocol import Steps
 from .laws import Contact, ContactLaw
 from .measure.probes import contact_sums
 from .scene.bodies import BodyTable

@@ -11,6 +11,7 @@ from ...core.device.launching import Stage
 from ...core.device.scan import scan_stages
 from ...kernels.common.types import types
 from ...kernels.dem.grid import grid_kernels, grid_struct
+from .batch import Batch
 
 LOOKED_AT = 4_000
 """Approximate number of spheres sampled to estimate the extent of a scene."""
@@ -39,7 +40,7 @@ class Cells:
     made: int
     """Number of times the grid was allocated; a change means that recorded launches refer to old arrays."""
 
-    def __init__(self, batch: Any) -> None:
+    def __init__(self, batch: Batch) -> None:
         self.batch = batch
         self.shift = wp.zeros(batch.count, dtype=types(batch.scalar).vec3, device=batch.device)
         self._bounds = np.zeros((batch.count, 2, 3))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import warp as wp
 
 from ...core.device.launching import Stage
 from ...kernels.dem.rebuilding import rebuilding_kernels
+from .batch import Batch
 
 if TYPE_CHECKING:
     from .neighbors import NeighborLists
@@ -33,7 +34,7 @@ class DeviceRebuild:
         )  # fmt: skip
 
     @staticmethod
-    def possible(batch: Any) -> bool:
+    def possible(batch: Batch) -> bool:
         """Return whether a batch can rebuild on the device: a GPU, a single scene, and grid cells of constant width."""
         able = not batch.device.is_cuda or wp.is_conditional_graph_supported()
         return batch.parallel and batch.count == 1 and batch.sphere_count > 0 and not batch.features.growth and able

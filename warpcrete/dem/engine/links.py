@@ -14,6 +14,8 @@ import warp as wp
 from ...kernels.dem.linking import MORE
 from ...kernels.dem.links import pull_rows
 from ...kernels.dem.structs import links_struct
+from .batch_protocol import BatchArrays
+from .model import Features
 from .state import State, pair_bytes
 
 
@@ -28,12 +30,12 @@ def even_pairs(states: list[State]) -> None:
                 setattr(state.pairs, name, even)
 
 
-def rows_of(features: Any) -> int:
+def rows_of(features: Features) -> int:
     """Return the number of result rows of a link, of four numbers each, for these features."""
     return pull_rows(features.bonds, features.pair_law.rolls, features.dissipation)
 
 
-def make_links(batch: Any) -> Any:
+def make_links(batch: BatchArrays) -> Any:
     """Allocate empty links for all list entries of a :class:`Batch`; on a CPU the arrays have length 0."""
     struct = links_struct(batch.scalar)
     lists = int(batch.capacity.sum()) if batch.parallel else 0

@@ -6,7 +6,6 @@ Every kernel visits all scenes of a batch, so ended scenes still cost time.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from ...core.device.device import memory_free
 from ...core.device.footprint import footprint
@@ -14,6 +13,7 @@ from .batch import Batch
 from .neighbors import NeighborLists
 from .stable_step import StableStep
 from .state import State
+from .stepper_protocol import SceneStepper
 
 PART = 0.5
 """Largest share of a batch's spheres that running scenes may hold for the batch to be regrouped."""
@@ -34,7 +34,7 @@ class Regrouping:
     def __init__(self) -> None:
         self._few = 0
 
-    def __call__(self, steppers: Sequence[Any]) -> None:
+    def __call__(self, steppers: Sequence[SceneStepper]) -> None:
         """Move the running scenes, given by their steppers, to a batch of their own if that is due."""
         batch = steppers[0].batch
         spheres = sum(stepper.state.sphere_count for stepper in steppers)
@@ -51,7 +51,7 @@ class Regrouping:
             regroup(steppers)
 
 
-def regroup(steppers: Sequence[Any]) -> None:
+def regroup(steppers: Sequence[SceneStepper]) -> None:
     """Move steppers of one batch to a new batch that holds only them; their results stay the same to the bit."""
     old = steppers[0].batch
     old.flush()

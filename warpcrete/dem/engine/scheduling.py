@@ -8,7 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 from typing import Any
 
 import warp as wp
@@ -18,25 +17,20 @@ from ...core.device.interpreter_priority import waiting
 from ...core.device.interrupts import put_off
 from ...core.errors import CapacityError
 from ...core.run.run_loop import Coroutine
+from .batch import Batch
 from .device_rebuild import DeviceRebuild
 from .regrouping import Regrouping
 from .stages import step_stages
+from .stepper_protocol import SceneStepper
 
 BETWEEN_LOOKS = 50e-6
 """Time between two polls of the host while no batch has completed its steps [s]."""
 
 
-@dataclass(frozen=True)
-class Steps:
-    """Goal that a coroutine may yield instead of a time: a number of further steps of the current size."""
-
-    count: int
-
-
 class _Scene:
     """Coroutine of one scene, together with its progress towards the goal that it yielded last."""
 
-    def __init__(self, stepper: Any, coroutine: Coroutine) -> None:
+    def __init__(self, stepper: SceneStepper, coroutine: Coroutine) -> None:
         self.stepper, self.coroutine = stepper, coroutine
         self._under_way: Coroutine | None = None
         self.waiting = False
@@ -69,11 +63,11 @@ class _Scene:
 class _Drive:
     """Scenes of one batch in progress, launch by launch."""
 
-    def __init__(self, scenes: dict[int, tuple[Any, Coroutine]], stream: Any, *, regroups: bool) -> None:
+    def __init__(self, scenes: dict[int, tuple[SceneStepper, Coroutine]], stream: Any, *, regroups: bool) -> None:
         self._members = {number: _Scene(*pair) for number, pair in scenes.items()}
         self._stream = stream
         self._regroup = Regrouping() if regroups else None
-        self._launched: Any = None  # the batch of the latest launch
+        self._launched: Batch | None = None  # the batch of the latest launch
         self.stop: KeyboardInterrupt | None = None
 
     @property
@@ -94,6 +88,7 @@ class _Drive:
     @property
     def settled(self) -> bool:
         """True if the device has completed the latest launch."""
+        assert self._launched is not None
         return self._launched.settled
 
     def begin(self, stop: KeyboardInterrupt | None) -> None:
@@ -153,7 +148,7 @@ class _Drive:
         batch.launch()
 
     @staticmethod
-    def _by_device(stepper: Any) -> tuple[AtOnce | None, AtOnce | None]:
+    def _by_device(stepper: SceneStepper) -> tuple[AtOnce | None, AtOnce | None]:
         """Return two launches that a GPU inserts between steps: list rebuilds alone, and with step size estimates.
 
         Only a batch of one scene can rebuild its lists on the device.
@@ -169,6 +164,7 @@ class _Drive:
         return AtOnce(rebuild, batch.device) if rebuild else None, stepper.stable_step.by_device(rebuild)
 
     def _look(self) -> None:
+        assert self._launched is not None
         waiting, flags = self.waiting, self._launched.settle()
         stepper = waiting[0].stepper
         for member in waiting:
@@ -190,7 +186,7 @@ class _Drive:
             estimate.forget()
 
 
-def drive(scenes: dict[int, tuple[Any, Coroutine]]) -> dict[int, Any]:
+def drive(scenes: dict[int, tuple[SceneStepper, Coroutine]]) -> dict[int, Any]:
     """Run the coroutines of all scenes of one batch to their ends; `scenes` maps numbers to steppers and coroutines.
 
     Returns by number what each coroutine returned or raised. Steppers may have moved to other batches afterwards, so
@@ -201,7 +197,7 @@ def drive(scenes: dict[int, tuple[Any, Coroutine]]) -> dict[int, Any]:
 
 
 def drive_abreast(
-    groups: Sequence[tuple[dict[int, tuple[Any, Coroutine]], Any]], *, regroups: bool = True
+    groups: Sequence[tuple[dict[int, tuple[SceneStepper, Coroutine]], Any]], *, regroups: bool = True
 ) -> list[dict[int, Any]]:
     """Run :func:`drive` for several batches at the same time, each on its own GPU stream (None: the default stream).
 
@@ -239,7 +235,7 @@ def drive_abreast(
     return [one.results for one in drives]
 
 
-def drive_one(stepper: Any, coroutine: Coroutine) -> Any:
+def drive_one(stepper: SceneStepper, coroutine: Coroutine) -> Any:
     """Run one scene's coroutine; return what it returns, raise what it raises."""
     result = drive_abreast([({0: (stepper, coroutine)}, None)], regroups=False)[0][0]
     if isinstance(result, BaseException):

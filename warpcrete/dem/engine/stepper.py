@@ -24,9 +24,10 @@ from .failures import failed_body
 from .loading import load_kernels
 from .model import Model
 from .neighbors import NeighborLists
-from .scheduling import Steps, drive_one
+from .scheduling import drive_one
 from .stable_step import StableStep, foreseen_speed
 from .state import State
+from .stepper_protocol import Steps
 from .subcycling import MARGIN, rounds_for
 
 # Skin divided by the mean sphere radius. On a CPU the time of a pumping step is the same from 0.3 to 0.75. A GPU steps

@@ -19,6 +19,7 @@ from ...kernels.dem.bond_parallel import HYDRATED
 from ...kernels.dem.locating import locating_kernels
 from ...kernels.dem.structs import subcycled_struct
 from ...kernels.dem.subcycling import RELAXATION, body_kernel, foreseeing_kernel, pair_kernel, rounds_kernel
+from .batch_protocol import SceneBatch
 from .bonding import bond_kinds
 from .pairs import listed_pairs
 from .state import pair_bytes
@@ -64,7 +65,7 @@ class Subcycles:
     arrays: Any
     """Arrays of sub-cycled pairs and bodies, a struct `Subcycled`."""
 
-    def __init__(self, batch: Any) -> None:
+    def __init__(self, batch: SceneBatch) -> None:
         """Create the sub-cycling of a :class:`Batch`, at first without pairs."""
         self.batch = batch
         self._of_scene: list[dict[str, np.ndarray]] = [{} for _ in range(batch.count)]
@@ -239,14 +240,14 @@ class Subcycles:
             stage(kernels.locate_pairs, self.pair_count, "sphere_place", "subcycled"),
         ]
 
-    def kernels(self) -> list[Any]:
+    def kernels(self) -> list[Stage]:
         """Return stages with all kernels of the sub-cycling, so that they can be compiled."""
         if not self.batch.features.subcycling:
             return []
         rounds = self._round(0, 0) if self.batch.features.half_list else [self._all_rounds()]
         return [*self._locating(), *rounds, self._foreseeing(0)]
 
-    def stages(self, part: int) -> list[Any]:
+    def stages(self, part: int) -> list[Stage]:
         """Return one thread's stages for the rounds of a step."""
         if not self.batch.features.half_list:
             return [self._all_rounds(), self._foreseeing(part)]

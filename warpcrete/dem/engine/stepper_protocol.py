@@ -1,0 +1,62 @@
+"""Stepper as scheduling and regrouping see it; they cannot name its class, because the stepper imports them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from ...core.run.run_loop import Coroutine, Until
+from .batch import Batch
+from .model import Model
+from .neighbors import NeighborLists
+from .stable_step import StableStep
+from .state import State
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Goal that a coroutine may yield instead of a time: a number of further steps of the current size."""
+
+    count: int
+
+
+class SceneStepper(Protocol):
+    """One scene of a batch that advances to goals."""
+
+    model: Model
+    state: State
+    batch: Batch
+    lists: NeighborLists
+    stable_step: StableStep
+    index: int
+    """Number of the scene in its batch."""
+    meanwhile: Callable[[], None] | None
+    """Deferred work of the run, to be called once while further steps are in flight."""
+
+    def reaching(self, goal: Until | Steps) -> Coroutine:
+        """Return a coroutine that advances to a goal and yields while the batch must step."""
+        ...
+
+    def wants_estimate(self) -> bool:
+        """Return whether the stable step must be estimated before the scene takes more steps."""
+        ...
+
+    def trouble(self, flags: np.ndarray) -> Exception | None:
+        """Return the exception that a scene's flags call for, or None."""
+        ...
+
+    def reached(self, flags: np.ndarray) -> bool:
+        """Return whether a scene with these flags has halted at its goal or for an estimate of the stable step."""
+        ...
+
+    def join(
+        self, lists: NeighborLists, stable_step: StableStep, index: int, *, resumed: dict[str, Any] | None = None
+    ) -> None:
+        """Become scene `index` of the batch of `lists`; continue from a `state_dict` if one is given."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return what a stepper needs, in addition to the state, to continue in the same way."""
+        ...
