@@ -15,7 +15,7 @@ from warpcrete.methods import Simulation, method_of
 from warpcrete.record.checks import CheckRecorder, failed_checks
 from warpcrete.record.run_folder import TableRecorder
 from warpcrete.scenes import modules
-from warpcrete.studies.lines.elements import SCENE, Elements, run_elements, sized
+from warpcrete.studies.lines.elements import SCENE, Elements, run_elements, scaled_parameters
 
 LINE = """name: three metres
 diameter: 125 mm
@@ -59,7 +59,7 @@ def main() -> None:
         for seed in range(options.seeds):
             own = {"concrete": name, "line": str(file), "flow": options.flow, "gravity": 0.0, "seed": seed,
                    "travel": options.travel, "shapes": options.shapes, "sample_interval": 0.02}  # fmt: skip
-            scene = modules()[SCENE].scene(**sized(own, 0.1, elements))
+            scene = modules()[SCENE].scene(**scaled_parameters(own, 0.1, elements))
             recorders = [TableRecorder(out / f"whole-{seed}"), CheckRecorder(modules()[SCENE].check)]
             whole.append(Simulation(scene, device=options.device, recorders=recorders))
         runs = method_of(whole[0].scene).run_many(

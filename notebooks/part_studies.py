@@ -58,15 +58,15 @@ def main() -> None:
         flows = {}
         if not options.no_flows:
             found = run_line(line, concrete_of(name), options.flow, out=out / "flows", device=options.device)
-            flows = {loss.part.alike: loss.friction / loss.theory for loss in found.losses}
+            flows = {loss.part.loss_key: loss.friction / loss.theory for loss in found.losses}
         runs = [load(folder) for folder in sorted((out / "parts").iterdir())]
         for part in line.parts:
-            if part.by_length:
+            if part.is_by_length:
                 continue
             ratios = [each.ratio(part) for each in packed.packed]
             flux = [number(run.result["flux_ratio"]) for run in runs if _is_of(run, part)]
             spread = f" ± {np.std(ratios, ddof=1) / len(ratios) ** 0.5:.2f}" if len(ratios) > 1 else ""
-            flow = f"{flows[part.alike]:.3f}" if part.alike in flows else ""
+            flow = f"{flows[part.loss_key]:.3f}" if part.loss_key in flows else ""
             print(f"| {part.label} | {name} | {flow} | {np.mean(ratios):.2f}{spread} | {len(ratios)} | "
                   f"{np.mean(flux):.2f} |", flush=True)  # fmt: skip
         for run in runs:

@@ -53,7 +53,7 @@ def runs(module, given: dict, device: str) -> tuple[dict[str, list[float]], floa
     values: dict[str, list[float]] = {"plateau_pressure": [], "peak_pressure": []}
     times = []
     for seed in SEEDS:
-        scene = module.scene(**module.scene.meaningful(module.scene.resolved(given)), seed=seed)
+        scene = module.scene(**module.scene.effective_values(module.scene.resolved(given)), seed=seed)
         result = Simulation(scene, device=device, precision=scene.precision).run().result
         for name, found in values.items():
             found.append(number(result[name]))
@@ -75,7 +75,7 @@ def flows(trade: Path, name: str, device: str) -> None:
             continue  # nothing was promised for so little
         key = (*given.values(), tuple(sorted(advice.changes.items())))
         if key not in ran:
-            scene = module.scene(**module.scene.meaningful(module.scene.resolved(given) | advice.changes))
+            scene = module.scene(**module.scene.effective_values(module.scene.resolved(given) | advice.changes))
             result = Simulation(scene, device=device, precision=scene.precision).run().result
             ran[key] = max(abs(result["pressure_error"]), abs(result["slip_velocity_error"]))
         count += 1

@@ -57,7 +57,7 @@ def scene(parameters: FunnelParameters) -> FreeScene:
     return FreeScene(
         name="funnel",
         test=FUNNEL,
-        concrete=given.mixed(given.surfaces == "slips"),
+        concrete=given.make_concrete(given.surfaces == "slips"),
         plate_slips=given.surfaces == "slips",
         walls_slip=given.surfaces == "slips",
         axial=False,

@@ -88,7 +88,7 @@ def scene(parameters: BoxParameters) -> FreeScene:
     return FreeScene(
         name="lbox",
         test=L_BOX,
-        concrete=given.mixed(given.surfaces == "slips"),
+        concrete=given.make_concrete(given.surfaces == "slips"),
         axial=False,
         width=given.length,
         depth=given.width / 2,

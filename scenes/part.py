@@ -20,16 +20,23 @@ from warpcrete.core.run.checks import with_cures
 from warpcrete.core.run.run_loop import Run
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.bores import Bores
-from warpcrete.geometry.crossings import meeting
+from warpcrete.geometry.crossings import first_crossing
 from warpcrete.geometry.lines import check_crossing, read_line
-from warpcrete.geometry.mesh_parts import FIT, WAYS, bore_of
+from warpcrete.geometry.mesh_parts import DIAMETER_TOLERANCE, WAYS, bore_of
 from warpcrete.geometry.meshes import load
-from warpcrete.geometry.one_pipe import check_return, check_straight_ends, ends, joined, said_by_line, said_by_mesh
+from warpcrete.geometry.one_pipe import (
+    check_return,
+    check_straight_ends,
+    ends,
+    joined,
+    parameters_from_line,
+    parameters_from_mesh,
+)
 from warpcrete.geometry.walls import MeshWall
 from warpcrete.mps.column import FLOW, ConcreteParameters
 from warpcrete.mps.mixes import CONSTANTS, concrete_of
-from warpcrete.mps.part.layout import BESIDE
-from warpcrete.mps.part.scene import FEWEST, PartScene, PartSettings, Section
+from warpcrete.mps.part.layout import INLET_RADIUS
+from warpcrete.mps.part.scene import MIN_ACROSS, PartScene, PartSettings, Section
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level", "mesh")
 ACCURACY = 0.03
@@ -37,8 +44,8 @@ ACCURACY = 0.03
 REMARKS = ("concrete enters through a plane as a plug with uniform velocity, and leaves freely at the outlet",)
 
 
-ALONE = Needs("line", lambda line: line is None, "is left out")
-APART = 3.0
+NO_LINE = Needs("line", lambda line: line is None, "is left out")
+MIN_LEG_DISTANCE = 3.0
 """Minimum distance between two legs of a line, in cells, so that no cell contains concrete of both legs."""
 
 
@@ -53,23 +60,23 @@ class PartParameters(ConcreteParameters, PartSettings):
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return the parameter values that follow from the file of a line, a concrete or a mesh."""
-        said = {**said_by_line(values), **said_by_mesh(values)}
+        said = {**parameters_from_line(values), **parameters_from_mesh(values)}
         return {**said, **super().implied({**said, **values})}
 
     unit: Annotated[str, "Course of the pipe: straight (vertical, horizontal), a bend between two straight pipes, or "
                     "mesh, the bore of the mesh in wall between two straight pipes, which is the default with a "
-                    "wall", OneOf(UNITS), ALONE] = "bend-to-horizontal"  # fmt: skip
-    diameter: Annotated[float, "Inner diameter of the pipe [m]", Above(), ALONE] = 0.1
+                    "wall", OneOf(UNITS), NO_LINE] = "bend-to-horizontal"  # fmt: skip
+    diameter: Annotated[float, "Inner diameter of the pipe [m]", Above(), NO_LINE] = 0.1
     straight: Annotated[float, "Length of the straight pipes before and behind the bend or taper [m]", Above(),
-                        ALONE] = 0.3  # fmt: skip
-    elbow_radius: Annotated[float, "Radius of the centreline of a bend [m]", Above(), ALONE] = 0.25
-    angle: Annotated[float, "Angle of a bend [degrees]", Within(5, 135), ALONE] = 90.0
+                        NO_LINE] = 0.3  # fmt: skip
+    elbow_radius: Annotated[float, "Radius of the centreline of a bend [m]", Above(), NO_LINE] = 0.25
+    angle: Annotated[float, "Angle of a bend [degrees]", Within(5, 135), NO_LINE] = 90.0
     outlet_diameter: Annotated[float | None, "Inner diameter behind the taper, which lies in the middle of a straight "
-                               "pipe, or one length straight behind a bend [m]", Above(), ALONE] = None  # fmt: skip
+                               "pipe, or one length straight behind a bend [m]", Above(), NO_LINE] = None  # fmt: skip
     taper: Annotated[float, "Length of the taper [m]", Needs("outlet_diameter", _is_given, "is given"),
                      Above()] = 0.3  # fmt: skip
     wall: Annotated[str | None, "Mesh file (STL, OBJ ...) whose bore replaces the round pipe: it begins at the "
-                    "origin and leads along x, y or z, or follows the course of the other units", ALONE,
+                    "origin and leads along x, y or z, or follows the course of the other units", NO_LINE,
                     FileIf(bool)] = None  # fmt: skip
     wall_scale: Annotated[
         float, "Factor from the unit of the mesh file to metres, 0.001 for mm", Needs("wall", _is_given, "is given"),
@@ -102,12 +109,12 @@ def scene(parameters: PartParameters) -> PartScene:
         spacing=given.spacing,
         remarks=REMARKS,
         **{f.name: getattr(given, f.name) for f in fields(PartSettings)},
-        **{f.name: getattr(course, f.name) for f in fields(_Course)} | {"bores": bores},
+        **{f.name: getattr(course, f.name) for f in fields(_PipeCourse)} | {"bores": bores},
     )
 
 
 @dataclass(frozen=True)
-class _Course:
+class _PipeCourse:
     """Arguments of a scene that describe the course of the pipe and its width."""
 
     axis: Axis
@@ -118,7 +125,7 @@ class _Course:
     parts: tuple[Section, ...] = ()
 
 
-def _unit(given: PartParameters) -> _Course:
+def _unit(given: PartParameters) -> _PipeCourse:
     """Return the course of a single part."""
     bends = given.unit.startswith("bend")
     if given.unit == "mesh":
@@ -128,11 +135,11 @@ def _unit(given: PartParameters) -> _Course:
     if given.wall is not None:
         _check_wall(given)
         mesh = load(given.wall, "wall", given.wall_scale)
-        return _Course(axis, bores, MeshWall(name=str(given.wall), vertices=mesh.vertices, faces=mesh.faces))
+        return _PipeCourse(axis, bores, MeshWall(name=str(given.wall), vertices=mesh.vertices, faces=mesh.faces))
     if given.outlet_diameter is not None:
         before = axis.length - given.straight - given.taper if bends else given.straight
         bores = Bores((before, before + given.taper), (given.diameter / 2, given.outlet_diameter / 2))
-    return _Course(axis, bores)
+    return _PipeCourse(axis, bores)
 
 
 def _check_wall(given: PartParameters) -> None:
@@ -153,13 +160,13 @@ def _check_wall(given: PartParameters) -> None:
         )
 
 
-def _mesh(given: PartParameters) -> _Course:
+def _mesh(given: PartParameters) -> _PipeCourse:
     """Return the course of a mesh's bore, with straight stretches before its start and beyond its end."""
     if given.wall is None:
         refuse("unit", given.unit, "needs a wall, the path of a mesh file", "set wall, or choose another unit")
     _check_wall(given)
     bore = bore_of(("wall", "wall_scale"), Path(given.wall), given.wall_scale, ways=WAYS)
-    if abs(bore.ends[0] / given.diameter - 1) > FIT:
+    if abs(bore.ends[0] / given.diameter - 1) > DIAMETER_TOLERANCE:
         refuse(
             "diameter",
             given.diameter,
@@ -174,10 +181,10 @@ def _mesh(given: PartParameters) -> _Course:
     axis = joined(Axis(tuple(start.tolist()), inner.tangent, pieces))
     mesh = load(given.wall, "wall", given.wall_scale)
     wall = MeshWall(name=str(given.wall), vertices=mesh.vertices, faces=mesh.faces)
-    wide, gap = max(bore.radii), APART * given.spacing
+    wide, gap = max(bore.radii), MIN_LEG_DISTANCE * given.spacing
     spans = [(given.straight, 2 * wide, 2), (inner.length, 2 * wide, 2 + int(inner.length / wide)),
              (given.straight, 2 * wide, 2)]  # fmt: skip
-    if meeting(axis, spans, gap) is not None:
+    if first_crossing(axis, spans, gap) is not None:
         refuse(
             "wall",
             given.wall,
@@ -185,12 +192,12 @@ def _mesh(given: PartParameters) -> _Course:
             "use a smaller spacing or straight, or shorten it",
         )
     bores = Bores((0.0,), (given.diameter / 2,))
-    check_return(axis, Bores((0.0,), (wide,)), aside=BESIDE * wide + gap)
+    check_return(axis, Bores((0.0,), (wide,)), aside=INLET_RADIUS * wide + gap)
     parts = (Section("straight", 0.0, begin), Section("bore", begin, end), Section("straight", end, axis.length))
-    return _Course(axis, bores, wall, (begin, end), parts)
+    return _PipeCourse(axis, bores, wall, (begin, end), parts)
 
 
-def _line(given: PartParameters) -> _Course:
+def _line(given: PartParameters) -> _PipeCourse:
     """Return the course of a whole line."""
     assert given.line is not None
     line = read_line(given.line)
@@ -203,11 +210,11 @@ def _line(given: PartParameters) -> _Course:
             refuse(f"part {part.number}, hose: layer", part.layer, "must be 1, as a single slip layer is simulated",
                    "leave it out, or use 'warpcrete line'")  # fmt: skip
     axis, bores = joined(line.axis), line.bores
-    check_crossing(line, APART * given.spacing, "change the course of the line, or use a smaller spacing")
-    check_return(axis, bores, aside=BESIDE * bores.radii[0] + APART * given.spacing)
+    check_crossing(line, MIN_LEG_DISTANCE * given.spacing, "change the course of the line, or use a smaller spacing")
+    check_return(axis, bores, aside=INLET_RADIUS * bores.radii[0] + MIN_LEG_DISTANCE * given.spacing)
     parts = tuple(Section(part.kind, *map(float, between), part.label)
                   for part, between in zip(line.parts, pairwise(ends(line)), strict=True))  # fmt: skip
-    return _Course(axis, bores, parts=parts)
+    return _PipeCourse(axis, bores, parts=parts)
 
 
 def _axis(given: PartParameters, bends: bool) -> Axis:
@@ -254,7 +261,7 @@ def _knobs(given: PartParameters) -> Iterator[Knob]:
     narrow = min(given.diameter, given.outlet_diameter or given.diameter)
     if given.line is not None:
         narrow = 2 * read_line(given.line).bores.smallest
-    spacings = [f for f in (2.0, 1.5, 1.0, 0.7) if f * given.spacing <= narrow / FEWEST]
+    spacings = [f for f in (2.0, 1.5, 1.0, 0.7) if f * given.spacing <= narrow / MIN_ACROSS]
     yield scaled("spacing", "spacing", given.spacing, spacings, -4.0, "m")
     yield scaled("time step", "time_step", given.time_step, (2.0, 1.0, 0.5), -0.8, "s")
     yield scaled("regularisation", "regularisation", given.regularisation, (0.1, 1.0, 10.0), 0.1, "s")

@@ -117,7 +117,7 @@ def _remarks(given: PartElements, course: Course, sizes: Sizes) -> Iterator[str]
             f"the largest aggregates have {sizes.largest / narrow:.2g} times the diameter of the narrowest bore; "
             f"above {WIDEST_STONE:g} concrete cannot be pumped (ACI 304.2R)"
         )
-    if not _stations(given, course).tells_losses:
+    if not _stations(given, course).can_fit_losses:
         yield "straight pipes are too short for their losses: two slices must be a radius away from their ends"
     if course.line is not None:
         yield from course.line.remarks()

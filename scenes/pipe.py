@@ -21,7 +21,7 @@ from warpcrete.core.run.run_loop import Run
 from warpcrete.core.units import number
 from warpcrete.dem.measure.blockage_results import blocked_words
 from warpcrete.dem.pumping.components import Plug, fill_of, law_remarks, plug_of, settings_of, sizes_of
-from warpcrete.dem.pumping.parameters import WIDEST_STONE, PipeParameters, asked_of, pumping_knobs
+from warpcrete.dem.pumping.parameters import WIDEST_STONE, PipeParameters, index_settings, pumping_knobs
 from warpcrete.dem.scene.concretes import COVERAGE
 from warpcrete.dem.scene.containers import PipeContainer
 from warpcrete.dem.scene.scene import (
@@ -47,17 +47,17 @@ PUBLISHED = {
 }
 """Pressures of the units with reference parameters, from section 5.1 of Zhan et al. 2019."""
 
-OF_THE_PAPER = ("zhan", "zhan-table1")
+PAPER_CONCRETES = ("zhan", "zhan-table1")
 """Concretes for which reports show the paper's results."""
-FEWEST = 30
+MIN_AGGREGATES = 30
 """Minimum number of aggregates; fewer of them do not represent concrete."""
-LEAK = 0.01
+MAX_LEAK = 0.01
 """Largest fraction of the aggregates that may slip past the plug."""
-LAST_OF_PAUSE = 0.05
+PAUSE_LEFT_AT_REST = 0.05
 """Fraction of the last pause that is still to come when the long rest begins."""
-SLICES, MOST_SLICES = 2.0, 1000
+SLICES, MAX_SLICES = 2.0, 1000
 """Number of slices per pipe diameter, and their maximum number, in which recordings show the stress along the pipe."""
-BALANCED = 0.01
+MAX_BALANCE_ERROR = 0.01
 """Limit of the error in the momentum balance, as a fraction of the largest impulse."""
 
 
@@ -73,7 +73,7 @@ def scene(parameters: PipeParameters) -> Scene:
     sizes = sizes_of(given, given.diameter)
     axis = unit_axis(given.unit, given.length + given.distance, given.elbow_radius)
     pipe = _pipe_wall(given, axis)
-    bore = _odd_bore(given, axis, pipe, 0.0, given.length)
+    bore = _uneven_bore(given, axis, pipe, 0.0, given.length)
     plug = _plug(given, axis, pipe)
     return Scene(
         name="pipe",
@@ -105,7 +105,7 @@ def scene(parameters: PipeParameters) -> Scene:
         published=PUBLISHED.get(given.unit) if _is_reference(given) else None,
         remarks=tuple(_remarks(given, sizes)),
         **settings_of(given),
-        **asked_of(given),
+        **index_settings(given),
     )
 
 
@@ -139,7 +139,7 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
             run.finished and result["steps"] > 0 and whole,
             f"travel {travel:.4g} of {goal:.4g} m",
         ),
-        "momentum balance": (balance < BALANCED, f"error {100 * balance:.3g} % of the largest impulse"),
+        "momentum balance": (balance < MAX_BALANCE_ERROR, f"error {100 * balance:.3g} % of the largest impulse"),
         "all aggregates inside": (outside == 0, f"{outside} centroids outside the pipe"),
         "no aggregate swallowed": (overlap < 2.0, f"largest overlap {overlap:.3g} of the smaller radius"),
     }  # fmt: skip
@@ -148,11 +148,14 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
     passed = _past_plug(run)
     if passed is not None:
         found["plug holds"] = (
-            passed[0] <= LEAK * passed[1], f"{passed[0]} of {passed[1]} aggregates passed the plug"
+            passed[0] <= MAX_LEAK * passed[1], f"{passed[0]} of {passed[1]} aggregates passed the plug"
         )  # fmt: skip
     aggregates = sum(group == "" for group in bodies.group)
-    if aggregates < FEWEST:
-        found["enough aggregates"] = (False, f"{aggregates}; at least {FEWEST} are needed to represent concrete")
+    if aggregates < MIN_AGGREGATES:
+        found["enough aggregates"] = (
+            False,
+            f"{aggregates}; at least {MIN_AGGREGATES} are needed to represent concrete",
+        )
     if "plateau_pressure" in result:
         plateau = number(result["plateau_pressure"])
         found["plateau"] = (math.isfinite(plateau), f"{plateau / 1e3:.4g} kPa")
@@ -209,7 +212,7 @@ def _piston(given: PipeParameters, axis: Axis) -> PlaneWall:
 
 def _plug(given: PipeParameters, axis: Axis, pipe: Wall) -> Plug:
     """Return the plug, which fills the bore at the front end of the concrete."""
-    bore = _odd_bore(given, axis, pipe, given.length, given.front) if given.plug == "balls" else None
+    bore = _uneven_bore(given, axis, pipe, given.length, given.front) if given.plug == "balls" else None
     inner = bore.smallest if bore is not None else given.radius
     return plug_of(given, axis, given.length, given.radius, given.layers, inner)
 
@@ -233,11 +236,11 @@ def _stations(given: PipeParameters, axis: Axis) -> Stations:
     A slice is half as long as the pipe is wide, or longer in a long pipe.
     """
     end = given.length + given.distance
-    edges = np.linspace(0, end, 1 + round(min(max(1.0, SLICES * end / given.diameter), MOST_SLICES)))
+    edges = np.linspace(0, end, 1 + round(min(max(1.0, SLICES * end / given.diameter), MAX_SLICES)))
     return Stations(axis=axis, bores=Bores((0.0,), (given.radius,)), edges=tuple(edges.tolist()), each_row=False)
 
 
-def _odd_bore(given: PipeParameters, axis: Axis, pipe: Wall, begin: float, end: float) -> Bore | None:
+def _uneven_bore(given: PipeParameters, axis: Axis, pipe: Wall, begin: float, end: float) -> Bore | None:
     """Return the bore between two arc lengths [m], or None if the pipe is round there."""
     if not isinstance(pipe, MeshWall):
         return None
@@ -254,7 +257,7 @@ def _rest(given: PipeParameters) -> Rest | None:
     if not given.rest or given.stops is None:
         return None
     # The long rest begins just before the piston starts again.
-    at = given.stops.count * given.stops.period - LAST_OF_PAUSE * given.pause
+    at = given.stops.count * given.stops.period - PAUSE_LEFT_AT_REST * given.pause
     return Rest(
         at=at, duration=given.rest, growth=given.thixotropy, breakdown=given.breakdown, coverage=COVERAGE, wall="piston"
     )
@@ -313,7 +316,7 @@ def _is_reference(given: PipeParameters) -> bool:
         "blocked_travel",
         "stop_when_blocked",
     }
-    if given.concrete not in OF_THE_PAPER:
+    if given.concrete not in PAPER_CONCRETES:
         return False
     its_own = {f.name: f.default for f in fields(given)} | scene.completed({"concrete": given.concrete})
     return all(getattr(given, name) == value for name, value in its_own.items() if name not in free)

@@ -59,7 +59,7 @@ def scene(parameters: SlumpParameters) -> FreeScene:
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
     given = parameters
-    concrete = given.mixed(given.plate == "slips")
+    concrete = given.make_concrete(given.plate == "slips")
     top, base, height = given.top_diameter / 2, given.base_diameter / 2, given.mould_height
     room = given.plate_radius or _room(top, base, height, concrete.yield_stress, concrete.density, given.gravity)
     outline = ((0.0, 0.0), (base, 0.0), (top, height), (0.0, height))

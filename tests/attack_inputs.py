@@ -28,7 +28,7 @@ from warpcrete.cli.main import main
 LONGEST = 10.0
 """Time that an input may take [s]."""
 RUN = ["--spacing", "0.02", "--device", "cpu", "--quiet", "--no-rerun", "--no-usd"]
-BESIDE = ("warning: ", "note: ")
+INLET_RADIUS = ("warning: ", "note: ")
 
 
 class TooLong(BaseException):
@@ -137,7 +137,7 @@ def faults(attack: Attack, code: int | str, out: str, err: str, spent: float, ne
     found = []
     lines = err.splitlines()
     errors = [line for line in lines if line.startswith("error: ")]
-    strange = [line for line in lines if not line.startswith(("error: ", *BESIDE))]
+    strange = [line for line in lines if not line.startswith(("error: ", *INLET_RADIUS))]
     if code not in attack.codes:
         found.append(f"exit code {code}, not {' or '.join(map(str, attack.codes))}")
     if strange:

@@ -17,7 +17,7 @@ import warp as wp
 from warpcrete import Simulation, scenes
 from warpcrete.core.run.run_loop import Run, Until
 from warpcrete.dem.batch_run import run_batch
-from warpcrete.dem.engine.scheduling import drive_abreast
+from warpcrete.dem.engine.scheduling import drive_batches
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 
@@ -86,7 +86,7 @@ def main() -> None:
             before = np.array([s.stepper.steps for s in simulations])
             begun = time.perf_counter()
             scenes_of_batch = {k: (s.stepper, _on(s.stepper, arguments.steps)) for k, s in enumerate(simulations)}
-            drive_abreast([(scenes_of_batch, None)], regroups=False)
+            drive_batches([(scenes_of_batch, None)], regroups=False)
             wp.synchronize()
             spent = time.perf_counter() - begun
             done = np.array([s.stepper.steps for s in simulations]) - before
@@ -113,7 +113,7 @@ def whole_study(device: str, cases: list[dict]) -> None:
     begun = time.perf_counter()
     outcomes = run_batch(simulations)
     took = time.perf_counter() - begun
-    spent = [s._spent for s in simulations]
+    spent = [s._wall_times for s in simulations]
     for case, outcome in zip(cases, outcomes):
         if isinstance(outcome, Run):
             r = outcome.result

@@ -89,7 +89,7 @@ def estimate(stepper: Stepper, count: int = 9):
     stages = stepper.stable_step.kernels()
     for stage in stages:
         stage.record()
-    stepper.stable_step._asked.fill_(1)
+    stepper.stable_step._estimate_wanted.fill_(1)
     for _ in range(count):
         yield timed(stages)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from source_hash import RECORD, source_hash
 
-from warpcrete.core.device.device import find_device, quiet_init, share_out_like_a_gpu
+from warpcrete.core.device.device import divide_work_like_gpu, find_device, quiet_init
 from warpcrete.dem.engine.bonding import bond_kinds, bond_rows
 from warpcrete.dem.engine.model import build_model
 from warpcrete.dem.engine.state import State
@@ -44,7 +44,7 @@ def device(request) -> str:
 @pytest.fixture
 def like_a_gpu():
     """Work is shared out as on a GPU, whatever the device."""
-    with share_out_like_a_gpu():
+    with divide_work_like_gpu():
         yield
 
 

@@ -15,12 +15,12 @@ from warpcrete.dem.measure.vessel_measures import at_rest
 from warpcrete.dem.scene.scene import Scene
 from warpcrete.dem.simulation import ElementRun
 from warpcrete.methods import method_of
-from warpcrete.mps.column import all_slip
-from warpcrete.mps.free.quantities import Known as KnownFree
+from warpcrete.mps.column import plug_restart_state
+from warpcrete.mps.free.quantities import RunData as KnownFree
 from warpcrete.mps.free.scene import FreeScene
-from warpcrete.mps.part.quantities import Known as KnownPart
+from warpcrete.mps.part.quantities import RunData as KnownPart
 from warpcrete.mps.part.scene import PartScene
-from warpcrete.mps.quantities import Known as KnownColumn
+from warpcrete.mps.quantities import RunData as KnownColumn
 from warpcrete.mps.scene import FluidScene
 
 ROWS = 21
@@ -79,7 +79,7 @@ def column(**parameters) -> Made:
         ("pressure", theory.pressure), ("slip_velocity", theory.slip_velocity), ("wall_stress", theory.wall_stress),
         ("profile_deviation", 0.0), ("volume_error", 0.0), ("force_balance_error", 0.0))}  # fmt: skip
     if scene.gained:
-        series["pressure"][1] = 0.5 * (theory.pressure + all_slip(scene).pressure)
+        series["pressure"][1] = 0.5 * (theory.pressure + plug_restart_state(scene).pressure)
     return Made(scene, {"time": np.linspace(0, 0.1, ROWS)} | series)
 
 

@@ -7,7 +7,7 @@ from pumping import command
 
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
-from warpcrete.studies.tradeoffs.advice import SHIPPED, advise, shipped
+from warpcrete.studies.tradeoffs.advice import SHIPPED, advise, nearest_shipped
 
 
 def test_coarser_aggregate_is_that_of_the_scene(tmp_path):
@@ -52,21 +52,21 @@ def test_shipped_trades_are_of_scenes_of_this_version(path):
     for promise in reached:
         advice = advise(path, record["scene"], module, record["parameters"], promise["target"])
         assert not advice.left_out and not advice.outside and advice.promised <= promise["target"]
-        module.scene(**module.scene.meaningful({**record["parameters"], **advice.changes}))
+        module.scene(**module.scene.effective_values({**record["parameters"], **advice.changes}))
 
 
 def test_the_nearest_shipped_trade_is_taken():
     pipes, channels = modules()["pipe"], modules()["channel"]
-    assert shipped("pipe", pipes, {}, True).stem == "pipe-vertical"
-    assert shipped("pipe", pipes, {"unit": "D", "velocity": 0.4}, True).stem == "pipe-bend"
+    assert nearest_shipped("pipe", pipes, {}, True).stem == "pipe-vertical"
+    assert nearest_shipped("pipe", pipes, {"unit": "D", "velocity": 0.4}, True).stem == "pipe-bend"
     near = {"diameter": 0.1, "length": 0.5, "ramp": 0.15, "travel": 0.25}
-    assert shipped("pipe", pipes, near, False).stem == "pipe-narrow"
-    assert shipped("channel", channels, {"concrete": "no2"}, True).stem == "channel"
-    assert shipped("channel", channels, {"aggregates": True, "duration": 0.2}, False).stem == "two-phases"
-    assert shipped("channel", channels, {"aggregates": True}, True).stem == "two-phases"
+    assert nearest_shipped("pipe", pipes, near, False).stem == "pipe-narrow"
+    assert nearest_shipped("channel", channels, {"concrete": "no2"}, True).stem == "channel"
+    assert nearest_shipped("channel", channels, {"aggregates": True, "duration": 0.2}, False).stem == "two-phases"
+    assert nearest_shipped("channel", channels, {"aggregates": True}, True).stem == "two-phases"
     # By letters, too; a straight unit goes by a straight one, one without hydrated bonds by one without.
     for unit, trade in zip("ABCD", ("pipe-vertical", "pipe-vertical", "pipe-bend", "pipe-bend"), strict=True):
-        assert shipped("pipe", pipes, {"unit": unit}, True).stem == trade
+        assert nearest_shipped("pipe", pipes, {"unit": unit}, True).stem == trade
     literal = {"unit": "D", "concrete": "zhan-table1"}  # of which trades are
     assert not advise(SHIPPED / "pipe-bend.json", "pipe", pipes, literal, 0.2).outside
     layered = advise(SHIPPED / "pipe-bend.json", "pipe", pipes, {"unit": "D"}, 0.2).outside
@@ -75,9 +75,9 @@ def test_the_nearest_shipped_trade_is_taken():
         "wall_friction 0.034 instead of None",
         "layer_viscosity 1190 instead of 0",
     )
-    assert shipped("pipe", pipes, {"length": 0.4, "ramp": 0.1, "travel": 0.2}, True).stem == "pipe-vertical"
-    assert shipped("pipe", pipes, {"hydration": 0.1}, True).stem == "pipe-hydrated"
-    assert shipped("nothing", pipes, {}, False) is None
+    assert nearest_shipped("pipe", pipes, {"length": 0.4, "ramp": 0.1, "travel": 0.2}, True).stem == "pipe-vertical"
+    assert nearest_shipped("pipe", pipes, {"hydration": 0.1}, True).stem == "pipe-hydrated"
+    assert nearest_shipped("nothing", pipes, {}, False) is None
 
 
 @pytest.mark.thorough

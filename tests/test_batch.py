@@ -12,12 +12,12 @@ import warp as wp
 from test_checkpoint import mixed_scene
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.device.device import find_device, share_out_like_a_gpu
+from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.errors import CapacityError, InstabilityError
 from warpcrete.core.run.run_loop import Recorder, Run
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.engine import regrouping, stepper, subcycling
-from warpcrete.dem.engine.launch_planner import Ahead
+from warpcrete.dem.engine.launch_planner import LaunchPlanner
 from warpcrete.dem.engine.memory import check_memory, memory_needed
 from warpcrete.dem.engine.model import build_model
 from warpcrete.dem.engine.neighbors import NeighborLists
@@ -58,7 +58,7 @@ def touches_mesh(simulation) -> bool:
 @pytest.mark.parametrize("precision", ["float32", "float64"])
 def test_a_scene_in_a_batch_holds_the_bits_of_one_alone(device, precision, monkeypatch):
     """Clumps, bonds that heal, a spinning mesh, a driven plate; scenes that end at different times."""
-    monkeypatch.setattr(regrouping, "PATIENCE", 1000)
+    monkeypatch.setattr(regrouping, "LAUNCHES_BEFORE_REGROUPING", 1000)
     some = [dataclasses.replace(mixed_scene(seed), duration=0.06 + 0.01 * seed) for seed in (0, 1, 2, 3)]
     together = simulate(device, some, precision=precision)
     batched = run_batch(together)
@@ -159,7 +159,7 @@ def test_an_interruption_of_one_scene_ends_all(device):
 
 def test_checkpoints_of_threaded_runs_go_on_in_a_batch(tmp_path, monkeypatch):
     """Pairs that stood at both spheres of two chunks must not count twice where there is one chunk."""
-    monkeypatch.setattr("warpcrete.dem.engine.batch.PER_THREAD", 16)
+    monkeypatch.setattr("warpcrete.dem.engine.batch.SPHERES_PER_THREAD", 16)
     paths = []
     for seed in (0, 1):
         simulation = Simulation(scenes.pipe(seed=seed, **SMALL), device="cpu", threads=2)
@@ -231,7 +231,7 @@ def rested(part):
 
 
 def like_a_gpu(device):
-    return nullcontext() if device.startswith("cuda") else share_out_like_a_gpu()
+    return nullcontext() if device.startswith("cuda") else divide_work_like_gpu()
 
 
 @pytest.mark.thorough
@@ -256,7 +256,7 @@ def test_a_batch_made_anew_of_those_that_run_on_changes_no_bits(scene, parts, ma
         assert {stepper.batch.count for stepper in steppers} == {len(steppers)}
 
     monkeypatch.setattr(regrouping, "regroup", noted)
-    monkeypatch.setattr(regrouping, "PATIENCE", 1)
+    monkeypatch.setattr(regrouping, "LAUNCHES_BEFORE_REGROUPING", 1)
     some = [scene(part) for part in parts]
     with like_a_gpu(device):
         batched = run_batch(simulate(device, some))
@@ -273,10 +273,10 @@ def test_an_interruption_while_a_batch_is_made_anew_waits_for_that(monkeypatch):
         regroup(steppers)
 
     monkeypatch.setattr(regrouping, "regroup", disturbed)
-    monkeypatch.setattr(regrouping, "PATIENCE", 2)
+    monkeypatch.setattr(regrouping, "LAUNCHES_BEFORE_REGROUPING", 2)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # in the background of a shell it is ignored
     try:
-        with share_out_like_a_gpu():
+        with divide_work_like_gpu():
             runs = run_batch(simulate("cpu", [drops(0), drops(3)]))
     finally:
         signal.signal(signal.SIGINT, before)
@@ -285,10 +285,10 @@ def test_an_interruption_while_a_batch_is_made_anew_waits_for_that(monkeypatch):
 
 
 def test_a_batch_is_not_made_anew_where_there_is_no_room_for_it(monkeypatch):
-    monkeypatch.setattr(regrouping, "PATIENCE", 2)
+    monkeypatch.setattr(regrouping, "LAUNCHES_BEFORE_REGROUPING", 2)
     monkeypatch.setattr(regrouping, "memory_free", lambda device: 1e3)
     monkeypatch.setattr(regrouping, "regroup", lambda steppers: pytest.fail("no room"))
-    with share_out_like_a_gpu():
+    with divide_work_like_gpu():
         runs = run_batch(simulate("cpu", [dataclasses.replace(falling(0.1), duration=0.02 + 0.02 * k) for k in (0, 1)]))
     assert all(run.finished for run in runs)
 
@@ -296,7 +296,7 @@ def test_a_batch_is_not_made_anew_where_there_is_no_room_for_it(monkeypatch):
 @pytest.mark.thorough
 def test_unlike_scenes_run_abreast_with_the_bits_of_one_alone(device, monkeypatch):
     """Two batches at a time, each on a stream of its own where there are streams."""
-    monkeypatch.setattr(regrouping, "PATIENCE", 1000)
+    monkeypatch.setattr(regrouping, "LAUNCHES_BEFORE_REGROUPING", 1000)
     some = [mixed(0), falling(0.1), mixed(1), falling(0.2)]
     with like_a_gpu(device):
         simulations = simulate(device, some)
@@ -308,9 +308,9 @@ def test_unlike_scenes_run_abreast_with_the_bits_of_one_alone(device, monkeypatc
 @pytest.mark.thorough
 def test_rounds_of_batches_abreast_share_a_gpu(device, monkeypatch):
     """Blocks that wait for one another must all have room: of two batches each has half of it, and the same bits."""
-    assert [round_blocks(10**6, 132, abreast) for abreast in (1, 2, 500)] == [264, 132, 1]
+    assert [round_blocks(10**6, 132, concurrent_batches) for concurrent_batches in (1, 2, 500)] == [264, 132, 1]
     assert round_blocks(1, 132, 1) == 1 and round_blocks(129, 132, 2) == 2
-    monkeypatch.setattr(regrouping, "PATIENCE", 1000)
+    monkeypatch.setattr(regrouping, "LAUNCHES_BEFORE_REGROUPING", 1000)
     some = [
         scenes.pipe(
             hydration=0.2,
@@ -325,10 +325,12 @@ def test_rounds_of_batches_abreast_share_a_gpu(device, monkeypatch):
         simulations = simulate(device, some)
         # So few that each thread has several pairs, as in a large batch.
         monkeypatch.setattr(subcycling, "ROUND_BLOCK", 32)
-        monkeypatch.setattr(subcycling, "round_blocks", lambda count, multiprocessors, abreast: 4 // abreast)
+        monkeypatch.setattr(
+            subcycling, "round_blocks", lambda count, multiprocessors, concurrent_batches: 4 // concurrent_batches
+        )
         batched = run_batch(simulations)
         assert all(s.stepper.batch.subcycles.pair_count > 2 * 32 for s in simulations)
-        assert [s.stepper.batch.subcycles.abreast for s in simulations] == [2, 2]
+        assert [s.stepper.batch.subcycles.concurrent_batches for s in simulations] == [2, 2]
         check_the_same(alone(device, some), batched)
 
 
@@ -348,7 +350,7 @@ def breaking(part):
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("way", [nullcontext, share_out_like_a_gpu], ids=["half lists", "full lists"])
+@pytest.mark.parametrize("way", [nullcontext, divide_work_like_gpu], ids=["half lists", "full lists"])
 @pytest.mark.parametrize(
     ("scene", "bonds"), [(lambda part: dataclasses.replace(mixed_scene(part), duration=0.05), 0), (breaking, 100)]
 )
@@ -357,18 +359,18 @@ def test_lists_may_be_built_at_any_time(scene, bonds, way, monkeypatch):
     that heal or break in rounds, bodies sorted on the way. Only so may scenes of a batch have theirs built together."""
     some = [scene(part) for part in (0, 1, 2)]
     monkeypatch.setattr(stepper, "SORT_EVERY", dict.fromkeys(stepper.SORT_EVERY, 100))
-    built, due = [], Ahead.due
+    built, scenes_to_rebuild = [], LaunchPlanner.scenes_to_rebuild
     with way():
         ones = alone("cpu", some)
         rng = np.random.default_rng(1)
 
         def at_random(self, flags, sort_every, among):
             more = rng.choice(among, size=rng.integers(len(among) + 1), replace=False) if among else []
-            found = np.union1d(due(self, flags, sort_every, among), more).astype(int)
+            found = np.union1d(scenes_to_rebuild(self, flags, sort_every, among), more).astype(int)
             built.append(len(found))
             return found
 
-        monkeypatch.setattr(Ahead, "due", at_random)
+        monkeypatch.setattr(LaunchPlanner, "scenes_to_rebuild", at_random)
         together = simulate("cpu", some)
         check_the_same(ones, run_batch(together))
     assert np.count_nonzero(built) > 20 and max(built) == 3
@@ -379,7 +381,7 @@ def test_lists_may_be_built_at_any_time(scene, bonds, way, monkeypatch):
 def test_scenes_of_a_batch_have_their_lists_built_together(monkeypatch):
     """Before they are stale, as soon as it is known how long they last; and not much more often than alone."""
     counts = []
-    with share_out_like_a_gpu():
+    with divide_work_like_gpu():
         call = NeighborLists.__call__
 
         def counting(self):

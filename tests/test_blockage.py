@@ -101,11 +101,11 @@ def test_where_the_load_ends():
 
 
 def test_patience():
-    assert blockage.patience(0.15, 1.0, 1e5) == pytest.approx(0.15)
-    assert blockage.patience(0.15, 3.0, 1e5) == pytest.approx(0.3)
-    assert blockage.patience(0.15, 0.3, 1e5) == pytest.approx(0.06)
-    assert blockage.patience(0.15, 1.0, 1e9) == pytest.approx(0.05)
-    assert blockage.patience(0.15, 1.0, 2e6) == pytest.approx(0.1)
+    assert blockage.blockage_travel(0.15, 1.0, 1e5) == pytest.approx(0.15)
+    assert blockage.blockage_travel(0.15, 3.0, 1e5) == pytest.approx(0.3)
+    assert blockage.blockage_travel(0.15, 0.3, 1e5) == pytest.approx(0.06)
+    assert blockage.blockage_travel(0.15, 1.0, 1e9) == pytest.approx(0.05)
+    assert blockage.blockage_travel(0.15, 1.0, 2e6) == pytest.approx(0.1)
 
 
 def across(count, gap=0.0, shift=0.0) -> Scene:
@@ -126,9 +126,11 @@ def test_a_row_across_spans_the_pipe(start):
     assert sorted(np.abs(point[:, 1]).round(6)) == [0.05, 0.05] and len(body) == 2
     axis = stepper.model.walls[0].axis
     pairs = np.stack([np.arange(4), np.arange(1, 5)], 1)
-    assert blockage.spanning(stepper.model, stepper.state, axis, 0.5, 0.1, pairs) == 1
-    assert blockage.spanning(stepper.model, stepper.state, axis, 0.5, 0.1, pairs[[0, 1, 3]]) == 0  # one link is missing
-    assert blockage.spanning(stepper.model, stepper.state, axis, 0.8, 0.1, pairs) == 0  # not there
+    assert blockage.count_spanning_networks(stepper.model, stepper.state, axis, 0.5, 0.1, pairs) == 1
+    assert (
+        blockage.count_spanning_networks(stepper.model, stepper.state, axis, 0.5, 0.1, pairs[[0, 1, 3]]) == 0
+    )  # one link is missing
+    assert blockage.count_spanning_networks(stepper.model, stepper.state, axis, 0.8, 0.1, pairs) == 0  # not there
 
 
 def test_loads_are_the_axial_part(start):
@@ -138,7 +140,7 @@ def test_loads_are_the_axial_part(start):
         across(2), bodies=(Bodies(positions=[[0.5, 0, 0], 0.0195 * lean + [0.5, 0, 0]], sizes=0.02),)
     )
     stepper = start(scene)
-    forces, places, strong = blockage.loads(stepper.model, stepper.state, stepper.model.walls[0].axis)
+    forces, places, strong = blockage.axial_forces(stepper.model, stepper.state, stepper.model.walls[0].axis)
     stiffness = 1e5 * np.pi * 0.01**2 / 0.02
     assert forces == pytest.approx([0.5 * stiffness * 0.0005], rel=1e-6) and len(strong) == 0
     assert places == pytest.approx(np.array([[0.5, 0.5 + 0.0195 / 2]]))

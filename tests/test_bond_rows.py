@@ -11,7 +11,7 @@ from test_bonds import strong
 from test_contacts import two_spheres
 
 from warpcrete import SceneError, Simulation, scenes
-from warpcrete.core.device.device import find_device, share_out_like_a_gpu
+from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.errors import CapacityError
 from warpcrete.dem.engine import batch_arrays as joint
 from warpcrete.dem.engine import bonding
@@ -22,7 +22,7 @@ from warpcrete.dem.engine.state import State
 from warpcrete.dem.engine.stepper import Stepper, steppers_of
 from warpcrete.dem.scene.bodies import placed_bodies
 
-WAYS = pytest.mark.parametrize("way", [nullcontext, share_out_like_a_gpu], ids=["its lists", "full lists"])
+WAYS = pytest.mark.parametrize("way", [nullcontext, divide_work_like_gpu], ids=["its lists", "full lists"])
 
 
 def rows_of(state):
@@ -79,7 +79,7 @@ def test_bonds_keep_their_rows(device, way, stiff):
 
 
 def test_entries_across_a_border_of_threads_have_rows_of_their_own(monkeypatch):
-    monkeypatch.setattr("warpcrete.dem.engine.batch.PER_THREAD", 16)
+    monkeypatch.setattr("warpcrete.dem.engine.batch.SPHERES_PER_THREAD", 16)
     simulation = Simulation(scenes.pipe(plug="plate", **SMALL), device="cpu", threads=2)
     simulation.prepare()
     simulation.stepper.advance(0.02)

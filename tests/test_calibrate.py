@@ -16,7 +16,7 @@ from warpcrete.core.inputs.yaml_files import yaml_text
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
 from warpcrete.studies.calibration.calibrate import calibrate, resume_calibration
-from warpcrete.studies.calibration.posterior import told_apart
+from warpcrete.studies.calibration.posterior import confounded_pairs
 from warpcrete.studies.calibration.report import concrete_of
 from warpcrete.studies.calibration.targets import read_task, task_of
 from warpcrete.theory.pipe import CONCRETES
@@ -108,7 +108,7 @@ def test_what_data_cannot_tell_apart_is_said(tmp_path, monkeypatch):
     monkeypatch.setattr(SEARCH, "run_round", by_closed_form(0.0))
     one = task(("slip_viscosity", "slip_yield"), asked(tube(1.5e-3), "pressure", 9000.0, "1%"))
     found = calibrate(one, out=tmp_path / "one", device="cpu", repeat=0, trials=16)
-    ((first, second, correlation),) = told_apart(found.posterior)
+    ((first, second, correlation),) = confounded_pairs(found.posterior)
     assert (first, second) == ("slip_viscosity", "slip_yield") and correlation < -0.9
     assert any("cannot distinguish slip_viscosity from slip_yield" in said for said in found.findings)
     values = truth_of(two := task(("slip_viscosity", "slip_yield"), asked(tube(2e-4), "pressure", 1.0, "0.3%"),

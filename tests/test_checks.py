@@ -18,7 +18,7 @@ from made_runs import MIDDLE, RUNS, Made, scene_name, verdicts
 
 from warpcrete import scenes
 from warpcrete.core.inputs.parameters import declared_fields
-from warpcrete.mps.column import all_slip
+from warpcrete.mps.column import plug_restart_state
 
 NAN = math.nan
 NEAR = 0.02
@@ -131,7 +131,7 @@ def of_restart(accuracy: float) -> list[Case]:
     def of(made: Made) -> tuple[float, float]:
         """Return the least and the largest pressure that may be the peak, without tolerance [Pa]."""
         scene, first = made.scene, made.series["time"][1]
-        least, state = scene.theory().pressure, all_slip(scene)
+        least, state = scene.theory().pressure, plug_restart_state(scene)
         bulk = scene.concrete.yield_stress + scene.gained
         kept = 0.5 * math.exp(-scene.velocity * first / scene.breakdown) if state.wall_stress <= bulk else 0.0
         return least + kept * (state.pressure - least), state.pressure

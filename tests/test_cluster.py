@@ -17,8 +17,8 @@ from test_study import BASE
 from warpcrete import Simulation, scenes
 from warpcrete.core.errors import SceneError, WarpcreteError
 from warpcrete.dem.simulation import ElementSimulation
-from warpcrete.studies.cluster import LOCAL, check_scheduler, local_cluster, slurm_cluster
-from warpcrete.studies.running import kept, run_cases, run_on_gpu
+from warpcrete.studies.cluster import LOCAL_SCHEDULER_OPTIONS, check_scheduler, local_cluster, slurm_cluster
+from warpcrete.studies.running import previous_outcome, run_cases, run_on_gpu
 from warpcrete.studies.study import cases_of, resume_study, run_study
 
 pytestmark = pytest.mark.thorough
@@ -69,11 +69,11 @@ def test_workers_make_the_same_folders_and_bits(device, tmp_path):
     assert files[0] == files[1]
     # It goes on elsewhere, with what is missing alone.
     name = next(iter(study.results))
-    kept = {n: (study.folder / n / "result.json").stat().st_mtime_ns for n in study.results if n != name}
+    previous_outcome = {n: (study.folder / n / "result.json").stat().st_mtime_ns for n in study.results if n != name}
     (study.folder / name / "result.json").unlink()
     again = resume_study(study.folder, pipe_module, scheduler="local", workers=1)
     assert hashes(again) == hashes(alone) and again.failures == alone.failures
-    assert all((study.folder / n / "result.json").stat().st_mtime_ns == t for n, t in kept.items())
+    assert all((study.folder / n / "result.json").stat().st_mtime_ns == t for n, t in previous_outcome.items())
 
 
 def test_a_local_cluster_listens_to_this_machine_alone():
@@ -107,11 +107,11 @@ def test_a_case_that_was_cut_goes_on_from_its_checkpoint(tmp_path, monkeypatch):
     record = {"device": "cpu", "precision": "float32", "command": {"frames": 25.0, "checkpoint_every": 0.01}}
     path = tmp_path / case.name / "checkpoint.npz"
     cut = run_cases(record, pipe_module, tmp_path, [case], path.is_file)[0]
-    assert not cut["finished"] and kept(path.parent) is None and path.is_file()
+    assert not cut["finished"] and previous_outcome(path.parent) is None and path.is_file()
     read, restored = ElementSimulation.read_checkpoint, []
     monkeypatch.setattr(ElementSimulation, "read_checkpoint", lambda self, p: restored.append(p) or read(self, p))
     done = run_cases(record, pipe_module, tmp_path, [case], lambda: False)[0]
-    assert restored == [path] and kept(path.parent)["state_hash"] == done["state_hash"]
+    assert restored == [path] and previous_outcome(path.parent)["state_hash"] == done["state_hash"]
     alone = Simulation(scenes.pipe(**case.parameters), device="cpu", threads=1).run()
     assert done["state_hash"] == alone.result["state_hash"]
 
@@ -189,11 +189,11 @@ def test_what_it_refuses(given, text):
 
 def test_what_cannot_be_reached_or_is_not_there_leaves_nothing(tmp_path, monkeypatch):
     out = tmp_path / "study"
-    monkeypatch.setattr("warpcrete.studies.cluster.CONNECT", 0.5)
+    monkeypatch.setattr("warpcrete.studies.cluster.CONNECT_TIMEOUT", 0.5)
     with pytest.raises(WarpcreteError, match=r"scheduler = 'tcp://127\.0\.0\.1:9': does not answer"):
         run_study("pipe", pipe_module, {"velocity": [0.3]}, base=BASE, out=out, scheduler="tcp://127.0.0.1:9")
     with (
-        SpecCluster(workers={}, scheduler={"cls": Scheduler, "options": LOCAL}) as empty,
+        SpecCluster(workers={}, scheduler={"cls": Scheduler, "options": LOCAL_SCHEDULER_OPTIONS}) as empty,
         pytest.raises(WarpcreteError, match="has no workers"),
     ):
         run_study("pipe", pipe_module, {"velocity": [0.3]}, base=BASE, out=out, scheduler=empty.scheduler_address)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from conftest import by_id, pair_history
 
-from warpcrete.core.device.device import find_device, share_out_like_a_gpu
+from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.dem.engine.model import build_model
 from warpcrete.dem.engine.state import State
 from warpcrete.dem.engine.stepper import Stepper
@@ -309,7 +309,7 @@ def test_half_and_full_list_agree():
     """The lists of a CPU and of a GPU, on the CPU: motion, history, bonds and their breakage."""
     fill, table = small_packing("cpu")
     results = []
-    for way in (nullcontext, share_out_like_a_gpu):
+    for way in (nullcontext, divide_work_like_gpu):
         with way():
             weak = Bonds(tensile_strength=20.0, cohesion=10.0, healing=True)
             scene = dataclasses.replace(flowing_scene(fill), bonds=weak)

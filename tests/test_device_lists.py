@@ -5,7 +5,7 @@ from pumping import TINY
 
 from warpcrete import Simulation, scenes
 from warpcrete.dem.engine import device_rebuild as rebuilding
-from warpcrete.dem.engine.launch_planner import WAIT
+from warpcrete.dem.engine.launch_planner import DEVICE_CHECK_INTERVAL
 
 pytestmark = [pytest.mark.thorough, pytest.mark.usefixtures("like_a_gpu")]
 
@@ -37,13 +37,13 @@ def test_a_goal_of_many_steps_does_not_keep_a_device_from_its_lists():
     simulation = Simulation(scenes.pipe(**TINY), device="cpu")
     simulation.prepare()
     stepper = simulation.stepper
-    launched, launch = [], stepper.batch.ahead.pieces
-    stepper.batch.ahead.pieces = lambda *now: launched.append(launch(*now)) or launched[-1]
+    launched, launch = [], stepper.batch.planner.launch_sizes
+    stepper.batch.planner.launch_sizes = lambda *now: launched.append(launch(*now)) or launched[-1]
     before = int(stepper.lists.by_device.numpy()[0])
     stepper.choose_dt()
     stepper.take(500)
     assert int(stepper.lists.by_device.numpy()[0]) > before + 1
-    assert all(max(pieces) <= WAIT for pieces in launched) and len(launched) < 4
+    assert all(max(launch_sizes) <= DEVICE_CHECK_INTERVAL for launch_sizes in launched) and len(launched) < 4
 
 
 def test_a_device_has_cells_for_a_scene_that_came_with_its_lists(tmp_path):
@@ -54,4 +54,4 @@ def test_a_device_has_cells_for_a_scene_that_came_with_its_lists(tmp_path):
     other = Simulation(scenes.pipe(**TINY), device="cpu")
     other.resume(tmp_path / "a.npz")
     other.stepper.take(1)
-    assert other.stepper.batch.ahead.rebuilds_itself and other.stepper.lists._cells._dims.prod() > 30
+    assert other.stepper.batch.planner.rebuilds_on_device and other.stepper.lists._cells._dims.prod() > 30

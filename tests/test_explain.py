@@ -187,7 +187,7 @@ def test_a_container_that_is_a_mesh_is_explained(tmp_path):
 def test_a_pipe_too_long_for_the_copy_counts_by_its_length(monkeypatch):
     scene = scenes.pipe(**SMALL)
     whole = explain(scene, device="cpu", threads=1, cache=False).forecast
-    monkeypatch.setattr("warpcrete.dem.forecast.MOST", {True: 100, False: 100})
+    monkeypatch.setattr("warpcrete.dem.forecast.MAXIMUM_SPHERES", {True: 100, False: 100})
     part = explain(scene, device="cpu", threads=1, cache=False).forecast
     assert part.counts["spheres"] == pytest.approx(whole.counts["spheres"], rel=0.1)
     assert part.total_memory == pytest.approx(whole.total_memory, rel=0.2)

@@ -47,7 +47,7 @@ def test_corners_stay_within_bounds_or_stop(device, corners):
 def test_a_million_spheres(device):
     ((name, make, steps),) = [c for c in extremes.scenes(large=True) if c[0] == "a million spheres"]
     found = extremes.outcome(name, make(), device, "float32", steps)
-    assert found.acceptable and found.must == "run", found
+    assert found.acceptable and found.expected_outcome == "run", found
 
 
 def one_sphere(**changes) -> Scene:

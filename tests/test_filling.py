@@ -9,7 +9,7 @@ from test_grid_flows import stages_through
 
 from warpcrete.mps.free.layout import fill_cells, free_layout
 from warpcrete.mps.free.simulation import FreeSimulation
-from warpcrete.mps.grid.geometry import BARE, WALL, Room, geometry_of
+from warpcrete.mps.grid.geometry import OPEN_SIDE, WALL, Room, geometry_of
 from warpcrete.verification.vessels import tilted_vessel
 
 
@@ -17,7 +17,7 @@ from warpcrete.verification.vessels import tilted_vessel
 def test_a_cell_holds_what_its_particles_weigh(axial):
     """Beside walls on the grid's lines and within the concrete, the crowd of the particles that are placed is one; what
     lies between a cell's middle and a wall counts in full."""
-    room = Room((8, 6), (0.1, 0.1), (0.0, 0.0), (("mirror" if axial else WALL, WALL), (WALL, BARE)))
+    room = Room((8, 6), (0.1, 0.1), (0.0, 0.0), (("mirror" if axial else WALL, WALL), (WALL, OPEN_SIDE)))
     g = geometry_of(room, [], axial)
     places, mass = fill_cells(room, 3, lambda x: np.ones(len(x), bool))
     radius = places[:, 0] if axial else np.ones(len(places))
@@ -28,11 +28,11 @@ def test_a_cell_holds_what_its_particles_weigh(axial):
         away[walls & [i in (0, 7), k == 0] & (away < 0.5)] = 0
         near = np.maximum(1 - away, 0).prod(1)
         whole = np.sum(near * mass * radius) * (0.1 / 3) ** 2
-        assert whole == pytest.approx(g.hold[k + 1, i + 1], rel=0.012 if axial else 1e-9)
+        assert whole == pytest.approx(g.weighted_volume[k + 1, i + 1], rel=0.012 if axial else 1e-9)
 
 
 def test_particles_weigh_what_there_is_of_cells_that_an_edge_passes():
-    room = Room((20, 20), (0.1, 0.1), (-1.0, -1.0), ((BARE, BARE),) * 2)
+    room = Room((20, 20), (0.1, 0.1), (-1.0, -1.0), ((OPEN_SIDE, OPEN_SIDE),) * 2)
     places, mass = fill_cells(room, 3, lambda x: np.linalg.norm(x - [0.013, 0.027], axis=1) < 0.77)
     assert mass.sum() * (0.1 / 3) ** 2 == pytest.approx(math.pi * 0.77**2, rel=3e-3)
     assert np.all(mass[np.linalg.norm(places, axis=1) < 0.5] == 1)
@@ -104,7 +104,7 @@ def test_every_particle_of_a_crowded_cell_counts(device):
     particles.position.assign(place)
     particles.mass.assign(mass)
     stages_through(simulation.flow, "fill")
-    begin, count, listed = mesh.begin.numpy(), mesh.count.numpy(), mesh.bin.numpy()
+    begin, count, listed = mesh.begin.numpy(), mesh.count.numpy(), mesh.sorted_particles.numpy()
     parts = [listed[begin[c] : begin[c] + count[c]] for c in np.flatnonzero(count)]
     assert max(map(len, parts)) >= 299
     assert sorted(np.concatenate(parts)) == [p for p in range(len(place)) if p not in (7, 11)]

@@ -46,8 +46,9 @@ def test_corners_of_flows_stay_within_bounds_or_stop(device, precision):
 def test_what_the_matrix_does_not_accept(monkeypatch):
     """A flow that bursts, crowds or loses volume without being stopped; one that stops without saying why."""
     good = flow_extremes.outcome("2D: x", flow_extremes.column, "cpu", "float32", 20)
-    assert good.acceptable and good.closest > 0.9 and good.must == "run"
-    for changes in (dict(balance=0.3), dict(volume=0.02), dict(speed=5.0), dict(closest=0.1), dict(must="not converge"),
+    assert good.acceptable and good.closest > 0.9 and good.expected_outcome == "run"
+    for changes in (dict(balance=0.3), dict(volume=0.02), dict(speed=5.0), dict(closest=0.1),
+                    dict(expected_outcome="not converge"),
                     dict(stopped="t = 1 s: x; usual cures: y")):  # fmt: skip
         assert not dataclasses.replace(good, **changes).acceptable, changes
     with monkeypatch.context() as patch:  # an error that names no cure

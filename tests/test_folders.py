@@ -17,12 +17,12 @@ from pumping import TINY, alive, wait_until
 from warpcrete import RunFolderError, Simulation, scenes
 from warpcrete.cli.main import cli
 from warpcrete.cli.run import KEPT
-from warpcrete.core.device.interrupts import StopAtSample, put_off
+from warpcrete.core.device.interrupts import StopAtSample, defer_interrupts
 from warpcrete.core.errors import DiskFullError, SceneError
 from warpcrete.core.run import checkpoint, folders
 from warpcrete.core.run.files import LOCK, cannot_write
-from warpcrete.core.run.folders import Hold, held, make_folder, new_folder
-from warpcrete.core.run.processes import tied
+from warpcrete.core.run.folders import FolderLock, locked_folder, make_folder, new_folder
+from warpcrete.core.run.processes import killed_with_parent
 from warpcrete.core.run.recorder import Recorder
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.record.checks import CheckRecorder
@@ -37,8 +37,8 @@ METHODS = ("start", "sample", "frame", "checkpoint", "write", "finish", "tidy")
 HOLDING = """
 import sys, time
 from pathlib import Path
-from warpcrete.core.run.folders import Hold
-hold = Hold(Path(sys.argv[1]))
+from warpcrete.core.run.folders import FolderLock
+hold = FolderLock(Path(sys.argv[1]))
 print("held", flush=True)
 time.sleep(60)
 """
@@ -75,31 +75,31 @@ def same(folder, whole) -> bool:
 
 
 def test_a_folder_has_one_owner_whose_name_the_next_one_reads(tmp_path, monkeypatch):
-    monkeypatch.setattr(folders, "GRACE", 0.0)
-    hold = Hold(tmp_path)
+    monkeypatch.setattr(folders, "KILL_GRACE", 0.0)
+    hold = FolderLock(tmp_path)
     with pytest.raises(RunFolderError, match=rf"': is in use by process {os.getpid()} on \S+ since \d+-\d+-\d+ "):
-        Hold(tmp_path)
+        FolderLock(tmp_path)
     copy = shutil.copytree(tmp_path, tmp_path.with_name("copy"))
-    Hold(copy).release()  # a copy is free
+    FolderLock(copy).release()  # a copy is free
     hold.release()
     hold.release()
     assert not list(tmp_path.iterdir()) and not list(copy.iterdir())
-    Hold(tmp_path).release()
+    FolderLock(tmp_path).release()
 
 
 def test_the_lock_of_a_killed_process_holds_nobody_up(tmp_path, monkeypatch):
     process = subprocess.Popen([sys.executable, "-c", HOLDING, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout.readline() == "held\n"
-        monkeypatch.setattr(folders, "GRACE", 0.0)
+        monkeypatch.setattr(folders, "KILL_GRACE", 0.0)
         with pytest.raises(RunFolderError, match=f"in use by process {process.pid} on"):
-            Hold(tmp_path)
+            FolderLock(tmp_path)
     finally:
         process.kill()
         process.communicate()
     assert (tmp_path / LOCK).is_file()
     (tmp_path / ".warpcrete-partial-run.rrd").write_bytes(b"half")
-    Hold(tmp_path).release()
+    FolderLock(tmp_path).release()
     assert not list(tmp_path.iterdir())
 
 
@@ -110,7 +110,7 @@ def test_files_of_the_user_stay(tmp_path):
         resume_reproduction(tmp_path)
     with pytest.raises(RunFolderError, match="exists already"):
         make_folder(tmp_path)
-    Hold(tmp_path).release()
+    FolderLock(tmp_path).release()
     assert [path.name for path in tmp_path.iterdir()] == ["partial-thesis.pdf"]
     for resume in (resume_reproduction, lambda folder: resume_calibration(folder, {})):
         with pytest.raises(RunFolderError, match=r"/nope': is not a folder; give"):
@@ -131,7 +131,7 @@ def test_what_another_run_did_while_one_waited_for_the_folder_counts(tmp_path, m
     folder = shutil.copytree(whole, tmp_path / "run")
     (folder / "result.json").unlink()
     recorded = (folder / "scene.json").read_bytes()
-    usual = Hold.__init__
+    usual = FolderLock.__init__
 
     def late(*names):
         def wait(self, where):
@@ -139,7 +139,7 @@ def test_what_another_run_did_while_one_waited_for_the_folder_counts(tmp_path, m
             for name in names:
                 shutil.copyfile(whole / name, folder / name)
 
-        monkeypatch.setattr(Hold, "__init__", wait)
+        monkeypatch.setattr(FolderLock, "__init__", wait)
 
     late("result.json")
     with pytest.raises(RunFolderError, match=r"exists already and holds a finished run"):
@@ -158,11 +158,11 @@ def test_what_another_run_did_while_one_waited_for_the_folder_counts(tmp_path, m
         usual(self, where)
         shutil.copyfile(whole.parent / "other.npz", folder / "checkpoint.npz")
 
-    monkeypatch.setattr(Hold, "__init__", checkpointed)
+    monkeypatch.setattr(FolderLock, "__init__", checkpointed)
     (folder / "scene.json").write_bytes(recorded)
     again = flow(folder, going_on=True)
     again.begin(folder / "checkpoint.npz")
-    assert again.goes_on and (folder / "scene.json").read_bytes() == recorded
+    assert again.resumes and (folder / "scene.json").read_bytes() == recorded
     again.abandon()
     record = json.loads(recorded)
     again = flow(folder, going_on=True)
@@ -182,7 +182,7 @@ def test_a_run_that_never_began_leaves_an_empty_folder_empty(tmp_path):
 
 def test_two_runs_into_one_folder_are_one_too_many(tmp_path, monkeypatch, whole):
     """Whether the second begins or resumes; by command it is one line and exit code 2."""
-    monkeypatch.setattr(folders, "GRACE", 0.0)
+    monkeypatch.setattr(folders, "KILL_GRACE", 0.0)
     seen = []
 
     class Second(Recorder):
@@ -300,7 +300,7 @@ def test_every_file_that_could_not_be_written_is_named(tmp_path, monkeypatch):
             raise cannot_write(tmp_path / "film", OSError(errno.EFBIG, "too large"))
 
     simulation = flow(tmp_path / "run", Film(), every=1e9)
-    monkeypatch.setattr(checkpoint, "write_beside", write)
+    monkeypatch.setattr(checkpoint, "write_partial", write)
     monkeypatch.setattr("warpcrete.record.run_folder.write_json", write_json)
     monkeypatch.setattr(Simulation, "_checkpoint", lambda self: None)
     with pytest.raises(DiskFullError) as told:
@@ -313,7 +313,7 @@ def test_every_file_that_could_not_be_written_is_named(tmp_path, monkeypatch):
 
 def test_a_checkpoint_writes_state_result_and_recordings_in_this_order(tmp_path, monkeypatch):
     order = []
-    monkeypatch.setattr(checkpoint, "write_beside", lambda *given: order.append("state"))
+    monkeypatch.setattr(checkpoint, "write_partial", lambda *given: order.append("state"))
     monkeypatch.setattr(checkpoint, "commit", lambda path: order.append("commit"))
     monkeypatch.setattr(TableRecorder, "write", lambda self, simulation: order.append("result"))
 
@@ -374,15 +374,16 @@ def test_locks_of_killed_runs_go_when_the_folder_around_them_goes_on(tmp_path):
     (tmp_path / "study" / "study.json").write_text("{}")
     (inner / LOCK).write_text("process 1 on a machine that is off")
     (inner / ".warpcrete-partial-result.json").write_text("{")
-    with held(tmp_path / "study", "study.json"):
+    with locked_folder(tmp_path / "study", "study.json"):
         assert (tmp_path / "study" / LOCK).exists()
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == ["study.json"] and inner.is_dir()
 
 
 def test_a_child_ends_with_the_process_that_started_it(tmp_path):
     code = (
-        "import subprocess, sys, time; from warpcrete.core.run.processes import tied; "
-        "subprocess.Popen(tied([sys.executable, '-c', 'import time; time.sleep(60)'])); print('begun', flush=True); "
+        "import subprocess, sys, time; from warpcrete.core.run.processes import killed_with_parent; "
+        "subprocess.Popen(killed_with_parent([sys.executable, '-c', 'import time; time.sleep(60)'])); "
+        "print('begun', flush=True); "
         "time.sleep(60)"
     )
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
@@ -392,7 +393,7 @@ def test_a_child_ends_with_the_process_that_started_it(tmp_path):
     process.kill()
     process.communicate()
     assert wait_until(lambda: not any(map(alive, children)), 10)
-    assert tied(["x"])[-1] == "x"
+    assert killed_with_parent(["x"])[-1] == "x"
 
 
 def test_a_run_that_was_killed_before_its_first_checkpoint_is_begun_again(tmp_path, monkeypatch):
@@ -427,7 +428,7 @@ def test_settling_that_was_cut_goes_on(tmp_path, batched):
     scene = scenes.pipe(**TINY | dict(settle=0.1, travel=0.004, ramp=0.002))
     path = tmp_path / "run" / "checkpoint.npz"
 
-    def made(progress=None, **more):
+    def created(progress=None, **more):
         recorders = [TableRecorder(tmp_path / "run", going_on=True)]
         return Simulation(scene, device="cpu", threads=1, progress=progress or False, recorders=recorders,
                           checkpoint_path=path, checkpoint_every=0.0)  # fmt: skip
@@ -441,10 +442,10 @@ def test_settling_that_was_cut_goes_on(tmp_path, batched):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        made(cut).run()
+        created(cut).run()
     assert sorted(file.name for file in (tmp_path / "run").iterdir()) == ["checkpoint.npz", "scene.json"]
     told.clear()
-    again = made(lambda phase, fraction, figures: told.append((phase, fraction)))
+    again = created(lambda phase, fraction, figures: told.append((phase, fraction)))
     if batched:
         (run,) = run_batch([again], [path])
     else:
@@ -463,7 +464,7 @@ def test_sigterm_is_heard_as_ctrl_c_where_the_program_says_so():
             signal.raise_signal(signal.SIGTERM)
             assert simulation.stop_requested
         done = []
-        with pytest.raises(KeyboardInterrupt), put_off():
+        with pytest.raises(KeyboardInterrupt), defer_interrupts():
             signal.raise_signal(signal.SIGTERM)
             done.append(True)
         assert done

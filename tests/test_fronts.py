@@ -5,7 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from warpcrete.studies.tradeoffs.fronts import Error, cheapest_within, difference, front, next_within, student, worst
+from warpcrete.studies.tradeoffs.fronts import (
+    Error,
+    cheapest_within,
+    difference,
+    front,
+    prediction_bound,
+    student_quantile,
+    worst,
+)
 
 QUANTILES = {1: 12.706, 2: 4.303, 10: 2.228, 11: 2.201, 15: 2.131, 30: 2.042, 120: 1.980}
 
@@ -13,7 +21,7 @@ QUANTILES = {1: 12.706, 2: 4.303, 10: 2.228, 11: 2.201, 15: 2.131, 30: 2.042, 12
 def test_quantiles_of_student():
     # Of published tables, to the digits that they have.
     for freedom, quantile in QUANTILES.items():
-        assert student(freedom) == pytest.approx(quantile, abs=1.5e-3)
+        assert student_quantile(freedom) == pytest.approx(quantile, abs=1.5e-3)
 
 
 def test_intervals_hold_the_true_difference_as_often_as_they_say():
@@ -43,12 +51,12 @@ def test_the_next_error_stays_within_what_is_promised():
     held = []
     for _ in range(4000):
         errors = random.normal(0.01, 0.02, 8)
-        held.append(abs(errors[-1]) <= next_within(errors[:-1]))
+        held.append(abs(errors[-1]) <= prediction_bound(errors[:-1]))
     # |mean| + t s sqrt(1 + 1/n) bounds the next one on either side, and so a little more than 95 % of them.
     assert 0.945 <= np.mean(held) <= 0.99
-    assert next_within([-0.03]) == 0.03 and next_within([0.01, 0.01]) == pytest.approx(0.01)
+    assert prediction_bound([-0.03]) == 0.03 and prediction_bound([0.01, 0.01]) == pytest.approx(0.01)
     for shifts in ([-0.03], [-0.03, -0.01], [0.01, -0.04, -0.02]):
-        assert next_within(shifts) == next_within([-shift for shift in shifts]) > abs(np.mean(shifts)) - 1e-12
+        assert prediction_bound(shifts) == prediction_bound([-shift for shift in shifts]) > abs(np.mean(shifts)) - 1e-12
 
 
 def test_the_front_is_what_nothing_beats():

@@ -13,13 +13,13 @@ import warp as wp
 from test_checkpoint import mixed_scene
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.device.device import find_device, parallel, share_out_like_a_gpu
+from warpcrete.core.device.device import divide_work_like_gpu, find_device, parallel
 from warpcrete.core.device.launching import Stage, bound, graph_sizes, load, tasks_of
 from warpcrete.core.errors import InstabilityError
 from warpcrete.core.run.run_loop import Run
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.engine.batch import Batch
-from warpcrete.dem.engine.launch_planner import Ahead
+from warpcrete.dem.engine.launch_planner import LaunchPlanner
 from warpcrete.dem.engine.model import build_model
 from warpcrete.dem.engine.stable_step import StableStep
 from warpcrete.dem.engine.stages import step_stages as element_stages
@@ -33,7 +33,7 @@ from warpcrete.kernels.common.reductions import BLOCK
 from warpcrete.kernels.dem.clump_motion import clump_kernel
 from warpcrete.kernels.dem.gathering import ESTIMATE_LANES, gather_kernel
 from warpcrete.kernels.dem.structs import CLOCK, DT, TIME
-from warpcrete.kernels.dem.subcycling import foreseeing_kernel, rounds_kernel
+from warpcrete.kernels.dem.subcycling import prediction_kernel, rounds_kernel
 from warpcrete.kernels.dem.surfaces import surface_kernel
 from warpcrete.kernels.dem.warps import WARP
 from warpcrete.kernels.mps import resident_solver
@@ -52,7 +52,7 @@ SMALL = dict(
 
 @pytest.fixture
 def like_a_gpu():
-    with share_out_like_a_gpu():
+    with divide_work_like_gpu():
         yield
 
 
@@ -81,7 +81,7 @@ def test_steps_ahead_end_where_the_scene_must_be_looked_after(device, given, ste
     flags[0, int(HALTED)] = given.get("halted", 0)
     clock[0, [int(TIME), int(DT)]] = given.get("time", 0.0), given.get("dt", 1e-3)
     rows = np.array([(1.0, 20)], dtype=[("until", float), ("interval", int)])
-    assert Ahead(device == "gpu", 1).pieces(flags, clock, rows) == steps
+    assert LaunchPlanner(device == "gpu", 1).launch_sizes(flags, clock, rows) == steps
 
 
 def two_scenes(steps, estimated, goal=1000):
@@ -94,23 +94,27 @@ def two_scenes(steps, estimated, goal=1000):
 
 def test_scenes_of_a_batch_come_to_their_estimates_together():
     """From one to the next in one piece; who had to wait waits for it; no piece begins that lists will not last for."""
-    ahead = Ahead(True, 2)
-    assert ahead.pieces(*two_scenes((20, 20), (20, 20))) == [20, 20]
-    assert ahead.pieces(*two_scenes((40, 33), (40, 20))) == [20, 20]
-    assert ahead.pieces(*two_scenes((33, 32), (20, 20))) == [8, 20]
-    assert ahead.pieces(*two_scenes((20, 20), (20, 20), goal=45)) == [20, 5]
+    planner = LaunchPlanner(True, 2)
+    assert planner.launch_sizes(*two_scenes((20, 20), (20, 20))) == [20, 20]
+    assert planner.launch_sizes(*two_scenes((40, 33), (40, 20))) == [20, 20]
+    assert planner.launch_sizes(*two_scenes((33, 32), (20, 20))) == [8, 20]
+    assert planner.launch_sizes(*two_scenes((20, 20), (20, 20), goal=45)) == [20, 5]
     flags, _, rows = two_scenes((60, 60), (60, 60))
     flags[0, int(STALE)] = 1
-    assert ahead.due(flags, rows["sort_every"], [0, 1]).tolist() == [0]  # nothing is known of the other's
-    ahead.built(flags)
-    assert ahead.pieces(*two_scenes((80, 80), (80, 80))) == [20]  # 37 more steps
+    assert planner.scenes_to_rebuild(flags, rows["sort_every"], [0, 1]).tolist() == [
+        0
+    ]  # nothing is known of the other's
+    planner.note_rebuilt(flags)
+    assert planner.launch_sizes(*two_scenes((80, 80), (80, 80))) == [20]  # 37 more steps
     flags, _, rows = two_scenes((118, 118), (118, 118))
-    assert ahead.due(flags, rows["sort_every"], [0, 1]).tolist() == [0]  # 58 steps, and it took 57 to be stale
-    assert ahead.due(flags, rows["sort_every"], [1]).tolist() == []  # who has ended wants none
+    assert planner.scenes_to_rebuild(flags, rows["sort_every"], [0, 1]).tolist() == [
+        0
+    ]  # 58 steps, and it took 57 to be stale
+    assert planner.scenes_to_rebuild(flags, rows["sort_every"], [1]).tolist() == []  # who has ended wants none
     flags[1, int(STALE)] = 1
-    assert ahead.due(flags, rows["sort_every"], [0, 1]).tolist() == [0, 1]
+    assert planner.scenes_to_rebuild(flags, rows["sort_every"], [0, 1]).tolist() == [0, 1]
     flags[0, int(FAILED)] = 1
-    assert ahead.due(flags, rows["sort_every"], [0, 1]).tolist() == [1]
+    assert planner.scenes_to_rebuild(flags, rows["sort_every"], [0, 1]).tolist() == [1]
 
 
 @pytest.mark.parametrize("largest", [1, 16, 64])
@@ -171,7 +175,7 @@ def test_elements_move_the_same_either_way(features):
     simulation.prepare()
     table, outcomes = simulation.state.table(), []
     for gpu in (False, True):
-        with share_out_like_a_gpu() if gpu else nullcontext():
+        with divide_work_like_gpu() if gpu else nullcontext():
             outcomes.append(moved(scene, table))
     (position, spin, wall, counts, lost), (position_2, spin_2, wall_2, counts_2, lost_2) = outcomes
     same(position, position_2)
@@ -297,7 +301,7 @@ def test_flows_go_the_same_either_way(name, monkeypatch):
     scene = FLOWS[name]()
     found = []
     for gpu in (False, True):
-        with share_out_like_a_gpu() if gpu else nullcontext():
+        with divide_work_like_gpu() if gpu else nullcontext():
             flow = MovingParticles(FluidState(scene, find_device("cpu"), "float64"), threads=1)
             assert flow.parallel == gpu
             flow.take(6)
@@ -324,13 +328,13 @@ def test_a_grid_steps_abreast_as_it_does_in_turn(pick, monkeypatch):
     monkeypatch.setattr(grid_flow, "VELOCITY_ERROR", 1e-11)
     found = []
     for gpu in (False, True):
-        with share_out_like_a_gpu() if gpu else nullcontext():
+        with divide_work_like_gpu() if gpu else nullcontext():
             simulation = Simulation(GRIDS[pick](), device="cpu", precision="float64")
             simulation.prepare()
             flow = simulation.flow
             assert flow.parallel == gpu
             flow.take(15)
-        rubbed = flow.mesh.pull if flow.state.layout.kind.cut else flow.mesh.traction
+        rubbed = flow.mesh.wall_force if flow.state.layout.kind.cut else flow.mesh.traction
         found.append([array.numpy() for array in (flow.particles.position, flow.particles.velocity, rubbed)])
     for one, two in zip(*found, strict=True):
         assert np.abs(one).max() > 1e-3 and two == pytest.approx(one, rel=1e-6, abs=1e-6 * np.abs(one).max())
@@ -338,7 +342,7 @@ def test_a_grid_steps_abreast_as_it_does_in_turn(pick, monkeypatch):
 
 def kernels_of_a_step(pick):
     """Kernels of the steps of both methods, and of a rebuild, as a GPU has them."""
-    with share_out_like_a_gpu():
+    with divide_work_like_gpu():
         if pick == "elements":
             scene = scenes.pipe(shapes="reference", wall="mesh", facets=12, layer_viscosity=10.0, energy_balance=True,
                                 healing=True, **SMALL)  # fmt: skip
@@ -351,7 +355,7 @@ def kernels_of_a_step(pick):
                 gather_kernel(batch.scalar, law, wall_law, False, True, True, ESTIMATE_LANES),
                 clump_kernel(batch.scalar, True, True, True, False, True, True, 4, WARP),
                 surface_kernel(batch.scalar, wall_law, True, False, WARP),
-                foreseeing_kernel(batch.scalar, True, False, True),
+                prediction_kernel(batch.scalar, True, False, True),
                 rounds_kernel(batch.scalar, law, True, True, True),
             ]
             stages = [*launches_of(simulation), *(SimpleNamespace(kernel=kernel) for kernel in warps)]

@@ -8,9 +8,9 @@ import warp as wp
 from pumping import TINY
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.device.device import find_device, share_out_like_a_gpu
-from warpcrete.core.device.exchange import Exchange, Reading
-from warpcrete.core.device.graphs import AtOnce, Zero, _uncollected, captured
+from warpcrete.core.device.device import divide_work_like_gpu, find_device
+from warpcrete.core.device.exchange import Exchange, LaunchAndRead
+from warpcrete.core.device.graphs import GraphLaunch, Zero, _garbage_collection_off, captured
 from warpcrete.core.device.launching import Launcher
 from warpcrete.dem.measure.probes import body_sums, contact_sums, row_sums
 from warpcrete.kernels.common.control import ESTIMATED
@@ -32,8 +32,8 @@ def test_python_collects_no_cycles_while_launches_are_captured(device):
             with pytest.raises(ZeroDivisionError):
                 captured(find_device(device), lambda: 1 / 0)
             assert gc.isenabled() == collects
-            with _uncollected():
-                with _uncollected():  # of another thread's run
+            with _garbage_collection_off():
+                with _garbage_collection_off():  # of another thread's run
                     assert not gc.isenabled()
                 assert not gc.isenabled()
             assert gc.isenabled() == collects
@@ -44,7 +44,7 @@ def test_python_collects_no_cycles_while_launches_are_captured(device):
 def test_what_is_read_with_a_launch_is_as_that_left_it(device):
     place = find_device(device)
     array, other = wp.ones(4, dtype=wp.int32, device=device), wp.zeros((0, 3), dtype=wp.float64, device=device)
-    reading = Reading([Zero(array)], [array, other], place)
+    reading = LaunchAndRead([Zero(array)], [array, other], place)
     for value in (3, 5):
         array.fill_(value)
         zeros, none = reading()
@@ -62,14 +62,14 @@ def test_writes_of_several_arrays_come_in_their_order(device):
         exchange.write(*[[(rows, values), (flags, values)], [(flags, values)], [(rows, values)]][turn % 3])
         values[:] = -1  # what was written was copied
         if turn % 4 == 3:
-            exchange.ask(rows)
-            exchange.answer()
+            exchange.begin_read(rows)
+            exchange.finish_read()
     assert [each.tolist() for each in exchange.read(rows, flags)] == [[8] * 3, [7] * 3]
 
 
 def test_an_interruption_loses_nothing_that_was_to_be_sent(monkeypatch):
     """What a run notes on the host goes to the device with the next launch, if not with this one."""
-    with share_out_like_a_gpu():
+    with divide_work_like_gpu():
         simulation = Simulation(scenes.pipe(**TINY), device="cpu")
         simulation.prepare()
         batch, write, calls = simulation.stepper.batch, Exchange.write, []
@@ -110,14 +110,14 @@ def test_estimates_within_a_graph_of_steps_are_those_behind_it(device, monkeypat
     scene = scenes.pipe(**TINY | dict(travel=0.03), sample_interval=0.05)
     within, replay = [], Launcher.replay
 
-    def counting(self, step, alone, sizes, ended, behind=None):
-        within.append(behind is not None)
-        replay(self, step, alone, sizes, ended, behind)
+    def counting(self, step, alone, sizes, ended, appended=None):
+        within.append(appended is not None)
+        replay(self, step, alone, sizes, ended, appended)
 
-    def apart(self, step, alone, sizes, ended, behind=None):
+    def apart(self, step, alone, sizes, ended, appended=None):
         replay(self, step, alone, sizes, ended)
-        if behind is not None:
-            behind()
+        if appended is not None:
+            appended()
 
     hashes = []
     for way in (counting, apart):
@@ -128,7 +128,7 @@ def test_estimates_within_a_graph_of_steps_are_those_behind_it(device, monkeypat
 
 def test_stages_are_launched_at_once_again_and_again(device):
     array = wp.ones(4, dtype=wp.float32, device=device)
-    both = AtOnce([Zero(array)], find_device(device))
+    both = GraphLaunch([Zero(array)], find_device(device))
     for _ in range(2):
         array.fill_(1.0)
         both()

@@ -13,8 +13,8 @@ from warpcrete.core.device.device import find_device
 from warpcrete.core.errors import CapacityError, ConvergenceError, SceneError
 from warpcrete.core.run.run_loop import Recorder
 from warpcrete.kernels.mps.grid.bingham import bingham_functions
-from warpcrete.kernels.mps.grid.cells import LIQUID, Kind, cells_struct
-from warpcrete.kernels.mps.grid.forces import relaxing_function
+from warpcrete.kernels.mps.grid.cells import LIQUID, GridKind, grid_parameters_struct
+from warpcrete.kernels.mps.grid.forces import relaxed_viscosity_function
 from warpcrete.mps.column import check_flow
 from warpcrete.mps.grid.flow import GridFlow
 from warpcrete.mps.grid.layout import pipe_layout
@@ -252,7 +252,7 @@ def test_the_flow_is_free_of_divergence(device):
 
 
 def numbers(scalar=wp.float64, **given):
-    g = cells_struct(scalar, 2)()
+    g = grid_parameters_struct(scalar, 2)()
     for name, value in {"viscosity": 20.0, "yield_stress": 100.0, "regularisation": 50.0, **given}.items():
         setattr(g, name, value)
     return g
@@ -270,7 +270,7 @@ def rate_at(g, stress):
 def test_the_stress_of_a_wall_makes_the_mean_velocity_beside_it(inner):
     """Stress falls in a straight line to `inner`: slip and the sheared cell together come to the velocity there is."""
     law = bingham_functions(wp.float64, 2)
-    Cells = cells_struct(wp.float64, 2)
+    Cells = grid_parameters_struct(wp.float64, 2)
 
     @wp.kernel(module="unique")
     def ask(g: Cells, speed: wp.float64, inner: wp.float64, width: wp.float64, out: wp.array(dtype=wp.float64)):
@@ -297,7 +297,7 @@ def test_the_stress_of_a_wall_makes_the_mean_velocity_beside_it(inner):
 def test_the_edge_of_a_plug_between_two_cells(stress):
     """The rate between two cells' means is one of the stress's tent; the corner's stress comes out of it."""
     law = bingham_functions(wp.float64, 2)
-    Cells = cells_struct(wp.float64, 2)
+    Cells = grid_parameters_struct(wp.float64, 2)
 
     @wp.kernel(module="unique")
     def ask(g: Cells, rate: wp.float64, change: wp.float64, out: wp.array(dtype=wp.float64)):
@@ -375,12 +375,12 @@ def test_a_periodic_pipe_by_the_command(tmp_path):
 def test_yielding_concrete_under_a_free_surface_takes_its_new_viscosity_at_once(device, periodic, thinned):
     """From 4 Pa s to 1 Pa s where the shear stress exceeds the yield stress; a full pipe goes half the way."""
     scalar = wp.float64
-    relaxed = relaxing_function(scalar, Kind(periodic=periodic))
-    Cells = cells_struct(scalar, 2)
+    relaxed_viscosity = relaxed_viscosity_function(scalar, GridKind(periodic=periodic))
+    Cells = grid_parameters_struct(scalar, 2)
 
     @wp.kernel(module="unique", enable_backward=False)
     def follow(g: Cells, viscosity: wp.array(dtype=scalar)):
-        viscosity[0] = relaxed(g, scalar(4.0), scalar(1.0), scalar(100.0))
+        viscosity[0] = relaxed_viscosity(g, scalar(4.0), scalar(1.0), scalar(100.0))
 
     cells = Cells()
     cells.viscosity, cells.yield_stress, cells.regularisation = 0.5, 50.0, 10.0

@@ -66,7 +66,7 @@ def distances(path):
     random = np.random.default_rng(7)
     along = random.uniform(-0.02, 0.62, 500)
     aside = random.uniform(-0.06, 0.06, (500, 2))
-    return bore_distance(scene)(Frame(scene).inward(np.column_stack([along, aside])))
+    return bore_distance(scene)(Frame(scene).to_grid(np.column_stack([along, aside])))
 
 
 @pytest.mark.parametrize("made", TUBES.values(), ids=TUBES)
@@ -177,7 +177,7 @@ def test_a_part_goes_as_its_mesh_does(tmp_path):
     assert scene.insert == scene.middle == pytest.approx((0.25, 0.25 + BENDS["S"].length), abs=5e-4)
     assert scene.bore(np.linspace(0, scene.axis.length, 50)) == pytest.approx(0.05, rel=3e-3)
     middles = scene.axis.at(np.linspace(0, scene.axis.length, 50))[0]
-    assert bore_distance(scene)(Frame(scene).inward(middles)) == pytest.approx(0.05, rel=0.01)
+    assert bore_distance(scene)(Frame(scene).to_grid(middles)) == pytest.approx(0.05, rel=0.01)
     up = Axis((0, 0, 0), (0, 0, 1), (Line(0.1), Arc(0.2, EIGHTH, (1, 0, 0)), Line(0.1)))
     upright = scenes.part(wall=str(bent(tmp_path / "up.stl", up)), **FLOW)
     assert upright.axis.tangent == (0, 0, 1) and upright.rise > 0.6

@@ -31,10 +31,10 @@ def box(kind, count, spread):
 
 
 def stepped(scene, many, monkeypatch, precision):
-    monkeypatch.setattr(neighbors, "MANY", many)
-    monkeypatch.setattr(stages, "MANY", many)
+    monkeypatch.setattr(neighbors, "MANY_SPHERES", many)
+    monkeypatch.setattr(stages, "MANY_SPHERES", many)
     monkeypatch.setattr(stages, "WALL_THREADS", many)
-    monkeypatch.setattr(stages, "CLOSE_LINKS", 0.02 if many == 0 else 0.5)
+    monkeypatch.setattr(stages, "THREADS_PER_LINK", 0.02 if many == 0 else 0.5)
     model = build_model(scene, find_device("cuda:0"), precision)
     stepper = Stepper(model, State(model, placed_bodies(scene)), scene.time_step)
     if scene.bonds is not None:

@@ -19,7 +19,7 @@ from warpcrete.geometry import meshes
 from warpcrete.geometry.lines import line_of
 from warpcrete.mix.mix import mix_of
 from warpcrete.scenes import modules
-from warpcrete.studies.cases import MOST_CASES, cases_of
+from warpcrete.studies.cases import MAX_CASES, cases_of
 
 FIELDS = {name: declared_fields(module.scene.parameters) for name, module in modules().items()}
 IMPOSSIBLE = (1e-300, -1e-300, 1e300, -1e300, 5e-324, 2e-310, -2e-310, 10**30, -(10**30), 10**400, float("nan"),
@@ -264,7 +264,7 @@ def test_commands_take_amounts_with_units(tmp_path, monkeypatch):
 
 
 def test_cases_of_a_study_are_counted_before_they_are_made():
-    for more in (dict(repeat=10**9), dict(repeat=MOST_CASES + 1)):
+    for more in (dict(repeat=10**9), dict(repeat=MAX_CASES + 1)):
         refused(lambda more=more: cases_of({}, {"a": [1.0]}, **more), "repeat")
     many = list(range(10**4))
     refused(lambda: cases_of({}, {"a": many, "b": many, "c": many}), "a")
@@ -287,7 +287,7 @@ def test_places_beyond_all_lines_are_refused_without_a_warning(tmp_path):
 
 
 def test_meshes_of_too_many_triangles_are_refused(monkeypatch):
-    monkeypatch.setattr(meshes, "MOST_FACES", 11)
+    monkeypatch.setattr(meshes, "MAX_FACES", 11)
     assert "has 12 triangles, but at most 11 are allowed" in refused(
         lambda: meshes.load(trimesh.creation.box(), "wall"), "wall"
     )

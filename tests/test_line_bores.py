@@ -10,7 +10,7 @@ from warpcrete.mps.mixes import concrete_of
 from warpcrete.mps.part.layout import Frame, bore_distance
 from warpcrete.studies.lines import folder as line_folder
 from warpcrete.studies.lines.losses import line_of, read_line
-from warpcrete.studies.lines.run import _case, run_line
+from warpcrete.studies.lines.run import _scene_of_part, run_line
 
 FLOW = 0.0055
 
@@ -104,7 +104,7 @@ def test_a_flow_through_a_whole_line_refuses_a_bore(tmp_path):
 
 
 def scene_of(part, cells=8):
-    return scenes.part(**_case(part, concrete_of("no1"), FLOW, cells)[1])
+    return scenes.part(**_scene_of_part(part, concrete_of("no1"), FLOW, cells)[1])
 
 
 def test_a_bore_lies_between_straight_pipe(tmp_path):
@@ -120,7 +120,7 @@ def test_a_bore_lies_between_straight_pipe(tmp_path):
     lidded = scene_of(line(tmp_path).parts[1])
     s = np.linspace(0.3, 0.575, 100)
     places = scene.axis.at(s)[0] + np.column_stack([0 * s, 0.04 * np.cos(7 * s), 0.04 * np.sin(7 * s)])
-    one, other = (bore_distance(each)(Frame(each).inward(places)) for each in (scene, lidded))
+    one, other = (bore_distance(each)(Frame(each).to_grid(places)) for each in (scene, lidded))
     assert np.array_equal(one, other) and one.min() > 0.009
 
 
@@ -133,7 +133,7 @@ def test_no_place_of_the_joints_lets_concrete_out(tmp_path):
     for r, inside in ((1.05, False), (0.95, True)):
         radius = r * np.interp(s, [begin, end], [0.0625, 0.05])
         places = scene.axis.at(s)[0] + np.column_stack([0 * s, radius * np.cos(0.3), radius * np.sin(0.3)])
-        found = bore_distance(scene)(Frame(scene).inward(places))
+        found = bore_distance(scene)(Frame(scene).to_grid(places))
         assert np.array_equal(found > 0, np.full(len(s), inside))
 
 

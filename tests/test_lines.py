@@ -16,7 +16,7 @@ from warpcrete.geometry.lines import Part
 from warpcrete.mps.mixes import concrete_of
 from warpcrete.studies.lines import run as line_run
 from warpcrete.studies.lines.losses import line_of, read_line, shipped_lines
-from warpcrete.studies.lines.run import _case, _lost, run_line
+from warpcrete.studies.lines.run import _loss_from_run, _scene_of_part, run_line
 from warpcrete.theory.pipe import Concrete
 
 SLIPPING = Concrete(density=2400.0, viscosity=1e6, yield_stress=1e9, slip_viscosity=1000.0, slip_yield=50.0)
@@ -100,10 +100,10 @@ def test_a_plug_loses_what_its_closed_form_says():
 def test_a_slight_bend_loses_its_part_of_one_of_five_degrees(angle, simulated):
     """What is simulated is no slighter than that, and its loss counts by the angle."""
     bend = Part(1, "bend", 0.125, 0.4 * math.radians(angle), 0.0, 0.125, radius=0.4, angle=angle)
-    name, given = _case(bend, SLIPPING, 0.01, 8)
+    name, given = _scene_of_part(bend, SLIPPING, 0.01, 8)
     assert name == "part" and given["angle"] == simulated and given["elbow_radius"] == 0.4
     result = {"middle_loss": {"value": 700.0, "unit": "Pa"}}
-    assert _lost(bend, result) == pytest.approx(700.0 * angle / simulated, rel=1e-12)
+    assert _loss_from_run(bend, result) == pytest.approx(700.0 * angle / simulated, rel=1e-12)
 
 
 def test_concrete_that_runs_down_faster_than_it_is_pumped_pulls_at_nothing():

@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 from conftest import devices
 
-from warpcrete.core.device.device import find_device, share_out_like_a_gpu
+from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.dem.engine import cells, neighbors
 from warpcrete.dem.engine.model import build_model
 from warpcrete.dem.engine.state import State
@@ -22,8 +22,8 @@ WAYS = [*devices(), "like a GPU", "like a GPU, a thread a sphere"]
 def way(request, monkeypatch):
     """Device on which to build, with the lists of a GPU on a CPU, too: of few spheres, and of many."""
     if request.param.endswith("a thread a sphere"):
-        monkeypatch.setattr(neighbors, "MANY", 0)
-    with share_out_like_a_gpu() if request.param.startswith("like") else nullcontext():
+        monkeypatch.setattr(neighbors, "MANY_SPHERES", 0)
+    with divide_work_like_gpu() if request.param.startswith("like") else nullcontext():
         yield "cpu" if request.param.startswith("like") else request.param
 
 

@@ -8,7 +8,7 @@ from pumping import SMALL
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.device import launching
-from warpcrete.core.device.launching import load, telling
+from warpcrete.core.device.launching import load, report_compiling
 from warpcrete.dem.engine.stages import step_stages
 
 
@@ -49,10 +49,10 @@ def test_who_waits_for_the_compiler_is_told(monkeypatch):
     simulation = Simulation(scenes.pipe(**SMALL), device="cpu")
     simulation.prepare()
     stages, told = step_stages(simulation.stepper.batch)[0], []
-    with telling(lambda phase, fraction: told.append((phase, fraction))):
+    with report_compiling(lambda phase, fraction: told.append((phase, fraction))):
         load(stages, simulation.device)
         assert not told  # all is there
-        monkeypatch.setattr(launching, "PATIENCE", -1.0)
+        monkeypatch.setattr(launching, "COMPILE_PROGRESS_DELAY", -1.0)
         load(stages, simulation.device)
     assert told and {phase for phase, _ in told} == {"compiling"} and told[-1][1] == 1.0
     assert [f for _, f in told] == sorted(f for _, f in told)

@@ -12,14 +12,14 @@ from pumping import SMALL
 from test_recordings import columns
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.device.recorder_thread import Later
+from warpcrete.core.device.recorder_thread import RecorderThread
 from warpcrete.core.drawing.display import DrawnWall
-from warpcrete.core.drawing.paint import on_palette
-from warpcrete.core.run.frames import LEAST, SLOWEST, Frames
+from warpcrete.core.drawing.paint import palette_colours
+from warpcrete.core.run.frames import LONGEST_FRAME_INTERVAL, MINIMUM_FRAMES, Frames
 from warpcrete.core.run.run_loop import Recorder
 from warpcrete.dem.measure.probes import largest_forces, pair_forces
 from warpcrete.geometry.axis import Axis, Line
-from warpcrete.record.blueprint import PLAYED, behind, blueprint, cut_walls
+from warpcrete.record.blueprint import MIN_PLAY_TIME, blueprint, cut_walls, spheres_behind_cut
 from warpcrete.record.legend import legend, legend_title, meaning, paint_legend
 from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.usd import UsdRecorder
@@ -29,7 +29,7 @@ from warpcrete.theory.pipe import velocity
 TUBE = dict(spacing=0.02, duration=0.012, sample_interval=4e-3)
 
 
-class Seen(Recorder):
+class StationArrays(Recorder):
     """What displays show at every frame."""
 
     def __init__(self, *colourings):
@@ -52,7 +52,7 @@ class Seen(Recorder):
 def pumped(tmp_path_factory):
     """A short pipe, with chains."""
     folder = tmp_path_factory.mktemp("pumped")
-    seen = Seen(None, "speed")
+    seen = StationArrays(None, "speed")
     recorders = [seen, RerunRecorder(folder / "run.rrd", network=True),
                  UsdRecorder(folder / "scene.usdc", velocities=False)]  # fmt: skip
     scene = scenes.pipe(**SMALL | dict(shapes="spheres", travel=0.01))
@@ -112,10 +112,10 @@ def test_displays_of_one_moment_read_it_once(device):
     simulation, reads = Simulation(scenes.pipe(**SMALL | dict(travel=0.004, settle=0.0)), device=device), []
     simulation.prepare()
     displays = [simulation.display("speed"), simulation.display("force")]
-    later = Later(beside=True)
+    later = RecorderThread(in_thread=True)
 
     def job(display, time, steps):
-        display.once("read", lambda: reads.append(simulation.stepper.steps))
+        display.snapshot_value("read", lambda: reads.append(simulation.stepper.steps))
         display.centres()
 
     for number in range(3):
@@ -272,20 +272,20 @@ def test_a_cut_leaves_what_lies_behind_the_axis():
     simulation = Simulation(scenes.tube(**TUBE), device="cpu", threads=1)
     simulation.prepare()
     display = simulation.display()
-    kept = behind(display)
+    kept = spheres_behind_cut(display)
     assert kept.sum() == pytest.approx(len(kept) / 2, rel=0.2) and np.all(display.centres()[kept, 1] >= 0)
     (whole,), (half,) = display.walls(), cut_walls(display)
     assert isinstance(half, DrawnWall) and len(half.faces) == len(whole.faces) / 2
     assert whole.vertices[half.faces].mean(axis=1)[:, 1].min() > 0
     plane = Simulation(scenes.channel(**TUBE), device="cpu", threads=1)
     plane.prepare()
-    assert behind(plane.display()) is None and cut_walls(plane.display()) == []
+    assert spheres_behind_cut(plane.display()) is None and cut_walls(plane.display()) == []
 
 
 def test_bars_of_colours_span_the_scale(monkeypatch):
     """From its lower end, which need not be zero, to its upper one; of walls from zero."""
     monkeypatch.setattr("warpcrete.record.legend._png", lambda figure: figure)
-    found: Any = legend(SimpleNamespace(scale=lambda: ("speed [m/s]", 0.23, 0.71), things=lambda: {}))
+    found: Any = legend(SimpleNamespace(scale=lambda: ("speed [m/s]", 0.23, 0.71), categories=lambda: {}))
     painted: Any = paint_legend(SimpleNamespace(upper=3.3, palette="magma"))
     for figure, span in ((found, (0.23, 0.71)), (painted, (0.0, 3.3))):
         (axes,) = figure.axes
@@ -310,25 +310,25 @@ def times(frames, end, step):
     for k in range(1, round(end / step) + 1):
         if frames.due(k * step):
             found.append(k * step)
-            frames.taken(k * step)
+            frames.schedule_next(k * step)
     return np.array(found)
 
 
 def test_frames_are_as_many_as_it_takes_to_play():
-    assert np.allclose(times(Frames(None, 4.0), 4.0, 0.01), SLOWEST * np.arange(1, 101))
-    assert len(times(Frames(None, 0.3), 0.3, 0.002)) == LEAST
+    assert np.allclose(times(Frames(None, 4.0), 4.0, 0.01), LONGEST_FRAME_INTERVAL * np.arange(1, 101))
+    assert len(times(Frames(None, 0.3), 0.3, 0.002)) == MINIMUM_FRAMES
     asked = times(Frames(0.1, 0.3), 0.3, 0.002)
     assert asked == pytest.approx([0.1, 0.2, 0.3])
     longer = times(Frames(None, 0.03), 2.0, 1e-3)  # than was expected
-    assert longer[:LEAST] == pytest.approx(1e-3 * np.arange(1, LEAST + 1)) and len(longer) < 160
-    assert np.diff(longer).max() < SLOWEST + 2e-3
+    assert longer[:MINIMUM_FRAMES] == pytest.approx(1e-3 * np.arange(1, MINIMUM_FRAMES + 1)) and len(longer) < 160
+    assert np.diff(longer).max() < LONGEST_FRAME_INTERVAL + 2e-3
 
 
 @pytest.mark.parametrize("ends", ["piston", "periodic"])
 def test_frames_of_a_flow_change_nothing_of_it(ends):
     """They lie between its samples, where its steps are all the same; a flow that is steady soon has some to play."""
     found = []
-    for recorders in ([], [Seen()]):
+    for recorders in ([], [StationArrays()]):
         simulation = Simulation(scenes.tube(ends=ends, **TUBE), device="cpu", threads=1, recorders=recorders)
         found.append(simulation.run().result["state_hash"])
     seen = recorders[0].times
@@ -387,7 +387,7 @@ def test_clear_walls_of_usd_stay_visible(alpha, moves, opacity):
     assert wall_look(Usd.Stage.CreateInMemory(), wall, "wall")[2] == pytest.approx(opacity)
 
 
-@pytest.mark.parametrize("duration, speed", [(0.1 * PLAYED, 0.1), (10 * PLAYED, 1.0)])
+@pytest.mark.parametrize("duration, speed", [(0.1 * MIN_PLAY_TIME, 0.1), (10 * MIN_PLAY_TIME, 1.0)])
 def test_a_short_run_plays_slowly_and_a_long_one_in_its_own_time(duration, speed):
     simulation = Simulation(scenes.channel(ends="periodic"), device="cpu")
     simulation.prepare()
@@ -398,4 +398,4 @@ def test_a_short_run_plays_slowly_and_a_long_one_in_its_own_time(duration, speed
 def test_a_scale_may_begin_above_zero():
     """Viridis between 3 and 5: its ends, and its middle for 4."""
     values = np.array([2.0, 3.0, 4.0, 5.0, 6.0])
-    assert np.array_equal(on_palette(values, 5.0, 3.0), on_palette(np.array([0.0, 0.0, 0.5, 1.0, 1.0]), 1.0))
+    assert np.array_equal(palette_colours(values, 5.0, 3.0), palette_colours(np.array([0.0, 0.0, 0.5, 1.0, 1.0]), 1.0))

@@ -9,7 +9,7 @@ import warp as wp
 from conftest import by_id
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.device.device import find_device, share_out_like_a_gpu
+from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.device.exchange import Exchange
 from warpcrete.core.device.launching import Launcher, Stage
 from warpcrete.dem.batch_run import run_batch
@@ -22,7 +22,7 @@ from warpcrete.dem.measure.probes import contact_sums
 from warpcrete.dem.scene.bodies import placed_bodies
 from warpcrete.dem.scene.scene import Bodies, Bonds, Contact, Scene, TimeStep
 from warpcrete.kernels.common.types import types
-from warpcrete.kernels.dem.linking import BITS
+from warpcrete.kernels.dem.linking import MASKED_ENTRIES
 from warpcrete.kernels.dem.motion import rotation_functions
 from warpcrete.kernels.dem.near import CHOICE_BLOCK, NEAR, near_kernels
 from warpcrete.kernels.dem.pairs import BLOCK
@@ -32,14 +32,14 @@ SMALL = dict(length=0.1, diameter=0.06, ramp=0.005, travel=0.01, settle=0.02, si
 
 
 @pytest.fixture
-def outrun(monkeypatch):
+def near_list_exceeded(monkeypatch):
     """After every launch, of each scene: may near links miss a contact?"""
     found: list[int] = []
     settle = Batch.settle
 
     def noting(self):
         flags = settle(self)
-        found.extend(self.links.outrun.numpy().tolist())
+        found.extend(self.links.near_list_exceeded.numpy().tolist())
         return flags
 
     monkeypatch.setattr(Batch, "settle", noting)
@@ -48,37 +48,37 @@ def outrun(monkeypatch):
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("shapes", ["spheres", "reference"])
-def test_whatever_links_are_near_the_bits_are_the_same(shapes, monkeypatch, outrun):
+def test_whatever_links_are_near_the_bits_are_the_same(shapes, monkeypatch, near_list_exceeded):
     """Chosen every twenty steps, or only with new lists, so that spheres outrun them and all links are looked at."""
     scene, found = scenes.pipe(shapes=shapes, hydration=0.2, healing=True, **SMALL), []
-    with share_out_like_a_gpu():
-        for chosen in (stages.CHOSEN, 10**6):
-            monkeypatch.setattr(stages, "CHOSEN", chosen)
-            outrun.clear()
+    with divide_work_like_gpu():
+        for chosen in (stages.NEAR_LINK_INTERVAL, 10**6):
+            monkeypatch.setattr(stages, "NEAR_LINK_INTERVAL", chosen)
+            near_list_exceeded.clear()
             simulation = Simulation(scene, device="cpu")
             run = simulation.run()
             links = simulation.stepper.batch.links
             near, every = int(links.near_count.numpy()[0]), int((links.link.numpy()[:, 0] >= 0).sum())
             assert 0.1 * every < near < 0.8 * every
-            found.append((run.result["state_hash"], np.mean(outrun)))
+            found.append((run.result["state_hash"], np.mean(near_list_exceeded)))
     assert len({state for state, _ in found}) == 1
     now_and_then, never_again = (share for _, share in found)
     assert never_again > 0.5 and now_and_then < 0.5 * never_again
 
 
 @pytest.mark.thorough
-def test_links_are_chosen_anew_however_short_graphs_are(outrun):
+def test_links_are_chosen_anew_however_short_graphs_are(near_list_exceeded):
     """Batches go eight steps at a time."""
-    with share_out_like_a_gpu():
+    with divide_work_like_gpu():
         run_batch([Simulation(scenes.pipe(seed=seed, **SMALL), device="cpu") for seed in (0, 1)])
-    assert len(outrun) > 100 and np.mean(outrun) < 0.3
+    assert len(near_list_exceeded) > 100 and np.mean(near_list_exceeded) < 0.3
 
 
 @pytest.mark.thorough
 def test_the_smallest_scenes_meet_in_full_lists():
     """Two spheres that collide, so one pair of which nothing is near at first; once a launch had no thread for it."""
     found = []
-    for way in (nullcontext, share_out_like_a_gpu):
+    for way in (nullcontext, divide_work_like_gpu):
         with way():
             bodies = Bodies(positions=[[0.0, 0, 0], [0.025, 0, 0]], sizes=0.02, velocities=[[1.0, 0, 0], [0, 0, 0]])
             scene = Scene(name="two", duration=1.0, gravity=(0, 0, 0), bodies=(bodies,))
@@ -109,7 +109,7 @@ def test_bonds_across_more_than_the_skin_stay_in_full_lists(count):
             Bodies(positions=0.0551 * out, sizes=0.01, velocities=away),
         ),
     )
-    with share_out_like_a_gpu():
+    with divide_work_like_gpu():
         check_ties(scene, count)
 
 
@@ -135,12 +135,12 @@ def check_ties(scene, count):
 def test_a_sphere_feels_entries_of_which_no_bits_tell(count, energies):
     """A large sphere that many small ones press on, some of which are thrown off and come back. A link gives rows for
     both its spheres; with energies some for each."""
-    assert int(BLOCK) < 60 < int(BITS) < 240
+    assert int(BLOCK) < 60 < int(MASKED_ENTRIES) < 240
     turn = np.pi * (1 + 5**0.5) * np.arange(count)
     height = 1 - 2 * (np.arange(count) + 0.5) / count
     out = np.stack([np.cos(turn) * np.sqrt(1 - height**2), np.sin(turn) * np.sqrt(1 - height**2), height], axis=1)
     found = []
-    for way in (nullcontext, share_out_like_a_gpu):
+    for way in (nullcontext, divide_work_like_gpu):
         with way():
             scene = Scene(
                 name="urchin",
@@ -174,7 +174,7 @@ def test_near_links_are_those_within_a_quarter_of_the_skin_and_those_that_rememb
     """A pair that touched or is bonded stays near however far it is: it must be told that the touch is over."""
     skin, t = 0.01, types(scalar)
     gaps = skin * np.array([-0.5, 0.24, 0.26, 0.26, 0.9, 0.24])
-    touched = [int(state) for state in (APART, APART, APART, TOUCHING, STIFF, APART)]
+    state = [int(state) for state in (APART, APART, APART, TOUCHING, STIFF, APART)]
     listed = [1, 1, 1, 1, 1, 0]
     count = len(gaps)
     place = np.zeros((2 * count, 4))
@@ -189,7 +189,7 @@ def test_near_links_are_those_within_a_quarter_of_the_skin_and_those_that_rememb
     link = [(2 * p, 2 * p + 1, p, 50 + p) if listed[p] else (-1, -1, -1, -1) for p in range(count)]
     links.link = wp.array(link, dtype=wp.vec4i, device=device)
     links.scene = wp.zeros(count, dtype=wp.int32, device=device)
-    links.touched = wp.array(touched, dtype=wp.int32, device=device)
+    links.state = wp.array(state, dtype=wp.int32, device=device)
     links.near = wp.full(count, wp.vec4i(-1, -1, -1, -1), dtype=wp.vec4i, device=device)
     links.near_count = wp.zeros(2, dtype=wp.int32, device=device)
     wp.launch(near_kernels(scalar).choose_near, CHOICE_BLOCK, inputs=[batch, spheres, links], device=device,
@@ -229,15 +229,15 @@ def test_what_the_host_writes_and_reads_is_the_same(device):
 
 def test_what_was_asked_for_is_there_however_much_else_is_read(device, monkeypatch):
     """Memory for many arrays is given up; an answer on its way keeps its own."""
-    monkeypatch.setattr("warpcrete.core.device.exchange.KEPT", 3)
+    monkeypatch.setattr("warpcrete.core.device.exchange.MAXIMUM_BUFFERS", 3)
     exchange = Exchange(find_device(device))
     a, b, *others = (wp.full(4 + k, k, dtype=wp.int32, device=device) for k in range(9))
     for count in range(len(others)):
         exchange.read(*others[:count])
-        exchange.ask(a, b)
+        exchange.begin_read(a, b)
         exchange.write((others[0], np.full(others[0].shape, 7)))
-        answer = exchange.answer()
-        assert exchange.answered and [each.tolist() for each in answer] == [[0] * 4, [1] * 5]
+        finish_read = exchange.finish_read()
+        assert exchange.read_is_done and [each.tolist() for each in finish_read] == [[0] * 4, [1] * 5]
 
 
 @pytest.mark.parametrize("scalar", [wp.float32, wp.float64], ids=["float32", "float64"])

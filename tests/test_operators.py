@@ -278,7 +278,7 @@ def test_the_coarse_matrix_is_that_of_what_is_the_same_all_over_a_cube(device, d
         flow.take(1)
         if vector:
             forces(flow)
-            for stage in part.gathered(True):
+            for stage in part.coarse_matrix(True):
                 stage()
         rows, n = neighbours(flow), flow.state.count
         full = np.zeros((n, n))

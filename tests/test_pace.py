@@ -44,7 +44,7 @@ def test_it_is_where_it_was_to_go_and_takes_as_many_steps_as_it_is_told(device):
     flow = flow_of(slump(lift_time=0.0), device)
     for until in (1e-3, 0.05, 0.0500001, 0.2):
         flow.advance(until)
-        assert flow.time == pytest.approx(until, rel=1e-12) and flow.arrived
+        assert flow.time == pytest.approx(until, rel=1e-12) and flow.goal_reached
     steps = flow.steps
     flow.advance(0.2)
     assert flow.steps == steps
@@ -60,8 +60,8 @@ def test_no_step_is_a_sliver():
     flow.advance(0.3)
     wanted = flow.next_step
     begun, times = flow.time, [flow.time]
-    flow.aim(begun + 2.1 * wanted)
-    while not flow.arrived:
+    flow.set_goal(begun + 2.1 * wanted)
+    while not flow.goal_reached:
         flow.launch()
         flow.settle()
         times.append(flow.time)

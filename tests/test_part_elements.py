@@ -16,16 +16,16 @@ from warpcrete.dem.packing import pack
 from warpcrete.dem.pictures import plot_stations
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.bores import Bores
-from warpcrete.geometry.curves import through
+from warpcrete.geometry.curves import curve_through
 from warpcrete.geometry.meshes import enclosed
 from warpcrete.mps.mixes import concrete_of
-from warpcrete.studies.lines.elements import Packed, WallLaw
-from warpcrete.studies.lines.losses import friction, layered, line_of
+from warpcrete.studies.lines.elements import SeedResult, WallLaw
+from warpcrete.studies.lines.losses import friction, line_of, with_layer_factor
 from warpcrete.studies.lines.run import run_line
 
 SMALL = dict(diameter=0.08, straight=0.1, size_min=12e-3, size_max=20e-3, travel=0.04, settle=0.1, gravity=0.0,
              flow=1e-3, plug_ball=14e-3)  # fmt: skip
-COURSES = {
+DEFAULT_PLOT_COLUMNS = {
     "straight": dict(unit="horizontal"),
     "bend": dict(unit="bend-to-vertical", elbow_radius=0.12),
     "reducer": dict(unit="vertical", outlet_diameter=0.06, taper=0.1),
@@ -74,10 +74,10 @@ def test_a_pipe_that_bends_in_two_planes_is_a_closed_surface_of_its_volume():
     assert mesh.is_watertight and -mesh.volume == pytest.approx(bores.volume(0, axis.length), rel=2e-3)
 
 
-@pytest.mark.parametrize("course", COURSES)
+@pytest.mark.parametrize("course", DEFAULT_PLOT_COLUMNS)
 def test_nothing_lies_outside_the_true_wall_at_the_start(course):
     """Cones and bends included: every centre inside, and as full everywhere."""
-    scene: Any = scenes.part_dem(**SMALL | COURSES[course])
+    scene: Any = scenes.part_dem(**SMALL | DEFAULT_PLOT_COLUMNS[course])
     bodies, report = pack(scene.fill, contact=scene.contact, seed=0, device="cpu")
     wall = next(wall for wall in scene.walls if wall.name == "pipe")
     assert enclosed(wall, scene.pipe.axis, bodies.position).all() and report.bodies > 150
@@ -89,9 +89,9 @@ def test_nothing_lies_outside_the_true_wall_at_the_start(course):
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("course", COURSES)
+@pytest.mark.parametrize("course", DEFAULT_PLOT_COLUMNS)
 def test_every_part_is_pushed_through_and_measured(device, course):
-    scene = scenes.part_dem(**SMALL | COURSES[course] | {"straight": 0.18, "slices": 3.0})
+    scene = scenes.part_dem(**SMALL | DEFAULT_PLOT_COLUMNS[course] | {"straight": 0.18, "slices": 3.0})
     run = Simulation(scene, device=device).run()
     for name, (passed, found) in sys.modules["warpcrete.scenes.part_dem"].check(run).items():
         assert passed, f"{name}: {found}"
@@ -133,7 +133,9 @@ def test_a_line_bends_in_two_planes_and_goes_through_a_checkpoint(device, tmp_pa
 
 
 def test_short_stretches_are_told():
-    told = [scenes.part_dem(**SMALL | COURSES["bend"] | {"straight": length}).remarks for length in (0.1, 0.3)]
+    told = [
+        scenes.part_dem(**SMALL | DEFAULT_PLOT_COLUMNS["bend"] | {"straight": length}).remarks for length in (0.1, 0.3)
+    ]
     assert "too short for their losses" in told[0][-1] and not any("too short" in text for text in told[1])
 
 
@@ -176,13 +178,13 @@ def test_a_line_is_put_together_from_its_end():
     columns = {"axial_stress": np.array([1e3, 3e3, np.nan]), "wall_stress": np.array([130, 190, 0.0])}
     fitted = WallLaw.of(0.1, columns, 1e5)
     assert (fitted.start, fitted.slope, fitted.measured) == pytest.approx((100.0, 0.03, 3e3))
-    packed = Packed({0.1: law}, {line.parts[1].alike: 2.0}, 1500.0)
+    packed = SeedResult({0.1: law}, {line.parts[1].loss_key: 2.0}, 1500.0)
     found = packed.course(line)
     length = 1 + 2 + math.pi / 2 * 0.5 * 2
     exact = a / b * (math.exp(4 * b / 0.1 * length) - 1)
     assert sum(map(sum, found)) == pytest.approx(exact, rel=0.02)
     assert all(weight == 0 for _, weight in found)
-    flat = Packed({0.1: WallLaw(0.1, a - 10 * b, b, 5.0, 10.0)}, {}, 1500.0)
+    flat = SeedResult({0.1: WallLaw(0.1, a - 10 * b, b, 5.0, 10.0)}, {}, 1500.0)
     upright = line_of({"diameter": 0.1, "begin": "up", "parts": [{"straight": 2}]})
     ((friction, weight),) = flat.course(upright)
     assert friction == pytest.approx(4 * a / 0.1 * 2, rel=1e-4) and weight == pytest.approx(1500 * 9.81 * 2)
@@ -230,12 +232,12 @@ def test_line_by_elements_refuses(tmp_path):
 def test_a_hose_through_points_of_a_circle_is_that_circle():
     angle = np.linspace(0, 1.2, 5)
     points = 2.0 * np.stack([np.sin(angle), 0 * angle, 1 - np.cos(angle)], axis=1)
-    pieces = through(points, np.array([1.0, 0.0, 0.0]))
+    pieces = curve_through(points, np.array([1.0, 0.0, 0.0]))
     axis = Axis((0, 0, 0), (1, 0, 0), tuple(pieces))
     assert axis.length == pytest.approx(2.4, rel=1e-9) and all(isinstance(piece, Arc) for piece in pieces)
     assert axis.at(axis.length)[0][0] == pytest.approx(points[-1], abs=1e-9)
     twisted = np.array([[0, 0, 0], [1, 0.1, 0.2], [2, 0.5, 0.1], [2.5, 1.2, -0.6]], dtype=float)
-    axis = Axis((0, 0, 0), (1, 0, 0), tuple(through(twisted, np.array([1.0, 0.0, 0.0]))))
+    axis = Axis((0, 0, 0), (1, 0, 0), tuple(curve_through(twisted, np.array([1.0, 0.0, 0.0]))))
     # It passes every point, though its arcs lie in many planes.
     assert np.linalg.norm(axis.nearest(twisted) - twisted, axis=1).max() < 1e-9
 
@@ -244,13 +246,15 @@ def test_a_hose_counts_its_length_its_bends_and_its_layer():
     points = [[1, 0, -0.2], [2, 0.5, -1], [2.2, 1.5, -1.5]]
     line = line_of({"diameter": 0.1, "parts": [{"straight": 1}, {"hose": {"points": points, "layer": 0.5}}]})
     hose = line.parts[1]
-    assert hose.rise == -1.5 and 1.0 < hose.curving < 1.125 and hose.length > 3.0
+    assert hose.rise == -1.5 and 1.0 < hose.relative_loss < 1.125 and hose.length > 3.0
     assert line.axis.at(line.axis.length)[0][0] == pytest.approx([3.2, 1.5, -1.5], abs=1e-9)
     concrete = concrete_of("no1")
-    straight = dataclasses.replace(hose, curving=1.0, layer=1.0)
+    straight = dataclasses.replace(hose, relative_loss=1.0, layer=1.0)
     plain = friction(straight, concrete, 0.002)
-    assert friction(hose, concrete, 0.002) < hose.curving * plain
-    assert friction(hose, layered(concrete, 2.0), 0.002) == pytest.approx(hose.curving * plain, rel=1e-9)
+    assert friction(hose, concrete, 0.002) < hose.relative_loss * plain
+    assert friction(hose, with_layer_factor(concrete, 2.0), 0.002) == pytest.approx(
+        hose.relative_loss * plain, rel=1e-9
+    )
     found = run_line(line, concrete, 0.002, simulate=False)
     assert found.losses[1].weight == pytest.approx(-1.5 * 9.81 * concrete.density)
 
@@ -283,5 +287,5 @@ def test_shapes_from_files_are_written_down_whole(monkeypatch, tmp_path):
     import trimesh
 
     trimesh.creation.icosphere(2).export("stone.stl")
-    scene = scenes.part_dem(**SMALL | COURSES["straight"] | {"shapes": "stone.stl"})
+    scene = scenes.part_dem(**SMALL | DEFAULT_PLOT_COLUMNS["straight"] | {"shapes": "stone.stl"})
     assert scene.parameters["shapes"] == str(tmp_path / "stone.stl"), "to be found from elsewhere, too"

@@ -130,7 +130,9 @@ def test_bends_of_one_plane_are_computed_by_half(tmp_path):
         s = np.linspace(0.02, scene.axis.length - 0.02, 100)
         points, _, normal, side = scene.axis.frame(s)
         for r, inside in ((0.049, True), (0.051, False)):
-            places = Frame(scene).inward(points + r * (np.cos(3 * s)[:, None] * normal + np.sin(3 * s)[:, None] * side))
+            places = Frame(scene).to_grid(
+                points + r * (np.cos(3 * s)[:, None] * normal + np.sin(3 * s)[:, None] * side)
+            )
             assert np.array_equal(bore_distance(scene)(places) > 0, np.full(100, inside))
             places[:, 1] = abs(places[:, 1]) if scene.is_half else places[:, 1]
             high = np.array(room.origin) + np.array(room.cells) * room.width
@@ -223,7 +225,7 @@ def test_the_room_of_a_long_line_holds_its_turns(tmp_path):
     room, frame = part_room(scene), Frame(scene)
     points, tangents = scene.axis.at(np.linspace(0, scene.axis.length, 100_000))
     reach = scene.widest * np.sqrt(np.maximum(1 - (tangents @ frame.axes.T) ** 2, 0.0))
-    places = frame.inward(points)
+    places = frame.to_grid(points)
     assert np.all((places - reach).min(0)[[0, 2]] > np.array(room.origin)[[0, 2]] + room.width[0])
     top = np.array(room.origin) + np.array(room.cells) * np.array(room.width)
     assert np.all((places + reach).max(0)[:2] < top[:2] - room.width[0])

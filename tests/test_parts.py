@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.device.device import share_out_like_a_gpu
+from warpcrete.core.device.device import divide_work_like_gpu
 from warpcrete.core.errors import CapacityError, SceneError
 from warpcrete.core.inputs.parameters import Needs, declared_fields
 from warpcrete.core.units import number
@@ -137,9 +137,9 @@ def test_frames_turn_places_and_turn_them_back():
     scene = scenes.part(unit="bend-to-horizontal", **OWN | SHORT)
     frame = Frame(scene)
     places = np.random.default_rng(1).normal(size=(20, 3))
-    assert frame.outward(frame.inward(places)) == pytest.approx(places)
+    assert frame.to_scene(frame.to_grid(places)) == pytest.approx(places)
     ends, ways = scene.axis.at([0.0, scene.axis.length])
-    assert frame.inward(ends[1:]) == pytest.approx(0.0, abs=1e-12)
+    assert frame.to_grid(ends[1:]) == pytest.approx(0.0, abs=1e-12)
     assert frame.axes @ ways[1] == pytest.approx([0, 0, 1]) and frame.axes @ ways[0] == pytest.approx([1, 0, 0])
     assert np.linalg.det(frame.axes) == pytest.approx(1.0)
 
@@ -293,7 +293,7 @@ class _Breaks(PartSimulation):
 @pytest.fixture(params=["as it is", "like a GPU"])
 def side_by_side(request, device):
     """A device on which flows go side by side, if only as a CPU can pretend to."""
-    with share_out_like_a_gpu() if request.param == "like a GPU" else nullcontext():
+    with divide_work_like_gpu() if request.param == "like a GPU" else nullcontext():
         yield device
 
 
@@ -334,7 +334,7 @@ def test_what_befalls_one_run_abreast_harms_no_other(device):
     """No room for a while, a graph that fails, a wish to stop, an interruption amid it all."""
     scene = scenes.part(**SMALL | {"duration": 0.04})
     _Full.begun = 0
-    with share_out_like_a_gpu():
+    with divide_work_like_gpu():
         whole = PartSimulation(scene, device=device).run().result["state_hash"]
         runs = [kind(scene, device=device) for kind in (_Full, _Full, _Breaks, PartSimulation)]
         outcomes = run_abreast(runs, [None] * 4, lambda phase, fraction: None)

@@ -13,10 +13,10 @@ from test_recordings import columns, everything, recording
 
 from warpcrete import RunFolderError, Simulation, scenes
 from warpcrete.core.device import interpreter_priority as turns
-from warpcrete.core.device.recorder_thread import MOST, Later
+from warpcrete.core.device.recorder_thread import MAXIMUM_JOBS, RecorderThread
 from warpcrete.core.drawing import snapshots as moments
 from warpcrete.core.drawing.display import Display
-from warpcrete.core.drawing.snapshots import Arriving, Pool, moment_of
+from warpcrete.core.drawing.snapshots import PendingCopies, PinnedPool, snapshot_of
 from warpcrete.record.paraview import ParaViewRecorder
 from warpcrete.record.rerun import RerunRecorder
 from warpcrete.record.usd import UsdRecorder
@@ -47,14 +47,14 @@ def test_what_is_drawn_later_is_what_was_there(name, device, tmp_path, monkeypat
     """Every display takes all that it draws of a moment: a recorder that lags shows the same."""
     make, colouring, network = DRAWN[name]
     found = []
-    for beside in (False, True):
-        recording(monkeypatch, beside)
-        folder = tmp_path / str(beside)
+    for in_thread in (False, True):
+        recording(monkeypatch, in_thread)
+        folder = tmp_path / str(in_thread)
         folder.mkdir()
         recorders = [RerunRecorder(folder / "run.rrd", colouring=colouring, network=network),
                      UsdRecorder(folder / "scene.usdc", colouring=colouring),
                      ParaViewRecorder(folder, colouring=colouring)]  # fmt: skip
-        if beside:
+        if in_thread:
             for recorder in recorders:
                 lag(recorder, monkeypatch)
         run = Simulation(make(), device=device, threads=1, recorders=recorders, frame_interval=1e-4).run()
@@ -67,10 +67,10 @@ def lag(recorder, monkeypatch):
     """Let a recorder draw when the run is further on."""
     draw = recorder._draw
 
-    def slowly(*moment):
+    def slowly(*snapshot):
         if threading.current_thread() is not threading.main_thread():
             time.sleep(0.02)
-        draw(*moment)
+        draw(*snapshot)
 
     monkeypatch.setattr(recorder, "_draw", slowly)
 
@@ -126,25 +126,25 @@ def test_a_moment_stays_as_it_was_and_its_memory_is_used_again(device):
     for steps in range(3):
         run.stepper.steps = steps
         array.fill_(float(steps))
-        taken.append(moment_of(run, {"a": lambda: array, "steps": lambda: run.stepper.steps}))
+        taken.append(snapshot_of(run, {"a": lambda: array, "steps": lambda: run.stepper.steps}))
     array.fill_(-1.0)
-    for steps, moment in enumerate(taken):
-        assert moment.read("steps") == steps
-        assert np.all(moment.read("a") == steps) and moment.read("a").shape == (1000, 3)
-    last = moment_of(run, {"a": lambda: array})
+    for steps, snapshot in enumerate(taken):
+        assert snapshot.read("steps") == steps
+        assert np.all(snapshot.read("a") == steps) and snapshot.read("a").shape == (1000, 3)
+    last = snapshot_of(run, {"a": lambda: array})
     assert np.all(last.read("a") == 2)  # of the same moment: not read again
     if array.device.is_cuda:
-        used = {moment.found["a"]._beside for moment in taken}
-        del moment, taken
+        used = {snapshot.found["a"]._buffers for snapshot in taken}
+        del snapshot, taken
         for steps in range(3, 9):  # the copies are a graph now
             run.stepper.steps = steps
             array.fill_(float(steps))
-            again = moment_of(run, {"a": lambda: array, "steps": lambda: run.stepper.steps}).found["a"]
-            assert again._beside in used and np.all(again["a"] == steps)
+            again = snapshot_of(run, {"a": lambda: array, "steps": lambda: run.stepper.steps}).found["a"]
+            assert again._buffers in used and np.all(again["a"] == steps)
         array = wp.full((7, 3), -1.0, dtype=wp.float32, device=device)  # lists have become others
         run.stepper.steps = 9
-        other = moment_of(run, {"a": lambda: array, "steps": lambda: run.stepper.steps})
-        assert other.found["a"]._beside not in used and np.all(other.read("a") == -1)
+        other = snapshot_of(run, {"a": lambda: array, "steps": lambda: run.stepper.steps})
+        assert other.found["a"]._buffers not in used and np.all(other.read("a") == -1)
 
 
 def test_what_is_worked_out_of_a_moment_is_that_of_all_who_draw_it(device):
@@ -164,12 +164,12 @@ def test_what_is_worked_out_of_a_moment_is_that_of_all_who_draw_it(device):
     one, other = Bare(run), Bare(run)
 
     def job(display):
-        return lambda time, steps: display.worked_out("half", lambda: asked.append(steps))
+        return lambda time, steps: display.derived("half", lambda: asked.append(steps))
 
     for display in (one, other):
-        display.draw(Later(beside=False), job(display))
+        display.draw(RecorderThread(in_thread=False), job(display))
     assert asked == [0, 0]
-    later = Later(beside=True)
+    later = RecorderThread(in_thread=True)
     for display in (one, other):
         display._complete = True
     for steps in (1, 2):
@@ -184,8 +184,8 @@ def test_copies_that_never_come_are_told(device, monkeypatch):
     array = wp.zeros(3, dtype=wp.float32, device=device)
     if not array.device.is_cuda:
         pytest.skip("on a CPU copies are there at once")
-    monkeypatch.setattr(moments, "LONGEST", 0.0)
-    copies = Arriving({"a": array}, Pool())
+    monkeypatch.setattr(moments, "COPY_TIMEOUT", 0.0)
+    copies = PendingCopies({"a": array}, PinnedPool())
     wp.synchronize()
     copies._views[""][0] = 0
     with pytest.raises(RuntimeError, match="took longer than"):
@@ -196,7 +196,7 @@ def test_a_writer_that_never_answers_does_not_hold_up_the_end(tmp_path, monkeypa
     """One line, and nothing that waits for it when the program ends; one that is slow is waited for."""
     given_up = []
     monkeypatch.setattr("warpcrete.record.rerun.PATIENCE", 0.15)
-    monkeypatch.setattr("warpcrete.record.rerun.LOOK", 0.05)
+    monkeypatch.setattr("warpcrete.record.rerun.POLL_INTERVAL", 0.05)
     monkeypatch.setattr("atexit.unregister", given_up.append)
     path = tmp_path / "run.rrd"
     path.write_bytes(b"begun")
@@ -216,11 +216,11 @@ def test_a_writer_that_never_answers_does_not_hold_up_the_end(tmp_path, monkeypa
 
 def test_jobs_are_done_in_order_and_the_run_waits_for_those_that_lag():
     done, go, waited = [], threading.Event(), threading.Event()
-    later = Later(beside=True)
+    later = RecorderThread(in_thread=True)
 
     def fill():
-        for number in range(MOST + 3):
-            later.do(lambda number=number: (go.wait(), done.append(number)))
+        for number in range(MAXIMUM_JOBS + 3):
+            later.submit(lambda number=number: (go.wait(), done.append(number)))
         waited.set()
 
     run = threading.Thread(target=fill)
@@ -229,11 +229,11 @@ def test_jobs_are_done_in_order_and_the_run_waits_for_those_that_lag():
     go.set()
     run.join(5)
     later.wait()
-    assert done == list(range(MOST + 3))
+    assert done == list(range(MAXIMUM_JOBS + 3))
     later.close()
 
 
-@pytest.mark.parametrize("end", ["do", "wait", "close"])
+@pytest.mark.parametrize("end", ["submit", "wait", "close"])
 def test_what_a_job_fails_with_is_raised_from_then_on(end):
     """Who puts up with it once, as a checkpoint does, is told again, or a recording would end without a word."""
     done = []
@@ -241,19 +241,19 @@ def test_what_a_job_fails_with_is_raised_from_then_on(end):
     def fail():
         raise OSError("no room")
 
-    later = Later(beside=True)
-    later.do(lambda: done.append(1))
-    later.do(fail)
+    later = RecorderThread(in_thread=True)
+    later.submit(lambda: done.append(1))
+    later.submit(fail)
     with pytest.raises(OSError, match="no room"):
         for _ in range(100):
-            getattr(later, end)(*([lambda: done.append(2)] if end == "do" else []))
+            getattr(later, end)(*([lambda: done.append(2)] if end == "submit" else []))
             time.sleep(0.05)
-    for call in (later.wait, lambda: later.do(lambda: done.append(3)), later.close):
+    for call in (later.wait, lambda: later.submit(lambda: done.append(3)), later.close):
         with pytest.raises(OSError, match="no room"):
             call()
     assert done == [1]
     with pytest.raises(OSError, match="no room"):
-        Later(beside=False).do(fail)
+        RecorderThread(in_thread=False).submit(fail)
 
 
 def test_a_frame_that_cannot_be_drawn_costs_its_recording_alone(tmp_path, monkeypatch):
@@ -279,43 +279,43 @@ def test_a_frame_that_cannot_be_drawn_costs_its_recording_alone(tmp_path, monkey
 
 def test_a_recorder_gives_way_to_a_run_that_has_work_for_its_device(monkeypatch):
     """It works while the run waits for the device, or for the recorder; or when it has been patient for long enough."""
-    monkeypatch.setattr(turns, "PATIENCE", 30.0)
-    later, done = Later(beside=True, gives_way=True), []
+    monkeypatch.setattr(turns, "LONGEST_YIELD", 30.0)
+    later, done = RecorderThread(in_thread=True, yields_to_run=True), []
 
     def job(name):
         done.append(name)
-        later.give_way()
+        later.yield_to_run()
         done.append(f"{name}, second part")
 
-    later.do(lambda: job("first"))
+    later.submit(lambda: job("first"))
     time.sleep(0.05)
     assert not done
-    with turns.waiting():
+    with turns.run_is_waiting():
         assert wait_until(lambda: len(done) == 2, 60)
-    later.do(lambda: job("second"))
+    later.submit(lambda: job("second"))
     later.wait()
-    later.do(lambda: job("third"))
+    later.submit(lambda: job("third"))
     later.close()
     assert done == [f"{name}{part}" for name in ("first", "second", "third") for part in ("", ", second part")]
-    monkeypatch.setattr(turns, "PATIENCE", 1e-3)
-    busy = Later(beside=True, gives_way=True)
-    busy.do(lambda: done.append("though nobody waits"))
+    monkeypatch.setattr(turns, "LONGEST_YIELD", 1e-3)
+    busy = RecorderThread(in_thread=True, yields_to_run=True)
+    busy.submit(lambda: done.append("though nobody waits"))
     assert wait_until(lambda: done[-1] == "though nobody waits", 60)
     busy.close()
-    later.give_way()  # of others than its thread it keeps nobody
+    later.yield_to_run()  # of others than its thread it keeps nobody
 
 
 def test_recorders_give_way_on_a_gpu_alone():
     """Where the run never waits for a device they would only be patient."""
     for cuda in (False, True):
         device = SimpleNamespace(is_cuda=cuda)
-        later = Later.of(SimpleNamespace(device=device, shares_cores=False, threads=0))
-        assert later.beside and later._gives_way is cuda
+        later = RecorderThread.for_simulation(SimpleNamespace(device=device, shares_cores=False, threads=0))
+        assert later.in_thread and later._yields_to_run is cuda
 
 
 def test_a_run_that_goes_on_does_not_keep_the_recorders_of_another_that_waits():
-    with turns.waiting():
-        with turns.waiting():
-            assert turns._waits.is_set()
-        assert turns._waits.is_set()
-    assert not turns._waits.is_set()
+    with turns.run_is_waiting():
+        with turns.run_is_waiting():
+            assert turns._run_waits.is_set()
+        assert turns._run_waits.is_set()
+    assert not turns._run_waits.is_set()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from warpcrete import Simulation, WarpcreteError, scenes
-from warpcrete.core.device.recorder_thread import Later
+from warpcrete.core.device.recorder_thread import RecorderThread
 from warpcrete.core.run.run_loop import Recorder
 from warpcrete.dem.scene import clumps
 from warpcrete.dem.scene.scene import Bodies, Scene
@@ -38,9 +38,9 @@ class Kept(Recorder):
         self.rows.append(row)
 
 
-def recording(patch, beside):
+def recording(patch, in_thread):
     """Recorders work beside the run, or in it."""
-    patch.setattr(Later, "of", classmethod(lambda cls, simulation: cls(beside)))
+    patch.setattr(RecorderThread, "for_simulation", classmethod(lambda cls, simulation: cls(in_thread)))
 
 
 @pytest.fixture(scope="module", params=["beside the run", "in the run"])

@@ -20,7 +20,7 @@ from warpcrete.core.run.files import write_json
 from warpcrete.record.loading import repeatable_scene
 from warpcrete.record.run_folder import TableRecorder, scene_record
 from warpcrete.studies import study as studies
-from warpcrete.studies.lines.folder import known_run
+from warpcrete.studies.lines.folder import previous_run
 
 QUICK = dict(spacing=0.02, duration=0.012, sample_interval=4e-3)
 EVERY = sorted(scenes.modules())
@@ -181,4 +181,4 @@ def test_a_line_takes_no_run_of_a_changed_scene_for_its_own(tmp_path):
         parts.mkdir(parents=True)
         saved(scene, parts / "run")
         write_json(parts / "run" / "result.json", {"finished": True})
-        assert (known_run([tmp_path / name], made) is not None) == (name == "made")
+        assert (previous_run([tmp_path / name], made) is not None) == (name == "made")

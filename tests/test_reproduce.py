@@ -11,19 +11,19 @@ from warpcrete.scenes import modules
 from warpcrete.studies.reproduction import papers
 from warpcrete.studies.reproduction.papers import (
     CONCRETES,
-    OPEN,
+    OPEN_ASSUMPTIONS,
     ZHAN,
-    flat,
-    growing,
-    late,
-    linear,
-    narrow,
-    overrides,
+    column_parameters,
+    judge_equal,
+    judge_growing,
+    judge_late_growth,
+    judge_linear,
+    judge_narrow,
     zhan_case,
 )
 from warpcrete.studies.reproduction.report import write
 from warpcrete.studies.reproduction.reproduce import chosen, reproduce, resume_reproduction, zhan_studies
-from warpcrete.studies.reproduction.state import Reproduction, judged, key_of
+from warpcrete.studies.reproduction.state import Reproduction, key_of, verdict_of
 
 SPEEDS = (0.1, 0.3, 0.5, 0.7, 0.9)
 
@@ -31,20 +31,20 @@ SPEEDS = (0.1, 0.3, 0.5, 0.7, 0.9)
 @pytest.mark.parametrize(
     ("judge", "values", "pressures", "holds"),
     [
-        (flat, SPEEDS, [10.0, 10.2, 10.0, 9.9, 10.1], True),
-        (flat, SPEEDS, [10.0, 10.2, 10.0, 9.9, 10.6], False),
-        (linear, SPEEDS, [10.0, 11.0, 12.0, 13.1, 14.0], True),
-        (linear, SPEEDS, [14.0, 13.0, 12.0, 11.0, 10.0], False),  # straight, but it falls
-        (linear, SPEEDS, [10.0, 10.1, 10.4, 11.5, 14.0], False),
-        (linear, SPEEDS, [10.0, 10.01, 10.02, 10.03, 10.04], False),  # straight, but it hardly grows
-        (growing, SPEEDS, [10.0, 10.2, 12.0, 12.0, 14.0], True),
-        (growing, SPEEDS, [10.0, 12.0, 11.0, 13.0, 14.0], False),
-        (narrow, (0.1, 0.125, 0.15, 0.175, 0.2), [70.0, 50.0, 40.0, 39.5, 40.0], True),
-        (narrow, (0.1, 0.125, 0.15, 0.175, 0.2), [50.0, 45.0, 40.0, 39.5, 40.0], False),
-        (narrow, (0.1, 0.125, 0.15, 0.175, 0.2), [70.0, 50.0, 40.0, 36.0, 33.0], False),
-        (late, (10, 20, 40, 60), [40.0, 40.5, 46.0, 60.0], True),
-        (late, (10, 20, 40, 60), [40.0, 45.0, 50.0, 60.0], False),
-        (late, (10, 20, 40, 60), [40.0, 40.0, 39.0, 38.0], False),
+        (judge_equal, SPEEDS, [10.0, 10.2, 10.0, 9.9, 10.1], True),
+        (judge_equal, SPEEDS, [10.0, 10.2, 10.0, 9.9, 10.6], False),
+        (judge_linear, SPEEDS, [10.0, 11.0, 12.0, 13.1, 14.0], True),
+        (judge_linear, SPEEDS, [14.0, 13.0, 12.0, 11.0, 10.0], False),  # straight, but it falls
+        (judge_linear, SPEEDS, [10.0, 10.1, 10.4, 11.5, 14.0], False),
+        (judge_linear, SPEEDS, [10.0, 10.01, 10.02, 10.03, 10.04], False),  # straight, but it hardly grows
+        (judge_growing, SPEEDS, [10.0, 10.2, 12.0, 12.0, 14.0], True),
+        (judge_growing, SPEEDS, [10.0, 12.0, 11.0, 13.0, 14.0], False),
+        (judge_narrow, (0.1, 0.125, 0.15, 0.175, 0.2), [70.0, 50.0, 40.0, 39.5, 40.0], True),
+        (judge_narrow, (0.1, 0.125, 0.15, 0.175, 0.2), [50.0, 45.0, 40.0, 39.5, 40.0], False),
+        (judge_narrow, (0.1, 0.125, 0.15, 0.175, 0.2), [70.0, 50.0, 40.0, 36.0, 33.0], False),
+        (judge_late_growth, (10, 20, 40, 60), [40.0, 40.5, 46.0, 60.0], True),
+        (judge_late_growth, (10, 20, 40, 60), [40.0, 45.0, 50.0, 60.0], False),
+        (judge_late_growth, (10, 20, 40, 60), [40.0, 40.0, 39.0, 38.0], False),
     ],
 )
 def test_claims_are_judged(judge, values, pressures, holds):
@@ -55,11 +55,16 @@ def test_every_case_of_the_paper_makes_a_scene():
     found = Reproduction(None, "zhan", False, 2, "cpu")
     pipe = modules()["pipe"].scene
     studies = zhan_studies(found)
-    assert [group for group, *_ in studies] == [*CONCRETES, *OPEN, "calibrated, hydrated", "literal, hydrated"]
+    assert [group for group, *_ in studies] == [
+        *CONCRETES,
+        *OPEN_ASSUMPTIONS,
+        "calibrated, hydrated",
+        "literal, hydrated",
+    ]
     for _, _, cases in studies:
         assert len({json.dumps(case, sort_keys=True) for case in cases}) == len(cases)
         for case in cases:
-            assert pipe(**pipe.meaningful(case)).seed in (0, 1)
+            assert pipe(**pipe.effective_values(case)).seed in (0, 1)
     # Four units and 22 values, of which four are the reference case itself.
     reference = zhan_case(ZHAN[4], 0.3, False)
     assert reference["unit"] == "bend-to-vertical" and len(studies[0][2]) >= 2 * (4 + 22 - 5)
@@ -125,13 +130,13 @@ def test_known_results_are_taken_and_what_is_open_reported(tmp_path):
 
 
 def test_what_is_open_stands_beside_the_calibrated_concrete():
-    layer, zhan = OPEN["yielding layer"][0], modules()["pipe"].scene(**CONCRETES["calibrated"]).parameters
-    half = OPEN["half yielding layer"][0]
+    layer, zhan = OPEN_ASSUMPTIONS["yielding layer"][0], modules()["pipe"].scene(**CONCRETES["calibrated"]).parameters
+    half = OPEN_ASSUMPTIONS["half yielding layer"][0]
     for each in (layer, half):
         stress = each["layer_yield"] + 0.3 * each["layer_viscosity"]
         assert stress == pytest.approx(0.3 * zhan["layer_viscosity"]), "the same at 0.3 m/s"
-    for name in OPEN:
-        assert overrides(name)["concrete"] == "zhan"
+    for name in OPEN_ASSUMPTIONS:
+        assert column_parameters(name)["concrete"] == "zhan"
 
 
 def test_failed_cases_are_left_out_of_a_verdict(tmp_path):
@@ -146,15 +151,15 @@ def test_failed_cases_are_left_out_of_a_verdict(tmp_path):
                 found.results[key] = {
                     "peak_pressure": {"value": 1e4 * (3 + value) + (2 * seed - 1) * 100, "unit": "Pa"}
                 }
-    means, verdict = judged(found, row, "calibrated")
+    means, verdict = verdict_of(found, row, "calibrated")
     assert means[:4] == pytest.approx([31e3, 33e3, 35e3, 37e3]) and math.isnan(means[4])
     assert verdict.startswith("holds for the finished runs (missing: 0.9)")
-    assert judged(found, row, "literal")[1] == ""
+    assert verdict_of(found, row, "literal")[1] == ""
     (sizes,) = [row for row in ZHAN if row.parameter == "diameter"]
     for value in sizes.values[1:]:
         key = key_of("calibrated", {**zhan_case(sizes, value, False), **CONCRETES["calibrated"], "seed": 0})
         found.results[key] = {"peak_pressure": {"value": 4e4, "unit": "Pa"}}
-    assert judged(found, sizes, "calibrated")[1] == "too few runs finished (missing: 0.1)"
+    assert verdict_of(found, sizes, "calibrated")[1] == "too few runs finished (missing: 0.1)"
     write(found)
     text = (tmp_path / "reproduction.md").read_text()
     assert "| calibrated | 31.0 +- 0.14 | 33.0 +- 0.14 | 35.0 +- 0.14 | 37.0 +- 0.14 | - |" in text

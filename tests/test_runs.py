@@ -134,7 +134,7 @@ def test_a_viewer_says_what_it_lacks(ran, tmp_path, monkeypatch):
     served = viewer(tmp_path, web=True)
     place = served.command.index(str(tmp_path / "run.rrd"))
     assert served.command[place + 1 :][:4] == [str(tmp_path / "run-001.rrd"), "--serve-web", "--bind", "127.0.0.1"]
-    assert served.address.startswith("http://127.0.0.1:") and {host for host, _ in served.listens} == {"127.0.0.1"}
+    assert served.address.startswith("http://127.0.0.1:") and {host for host, _ in served.endpoints} == {"127.0.0.1"}
     for bind, words in (("no address", "must be an IP address"), ("203.0.113.1", "is not an address of this machine")):
         with pytest.raises(SceneError, match=f"^bind = '{bind}': {words}"):
             viewer(tmp_path, web=True, bind=bind)

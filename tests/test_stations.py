@@ -12,8 +12,8 @@ from warpcrete import Simulation, scenes
 from warpcrete.dem.laws import Contact, LubricationLayer
 from warpcrete.dem.measure.stations import (
     COLUMNS,
-    FINEST,
     FRONT,
+    STRESS_RESOLUTION,
     _front,
     body_stresses,
     losses,
@@ -78,7 +78,7 @@ def test_stress_on_the_wall_of_one_sphere_that_slides(device):
 def along(stations, simulation):
     """Stresses along a pipe by those of its bodies, shape (slices, 2) [Pa]."""
     bodies, unit = simulation.state.bodies, 0.1
-    stress = FINEST * unit * body_stresses(simulation.model, simulation.state, unit).numpy()
+    stress = STRESS_RESOLUTION * unit * body_stresses(simulation.model, simulation.state, unit).numpy()
     s, size = stations.axis.along(bodies.position.numpy()), bodies.size.numpy().astype(float)
     return stresses_along(stations, stress, s, stations.axis.at(s)[1], size, bodies.group.numpy() == 0, 0.0)
 
@@ -95,12 +95,12 @@ def test_stress_of_two_bodies_that_touch(device):
     simulation: Any = Simulation(scene, device=device, precision="float64")
     simulation.prepare()
     unit = 1e5 * 0.02**3
-    found = FINEST * unit * body_stresses(simulation.model, simulation.state, unit).numpy()
+    found = STRESS_RESOLUTION * unit * body_stresses(simulation.model, simulation.state, unit).numpy()
     push = 1e5 * math.pi * 0.01**2 / 0.02 * 0.001  # of Zhan's spring, E pi r^2 / (r_i + r_j) times the overlap
     tensor = push * reach * np.outer(way, way)
     expected = [tensor[0, 0], tensor[1, 1], tensor[2, 2], tensor[0, 1], tensor[1, 2], tensor[2, 0]]
     assert found == pytest.approx(np.array([expected, expected]) / 2, rel=1e-9)
-    again = FINEST * 8 * unit * body_stresses(simulation.model, simulation.state, 8 * unit).numpy()
+    again = STRESS_RESOLUTION * 8 * unit * body_stresses(simulation.model, simulation.state, 8 * unit).numpy()
     assert again == pytest.approx(found, rel=1e-9)
 
 
@@ -134,7 +134,7 @@ def test_stress_of_a_clump_on_a_wall(device):
     simulation: Any = Simulation(scene, device=device, precision="float64")
     simulation.prepare()
     unit = 1e5 * 0.02**3
-    found = FINEST * unit * body_stresses(simulation.model, simulation.state, unit).numpy()
+    found = STRESS_RESOLUTION * unit * body_stresses(simulation.model, simulation.state, unit).numpy()
     spheres, middle = simulation.state.spheres.position.numpy(), simulation.state.bodies.position.numpy()[0]
     overlaps = spheres[:, 1] + spheres[:, 3] - 0.05
     (touching,) = np.flatnonzero(overlaps > 0)

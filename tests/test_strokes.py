@@ -106,7 +106,7 @@ def test_a_layer_bears_what_it_gained_at_rest_and_slip_wears_it_off(start, preci
     stepper.take(200)
     own = stepper.state.walls.force.numpy()[0, 0]
     assert own == pytest.approx(-40.0 * area, rel=1e-4)
-    begun = stepper.stand()
+    begun = stepper.apply_rest()
     assert begun == pytest.approx(0.1 * stepper.time, rel=1e-12)
     stepper.take(600)  # the spring first has to be stretched as far again
     bore = []
@@ -137,7 +137,7 @@ def test_a_rest_bonds_what_touches_and_keeps_the_loads_of_bonds(device):
         return {(min(a, b), max(a, b)): (k, tuple(f), g) for a, b, k, f, g in zip(ids[i], ids[j], kind, force, gap)}
 
     before = bonds()
-    assert simulation.stepper.stand() == pytest.approx(0.02, rel=1e-12)
+    assert simulation.stepper.apply_rest() == pytest.approx(0.02, rel=1e-12)
     after = bonds()
     grown, made = len(kinds), 0
     for pair, (kind, force, gap) in before.items():

@@ -150,8 +150,8 @@ def test_what_means_nothing_in_a_case_is_left_out_with_all_that_hangs_on_it(tmp_
     """Without bonds there is no hydration, and so no modulus of it; what means nothing anywhere is refused."""
     scene = pipe_module.scene
     given = dict(bonds=False, hydration=0.1, hydration_modulus=1e8, bond_modulus=1e4)
-    assert scene.meaningful(given) == {"bonds": False}
-    assert scene.meaningful(given | {"bonds": True}) == given | {"bonds": True}
+    assert scene.effective_values(given) == {"bonds": False}
+    assert scene.effective_values(given | {"bonds": True}) == given | {"bonds": True}
     with pytest.raises(SceneError, match="facets = 32: has no effect unless wall is mesh"):
         run_study("pipe", pipe_module, {"velocity": [0.3, 0.6]}, base=BASE | {"facets": 32}, out=tmp_path / "s")
     with pytest.raises(SceneError, match="hydration = 'x': must be a number"):

@@ -10,7 +10,7 @@ from conftest import bonds_of, by_id, pair_history
 from test_checkpoint import mixed_scene
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.device.device import find_device, share_out_like_a_gpu
+from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.errors import InstabilityError, SceneError
 from warpcrete.dem.batch_run import run_batch
 from warpcrete.dem.engine import batch
@@ -239,7 +239,7 @@ def test_a_broken_pair_is_a_contact_as_all_others(device):
         assert np.abs(one - other).max() < 2e-3 * np.abs(one).max()
 
 
-@pytest.mark.parametrize("way", [nullcontext, share_out_like_a_gpu], ids=["its lists", "full lists"])
+@pytest.mark.parametrize("way", [nullcontext, divide_work_like_gpu], ids=["its lists", "full lists"])
 def test_what_a_stiff_bond_held_parts_at_the_first_look(device, way):
     """A bond breaks in its rounds, and by the end of the step the two are apart: what they remember of the touch goes,
     and not at the next touch or when lists are built."""
@@ -319,7 +319,7 @@ def test_the_same_bits_alone_in_a_batch_and_resumed(device, precision, tmp_path)
 
 
 def test_two_threads_move_the_same(monkeypatch):
-    monkeypatch.setattr(batch, "PER_THREAD", 16)
+    monkeypatch.setattr(batch, "SPHERES_PER_THREAD", 16)
     found = []
     for count in (1, 2):
         simulation = Simulation(healing_scene(), device="cpu", precision="float64", threads=count)
@@ -336,7 +336,7 @@ def test_full_lists_hold_both_copies_alike(device):
     """As on a GPU: every pair stands twice, and both say the same after each step."""
     ends = []
     for like_a_gpu in (False, True):
-        with share_out_like_a_gpu() if like_a_gpu else nullcontext():
+        with divide_work_like_gpu() if like_a_gpu else nullcontext():
             simulation = Simulation(healing_scene(), device=device, precision="float64", threads=1)
             simulation.prepare()
             simulation.stepper.take(80)

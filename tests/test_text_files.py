@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from warpcrete import RunFolderError, SceneError, scenes
 from warpcrete.cli.main import cli
 from warpcrete.core.errors import LONGEST_VALUE, refuse
-from warpcrete.core.inputs.text_files import MOST_SETTINGS, check_file, read_mapping, read_rows
+from warpcrete.core.inputs.text_files import MAXIMUM_SETTINGS_SIZE, check_file, read_mapping, read_rows
 from warpcrete.core.inputs.yaml_files import yaml_text
 from warpcrete.core.run.files import read_json
 from warpcrete.geometry.lines import read_line
@@ -70,7 +70,7 @@ BAD = {
     b"a: 1\n\xfc: 2\n": "line 2: is not UTF-8 text",
     "a: 1".encode("utf-16"): "is not UTF-8 text",
     b"a: 1\n\x00\n": "line 2: contains a NUL character",
-    "a: [" + "1, " * (MOST_SETTINGS // 3) + "1]": "is too large",
+    "a: [" + "1, " * (MAXIMUM_SETTINGS_SIZE // 3) + "1]": "is too large",
     "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
         f"{new}: &{new} [{', '.join([f'*{old}'] * 10)}]\n" for old, new in zip("abcde", "bcdef")
     ): "contains more than 50,000 values",

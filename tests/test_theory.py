@@ -13,10 +13,10 @@ from warpcrete.theory.pipe import (
     FORMS,
     Concrete,
     Line,
+    after_rest,
     flow_of_pressure,
     kaplan,
     restart,
-    rested,
     slip_constants,
     steady,
     steady_of_stress,
@@ -204,7 +204,7 @@ def test_a_restart_takes_what_the_structure_bears():
     moving = restart(plug, line, 600.0, 0.3, flow=1e-3)  # slip alone: the bulk bears 680 Pa
     speed = 1e-3 / (np.pi * 0.05**2)
     assert moving.pressure - least.pressure == pytest.approx(4 * 1000 * speed / 0.1 * 10, rel=1e-12)
-    assert rested(plug, 600.0, 0.3) == dataclasses.replace(plug, yield_stress=680.0, slip_yield=200.0)
+    assert after_rest(plug, 600.0, 0.3) == dataclasses.replace(plug, yield_stress=680.0, slip_yield=200.0)
     # A layer that bears more than the bulk: the bulk is sheared first (no. 1: 190 and 251 Pa).
     level = Line(rise=0.0)
     assert restart(CONCRETES["no1"], level, 60.0, 1.0).pressure == pytest.approx(4 * 250 / 0.1 * 0.3, rel=1e-12)

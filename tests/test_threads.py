@@ -11,7 +11,7 @@ from test_contacts import flowing_scene, small_packing
 
 from warpcrete import Simulation, scenes
 from warpcrete.core.device import cores
-from warpcrete.core.device.cores import Crowding
+from warpcrete.core.device.cores import CoreContention
 from warpcrete.core.device.device import find_device
 from warpcrete.core.errors import SceneError
 from warpcrete.dem.engine import batch
@@ -32,7 +32,7 @@ SMALL = dict(
 
 @pytest.fixture(autouse=True)
 def threads_of_few_spheres(monkeypatch):
-    monkeypatch.setattr(batch, "PER_THREAD", 16)
+    monkeypatch.setattr(batch, "SPHERES_PER_THREAD", 16)
 
 
 @pytest.fixture(scope="module")
@@ -126,11 +126,11 @@ def test_a_pumping_run_on_threads_resumes_with_the_same_bits(tmp_path):
     one.save(tmp_path / "a.npz")
     other = Simulation(scene, device="cpu", threads=2)
     other.resume(tmp_path / "a.npz")
-    assert not other.stepper.batch.rechunked
+    assert not other.stepper.batch.scenes_with_new_chunks
     assert other.run().result["state_hash"] == uncut.result["state_hash"]
     alone = Simulation(scene, device="cpu", threads=1)
     alone.resume(tmp_path / "a.npz")
-    assert alone.stepper.batch.rechunked
+    assert alone.stepper.batch.scenes_with_new_chunks
     single = alone.run()
     plateau = single.result["plateau_pressure"]["value"]
     assert plateau == pytest.approx(uncut.result["plateau_pressure"]["value"], rel=0.02)
@@ -145,7 +145,7 @@ def test_few_spheres_are_the_work_of_one_thread(monkeypatch, packing):
     fill, table = packing
     model = build_model(flowing_scene(fill), find_device("cpu"), "float64")
     state = State(model, table)
-    monkeypatch.setattr(batch, "PER_THREAD", state.sphere_count // 3)
+    monkeypatch.setattr(batch, "SPHERES_PER_THREAD", state.sphere_count // 3)
     assert Stepper(model, state, TimeStep(fixed=2e-5), threads=2).batch.threads == 2
 
 
@@ -164,14 +164,14 @@ def test_one_thread_that_does_the_work_of_all_computes_the_same(kind, monkeypatc
     else:
         scene = scenes.channel(spacing=5e-3, duration=0.02, aggregates=kind == "two phases")
     hashes, used = set(), set()
-    for crowded in (lambda n: False, lambda n: True, lambda n: n % 3 == 0):
+    for contended in (lambda n: False, lambda n: True, lambda n: n % 3 == 0):
         asked = iter(range(10**9))
 
-        def look(self, crowded=crowded, asked=asked):
-            used.add(crowded_now := crowded(next(asked)))
+        def use_one_thread(self, contended=contended, asked=asked):
+            used.add(crowded_now := contended(next(asked)))
             return crowded_now
 
-        monkeypatch.setattr(Crowding, "look", look)
+        monkeypatch.setattr(CoreContention, "use_one_thread", use_one_thread)
         run = Simulation(scene, device="cpu", threads=2).run()
         hashes.add(run.result["state_hash"])
     assert len(hashes) == 1 and used == {False, True}
@@ -179,31 +179,31 @@ def test_one_thread_that_does_the_work_of_all_computes_the_same(kind, monkeypatc
 
 def test_threads_that_wait_for_cores_become_one_and_are_tried_again(monkeypatch):
     now, late = [100.0], [0.0]
-    monkeypatch.setattr(cores, "waited", lambda thread: late[0])
+    monkeypatch.setattr(cores, "core_waiting_time", lambda thread: late[0])
     monkeypatch.setattr(cores.time, "monotonic", lambda: now[0])
-    crowding = Crowding()
-    crowding.enter()
-    assert crowding.on_trial and not crowding.look()
-    crowding.stepped(0.02)  # nobody waited
-    assert not crowding.on_trial and not crowding.crowded
+    contention = CoreContention()
+    contention.register_thread()
+    assert contention.is_uncertain and not contention.use_one_thread()
+    contention.add_step_time(0.02)  # nobody waited
+    assert not contention.is_uncertain and not contention.contended
     for hold in (0.5, 1.0, 2.0, 4.0, 8.0, 8.0):
         late[0] += 0.015
-        crowding.stepped(0.02)
-        assert not crowding.look() and crowding.on_trial  # once may be by chance
+        contention.add_step_time(0.02)
+        assert not contention.use_one_thread() and contention.is_uncertain  # once may be by chance
         late[0] += 0.015
-        crowding.stepped(0.02)
-        assert crowding.look()
+        contention.add_step_time(0.02)
+        assert contention.use_one_thread()
         now[0] += 0.99 * hold
-        assert crowding.look()
+        assert contention.use_one_thread()
         now[0] += 0.02 * hold
-        assert not crowding.look() and crowding.on_trial
-    crowding.stepped(0.02)
+        assert not contention.use_one_thread() and contention.is_uncertain
+    contention.add_step_time(0.02)
     for _ in range(2):
         late[0] += 0.015
-        crowding.stepped(0.02)
-    assert crowding.look()
+        contention.add_step_time(0.02)
+    assert contention.use_one_thread()
     now[0] += 0.51
-    assert not crowding.look()  # after a quiet time the wait is short again
+    assert not contention.use_one_thread()  # after a quiet time the wait is short again
 
 
 @pytest.mark.parametrize("there", [{0, 1, 2}, {3, 5, 9}, {0, 1, 2, 3}, {4}])
@@ -212,7 +212,7 @@ def test_threads_have_a_core_each_where_there_are_as_many(there, monkeypatch):
     monkeypatch.setattr(cores.os, "sched_getaffinity", lambda thread: there, raising=False)
     monkeypatch.setattr(cores.os, "sched_setaffinity", lambda thread, own: taken.append((thread, own)), raising=False)
     gate = threading.Barrier(3)  # so that all three threads begin
-    with ThreadPoolExecutor(3, initializer=cores.own_cores(3)) as pool:
+    with ThreadPoolExecutor(3, initializer=cores.thread_pinner(3)) as pool:
         list(pool.map(lambda _: gate.wait(), range(3)))
     assert sorted(map(str, taken)) == ([str((0, {core})) for core in sorted(there)] if len(there) == 3 else [])
 
@@ -223,14 +223,14 @@ def test_a_core_that_is_no_more_stops_no_thread(monkeypatch):
 
     monkeypatch.setattr(cores.os, "sched_getaffinity", lambda thread: {7}, raising=False)
     monkeypatch.setattr(cores.os, "sched_setaffinity", refuse, raising=False)
-    with ThreadPoolExecutor(1, initializer=cores.own_cores(1)) as pool:
+    with ThreadPoolExecutor(1, initializer=cores.thread_pinner(1)) as pool:
         assert pool.submit(lambda: 3).result() == 3
 
 
 @pytest.mark.parametrize("fast", [0, -1])
 def test_threads_find_the_same_stable_step_together(fast):
     """A fast sphere and a driven wall bound the step of all, whichever thread comes upon them."""
-    count = 2 * batch.PER_THREAD
+    count = 2 * batch.SPHERES_PER_THREAD
     places = np.stack([*np.divmod(np.arange(count), 32), np.zeros(count)], axis=1) * 0.02
     speeds = np.zeros((count, 3))
     speeds[fast, 2] = 30.0

@@ -19,7 +19,7 @@ from warpcrete.methods import method_of
 from warpcrete.scenes import modules
 from warpcrete.studies.tradeoffs.advice import advise, compact
 from warpcrete.studies.tradeoffs.fronts import Error
-from warpcrete.studies.tradeoffs.points import COMBINED, GIVEN, REFERENCE, Point
+from warpcrete.studies.tradeoffs.points import COMBINED, GIVEN, REFERENCE, Setting
 from warpcrete.studies.tradeoffs.state import Trade
 from warpcrete.studies.tradeoffs.trade import resume_trade, run_trade
 
@@ -59,18 +59,18 @@ def test_a_promise_is_tried_with_seeds_that_no_other_run_had(monkeypatch):
     """As many as are said, beyond all those by which the setting was chosen, from whichever seed a trade begins."""
     from warpcrete.studies.tradeoffs import trade as phases
 
-    monkeypatch.setattr(phases, "_carried", lambda *_: ({}, 0.0))
+    monkeypatch.setattr(phases, "_test_variants", lambda *_: ({}, 0.0))
     ran: list[int] = []
-    point = Point("x", {}, {})
+    point = Setting("x", {}, {})
     trade = SimpleNamespace(
         exact=False, has_seeds=True, seeds=[7, 8, 9], chosen_knobs=(), measured=[point], promises=[],
         promised=lambda point: 0.0, run=lambda point, seeds, tell: ran.extend(seeds) or True,
         errors_of=lambda point, seeds: [Error("pressure", 0.01, 0.0)] if list(seeds) == ran[:3] else [],
     )  # fmt: skip
-    phases._promise(trade, lambda *_: None)  # type: ignore
-    assert len(trade.promises) == len(phases.TARGETS) > 0
+    phases._find_promises(trade, lambda *_: None)  # type: ignore
+    assert len(trade.promises) == len(phases.WANTED_ERRORS) > 0
     assert all(p.point is point and p.found == Error("pressure", 0.01, 0.0) for p in trade.promises)
-    assert phases.FRESH == 3 and len(set(ran[:3])) == 3 and not set(ran) & set(trade.seeds)
+    assert phases.FRESH_SEEDS == 3 and len(set(ran[:3])) == 3 and not set(ran) & set(trade.seeds)
 
 
 @pytest.mark.parametrize("name", sorted(modules()))
@@ -80,7 +80,7 @@ def test_every_level_of_every_knob_makes_another_scene(name):
         given = module.scene.parameters(**base)
         for knob in module.trading.knobs(given):
             assert len(knob.levels) > 1 and len({level.label for level in knob.levels}) == len(knob.levels)
-            made = [module.scene(**module.scene.meaningful(base | dict(level.changes))) for level in knob.levels]
+            made = [module.scene(**module.scene.effective_values(base | dict(level.changes))) for level in knob.levels]
             texts = [json.dumps(scene.parameters, sort_keys=True, default=str) for scene in made]
             assert len(set(texts)) == len(texts), knob.name
             own = json.dumps(module.scene(**base).parameters, sort_keys=True, default=str)
@@ -128,7 +128,7 @@ def test_a_trade_of_a_flow_goes_by_the_closed_form(flow_trade):
             cheaper = [p for p in trade.measured if p.cost < promise.point.cost and not p.suspect]
             for other in cheaper:  # it errs by more, here or in a variant
                 tried = [p for p in trade.tried if p.levels == other.levels and p.results]
-                assert max(trade.promised(other), trade.carried_bound(other, tried)) > promise.target
+                assert max(trade.promised(other), trade.bound_in_variants(other, tried)) > promise.target
             assert set(promise.carried) == set(VARIANTS) and all(promise.carried.values())
             sizes = [abs(error.shift) for error in promise.carried.values()]
             assert max(sizes) <= promise.bound <= promise.target
@@ -319,7 +319,7 @@ def test_an_interrupted_trade_keeps_its_reference(element_trade, tmp_path, monke
     after = json.loads((tmp_path / "t" / "trade.json").read_text())
     assert after["finest"] == before["finest"]
     # Runs of some of the seeds promise nothing.
-    partial = Point("x", {}, {}, {trade.seeds[0]: trade.given.results[trade.seeds[0]]})
+    partial = Setting("x", {}, {}, {trade.seeds[0]: trade.given.results[trade.seeds[0]]})
     again.points.append(partial)
     again.judge()
     assert partial.errors and partial not in again.measured and math.isinf(again.promised(partial))
@@ -339,7 +339,7 @@ def test_a_setting_whose_fresh_seeds_fail_gives_way(element_trade, tmp_path, mon
         (folder / "failed.txt").write_text("failed: exploded")
         cheapest.results.pop(seed, None)
     trade.promises.clear()
-    phases._promise(trade, lambda *_: None)
+    phases._find_promises(trade, lambda *_: None)
     assert cheapest.failure and all(p.point is not None and p.point is not cheapest for p in trade.promises)
 
 

@@ -24,13 +24,13 @@ from warpcrete.core.errors import InstabilityError, RunFolderError, SceneError, 
 from warpcrete.core.run.provenance import processor
 from warpcrete.studies.cases import Case
 from warpcrete.studies.cluster import Cluster, WorkerLost
-from warpcrete.studies.running import kept
+from warpcrete.studies.running import previous_outcome
 from warpcrete.studies.tradeoffs import trade as phases
 from warpcrete.studies.tradeoffs import trials
 from warpcrete.studies.tradeoffs.points import GIVEN
 from warpcrete.studies.tradeoffs.state import Trade
 from warpcrete.studies.tradeoffs.trade import resume_trade, run_trade
-from warpcrete.studies.tradeoffs.trials import Trial, run_trial
+from warpcrete.studies.tradeoffs.trials import WorkerJob, run_worker_job
 
 pytestmark = pytest.mark.thorough
 
@@ -199,11 +199,11 @@ def test_what_a_budget_leaves_out_or_no_worker_came_back_with_may_run_later(tmp_
     # As given it takes 0.8 s; of the budget passes what the wall's clock says.
     assert sorted(fresh.results) == trade.seeds and trade.spent < 0.5
     assert slow.failure.startswith("not run: needs about") and not slow.results
-    trade._book(fresh, 0, WorkerLost("its worker failed: KilledWorker"))
+    trade._store_outcome(fresh, 0, WorkerLost("its worker failed: KilledWorker"))
     assert fresh.failure == "not run: its worker failed: KilledWorker" and not list(tmp_path.rglob("*-seed=0"))
     with pytest.raises(WarpcreteError, match="full disk"):
-        trade._book(fresh, 0, WarpcreteError("full disk"))
-    trade._book(fresh, 0, None)
+        trade._store_outcome(fresh, 0, WarpcreteError("full disk"))
+    trade._store_outcome(fresh, 0, None)
     assert trade.interrupted
 
 
@@ -217,12 +217,12 @@ def test_a_worker_runs_one_case_after_the_other_while_there_is_time(tmp_path, mo
     cases = [Case(name, {}, COARSE | {"duration": 0.01}) for name in "ab"]
 
     def ran(folder, given=cases, left=0.0, warm=False, asked=lambda: False):
-        return run_trial(record, channel, tmp_path / folder, Trial(given, warm, left), asked)
+        return run_worker_job(record, channel, tmp_path / folder, WorkerJob(given, warm, left), asked)
 
     warmed = []
     monkeypatch.setattr(trials, "warm_up", warmed.append)
     (first,) = ran("short", warm=True)
-    assert first == kept(tmp_path / "short" / "a") and "checks" in first and len(warmed) == 1
+    assert first == previous_outcome(tmp_path / "short" / "a") and "checks" in first and len(warmed) == 1
     both = ran("short", left=60.0, warm=True)  # as a lost one left it
     assert both[0] == first and both[1]["state_hash"] == first["state_hash"] and len(warmed) == 2
     wrong = replace(cases[0], parameters=COARSE | {"spacing": -1.0})

@@ -17,7 +17,7 @@ from warpcrete.core.run.run_loop import Recorder
 from warpcrete.core.units import number
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed
-from warpcrete.kernels.mps.grid.cells import Kind
+from warpcrete.kernels.mps.grid.cells import GridKind
 from warpcrete.kernels.mps.grid.walls import STICKY
 from warpcrete.mps.free import probes
 from warpcrete.mps.free.layout import fill_cells, free_layout
@@ -25,7 +25,7 @@ from warpcrete.mps.free.probes import volume
 from warpcrete.mps.free.simulation import FreeSimulation
 from warpcrete.mps.grid.flow import GridFlow
 from warpcrete.mps.grid.geometry import (
-    BARE,
+    OPEN_SIDE,
     PLATE,
     ROUGH,
     Room,
@@ -75,7 +75,7 @@ def test_distances_of_walls_of_every_kind():
 def test_what_a_round_vessel_leaves_of_cells_and_faces():
     """A ball off the grid's middle: volume, area of its sections, and its surface by what faces lack of each other."""
     n, radius, middle = 20, 0.8, np.array([0.03, -0.02, 0.011])
-    room = Room((n,) * 3, (2.0 / n,) * 3, (-1.0,) * 3, ((BARE, BARE),) * 3)
+    room = Room((n,) * 3, (2.0 / n,) * 3, (-1.0,) * 3, ((OPEN_SIDE, OPEN_SIDE),) * 3)
     g = geometry_of(room, [(lambda x: radius - np.linalg.norm(x - middle, axis=1), ROUGH)])
     h = 2.0 / n
     assert g.room.sum() * h**3 == pytest.approx(4 / 3 * math.pi * radius**3, rel=0.01)
@@ -85,7 +85,7 @@ def test_what_a_round_vessel_leaves_of_cells_and_faces():
         exact = math.pi * np.maximum(radius**2 - place**2, 0)
         assert cut == pytest.approx(exact, abs=0.02 * math.pi * radius**2)
     assert set(np.unique(g.solid)) == {0, ROUGH}
-    inner = g.hold[n // 2, n // 2, n // 2]
+    inner = g.weighted_volume[n // 2, n // 2, n // 2]
     assert inner == pytest.approx(h**3, rel=1e-6)
 
 
@@ -109,23 +109,25 @@ def test_a_slanted_wall_rubs_on_as_much_as_there_is_of_it(device, yields):
     """Concrete that slips along a wall across the cells: what rubs on it adds up to the wall's length."""
     n, h, layer = 40, 0.01, 10.0
     normal = np.array([0.5, math.sqrt(0.75)])
-    room = Room((n, n), (h, h), (0.0, 0.0), ((BARE, BARE), (BARE, BARE)))
+    room = Room((n, n), (h, h), (0.0, 0.0), ((OPEN_SIDE, OPEN_SIDE), (OPEN_SIDE, OPEN_SIDE)))
     geometry = geometry_of(room, [(lambda x: (x - [0.2, 0.2]) @ normal, PLATE)])
     nearest = nearest_wall(room, [(lambda x: (x - [0.2, 0.2]) @ normal, PLATE)])
     places, mass = fill_cells(room, 3, lambda x: nearest(x)[0] > 0)
     paste = Concrete(density=2000.0, viscosity=20.0, yield_stress=0.0, slip_viscosity=layer, slip_yield=yields)
     layout = GridLayout(
-        kind=Kind(2, cut=True), room=room, solid=geometry.solid, fluid=places, mass=mass, mark_spacing=h / 3,
+        kind=GridKind(2, cut=True), room=room, solid=geometry.solid, fluid=places, mass=mass, particle_spacing=h / 3,
         slip=(layer, yields), speed=1.0, length=0.1, geometry=geometry, full=True,
     )  # fmt: skip
     flow = GridFlow(GridState(full_of(paste), layout, find_device(device), "float64"))
     along = np.array([-normal[1], normal[0]])
     flow.particles.velocity.assign(np.tile(0.3 * along, (flow.count, 1)))
     stages_through(flow, "wall_stress")
-    pull, grip = (getattr(flow.mesh, name).numpy().reshape(2, 2, -1).sum((1, 2)) for name in ("pull", "grip"))
+    wall_force, wall_stiffness = (
+        getattr(flow.mesh, name).numpy().reshape(2, 2, -1).sum((1, 2)) for name in ("wall_force", "wall_stiffness")
+    )
     length = 0.4 / normal[1]  # of the wall across the room, which it enters and leaves at its sides
-    assert grip == pytest.approx((layer + yields / 0.3) * length, rel=0.006)
-    assert pull == pytest.approx((layer * 0.3 + yields) * along * length, rel=0.006)
+    assert wall_stiffness == pytest.approx((layer + yields / 0.3) * length, rel=0.006)
+    assert wall_force == pytest.approx((layer * 0.3 + yields) * along * length, rel=0.006)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -133,22 +135,22 @@ def test_a_slanted_wall_rubs_on_as_much_as_there_is_of_it(device, yields):
 def test_a_flat_wall_anywhere_in_its_cells_rubs_on_all_of_it(axis, off):
     """Also where next to nothing of a cell is open beyond the middles of its faces."""
     n, h, layer = 6, 0.01, 10.0
-    room = Room((n,) * 3, (h,) * 3, (0.0,) * 3, ((BARE, BARE),) * 3)
+    room = Room((n,) * 3, (h,) * 3, (0.0,) * 3, ((OPEN_SIDE, OPEN_SIDE),) * 3)
     place = (2.5 + off) * h
     walls = [(lambda x: x[:, axis] - place, PLATE)]
     geometry, nearest = geometry_of(room, walls), nearest_wall(room, walls)
     places, mass = fill_cells(room, 2, lambda x: nearest(x)[0] > 0)
     paste = Concrete(density=2000.0, viscosity=20.0, yield_stress=0.0, slip_viscosity=layer, slip_yield=0.0)
     layout = GridLayout(
-        kind=Kind(3, cut=True), room=room, solid=geometry.solid, fluid=places, mass=mass, mark_spacing=h / 2,
+        kind=GridKind(3, cut=True), room=room, solid=geometry.solid, fluid=places, mass=mass, particle_spacing=h / 2,
         slip=(layer, 0.0), speed=1.0, length=0.1, geometry=geometry, full=True,
     )  # fmt: skip
     flow = GridFlow(GridState(full_of(paste), layout, find_device("cpu"), "float64"))
     stages_through(flow, "wall_stress")
-    grip = flow.mesh.grip.numpy().reshape(3, 3, -1).sum((1, 2))
+    wall_stiffness = flow.mesh.wall_stiffness.numpy().reshape(3, 3, -1).sum((1, 2))
     for along in range(3):
         if along != axis:
-            assert grip[along] == pytest.approx(layer * (n * h) ** 2, rel=1e-6)
+            assert wall_stiffness[along] == pytest.approx(layer * (n * h) ** 2, rel=1e-6)
 
 
 def test_what_flows_into_a_cut_cell_flows_out(device):
@@ -223,8 +225,8 @@ def test_nothing_rubs_beyond_an_open_side(device):
     state = simulation.state
     h, nx = state.layout.spacing, state.layout.cells[0]
     stiff = STICKY * scene.concrete.viscosity / h
-    grip = state.mesh.grip.numpy().reshape(2, 2, *state.shape)
-    across, up = grip[0, 1] / (stiff * h), grip[1, 0] / (stiff * h)
+    wall_stiffness = state.mesh.wall_stiffness.numpy().reshape(2, 2, *state.shape)
+    across, up = wall_stiffness[0, 1] / (stiff * h), wall_stiffness[1, 0] / (stiff * h)
     # Half the concrete beside a face of the open side is within.
     assert across[:, nx + 1] == pytest.approx([0.5] + [0.0] * (len(across) - 1))
     assert across[0, 2:nx] == pytest.approx(1.0) and np.all(across[1:] == 0)

@@ -13,7 +13,7 @@ from conftest import by_id
 from test_contacts import DENSITY, MASS, NO_GRAVITY, RADIUS
 
 from warpcrete import SceneError, Simulation, scenes
-from warpcrete.core.device.device import find_device, share_out_like_a_gpu
+from warpcrete.core.device.device import divide_work_like_gpu, find_device
 from warpcrete.core.units import number
 from warpcrete.dem.engine.model import build_model
 from warpcrete.dem.engine.state import State
@@ -22,7 +22,7 @@ from warpcrete.dem.laws import BinghamMortar, Contact, RollingResistance
 from warpcrete.dem.measure import heaps
 from warpcrete.dem.measure import vessel_measures as measures
 from warpcrete.dem.measure.probes import body_sums, contact_sums
-from warpcrete.dem.pumping.vessels import sheared
+from warpcrete.dem.pumping.vessels import shear_means
 from warpcrete.dem.scene.bodies import placed_bodies
 from warpcrete.dem.scene.scene import Bodies, Scene, TimeStep, Vessel
 from warpcrete.geometry.prisms import prism, rectangle, truncated_cone
@@ -30,8 +30,8 @@ from warpcrete.geometry.walls import MeshWall, PlaneWall
 from warpcrete.standards import SLUMP
 
 MU_ROLLING = 0.2
-STIFF = Contact(effective_modulus=1e6, friction=0.8, normal_damping_ratio=0.3, shear_damping_ratio=0.3)
-LAW = RollingResistance(contact=STIFF, rolling_friction=MU_ROLLING, rolling_damping_ratio=0.3)
+LAW_MODULUS = Contact(effective_modulus=1e6, friction=0.8, normal_damping_ratio=0.3, shear_damping_ratio=0.3)
+LAW = RollingResistance(contact=LAW_MODULUS, rolling_friction=MU_ROLLING, rolling_damping_ratio=0.3)
 
 
 def incline(slope, law, mesh=False):
@@ -63,7 +63,7 @@ def test_a_sphere_rolls_only_where_the_slope_exceeds_rolling_friction(start, mes
     expected = 5 / 7 * 9.81 * math.cos(math.atan(1.03 * MU_ROLLING)) * 0.03 * MU_ROLLING * 0.3
     assert speed == pytest.approx(expected, rel=2e-2)
     assert by_id(above.state, "spin")[0, 1] == pytest.approx(by_id(above.state, "velocity")[0, 0] / RADIUS, rel=1e-2)
-    free = start(incline(0.5 * MU_ROLLING, STIFF, mesh))
+    free = start(incline(0.5 * MU_ROLLING, LAW_MODULUS, mesh))
     free.advance(0.3)
     assert by_id(free.state, "velocity")[0, 0] > 0.1
 
@@ -160,7 +160,7 @@ def test_a_heap_moves_the_same_in_half_and_full_lists():
     """As a CPU and as a GPU steps: what is summed is the same in another order, and loses the same energy."""
     found = []
     for gpu in (False, True):
-        with share_out_like_a_gpu() if gpu else nullcontext():
+        with divide_work_like_gpu() if gpu else nullcontext():
             scene = crowd()
             model = build_model(scene, find_device("cpu"), "float64")
             stepper = Stepper(model, State(model, placed_bodies(scene)), scene.time_step, threads=1)
@@ -239,7 +239,7 @@ def test_solids_are_closed_and_have_their_volume():
 
 def test_mortar_of_a_concrete_adds_up_to_its_stresses():
     """Mean over directions: |D n|^2 - (n D n)^2 is 1/10, (n D n)^2 is 1/15, in a simple shear of rate 1."""
-    slides, square, closes = sheared()
+    slides, square, closes = shear_means()
     assert (square, closes) == pytest.approx((1 / 10, 1 / 15), rel=1e-4) and slides == pytest.approx(0.2966, abs=1e-3)
     law = scenes.slump_dem(law="mortar", yield_stress=300.0, solid_fraction=0.66).contact
     assert isinstance(law, BinghamMortar)

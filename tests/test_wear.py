@@ -10,7 +10,7 @@ from test_checkpoint import mixed_scene
 from test_recordings import columns
 
 from warpcrete import Simulation, scenes
-from warpcrete.core.drawing.paint import Paint, on_palette, rounded_up
+from warpcrete.core.drawing.paint import Paint, palette_colours, rounded_up
 from warpcrete.core.run.files import read_json
 from warpcrete.core.run.run_loop import Recorder
 from warpcrete.dem.batch_run import run_batch
@@ -271,7 +271,7 @@ def statics(path, entity, name):
 
 def on_scale(depth, upper):
     """Colours that a scale from 0 has, 0 to 255, and what they are off by for steps of 2 %, measured."""
-    return on_palette(depth, upper, name="magma_r").astype(float), 7.0
+    return palette_colours(depth, upper, name="magma_r").astype(float), 7.0
 
 
 def test_a_recording_has_one_scale_of_wear_for_all_frames(painted):
@@ -310,11 +310,11 @@ def test_paint_tells_values_apart_and_ends_on_round_numbers():
     paint = Paint("worn depth [nm]", "magma_r", 50.0)
     steps = paint.steps(values)
     assert np.ptp(paint.steps(np.array([0.0, 1e-12, 0.19]))) == 0 and np.all(np.diff(steps) >= 0)
-    off = np.abs(paint.colours()[steps].astype(int) - on_palette(values, 50.0, name="magma_r").astype(int))
+    off = np.abs(paint.colours()[steps].astype(int) - palette_colours(values, 50.0, name="magma_r").astype(int))
     high = np.geomspace(1e-3, 1e9, 5000)
     deep = Paint("worn depth [nm]", "magma_r", 5e8)
-    assert np.abs(deep.colours()[deep.steps(high)].astype(int) - on_palette(high, 5e8, name="magma_r")).max() <= 7
-    assert off.max() <= 7 and np.array_equal(paint.colours()[0], on_palette(np.zeros(1), 1.0, name="magma_r")[0])
+    assert np.abs(deep.colours()[deep.steps(high)].astype(int) - palette_colours(high, 5e8, name="magma_r")).max() <= 7
+    assert off.max() <= 7 and np.array_equal(paint.colours()[0], palette_colours(np.zeros(1), 1.0, name="magma_r")[0])
     assert [rounded_up(x) for x in (0.011, 0.02, 0.3, 1.0, 5.1, 700)] == pytest.approx([0.02, 0.02, 0.5, 1, 10, 1000])
     assert np.all(Paint("worn depth [nm]", "magma_r", 0.0).colours() == paint.colours()[0])
 

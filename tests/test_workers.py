@@ -14,15 +14,15 @@ from warpcrete.core.errors import ConvergenceError, SceneError, WarpcreteError
 from warpcrete.studies import running
 from warpcrete.studies import study as studies
 from warpcrete.studies.calibration import calibrate
-from warpcrete.studies.cases import MOST_CASES, Case, cases_of
+from warpcrete.studies.cases import MAX_CASES, Case, cases_of
 from warpcrete.studies.study import Study
-from warpcrete.studies.workers import Crew, WorkerDied
+from warpcrete.studies.workers import WorkerDied, WorkerPool
 
 HERE = "jobs"
 
 
 def test_workers_answer_fail_and_die_without_harm_to_one_another():
-    with Crew() as crew:
+    with WorkerPool() as crew:
         assert crew.run((HERE, "add"), (2, 3)) == (5, False)
         assert "no pickle holds" not in str(crew.run((HERE, "unreadable"), ()).args)
         error = crew.run((HERE, "diverge"), ())
@@ -40,18 +40,21 @@ def test_workers_answer_fail_and_die_without_harm_to_one_another():
             crew.stop()
             assert waiting.result(timeout=30) == "stopped"
         assert crew.run((HERE, "add"), (1, 1)) == (2, True)
-        processes = [worker._process for worker in crew._all]
+        processes = [worker._process for worker in crew._workers]
     assert all(process.poll() is not None for process in processes)
 
 
 def test_a_worker_that_cannot_start_is_no_fault_of_a_case(monkeypatch):
     monkeypatch.setattr(sys, "path", ["/nowhere"])
-    with Crew() as crew, pytest.raises(WarpcreteError, match="no worker process can be started: its process ended"):
+    with (
+        WorkerPool() as crew,
+        pytest.raises(WarpcreteError, match="no worker process can be started: its process ended"),
+    ):
         crew.run((HERE, "add"), (1, 1))
 
 
 def test_a_job_that_no_pickle_holds_costs_itself_alone():
-    with Crew() as crew:
+    with WorkerPool() as crew:
         with pytest.raises(Exception, match="pickle"):
             crew.run((HERE, "add"), (lambda: 1, 1))
         assert crew.run((HERE, "add"), (1, 1)) == (2, False)
@@ -60,13 +63,13 @@ def test_a_job_that_no_pickle_holds_costs_itself_alone():
 def test_a_case_whose_process_dies_is_failed_and_the_others_go_on(tmp_path, monkeypatch):
     outcomes = {"1": WorkerDied("its process was killed by SIGKILL"), "2": {"finished": True, "checks": {}},
                 "3": TypeError("no pickle holds it")}  # fmt: skip
-    monkeypatch.setattr(Crew, "run", lambda self, function, arguments: _come_to(outcomes[arguments[-1].name]))
+    monkeypatch.setattr(WorkerPool, "run", lambda self, function, arguments: _come_to(outcomes[arguments[-1].name]))
     found = {}
     cases = [Case(name, {}, {}) for name in outcomes]
     running.run_in_processes({}, studies, tmp_path, cases, 1, lambda case, outcome: found.update({case.name: outcome}))
     assert found == outcomes
     study = Study(tmp_path, "pipe", cases[:2], results={"2": outcomes["2"]}, failures={"1": str(outcomes["1"])},
-                  blameless={"1"})  # fmt: skip
+                  not_at_fault={"1"})  # fmt: skip
     assert study.lost == ["1"] and study.progress == "1 of 2 cases done, 1 failed" and study.progress in repr(study)
 
 
@@ -77,7 +80,7 @@ def _come_to(outcome):
 
 
 def test_a_study_has_no_more_cases_than_anybody_reads():
-    for given in (dict(varied={"velocity": range(20)}, repeat=MOST_CASES),
+    for given in (dict(varied={"velocity": range(20)}, repeat=MAX_CASES),
                   dict(varied={key: range(100) for key in "abcdef"})):  # fmt: skip
         with pytest.raises(SceneError, match=r"makes [\d,]+ cases, but a study has at most 10,000"):
             cases_of({}, **given)
@@ -149,12 +152,12 @@ def test_a_lost_run_ends_a_calibration_instead_of_counting_as_a_bad_point(tmp_pa
         cases,
         results={"001": {}},
         failures={"002": "its process was killed by SIGKILL"},
-        blameless={"002"},
+        not_at_fault={"002"},
     )
-    monkeypatch.setattr(calibrate, "_ran", lambda *rest: study)
+    monkeypatch.setattr(calibrate, "_run_group", lambda *rest: study)
     found = SimpleNamespace(folder=tmp_path, task=SimpleNamespace(groups=[[None]]), trials=[])
     lost = "trial 002: its process was killed by SIGKILL; 1 of 2 runs were lost in this way; continue with"
     with pytest.raises(WarpcreteError, match=lost):
         calibrate.run_round(found, {}, 0, [], {}, lambda *rest: None, (0.0, 1.0))
-    study.blameless.clear()  # as of a case that fails by itself, whatever with
+    study.not_at_fault.clear()  # as of a case that fails by itself, whatever with
     assert study.lost == []

@@ -7,7 +7,7 @@ import warp as wp
 
 from .reductions import BLOCK, block_sums
 
-EACH = 8
+VALUES_PER_THREAD = 8
 """Number of consecutive values that one GPU thread adds up."""
 
 
@@ -31,7 +31,7 @@ def scanning_kernels(alone: bool) -> SimpleNamespace:
     @wp.func
     def own_sum(values: wp.array(dtype=wp.int32), thread: wp.int32, count: wp.int32) -> wp.int32:
         sum = wp.int32(0)
-        for i in range(thread * EACH, wp.min((thread + 1) * EACH, count)):
+        for i in range(thread * VALUES_PER_THREAD, wp.min((thread + 1) * VALUES_PER_THREAD, count)):
             sum += values[i]
         return sum
 
@@ -48,7 +48,7 @@ def scanning_kernels(alone: bool) -> SimpleNamespace:
         thread = wp.tid()
         behind = wp.untile(wp.tile_scan_exclusive(wp.tile(own_sum(values, thread, count))))
         sum = wp.int32(total(thread, partial, 0, thread / BLOCK)) + behind
-        for i in range(thread * EACH, wp.min((thread + 1) * EACH, count)):
+        for i in range(thread * VALUES_PER_THREAD, wp.min((thread + 1) * VALUES_PER_THREAD, count)):
             before[i] = sum
             sum += values[i]
 

@@ -139,8 +139,8 @@ def surface_touch_function(scalar):
 
 
 @functools.cache
-def meeting_function(scalar, law, dissipation: bool, wear: bool):
-    """Return the function `meet`, which evaluates the contact of a sphere with one plane or pipe.
+def contact_function(scalar, law, dissipation: bool, wear: bool):
+    """Return the function `wall_contact_of`, which evaluates the contact of a sphere with one plane or pipe.
 
     The result is the distance to the surface, whether they touch, force and moment on the sphere, moment on the wall,
     and energy lost. The function also steps the contact history.
@@ -156,11 +156,11 @@ def meeting_function(scalar, law, dissipation: bool, wear: bool):
     moment_energy = functions.moment_energy if rolls else None
     wall_touch = contact_functions(scalar).wall_touch
     surface_touch = surface_touch_function(scalar)
-    worn_by, in_frame = wear_functions(scalar, law).worn_by, wear_functions(scalar, law).in_frame
+    contact_wear, in_frame = wear_functions(scalar, law).contact_wear, wear_functions(scalar, law).in_frame
     xyz = vector_functions(scalar).xyz
 
     @wp.func
-    def meet(
+    def wall_contact_of(
         i: wp.int32, slot: wp.int32, w: wp.int32, row: wp.int32, remembers: wp.bool, dt: scalar,
         parameters: wp.array(dtype=Parameters), segments: wp.array(dtype=Segment), spheres: Spheres, slots: Slots,
         walls: Walls,
@@ -187,7 +187,7 @@ def meeting_function(scalar, law, dissipation: bool, wear: bool):
             moment = wp.cross((radius + gap) * n, f)
             m = wp.cross(point - walls.position[w], -f)
             if wp.static(wear):
-                slots.worn[i, slot] = slots.worn[i, slot] + worn_by(p, touch, f, slid, dt)
+                slots.worn[i, slot] = slots.worn[i, slot] + contact_wear(p, touch, f, slid, dt)
                 slots.worn_at[i, slot] = in_frame(point, walls.position[w], walls.orientation[w])
             if wp.static(rolls):
                 turning = walls.spin[w] - spin
@@ -208,7 +208,7 @@ def meeting_function(scalar, law, dissipation: bool, wear: bool):
                 slots.rolling[i, slot] = t.vec3()
         return distance, touches, f, moment, m, lost
 
-    return meet
+    return wall_contact_of
 
 
 @functools.cache
@@ -228,13 +228,13 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
     structs = array_structs(scalar)
     Spheres, Slots, Walls = structs.Spheres, structs.Slots, structs.Walls
     Segment, Parameters = wall_functions(scalar).Segment, law.functions(scalar).Parameters
-    meet = meeting_function(scalar, law, dissipation, wear)
+    wall_contact_of = contact_function(scalar, law, dissipation, wear)
     xyz = vector_functions(scalar).xyz
     pack = vector_functions(scalar).pack
     write_vec4 = row_functions(scalar).write_vec4
     add_to_wall, add_together = wall_force_function(scalar), warp_force_function(scalar)
     together = warp_functions(scalar, width)
-    anywhere, from_lane, energy_from_lane = together.anywhere, together.from_lane, together.energy_from_lane
+    any_in_warp, from_lane, energy_from_lane = together.any_in_warp, together.from_lane, together.energy_from_lane
     bits_of_lanes, least_of_lanes = together.bits_of_lanes, together.least_of_lanes
 
     @wp.func
@@ -280,7 +280,7 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
             lost = wp.float64(0.0)
             if here and slot < scene.analytic and not (far and walls.table[w].motion == FIXED):
                 remembers = slot >= WALL_BITS or ((before >> slot) & 1) != 0
-                distance, touches, f, moment, m, lost = meet(
+                distance, touches, f, moment, m, lost = wall_contact_of(
                     i, slot, w, row, remembers, dt, parameters, segments, spheres, slots, walls
                 )
                 if walls.table[w].motion == FIXED:
@@ -294,7 +294,7 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
                 if touches:
                     add_to_wall(walls.step_force, part, w, -f, m, scale)
             else:
-                if anywhere(touches):
+                if any_in_warp(touches):
                     add_together(walls.step_force, touches, part, lanes, w, -f, m, scale)
                     for other in range(part - lane, part - lane + lanes):
                         total_force += t.vec3(from_lane(f[0], other), from_lane(f[1], other), from_lane(f[2], other))
@@ -355,7 +355,7 @@ def wall_kernel(scalar, law, dissipation: bool, wear: bool):
             if flags[s, HALTED] != 0:
                 continue
             far = far_from_walls(read_vec4(spheres.position, i), read_vec4(spheres.clear, i))
-            if far and scenes.row[s].still != 0:
+            if far and scenes.row[s].walls_fixed != 0:
                 continue
             wall_force, wall_moment, lost = on_walls(
                 i, scenes.row[s], wp.bool(True), far, part, 1, scalar(scenes.clock[s, DT_PREVIOUS]),

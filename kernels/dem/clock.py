@@ -29,7 +29,7 @@ def arrived_function(scalar):
 
     @wp.func
     def arrived(flags: wp.array2d(dtype=wp.int32), scenes: Scenes, s: wp.int32) -> wp.bool:
-        return is_there(
+        return goal_reached(
             flags[s, STEPS] - flags[s, GOAL], flags[s, STEPS] - flags[s, ESTIMATED] - scenes.row[s].interval,
             scenes.row[s].until - scenes.clock[s, TIME], scenes.clock[s, DT],
         )  # fmt: skip
@@ -38,7 +38,7 @@ def arrived_function(scalar):
 
 
 @wp.func
-def is_there(beyond_goal: wp.int32, beyond_estimate: wp.int32, left: wp.float64, dt: wp.float64) -> wp.bool:
+def goal_reached(beyond_goal: wp.int32, beyond_estimate: wp.int32, left: wp.float64, dt: wp.float64) -> wp.bool:
     """Return True if the step goal, the next estimate of the stable step or the end time is reached.
 
     `beyond_goal` and `beyond_estimate` count steps beyond the goal and the next estimate; `left` is the time left [s].
@@ -89,7 +89,7 @@ def clock_kernel(scalar, growth: bool):
             halted = WAITS
         if overflow != 0:
             halted = WAITS
-        elif is_there(beyond_goal, beyond_estimate, until - time, dt):
+        elif goal_reached(beyond_goal, beyond_estimate, until - time, dt):
             halted = ARRIVED
         if halted != 0:
             flags[s, HALTED] = halted

@@ -7,8 +7,8 @@ import warp as wp
 from ..common.control import FAILED, HALTED
 from ..common.rows import row_functions
 from ..common.types import SPAN, types, vector_functions
-from .links import pull_functions
-from .motion import motion_functions, motion_options, placing_function, rotation_functions, taking_function
+from .links import result_functions
+from .motion import clearing_function, motion_functions, motion_options, placing_function, rotation_functions
 from .structs import DT, DT_PREVIOUS, array_structs, links_struct, subcycled_struct
 from .warps import warp_functions
 
@@ -17,7 +17,7 @@ from .warps import warp_functions
 def gather_functions(scalar, dissipation: bool, rows: int, width: int):
     """Return the functions that gather the force [N] and moment about the centroid [N m] of a body's spheres.
 
-    `gather` serves half lists (CPU). `gather_abreast` serves full lists (GPU): `lanes` threads share a body, and it
+    `gather` serves half lists (CPU). `gather_with_lanes` serves full lists (GPU): `lanes` threads share a body, and it
     also returns the energy that the body's links lost [J]. Both clear the spheres' forces for the next step.
     """
     t = types(scalar)
@@ -26,11 +26,11 @@ def gather_functions(scalar, dissipation: bool, rows: int, width: int):
     xyz = vector_functions(scalar).xyz
     each = row_functions(scalar)
     read_vec3, read_vec4 = each.read_vec3, each.read_vec4
-    pulled = pull_functions(scalar, rows).pulled
-    take_half, take_full = taking_function(scalar, True), taking_function(scalar, False)
+    sum_of_links = result_functions(scalar, rows).sum_of_links
+    take_half, take_full = clearing_function(scalar, True), clearing_function(scalar, False)
     together = warp_functions(scalar, width)
-    anywhere, from_lane, energy_from_lane = together.anywhere, together.from_lane, together.energy_from_lane
-    settle = together.settle
+    any_in_warp, from_lane, energy_from_lane = together.any_in_warp, together.from_lane, together.energy_from_lane
+    sync_warp = together.sync_warp
 
     @wp.func
     def gather(spheres: Spheres, begin: wp.int32, end: wp.int32, x: t.vec3):
@@ -44,7 +44,7 @@ def gather_functions(scalar, dissipation: bool, rows: int, width: int):
         return total, torque
 
     @wp.func
-    def gather_abreast(
+    def gather_with_lanes(
         spheres: Spheres, pairs: Pairs, links: Links, begin: wp.int32, end: wp.int32, first: wp.int32, lane: wp.int32,
         lanes: wp.int32, row: wp.int32, scene: wp.int32, x: t.vec3,
     ):  # fmt: skip
@@ -56,13 +56,13 @@ def gather_functions(scalar, dissipation: bool, rows: int, width: int):
         torque = t.vec3()
         lost = wp.float64(0.0)
         place = begin
-        while anywhere(place < end):
+        while any_in_warp(place < end):
             i = place + lane
             f = t.vec3()
             m = t.vec3()
             taken = wp.float64(0.0)
             if i < end:
-                by_links, turned, taken_by_links = pulled(spheres, pairs, links, i, row, i + scene)
+                by_links, turned, taken_by_links = sum_of_links(spheres, pairs, links, i, row, i + scene)
                 f, m = read_vec3(spheres.force, i), read_vec3(spheres.moment, i)
                 take_full(spheres, i, f, m)
                 f, m = f + by_links, m + turned
@@ -78,15 +78,15 @@ def gather_functions(scalar, dissipation: bool, rows: int, width: int):
                 if wp.static(dissipation):
                     lost += energy_from_lane(taken, first + other)
             place += lanes
-        settle()
+        sync_warp()
         return total, torque, lost
 
-    return gather, gather_abreast
+    return gather, gather_with_lanes
 
 
 @functools.cache
-def carry_function(scalar, growth: bool, meshes: bool, half: bool):
-    """Return the function `carry`, which moves a sphere with its body and checks if the lists are still complete."""
+def sphere_motion_function(scalar, growth: bool, meshes: bool, half: bool):
+    """Return the function `move_sphere`, which moves a sphere with its body and checks the lists."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Links = structs.Scenes, structs.Spheres, links_struct(scalar)
@@ -96,7 +96,7 @@ def carry_function(scalar, growth: bool, meshes: bool, half: bool):
     read_vec4, write_vec4 = rows.read_vec4, rows.write_vec4
 
     @wp.func
-    def carry(
+    def move_sphere(
         flags: wp.array2d(dtype=wp.int32), scenes: Scenes, spheres: Spheres, links: Links, s: wp.int32, i: wp.int32,
         x: t.vec3, orientation: t.quat, size: scalar, velocity: t.vec3, spin: t.vec3, mass: scalar, dt: scalar,
     ):  # fmt: skip
@@ -111,7 +111,7 @@ def carry_function(scalar, growth: bool, meshes: bool, half: bool):
         write_vec4(spheres.velocity, i, pack(speed, mass))
         write_vec4(spheres.spin, i, pack(spin, scalar(0.0)))
 
-    return carry
+    return move_sphere
 
 
 @functools.cache
@@ -135,11 +135,11 @@ def clump_kernel(
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
     turned, spin_at_middle = rotation_functions(scalar)
-    gather, gather_abreast = gather_functions(scalar, dissipation, rows, width)
+    gather, gather_with_lanes = gather_functions(scalar, dissipation, rows, width)
     Links, Subcycled = links_struct(scalar), subcycled_struct(scalar)
-    motion, carry = motion_functions(scalar, dissipation), carry_function(scalar, growth, meshes, half)
+    motion, move_sphere = motion_functions(scalar, dissipation), sphere_motion_function(scalar, growth, meshes, half)
     Segment, drive_force_at = motion.Segment, motion.drive_force_at
-    damped, moved_on = motion.damped, motion.moved_on
+    damped, new_position = motion.damped, motion.new_position
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
     def move_clumps(
@@ -188,7 +188,7 @@ def clump_kernel(
             if wp.static(half):
                 total, torque = gather(spheres, begin, end, x)
             else:
-                total, torque, taken = gather_abreast(
+                total, torque, taken = gather_with_lanes(
                     spheres, pairs, links, begin, wp.where(here, end, begin), wp.tid() % width - lane, lane, lanes,
                     scenes.row[scene].pairs, scene, x,
                 )  # fmt: skip
@@ -214,7 +214,7 @@ def clump_kernel(
             if not (wp.length_sq(velocity) <= scenes.row[scene].speed_limit * scenes.row[scene].speed_limit):
                 wp.atomic_cas(flags, scene, FAILED, 0, 1 + b - scenes.row[scene].bodies)
                 continue
-            x, rounding = moved_on(x, dt * velocity, rounding)
+            x, rounding = new_position(x, dt * velocity, rounding)
             torque, lost_turning = damped(torque, spin_before, damping, kick)
             angular_momentum = momentum_before + kick * torque
             spin = spin_at_middle(q, angular_momentum, bodies.inertia[b], dt)
@@ -233,6 +233,6 @@ def clump_kernel(
             if wp.static(growth):
                 size = wp.min(scenes.scale[scene] + scenes.row[scene].growth_rate, scenes.row[scene].growth_end)
             for i in range(begin + lane, end, stride):
-                carry(flags, scenes, spheres, links, scene, i, x, orientation, size, velocity, spin, mass, dt)
+                move_sphere(flags, scenes, spheres, links, scene, i, x, orientation, size, velocity, spin, mass, dt)
 
     return move_clumps

@@ -19,7 +19,7 @@ from ..common.control import HALTED
 from ..common.rows import row_functions
 from ..common.types import SPAN, cpu_flags, lowest_bit, types, vector_functions
 from .bond_parallel import bond_functions
-from .lanes import LANES, evaluate_function, gather_function, give_function, layout
+from .lanes import LANES, evaluate_function, gather_function, layout, scatter_function
 from .pairs import ALL_TOUCHED, BLOCK, closeness_function, parting_function
 from .structs import DT_PREVIOUS, array_structs
 
@@ -51,7 +51,7 @@ def contact_kernel(
     part_entries = parting_function(scalar, law, history, healing, subcycling, dissipation)
     gather = gather_function(scalar, law, history, bonds, healing, mixed)
     evaluate = evaluate_function(scalar, law, history, bonds, dissipation, mixed)
-    give = give_function(scalar, law, history, bonds, dissipation)
+    scatter = scatter_function(scalar, law, history, bonds, dissipation)
     places = layout(law.rolls, history, bonds)
     numbers, integers = places.size, places.integer_size
     rows = row_functions(scalar)
@@ -148,7 +148,7 @@ def contact_kernel(
                                 spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + lost
             if full and count > 0:
                 evaluate(columns, ints, pair_parameters, used_row, used_dt)
-                give(spheres, pairs, first, last, columns, ints, count)
+                scatter(spheres, pairs, first, last, columns, ints, count)
                 count = 0
 
     return contacts

@@ -9,7 +9,7 @@ from ..common.types import types, vector_functions
 from ..common.walls import wall_functions
 from .bond_parallel import bond_functions
 from .contact_law import contact_functions
-from .stable_step import estimate_options, noting_functions
+from .stable_step import estimate_options, recording_functions
 from .stiffness import estimate_struct, pair_stiffness_function, stiffness_functions
 from .structs import array_structs
 from .warps import group_functions
@@ -43,7 +43,10 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
     shape = wall_functions(scalar)
     Segment, distance_to_wall, into_wall = shape.Segment, shape.distance_to_wall, shape.into_wall
     xyz = vector_functions(scalar).xyz
-    hurry, load_wall = noting_functions(scalar).hurry, noting_functions(scalar).load_wall
+    record_speed, add_wall_stiffness = (
+        recording_functions(scalar).record_speed,
+        recording_functions(scalar).add_wall_stiffness,
+    )
     rows = row_functions(scalar)
     read_vec3, read_vec4 = rows.read_vec3, rows.read_vec4
 
@@ -81,7 +84,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
         xi, radius_i, velocity_i = xyz(position_i), position_i[3], xyz(moving_i)
         row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
         arm_i = xi - read_vec3(bodies.position, scenes.row[s].bodies + spheres.body[i])
-        hurry(estimate, part, s, wp.length(velocity_i))
+        record_speed(estimate, part, s, wp.length(velocity_i))
         sums = add_pairs(
             i, s, lane, first, last, stiff, pair_parameters, bond_parameters, scenes, bodies, spheres, pairs, estimate
         )  # fmt: skip
@@ -95,7 +98,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
         first_wall = scenes.row[s].walls
         for w in range(first_wall, first_wall + scenes.row[s].wall_count):
             surface = walls.velocity[w] + wp.cross(walls.spin[w], xi - walls.position[w])
-            hurry(estimate, part, s, wp.length(surface))
+            record_speed(estimate, part, s, wp.length(surface))
         met = slots.history.shape[1]
         if stiff:
             met = 0
@@ -120,7 +123,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
                 sums.c = sums.c + outer(n, k[2], k[3])
                 sums.k_turn = sums.k_turn + turning(arm_i + radius_i * n, n, k[0], k[1], zero, zero)
                 sums.c_turn = sums.c_turn + turning(arm_i + radius_i * n, n, k[2], k[3], zero, zero)
-                load_wall(estimate, part, w, k)
+                add_wall_stiffness(estimate, part, w, k)
         if wp.static(half):  # Add the stiffness and damping of the pairs that are listed at the other sphere.
             sums.k = sums.k + estimate.sums[i, 0]
             sums.c = sums.c + estimate.sums[i, 1]

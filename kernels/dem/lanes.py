@@ -248,8 +248,8 @@ def evaluate_function(scalar, law, history: bool, bonds: bool, dissipation: bool
 
 
 @functools.cache
-def give_function(scalar, law, history: bool, bonds: bool, dissipation: bool):
-    """Return the function `give`, which adds the results of the first `count` lanes to spheres and pairs."""
+def scatter_function(scalar, law, history: bool, bonds: bool, dissipation: bool):
+    """Return the function `scatter`, which adds the results of the first `count` lanes to spheres and pairs."""
     structs = array_structs(scalar)
     Spheres, Pairs = structs.Spheres, structs.Pairs
     Columns, Ints = wp.array(dtype=scalar), wp.array(dtype=wp.int32)
@@ -265,7 +265,7 @@ def give_function(scalar, law, history: bool, bonds: bool, dissipation: bool):
     at, int_at = places.numbers, places.integers
 
     @wp.func
-    def give(
+    def scatter(
         spheres: Spheres, pairs: Pairs, first: wp.int32, last: wp.int32, columns: Columns, ints: Ints, count: wp.int32
     ):
         """Add the results of the lanes to spheres and pairs.
@@ -309,7 +309,7 @@ def give_function(scalar, law, history: bool, bonds: bool, dissipation: bool):
                 write_vec3(spheres.moment, j, read_vec3(spheres.moment, j) + moment_j)
             lane = lane + 1
 
-    return give
+    return scatter
 
 
 @functools.cache

@@ -10,9 +10,9 @@ from ..common.types import types
 from .pairs import BLOCK, decode
 from .structs import APART, TOUCHING, array_structs, links_struct
 
-MORE = wp.constant(4)
+EXTRA_MASKS = wp.constant(4)
 """Number of bit masks per sphere for its list entries beyond the first BLOCK, whose bits are in `spheres.touching`."""
-BITS = wp.constant((int(MORE) + 1) * int(BLOCK))
+MASKED_ENTRIES = wp.constant((int(EXTRA_MASKS) + 1) * int(BLOCK))
 """Number of leading entries of a list row for which a bit mask records whether the pair touches.
 
 A row with more entries is rare: a large sphere among small ones has about a hundred.
@@ -21,25 +21,25 @@ A row with more entries is rare: a large sphere among small ones has about a hun
 
 @functools.cache
 def mark_function(scalar):
-    """Return the function `mark`, which records in a sphere's bit masks if the entry at `place` of its row touches."""
+    """Return `mark_touching`, which records in a sphere's bit masks whether the entry at `place` touches."""
     Spheres, Links = array_structs(scalar).Spheres, links_struct(scalar)
 
     @wp.func
-    def mark(spheres: Spheres, links: Links, i: wp.int32, place: wp.int32, touches: wp.bool):
+    def mark_touching(spheres: Spheres, links: Links, i: wp.int32, place: wp.int32, touches: wp.bool):
         bit = 1 << (place % BLOCK)
         if place < BLOCK:
             if touches:
                 wp.atomic_or(spheres.touching, i, bit)
             else:
                 wp.atomic_and(spheres.touching, i, ~bit)
-        elif place < BITS:
-            at = MORE * i + place / BLOCK - 1
+        elif place < MASKED_ENTRIES:
+            at = EXTRA_MASKS * i + place / BLOCK - 1
             if touches:
-                wp.atomic_or(links.more, at, bit)
+                wp.atomic_or(links.later_touching, at, bit)
             else:
-                wp.atomic_and(links.more, at, ~bit)
+                wp.atomic_and(links.later_touching, at, ~bit)
 
-    return mark
+    return mark_touching
 
 
 @functools.cache
@@ -53,7 +53,7 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
     Links = links_struct(scalar)
-    mark = mark_function(scalar)
+    mark_touching = mark_function(scalar)
 
     @wp.kernel(module="unique", enable_backward=False)
     def clear_links(flags: wp.array2d(dtype=wp.int32), links: Links):
@@ -77,8 +77,8 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
         count[i + s] = own
         if flags[s, STALE] != 0:
             spheres.touching[i] = 0
-            for word in range(MORE):
-                links.more[MORE * i + word] = 0
+            for word in range(EXTRA_MASKS):
+                links.later_touching[EXTRA_MASKS * i + word] = 0
 
     @wp.func
     def twin_of(pairs: Pairs, begin: wp.int32, end: wp.int32, i: wp.int32):
@@ -128,16 +128,16 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
                         # Both list entries of a pair share one row of `pairs.load`.
                         pairs.bond[row + twin] = pairs.bond[row + k]
                 links.link[p] = wp.vec4i(i - base, j, k, twin)
-                links.touched[p] = wp.where(remembers, TOUCHING, APART)
+                links.state[p] = wp.where(remembers, TOUCHING, APART)
                 links.end[row + k] = p - row / 2
                 links.end[row + twin] = -1 - (p - row / 2)
                 # Every step adds up the results of entries that have no touching bit, so these results must start at
                 # zero.
-                if k - pairs.start[i + s] >= BITS or twin - begin >= BITS:
+                if k - pairs.start[i + s] >= MASKED_ENTRIES or twin - begin >= MASKED_ENTRIES:
                     for each in range(rows):
-                        links.pull[rows * p + each] = t.vec4()
+                        links.result[rows * p + each] = t.vec4()
                 if remembers:
-                    mark(spheres, links, i, k - pairs.start[i + s], True)
-                    mark(spheres, links, base + j, twin - begin, True)
+                    mark_touching(spheres, links, i, k - pairs.start[i + s], True)
+                    mark_touching(spheres, links, base + j, twin - begin, True)
 
     return SimpleNamespace(clear_links=clear_links, count_own=count_own, fill_links=fill_links)

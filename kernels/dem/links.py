@@ -17,13 +17,13 @@ from ..common.types import lowest_bit, types, vector_functions
 from .bond_parallel import BROKEN_IN_TENSION, HYDRATED, UNBONDED, bond_functions, kind_of
 from .contact_law import contact_functions
 from .contacts import contact_options
-from .linking import BITS, MORE, mark_function
+from .linking import EXTRA_MASKS, MASKED_ENTRIES, mark_function
 from .pairs import BLOCK, bonded_function, pair_functions
 from .structs import APART, DT_PREVIOUS, PARTED, STIFF, TOUCHING, array_structs, links_struct
 
 
-def pull_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
-    """Return the number of rows in `links.pull` per link: four with bonds, rolling or dissipation, else two.
+def result_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
+    """Return the number of rows in `links.result` per link: four with bonds, rolling or dissipation, else two.
 
     Two rows are enough for both spheres, because their forces are opposite. If a link has a moment of its own or loses
     energy, each sphere needs its own two rows.
@@ -32,11 +32,11 @@ def pull_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
 
 
 @functools.cache
-def pull_functions(scalar, count: int):
+def result_functions(scalar, count: int):
     """Return functions that write the results of a link (`count` rows) and that add them up for a sphere.
 
-    `pull` writes the rows of a link, and `part_pull` those of a link that has just parted. `pulled` returns the sums
-    over the links of a sphere: force [N], moment [N m] and lost energy [J].
+    `store_result` writes the rows of a link, and `store_loss` those of a link that has just parted. `sum_of_links`
+    returns the sums over the links of a sphere: force [N], moment [N m] and lost energy [J].
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -48,45 +48,45 @@ def pull_functions(scalar, count: int):
     apart = count > 2
 
     @wp.func
-    def pull(
+    def store_result(
         links: Links, p: wp.int32, force: t.vec3, arm_i: scalar, turn: t.vec3, arm_j: scalar, own: t.vec3, lost: scalar
     ):
         if wp.static(apart):
-            write_vec4(links.pull, count * p, pack(force, lost))
-            write_vec4(links.pull, count * p + 1, pack(arm_i * turn + own, scalar(0.0)))
-            write_vec4(links.pull, count * p + 2, pack(-force, scalar(0.0)))
-            write_vec4(links.pull, count * p + 3, pack(arm_j * turn - own, scalar(0.0)))
+            write_vec4(links.result, count * p, pack(force, lost))
+            write_vec4(links.result, count * p + 1, pack(arm_i * turn + own, scalar(0.0)))
+            write_vec4(links.result, count * p + 2, pack(-force, scalar(0.0)))
+            write_vec4(links.result, count * p + 3, pack(arm_j * turn - own, scalar(0.0)))
         else:
-            write_vec4(links.pull, count * p, pack(force, arm_i))
-            write_vec4(links.pull, count * p + 1, pack(turn, arm_j))
+            write_vec4(links.result, count * p, pack(force, arm_i))
+            write_vec4(links.result, count * p + 1, pack(turn, arm_j))
 
     @wp.func
-    def part_pull(links: Links, p: wp.int32, lost: scalar):
-        pull(links, p, t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), t.vec3(), lost)
+    def store_loss(links: Links, p: wp.int32, lost: scalar):
+        store_result(links, p, t.vec3(), scalar(0.0), t.vec3(), scalar(0.0), t.vec3(), lost)
 
     @wp.func
     def row_of(first: wp.int32, end: wp.int32):
-        """Return the row in `links.pull` where the results of a link for one of its two spheres begin."""
+        """Return the row in `links.result` where the results of a link for one of its two spheres begin."""
         if wp.static(apart):
             return count * (first + wp.where(end >= 0, end, -1 - end)) + wp.where(end >= 0, 0, 2)
         return count * (first + wp.where(end >= 0, end, -1 - end))
 
     @wp.func
-    def force_at(end: wp.int32, force: t.vec4):
+    def force_on_end(end: wp.int32, force: t.vec4):
         """Return the link's force on the sphere at this end of the link [N]."""
         if wp.static(apart):
             return xyz(force)
         return wp.where(end >= 0, xyz(force), -xyz(force))
 
     @wp.func
-    def moment_at(end: wp.int32, force: t.vec4, turn: t.vec4):
+    def moment_on_end(end: wp.int32, force: t.vec4, turn: t.vec4):
         """Return the link's moment about the centre of the sphere at this end of the link [N m]."""
         if wp.static(apart):
             return xyz(turn)
         return wp.where(end >= 0, force[3], turn[3]) * xyz(turn)
 
     @wp.func
-    def pulled(spheres: Spheres, pairs: Pairs, links: Links, i: wp.int32, row: wp.int32, slot: wp.int32):
+    def sum_of_links(spheres: Spheres, pairs: Pairs, links: Links, i: wp.int32, row: wp.int32, slot: wp.int32):
         """Add up force, moment and lost energy of the links of sphere i, in list order.
 
         `row` is the scene's first entry, and `slot` is the sphere's place in `pairs.start`.
@@ -98,12 +98,12 @@ def pull_functions(scalar, count: int):
         end = row + read_int(pairs.start, slot + 1)
         block = begin
         word = wp.int32(0)
-        while block < end and word <= MORE:
+        while block < end and word <= EXTRA_MASKS:
             left = wp.int32(0)
             if word == 0:
                 left = read_int(spheres.touching, i)
             else:
-                left = read_int(links.more, MORE * i + word - 1)
+                left = read_int(links.later_touching, EXTRA_MASKS * i + word - 1)
             while left != 0:
                 # Each pass loads the results of up to four links at once, so that their memory latencies overlap.
                 q = read_int(links.end, block + lowest_bit(left))
@@ -123,42 +123,44 @@ def pull_functions(scalar, count: int):
                     left = left & (left - 1)
                     found = 4
                 r = row_of(row / 2, q)
-                a, b = read_vec4(links.pull, r), read_vec4(links.pull, r + 1)
+                a, b = read_vec4(links.result, r), read_vec4(links.result, r + 1)
                 c, d, e, f, g, h = t.vec4(), t.vec4(), t.vec4(), t.vec4(), t.vec4(), t.vec4()
                 if found > 1:
                     r = row_of(row / 2, u)
-                    c, d = read_vec4(links.pull, r), read_vec4(links.pull, r + 1)
+                    c, d = read_vec4(links.result, r), read_vec4(links.result, r + 1)
                 if found > 2:
                     r = row_of(row / 2, v)
-                    e, f = read_vec4(links.pull, r), read_vec4(links.pull, r + 1)
+                    e, f = read_vec4(links.result, r), read_vec4(links.result, r + 1)
                 if found > 3:
                     r = row_of(row / 2, w)
-                    g, h = read_vec4(links.pull, r), read_vec4(links.pull, r + 1)
+                    g, h = read_vec4(links.result, r), read_vec4(links.result, r + 1)
                 # The sums run strictly one after the other. A link that has just parted adds zero, which then cannot
                 # change the rounding of the rest.
-                force = (((force + force_at(q, a)) + force_at(u, c)) + force_at(v, e)) + force_at(w, g)
-                moment = (moment + moment_at(q, a, b)) + moment_at(u, c, d)
-                moment = (moment + moment_at(v, e, f)) + moment_at(w, g, h)
+                force = (((force + force_on_end(q, a)) + force_on_end(u, c)) + force_on_end(v, e)) + force_on_end(w, g)
+                moment = (moment + moment_on_end(q, a, b)) + moment_on_end(u, c, d)
+                moment = (moment + moment_on_end(v, e, f)) + moment_on_end(w, g, h)
                 if wp.static(apart):
                     lost = (((lost + wp.float64(a[3])) + wp.float64(c[3])) + wp.float64(e[3])) + wp.float64(g[3])
             block += BLOCK
             word += 1
-        for entry in range(begin + BITS, end):  # List entries beyond the first BITS have no touching bits.
+        for entry in range(begin + MASKED_ENTRIES, end):  # List entries beyond the first BITS have no touching bits.
             q = read_int(links.end, entry)
             r = row_of(row / 2, q)
-            a, b = read_vec4(links.pull, r), read_vec4(links.pull, r + 1)
-            force += force_at(q, a)
-            moment += moment_at(q, a, b)
+            a, b = read_vec4(links.result, r), read_vec4(links.result, r + 1)
+            force += force_on_end(q, a)
+            moment += moment_on_end(q, a, b)
             if wp.static(apart):
                 lost += wp.float64(a[3])
         return force, moment, lost
 
-    return SimpleNamespace(pull=pull, part_pull=part_pull, pulled=pulled)
+    return SimpleNamespace(store_result=store_result, store_loss=store_loss, sum_of_links=sum_of_links)
 
 
 @functools.cache
-def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool):
-    """Return the function `looks`: check if a link touches or is bonded, and clear the history if it parted."""
+def contact_update_function(
+    scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool
+):
+    """Return the function `update_contact`: check for contact or a bond, and clear the history if it parted."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
@@ -169,11 +171,11 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
     moment_energy = functions.moment_energy if rolls else None
     sphere_touch = contact_functions(scalar).sphere_touch
     xyz = vector_functions(scalar).xyz
-    part_pull = pull_functions(scalar, pull_rows(bonds, rolls, dissipation)).part_pull
-    mark = mark_function(scalar)
+    store_loss = result_functions(scalar, result_rows(bonds, rolls, dissipation)).store_loss
+    mark_touching = mark_function(scalar)
 
     @wp.func
-    def part(
+    def clear_parted(
         scenes: Scenes, spheres: Spheres, pairs: Pairs, parameters: wp.array(dtype=Parameters), s: wp.int32,
         i: wp.int32, j: wp.int32, k: wp.int32, twin: wp.int32,
     ):  # fmt: skip
@@ -204,13 +206,13 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
         return lost
 
     @wp.func
-    def looks(
+    def update_contact(
         scenes: Scenes, spheres: Spheres, pairs: Pairs, links: Links, parameters: wp.array(dtype=Parameters),
         s: wp.int32, ends: wp.vec4i, position_i: t.vec4, position_j: t.vec4, state: wp.int32, kind: wp.int32,
     ) -> wp.bool:  # fmt: skip
         """Return True if the link touches or is bonded, and update its state where that changed.
 
-        `state` is the link's value in `links.touched`; `kind` is the kind of its bond.
+        `state` is the link's value in `links.state`; `kind` is the kind of its bond.
         """
         i, j, k, p = ends[0], ends[1], ends[2], ends[3]
         reach = position_i[3] + position_j[3]
@@ -230,18 +232,18 @@ def look_function(scalar, law, history: bool, bonds: bool, healing: bool, subcyc
             row = scenes.row[s].pairs
             twin = row + links.link[p][3]
             if after == APART and state != PARTED:
-                lost = part(scenes, spheres, pairs, parameters, s, i, j, k, twin)
+                lost = clear_parted(scenes, spheres, pairs, parameters, s, i, j, k, twin)
             if lost > scalar(0.0):
                 after = PARTED  # the link's rows stay in the sums for one more step, which counts the loss
             else:
-                mark(spheres, links, i, k - row - pairs.start[i + s], close)
-                mark(spheres, links, j, twin - row - pairs.start[j + s], close)
-            links.touched[p] = after
+                mark_touching(spheres, links, i, k - row - pairs.start[i + s], close)
+                mark_touching(spheres, links, j, twin - row - pairs.start[j + s], close)
+            links.state[p] = after
             if not close:
-                part_pull(links, p, lost)
+                store_loss(links, p, lost)
         return close
 
-    return looks
+    return update_contact
 
 
 @functools.cache
@@ -265,7 +267,7 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
     rows = row_functions(scalar)
     read_int, read_vec3, read_vec4 = rows.read_int, rows.read_vec3, rows.read_vec4
     write_vec3, write_vec4 = rows.write_vec3, rows.write_vec4
-    pull = pull_functions(scalar, pull_rows(bonds, rolls, dissipation)).pull
+    store_result = result_functions(scalar, result_rows(bonds, rolls, dissipation)).store_result
 
     @wp.func
     def evaluate(
@@ -316,7 +318,7 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
             bond_moment = bond_moment + held_back
             lost += lost_rolling
         turn = wp.cross(pair.touch.normal, total)
-        pull(links, p, total, pair.arm_i, turn, pair.arm_j, bond_moment, lost)
+        store_result(links, p, total, pair.arm_i, turn, pair.arm_j, bond_moment, lost)
 
     return evaluate
 
@@ -335,7 +337,7 @@ def link_kernel(
     Links = links_struct(scalar)
     Parameters = law.functions(scalar).Parameters
     Bond = bond_functions(scalar).Bond
-    looks = look_function(scalar, law, history, bonds, healing, subcycling, dissipation)
+    update_contact = contact_update_function(scalar, law, history, bonds, healing, subcycling, dissipation)
     evaluate = link_functions(scalar, law, history, bonds, healing, dissipation, mixed)
     read_int, read_vec4 = row_functions(scalar).read_int, row_functions(scalar).read_vec4
 
@@ -371,12 +373,12 @@ def link_kernel(
             s = spheres.scene[ends[0]]
             # All loads are issued before the branch that decides if they are needed, so that their latencies overlap.
             position_i, position_j = read_vec4(spheres.position, ends[0]), read_vec4(spheres.position, ends[1])
-            state, kind = read_int(links.touched, ends[3]), wp.int32(0)
+            state, kind = read_int(links.state, ends[3]), wp.int32(0)
             if wp.static(bonds):
                 kind = kind_of(read_int(pairs.bond, ends[2]))
-            if (links.outrun[s] != 0) == (q < near) or flags[s, HALTED] != 0:
+            if (links.near_list_exceeded[s] != 0) == (q < near) or flags[s, HALTED] != 0:
                 continue
-            if looks(
+            if update_contact(
                 scenes, spheres, pairs, links, pair_parameters, s, ends, position_i, position_j, state, kind
             ):  # fmt: skip
                 evaluate(

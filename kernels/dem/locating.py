@@ -24,12 +24,12 @@ def locating_kernels(scalar, half: bool, history: bool):
     find_own = find_function(scalar, False)
 
     @wp.kernel(module="unique", enable_backward=False)
-    def note_spheres(scenes: Scenes, spheres: Spheres, sphere_place: wp.array(dtype=wp.int32)):
+    def index_spheres(scenes: Scenes, spheres: Spheres, sphere_place: wp.array(dtype=wp.int32)):
         i = wp.tid()
         sphere_place[scenes.row[spheres.scene[i]].spheres + spheres.id[i]] = i
 
     @wp.kernel(module="unique", enable_backward=False)
-    def note_bodies(scenes: Scenes, bodies: Bodies, subcycled: Subcycled, body_place: wp.array(dtype=wp.int32)):
+    def index_bodies(scenes: Scenes, bodies: Bodies, subcycled: Subcycled, body_place: wp.array(dtype=wp.int32)):
         b = wp.tid()
         body_place[scenes.row[bodies.scene[b]].bodies + bodies.id[b]] = b
         subcycled.member[b] = 0
@@ -77,5 +77,5 @@ def locating_kernels(scalar, half: bool, history: bool):
                 subcycled.held.history[p] = pairs.history[k]
 
     return SimpleNamespace(
-        note_spheres=note_spheres, note_bodies=note_bodies, locate_pairs=locate_pairs, locate_bodies=locate_bodies
+        index_spheres=index_spheres, index_bodies=index_bodies, locate_pairs=locate_pairs, locate_bodies=locate_bodies
     )

@@ -249,8 +249,8 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
 
 
 @functools.cache
-def meeting_function(scalar, law):
-    """Return the function `meets`, which evaluates the contact of a sphere with a mesh.
+def contact_function(scalar, law):
+    """Return the function `mesh_contact`, which evaluates the contact of a sphere with a mesh.
 
     The result is force and moment on the sphere, moment about the wall's position, the new histories of shear and
     rolling, and the energy lost.
@@ -262,7 +262,7 @@ def meeting_function(scalar, law):
     surface_touch = surface_touch_function(scalar)
 
     @wp.func
-    def meets(
+    def mesh_contact(
         p: Parameters, place: t.vec3, wall_velocity: t.vec3, wall_spin: t.vec3, n: t.vec3, gap: scalar, x: t.vec3,
         radius: scalar, velocity: t.vec4, spin: t.vec3, history: t.vec3, rolling: t.vec3, dt: scalar,
     ):  # fmt: skip
@@ -278,7 +278,7 @@ def meeting_function(scalar, law):
             lost += lost_rolling
         return f, moment, on_wall, sheared, rolled, lost
 
-    return meets
+    return mesh_contact
 
 
 @functools.cache
@@ -293,7 +293,7 @@ def mesh_parts(scalar, law) -> SimpleNamespace:
         Spheres=structs.Spheres,
         Candidates=structs.Candidates,
         Parameters=functions.Parameters,
-        meets=meeting_function(scalar, law),
+        mesh_contact=contact_function(scalar, law),
         **vars(wear_functions(scalar, law)),
         surface_touch=surface_touch_function(scalar),
         add_to_wall=wall_force_function(scalar),
@@ -388,7 +388,7 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
                             history = slot_history[i, analytic + o]
                             if wp.static(rolls):
                                 rolling = slot_rolling[i, analytic + o]
-                f, moment, m, sheared, rolled, lost = parts.meets(
+                f, moment, m, sheared, rolled, lost = parts.mesh_contact(
                     wall_parameters[row + wall_table[w].material], wall_position[w], wall_velocity[w], wall_spin[w], n,
                     gaps[s], x, radius, velocity, spin, history, rolling, dt,
                 )  # fmt: skip
@@ -407,7 +407,7 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
                     touch, point = parts.surface_touch(
                         wall_position[w], wall_velocity[w], wall_spin[w], n, gaps[s], x, radius, velocity, spin, dt
                     )
-                    did = parts.worn_by(wall_parameters[row + wall_table[w].material], touch, f, lost, dt)
+                    did = parts.contact_wear(wall_parameters[row + wall_table[w].material], touch, f, lost, dt)
                     slot_worn[i, w - first_wall] = slot_worn[i, w - first_wall] + did
                     slot_worn_at[i, w - first_wall] = parts.in_frame(point, wall_position[w], wall_orientation[w])
             parts.keep_contacts(

@@ -9,7 +9,7 @@ from ..common.control import FAILED, HALTED, LATE
 from ..common.geometry import axis_functions
 from ..common.rows import row_functions
 from ..common.types import SPAN, types, vector_functions
-from .links import pull_functions
+from .links import result_functions
 from .near import NEAR
 from .structs import DT, DT_PREVIOUS, SINCE_BUILD, array_structs, links_struct
 
@@ -114,7 +114,7 @@ def motion_functions(scalar, dissipation: bool):
         return total, lost
 
     @wp.func
-    def moved_on(x: t.vec3, displacement: t.vec3, rounding: t.vec3):
+    def new_position(x: t.vec3, displacement: t.vec3, rounding: t.vec3):
         """Return the new position and its rounding error, which the next step adds again (compensated summation).
 
         In double precision the compensation is left out.
@@ -131,7 +131,7 @@ def motion_functions(scalar, dissipation: bool):
         return scalar(scenes.clock[s, SINCE_BUILD] + scenes.clock[s, DT]) * scenes.reference_velocity[s]
 
     @wp.func
-    def outgrows(skin: scalar, place: t.vec3, radius: scalar, built: t.vec4, drift: t.vec3):
+    def exceeds_skin(skin: scalar, place: t.vec3, radius: scalar, built: t.vec4, drift: t.vec3):
         """Return True if a sphere has moved so far that a list with this skin may miss one of its contacts.
 
         The sphere may move by half the skin relative to the common drift; any growth of its radius is subtracted.
@@ -140,11 +140,11 @@ def motion_functions(scalar, dissipation: bool):
         return wp.length_sq(place - xyz(built) - drift) > slack * slack or slack < scalar(0.0)
 
     @wp.func
-    def outgrows_lists(
+    def exceeds_lists(
         scenes: Scenes, s: wp.int32, place: t.vec3, radius: scalar, built: t.vec4, drift: t.vec3, meshes: bool
     ):
         """Return True if a sphere has moved so far that the pair or mesh lists may miss a contact in the next step."""
-        late = outgrows(scenes.row[s].skin, place, radius, built, drift)
+        late = exceeds_skin(scenes.row[s].skin, place, radius, built, drift)
         if meshes:
             moved = wp.length(place - xyz(built)) + (radius - built[3])
             late = late or moved > scenes.row[s].sphere_allowance
@@ -152,22 +152,24 @@ def motion_functions(scalar, dissipation: bool):
 
     @wp.func
     def watch_near(scenes: Scenes, links: Links, s: wp.int32, i: wp.int32, place: t.vec3, radius: scalar):
-        """Set `outrun` if sphere i has moved so far that the near links may miss a contact in the next step."""
-        gone = scenes.clock[s, SINCE_BUILD] + scenes.clock[s, DT] - links.seen_at[s]
+        """Set `near_list_exceeded` if the near links may miss a contact of sphere i in the next step."""
+        gone = scenes.clock[s, SINCE_BUILD] + scenes.clock[s, DT] - links.near_time[s]
         drift = scalar(gone) * scenes.reference_velocity[s]
-        if outgrows(scalar(wp.static(NEAR)) * scenes.row[s].skin, place, radius, read_vec4(links.seen, i), drift):
-            links.outrun[s] = 1
+        if exceeds_skin(
+            scalar(wp.static(NEAR)) * scenes.row[s].skin, place, radius, read_vec4(links.near_position, i), drift
+        ):
+            links.near_list_exceeded[s] = 1
             links.near_count[1] = 1
 
     return SimpleNamespace(
-        Segment=Segment, drive_force_at=drive_force_at, damped=damped, moved_on=moved_on, drift_of=drift_of,
-        outgrows_lists=outgrows_lists, watch_near=watch_near,
+        Segment=Segment, drive_force_at=drive_force_at, damped=damped, new_position=new_position, drift_of=drift_of,
+        exceeds_lists=exceeds_lists, watch_near=watch_near,
     )  # fmt: skip
 
 
 @functools.cache
-def taking_function(scalar, half: bool):
-    """Return the function `take_away`, which clears a sphere's force and moment for the next step.
+def clearing_function(scalar, half: bool):
+    """Return the function `clear_forces`, which clears a sphere's force and moment for the next step.
 
     On a GPU only walls write to these arrays, so the function writes zeros only where a value is not zero.
     """
@@ -176,7 +178,7 @@ def taking_function(scalar, half: bool):
     write_vec3 = row_functions(scalar).write_vec3
 
     @wp.func
-    def take_away(spheres: Spheres, i: wp.int32, force: t.vec3, moment: t.vec3):
+    def clear_forces(spheres: Spheres, i: wp.int32, force: t.vec3, moment: t.vec3):
         met = wp.bool(True)
         if wp.static(not half):
             met = wp.length_sq(force) + wp.length_sq(moment) > scalar(0.0)
@@ -184,23 +186,23 @@ def taking_function(scalar, half: bool):
             write_vec3(spheres.force, i, t.vec3())
             write_vec3(spheres.moment, i, t.vec3())
 
-    return take_away
+    return clear_forces
 
 
 @functools.cache
 def placing_function(scalar, growth: bool, meshes: bool, half: bool):
     """Return the function `place_sphere`, which stores a sphere's new position and checks the neighbour lists.
 
-    The function sets LATE or `outrun` where the lists may miss a contact in the next step. It sets FAILED if a sphere
-    moves by more than its radius in one step, because the sphere may then pass through another one or a wall. During
-    growth in packing this is no failure, because spheres start small and overlap anyway.
+    The function sets LATE or `near_list_exceeded` where the lists may miss a contact in the next step. It sets FAILED
+    if a sphere moves by more than its radius in one step, because the sphere may then pass through another one or a
+    wall. During growth in packing this is no failure, because spheres start small and overlap anyway.
     """
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Links = structs.Scenes, structs.Spheres, links_struct(scalar)
     pack = vector_functions(scalar).pack
     motion = motion_functions(scalar, False)
-    drift_of, outgrows_lists, watch_near = motion.drift_of, motion.outgrows_lists, motion.watch_near
+    drift_of, exceeds_lists, watch_near = motion.drift_of, motion.exceeds_lists, motion.watch_near
     rows = row_functions(scalar)
     read_vec4, write_vec4 = rows.read_vec4, rows.write_vec4
 
@@ -213,7 +215,7 @@ def placing_function(scalar, growth: bool, meshes: bool, half: bool):
             if wp.length_sq(way) > radius * radius:
                 wp.atomic_cas(flags, s, FAILED, 0, 1 + spheres.body[i])
         drift = drift_of(scenes, s)
-        if outgrows_lists(scenes, s, place, radius, read_vec4(spheres.built, i), drift, wp.static(meshes)):
+        if exceeds_lists(scenes, s, place, radius, read_vec4(spheres.built, i), drift, wp.static(meshes)):
             flags[s, LATE] = 1
         if wp.static(not half):
             watch_near(scenes, links, s, i, place, radius)
@@ -239,13 +241,13 @@ def sphere_kernel(
     pack = vector_functions(scalar).pack
     motion = motion_functions(scalar, dissipation)
     Segment, drive_force_at = motion.Segment, motion.drive_force_at
-    damped, moved_on = motion.damped, motion.moved_on
+    damped, new_position = motion.damped, motion.new_position
     place_sphere = placing_function(scalar, growth, meshes, half)
     each = row_functions(scalar)
     read_vec3, read_vec4, write_vec3, write_vec4 = each.read_vec3, each.read_vec4, each.write_vec3, each.write_vec4
     Links = links_struct(scalar)
-    pulled = pull_functions(scalar, rows).pulled
-    take_away = taking_function(scalar, half)
+    sum_of_links = result_functions(scalar, rows).sum_of_links
+    clear_forces = clearing_function(scalar, half)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
     def move_spheres(
@@ -283,10 +285,10 @@ def sphere_kernel(
             torque = t.vec3()
             if wp.static(rotation):
                 torque = read_vec3(spheres.moment, i)
-            take_away(spheres, i, total, torque)
+            clear_forces(spheres, i, total, torque)
             by_links = t.vec3()
             if wp.static(not half):
-                push, by_links, taken = pulled(spheres, pairs, links, i, scenes.row[s].pairs, i + s)
+                push, by_links, taken = sum_of_links(spheres, pairs, links, i, scenes.row[s].pairs, i + s)
                 total += push
                 if wp.static(dissipation):
                     spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + taken
@@ -300,7 +302,7 @@ def sphere_kernel(
             if not (wp.length_sq(velocity) <= scenes.row[s].speed_limit * scenes.row[s].speed_limit):
                 wp.atomic_cas(flags, s, FAILED, 0, 1 + i - scenes.row[s].spheres)
                 continue
-            place, rounding = moved_on(x, dt * velocity, read_vec3(bodies.rounding, i))
+            place, rounding = new_position(x, dt * velocity, read_vec3(bodies.rounding, i))
             write_vec3(bodies.rounding, i, rounding)
 
             if wp.static(rotation):

@@ -56,7 +56,7 @@ def take_place(count: wp.array(dtype=wp.int32), wants: wp.bool) -> wp.int32:
 def near_kernels(scalar) -> SimpleNamespace:
     """Return the two kernels that choose near links.
 
-    First `see_spheres` records the current positions; its launch size is the largest of the numbers of spheres and
+    First `record_positions` records the current positions; its launch size is the largest of the numbers of spheres and
     scenes and 2. Then `choose_near` runs over the links, in whole blocks.
     """
     structs = array_structs(scalar)
@@ -67,13 +67,13 @@ def near_kernels(scalar) -> SimpleNamespace:
     read_vec4, write_vec4 = rows.read_vec4, rows.write_vec4
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
-    def see_spheres(scenes: Scenes, spheres: Spheres, links: Links):
+    def record_positions(scenes: Scenes, spheres: Spheres, links: Links):
         i = wp.tid()
         if i < spheres.position.shape[0]:
-            write_vec4(links.seen, i, read_vec4(spheres.position, i))
+            write_vec4(links.near_position, i, read_vec4(spheres.position, i))
         if i < scenes.row.shape[0]:
-            links.seen_at[i] = scenes.clock[i, SINCE_BUILD]
-            links.outrun[i] = 0
+            links.near_time[i] = scenes.clock[i, SINCE_BUILD]
+            links.near_list_exceeded[i] = 0
         if i < 2:
             links.near_count[i] = 0
 
@@ -93,9 +93,9 @@ def near_kernels(scalar) -> SimpleNamespace:
             reach = a[3] + b[3] + scalar(wp.static(NEAR)) * scenes.row[s].skin
             near = wp.length_sq(xyz(b) - xyz(a)) < reach * reach
             # A link that touched must be visited again, so that its parting is noticed. Bonded links count as touching.
-            near = near or links.touched[p] != APART
+            near = near or links.state[p] != APART
         place = take_place(links.near_count, near)
         if near:
             links.near[place] = wp.vec4i(first + link[0], first + link[1], row + link[2], p)
 
-    return SimpleNamespace(see_spheres=see_spheres, choose_near=choose_near)
+    return SimpleNamespace(record_positions=record_positions, choose_near=choose_near)

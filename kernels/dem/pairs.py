@@ -110,7 +110,7 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
     xyz = vector_functions(scalar).xyz
 
     @wp.func
-    def part(
+    def clear_parted(
         spheres: Spheres,
         pairs: Pairs,
         parameters: wp.array(dtype=Parameters),
@@ -174,7 +174,7 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
                 if k < end and kind_of(pairs.bond[k]) == HYDRATED:
                     continue  # The sub-cycling rounds, not this kernel, update the history of a stiff pair.
             if k < end:
-                lost += part(spheres, pairs, parameters, row, base, first, last, radius, mass, k)
+                lost += clear_parted(spheres, pairs, parameters, row, base, first, last, radius, mass, k)
         return lost
 
     return part_entries

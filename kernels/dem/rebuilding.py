@@ -20,12 +20,12 @@ def rebuilding_kernels(scalar) -> SimpleNamespace:
     Scenes = array_structs(scalar).Scenes
 
     @wp.kernel(module="unique", enable_backward=False)
-    def ask(flags: wp.array2d(dtype=wp.int32), scenes: Scenes, asked: wp.array(dtype=wp.int32)):
+    def needs_rebuild(flags: wp.array2d(dtype=wp.int32), scenes: Scenes, requested: wp.array(dtype=wp.int32)):
         every = scenes.row[0].sort_every
         # The host sorts the bodies, so a rebuild with sorting is left to the host.
         sorts = every > 0 and flags[0, STEPS] % wp.max(every, 1) == 0
         fails = flags[0, FAILED] != 0 or flags[0, OVERFLOW] != 0
-        asked[0] = wp.where(flags[0, STALE] != 0 and not fails and not sorts, 1, 0)
+        requested[0] = wp.where(flags[0, STALE] != 0 and not fails and not sorts, 1, 0)
 
     @wp.kernel(module="unique", enable_backward=False)
     def fit(
@@ -46,4 +46,4 @@ def rebuilding_kernels(scalar) -> SimpleNamespace:
         if holds:
             built[0] = built[0] + 1
 
-    return SimpleNamespace(ask=ask, fit=fit)
+    return SimpleNamespace(needs_rebuild=needs_rebuild, fit=fit)

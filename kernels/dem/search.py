@@ -116,8 +116,9 @@ def close_function(scalar):
 def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
     """Return the functions that decide where to search for neighbours and which spheres are neighbours.
 
-    They are `beginning`, `padded`, `belongs` and `held`. A bond may span a gap wider than the skin. Half lists find
-    such pairs by a wider search in the grid, full lists take them from the old list (`held`).
+    They are `query_of`, `padded_reach`, `is_neighbour` and `bonded_beyond_skin`. A bond may span a gap wider than the
+    skin. Half lists find such pairs by a wider search in the grid, full lists take them from the old list
+    (`bonded_beyond_skin`).
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -128,7 +129,7 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
     rounding = 8.0e-7 if scalar is wp.float32 else 1.6e-15
 
     @wp.struct
-    class Seeker:
+    class Query:
         s: wp.int32  # index in the batch of the sphere's scene
         base: wp.int32  # index of the scene's first sphere
         body: wp.int32
@@ -140,60 +141,66 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
     wider = half and bonds
 
     @wp.func
-    def beginning(scenes: Scenes, spheres: Spheres, stretched: wp.array(dtype=scalar), i: wp.int32) -> Seeker:
-        seeker = Seeker()
-        seeker.s = spheres.scene[i]
-        seeker.base = scenes.row[seeker.s].spheres
-        seeker.body = spheres.body[i]
+    def query_of(scenes: Scenes, spheres: Spheres, stretched: wp.array(dtype=scalar), i: wp.int32) -> Query:
+        query = Query()
+        query.s = spheres.scene[i]
+        query.base = scenes.row[query.s].spheres
+        query.body = spheres.body[i]
         position = read_vec4(spheres.position, i)
-        seeker.x = xyz(position)
-        seeker.radius = position[3]
-        seeker.margin = scenes.row[seeker.s].skin
+        query.x = xyz(position)
+        query.radius = position[3]
+        query.margin = scenes.row[query.s].skin
         if wp.static(wider):
-            seeker.margin = wp.max(stretched[i], seeker.margin)
-        return seeker
+            query.margin = wp.max(stretched[i], query.margin)
+        return query
 
     @wp.func
-    def padded(reach: scalar, middle: t.vec3) -> scalar:
+    def padded_reach(reach: scalar, middle: t.vec3) -> scalar:
         """Return the reach enlarged by the rounding error of shifted positions, in the query and in the grid."""
         return reach + scalar(wp.static(rounding)) * wp.max(wp.abs(middle))
 
     @wp.func
-    def belongs(
+    def is_neighbour(
         scenes: Scenes, spheres: Spheres, old_pairs: Pairs, old_place: wp.array(dtype=wp.int32),
-        stretched: wp.array(dtype=scalar), seeker: Seeker, i: wp.int32, j: wp.int32, position_j: t.vec4,
+        stretched: wp.array(dtype=scalar), query: Query, i: wp.int32, j: wp.int32, position_j: t.vec4,
     ) -> wp.bool:  # fmt: skip
         """Return True if spheres i and j belong in the list as a pair.
 
         They belong if they are parts of different bodies of one scene and their gap is within the skin, or is spanned
         by a bond.
         """
-        skin = scenes.row[seeker.s].skin
-        close = is_close(seeker.x, seeker.radius, xyz(position_j), position_j[3], skin)
+        skin = scenes.row[query.s].skin
+        close = is_close(query.x, query.radius, xyz(position_j), position_j[3], skin)
         if wp.static(wider):
-            if not close and stretched[i] > skin and spheres.scene[j] == seeker.s:
+            if not close and stretched[i] > skin and spheres.scene[j] == query.s:
                 old = find(
-                    old_pairs, seeker.s, seeker.base, scenes.row[seeker.s].pairs, old_place[i], old_place[j]
+                    old_pairs, query.s, query.base, scenes.row[query.s].pairs, old_place[i], old_place[j]
                 )  # fmt: skip
                 if old >= 0:
                     close = old_pairs.bond[old] > 0
-        return close and spheres.body[j] != seeker.body and spheres.scene[j] == seeker.s
+        return close and spheres.body[j] != query.body and spheres.scene[j] == query.s
 
     @wp.func
-    def held(
-        scenes: Scenes, spheres: Spheres, old_pairs: Pairs, new_place: wp.array(dtype=wp.int32), seeker: Seeker,
+    def bonded_beyond_skin(
+        scenes: Scenes, spheres: Spheres, old_pairs: Pairs, new_place: wp.array(dtype=wp.int32), query: Query,
         old: wp.int32,
     ) -> wp.int32:  # fmt: skip
         """Return the sphere to which an entry of the old list holds a bond across a gap wider than the skin, or -1."""
         if old_pairs.bond[old] <= 0:
             return -1
-        j = new_place[seeker.base + decode(old_pairs.other[old])]
+        j = new_place[query.base + decode(old_pairs.other[old])]
         position_j = read_vec4(spheres.position, j)
-        if is_close(seeker.x, seeker.radius, xyz(position_j), position_j[3], scenes.row[seeker.s].skin):
+        if is_close(query.x, query.radius, xyz(position_j), position_j[3], scenes.row[query.s].skin):
             return -1
         return j
 
-    return SimpleNamespace(Seeker=Seeker, beginning=beginning, padded=padded, belongs=belongs, held=held)
+    return SimpleNamespace(
+        Query=Query,
+        query_of=query_of,
+        padded_reach=padded_reach,
+        is_neighbour=is_neighbour,
+        bonded_beyond_skin=bonded_beyond_skin,
+    )
 
 
 @functools.cache
@@ -214,7 +221,7 @@ def half_search_kernel(scalar, bonds: bool):
     Grid = grid_struct(scalar)
     region, run_of = grid_functions(scalar).region, grid_functions(scalar).run_of
     f = search_functions(scalar, True, bonds)
-    beginning, padded, belongs = f.beginning, f.padded, f.belongs
+    query_of, padded_reach, is_neighbour = f.query_of, f.padded_reach, f.is_neighbour
 
     @wp.func
     def holds(i: wp.int32, j: wp.int32, radius_i: scalar, radius_j: scalar, first: wp.int32, last: wp.int32):
@@ -259,23 +266,23 @@ def half_search_kernel(scalar, bonds: bool):
         for i in range(first, last):
             if flags[spheres.scene[i], STALE] == 0:
                 continue
-            seeker = beginning(scenes, spheres, stretched, i)
-            s = seeker.s
-            reach = seeker.radius + scenes.scale[s] * scenes.row[s].largest_radius + seeker.margin
-            if not near_another(seeker.x, reach, boxes, part):
-                reach = seeker.radius + seeker.radius + seeker.margin
+            query = query_of(scenes, spheres, stretched, i)
+            s = query.s
+            reach = query.radius + scenes.scale[s] * scenes.row[s].largest_radius + query.margin
+            if not near_another(query.x, reach, boxes, part):
+                reach = query.radius + query.radius + query.margin
             found = wp.int32(0)
-            middle = seeker.x + shift[s]
-            around = region(grid, middle, padded(reach, middle))
+            middle = query.x + shift[s]
+            around = region(grid, middle, padded_reach(reach, middle))
             for number in range(around.runs):
                 run = run_of(grid, around, number)
                 for at in range(run[0], run[1]):
                     j = read_int(grid.point, at)
                     position_j = read_vec4(spheres.position, j)
-                    if belongs(scenes, spheres, old_pairs, old_place, stretched, seeker, i, j, position_j):
-                        if holds(i, j, seeker.radius, position_j[3], first, last):
+                    if is_neighbour(scenes, spheres, old_pairs, old_place, stretched, query, i, j, position_j):
+                        if holds(i, j, query.radius, position_j[3], first, last):
                             if row >= room[0] and row + found < room[1]:
-                                insert(other, row, found, j - seeker.base)
+                                insert(other, row, found, j - query.base)
                             found += 1
             count[i + s] = found
             place[i] = row
@@ -304,34 +311,34 @@ def octant_functions(scalar):
 
 
 @functools.cache
-def noting_functions(scalar, bonds: bool):
-    """Return the functions `old_row` and `note` for the search of full lists."""
+def recording_functions(scalar, bonds: bool):
+    """Return the functions `old_row` and `add_neighbour` for the search of full lists."""
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs
-    Seeker = search_functions(scalar, False, bonds).Seeker
+    Query = search_functions(scalar, False, bonds).Query
 
     @wp.func
     def old_row(
-        scenes: Scenes, old_pairs: Pairs, old_place: wp.array(dtype=wp.int32), seeker: Seeker, i: wp.int32
+        scenes: Scenes, old_pairs: Pairs, old_place: wp.array(dtype=wp.int32), query: Query, i: wp.int32
     ):  # fmt: skip
         """Return the first and the end entry of a sphere's row in the old list."""
-        row = scenes.row[seeker.s].pairs
-        place = old_place[i] + seeker.s
+        row = scenes.row[query.s].pairs
+        place = old_place[i] + query.s
         return row + old_pairs.start[place], row + old_pairs.start[place + 1]
 
     @wp.func
-    def note(
+    def add_neighbour(
         count: wp.array(dtype=wp.int32), finds: wp.array2d(dtype=wp.int32), total: wp.array(dtype=wp.int32),
-        seeker: Seeker, i: wp.int32, j: wp.int32,
+        query: Query, i: wp.int32, j: wp.int32,
     ):  # fmt: skip
         """Count a neighbour, and store it in `finds` if there is room."""
-        found = wp.atomic_add(count, i + seeker.s, 1)
+        found = wp.atomic_add(count, i + query.s, 1)
         if found < finds.shape[0]:
-            finds[found, i] = j - seeker.base
+            finds[found, i] = j - query.base
         else:
             wp.atomic_max(total, total.shape[0] - 1, found + 1)
 
-    return old_row, note
+    return old_row, add_neighbour
 
 
 @functools.cache
@@ -355,13 +362,19 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
     Grid = grid_struct(scalar)
     region, run_of = grid_functions(scalar).region, grid_functions(scalar).run_of
     f = search_functions(scalar, False, bonds)
-    Seeker, beginning, padded, belongs, held = f.Seeker, f.beginning, f.padded, f.belongs, f.held
+    Query, query_of, padded_reach, is_neighbour, bonded_beyond_skin = (
+        f.Query,
+        f.query_of,
+        f.padded_reach,
+        f.is_neighbour,
+        f.bonded_beyond_skin,
+    )
     side, within = octant_functions(scalar)
-    old_row, note = noting_functions(scalar, bonds)
+    old_row, add_neighbour = recording_functions(scalar, bonds)
 
     @wp.func
-    def reach_of(scenes: Scenes, seeker: Seeker) -> scalar:
-        return seeker.radius + scenes.scale[seeker.s] * scenes.row[seeker.s].largest_radius + seeker.margin
+    def reach_of(scenes: Scenes, query: Query) -> scalar:
+        return query.radius + scenes.scale[query.s] * scenes.row[query.s].largest_radius + query.margin
 
     @wp.kernel(module="unique", enable_backward=False)
     def search(
@@ -384,29 +397,29 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
         lane = wp.tid() % lanes
         if flags[spheres.scene[i], STALE] == 0:
             return
-        seeker = beginning(scenes, spheres, stretched, i)
-        reach = reach_of(scenes, seeker)
-        middle = seeker.x + shift[seeker.s]
+        query = query_of(scenes, spheres, stretched, i)
+        reach = reach_of(scenes, query)
+        middle = query.x + shift[query.s]
         if wp.static(lanes > 1):
             middle += scalar(0.5) * reach * t.vec3(side(lane, 0), side(lane, 1), side(lane, 2))
             reach = scalar(0.5) * reach
-        around = region(grid, middle, padded(reach, middle))
+        around = region(grid, middle, padded_reach(reach, middle))
         for number in range(around.runs):
             run = run_of(grid, around, number)
             for at in range(run[0], run[1]):
                 j = read_int(grid.point, at)
                 position_j = read_vec4(spheres.position, j)
                 if wp.static(lanes > 1):
-                    if not within(xyz(position_j) - seeker.x, lane):
+                    if not within(xyz(position_j) - query.x, lane):
                         continue
-                if belongs(scenes, spheres, old_pairs, old_place, stretched, seeker, i, j, position_j):
-                    note(count, finds, total, seeker, i, j)
+                if is_neighbour(scenes, spheres, old_pairs, old_place, stretched, query, i, j, position_j):
+                    add_neighbour(count, finds, total, query, i, j)
         if wp.static(bonds):
-            first, last = old_row(scenes, old_pairs, old_place, seeker, i)
+            first, last = old_row(scenes, old_pairs, old_place, query, i)
             for old in range(first + lane, last, lanes):
-                j = held(scenes, spheres, old_pairs, new_place, seeker, old)
+                j = bonded_beyond_skin(scenes, spheres, old_pairs, new_place, query, old)
                 if j >= 0:
-                    note(count, finds, total, seeker, i, j)
+                    add_neighbour(count, finds, total, query, i, j)
 
     @wp.kernel(module="unique", enable_backward=False)
     def fill(
@@ -430,25 +443,25 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
                 pairs.other[row + before] = entry
         elif wp.tid() % lanes == 0:
             # A sphere with more neighbours than `finds` holds is searched again.
-            seeker = beginning(scenes, spheres, stretched, i)
-            middle = seeker.x + shift[s]
+            query = query_of(scenes, spheres, stretched, i)
+            middle = query.x + shift[s]
             found = wp.int32(0)
-            around = region(grid, middle, padded(reach_of(scenes, seeker), middle))
+            around = region(grid, middle, padded_reach(reach_of(scenes, query), middle))
             for number in range(around.runs):
                 run = run_of(grid, around, number)
                 for at in range(run[0], run[1]):
                     j = read_int(grid.point, at)
                     position_j = read_vec4(spheres.position, j)
-                    if belongs(scenes, spheres, old_pairs, old_place, stretched, seeker, i, j, position_j):
+                    if is_neighbour(scenes, spheres, old_pairs, old_place, stretched, query, i, j, position_j):
                         if found < total:
-                            pairs.other[row + found] = j - seeker.base
+                            pairs.other[row + found] = j - query.base
                             found += 1
             if wp.static(bonds):
-                first, last = old_row(scenes, old_pairs, old_place, seeker, i)
+                first, last = old_row(scenes, old_pairs, old_place, query, i)
                 for old in range(first, last):
-                    j = held(scenes, spheres, old_pairs, new_place, seeker, old)
+                    j = bonded_beyond_skin(scenes, spheres, old_pairs, new_place, query, old)
                     if j >= 0 and found < total:
-                        pairs.other[row + found] = j - seeker.base
+                        pairs.other[row + found] = j - query.base
                         found += 1
             sort_row(pairs.other, row, row + found)
 

@@ -29,7 +29,7 @@ from .clock import arrived_function
 from .contact_law import contact_functions
 from .stiffness import estimate_struct, stiffness_functions
 from .structs import DT, STABLE, array_structs, subcycled_struct
-from .subcycling import PART, RELAXATION
+from .subcycling import RELAXATION, SUBCYCLED_STEP_FRACTION
 
 DEFAULT_SAFETY = 0.8
 """Default safety factor: the time step as a fraction of the stable step."""
@@ -55,7 +55,7 @@ def estimate_options(half: bool) -> dict:
 def begin_kernel(scalar):
     """Return the kernel over scenes that selects the scenes with an estimate due and resets their sums.
 
-    An estimate is due for a scene if the host set the scene's entry in `asked`. With `by_device` the device decides
+    An estimate is due for a scene if the host set the scene's entry in `requested`. With `by_device` the device decides
     instead: an estimate is due if the scene has halted because its interval between estimates is over.
     """
     structs = array_structs(scalar)
@@ -65,7 +65,7 @@ def begin_kernel(scalar):
     @wp.kernel(module="unique", enable_backward=False)
     def begin_estimate(
         # The next arguments are arrays that this kernel only reads.
-        asked: wp.array(dtype=wp.int32),
+        requested: wp.array(dtype=wp.int32),
         by_device: wp.bool,
         flags: wp.array2d(dtype=wp.int32),
         scenes: Scenes,
@@ -74,7 +74,7 @@ def begin_kernel(scalar):
         estimate: Estimate,
     ):
         s = wp.tid()
-        wanted = asked[s] != 0
+        wanted = requested[s] != 0
         if by_device:
             # A scene with stale lists waits for the rebuild, as on a CPU, because the sums depend on the order of the
             # rows.
@@ -85,8 +85,8 @@ def begin_kernel(scalar):
             return
         for part in range(estimate.smallest.shape[0]):
             estimate.smallest[part, s] = wp.float64(wp.static(LONGEST))
-            estimate.finest[part, s] = wp.float64(wp.static(LONGEST))
-            estimate.fastest[part, s] = scenes.row[s].foreseen_speed
+            estimate.resolution_step[part, s] = wp.float64(wp.static(LONGEST))
+            estimate.fastest[part, s] = scenes.row[s].expected_speed
             for w in range(scenes.row[s].walls, scenes.row[s].walls + scenes.row[s].wall_count):
                 estimate.wall_load[part, w, 0] = wp.int64(0)
                 estimate.wall_load[part, w, 1] = wp.int64(0)
@@ -95,23 +95,23 @@ def begin_kernel(scalar):
 
 
 @functools.cache
-def noting_functions(scalar):
+def recording_functions(scalar):
     """Return functions that record speeds and wall loads in an `Estimate`, and that combine its parts.
 
-    `hurry` records a speed, `load_wall` adds a contact's stiffness and damping to a wall, `fastest` returns a scene's
-    largest speed over all parts, and `least` its smallest value.
+    `record_speed` records a speed, `add_wall_stiffness` adds a contact's stiffness and damping to a wall, `fastest`
+    returns a scene's largest speed over all parts, and `least` its smallest value.
     """
     t = types(scalar)
     Estimate = estimate_struct(scalar)
 
     @wp.func
-    def hurry(estimate: Estimate, part: wp.int32, s: wp.int32, speed: scalar):
+    def record_speed(estimate: Estimate, part: wp.int32, s: wp.int32, speed: scalar):
         # Reading the maximum first avoids nearly all atomic operations. The value may be outdated, but never too high.
         if wp.float64(speed) > estimate.fastest[part, s]:
             wp.atomic_max(estimate.fastest, part, s, wp.float64(speed))
 
     @wp.func
-    def load_wall(estimate: Estimate, part: wp.int32, w: wp.int32, k: t.vec4):
+    def add_wall_stiffness(estimate: Estimate, part: wp.int32, w: wp.int32, k: t.vec4):
         # Integers give the same sum in any order.
         wp.atomic_add(estimate.wall_load, part, w, 0, wp.int64(wp.float64(k[0]) * wp.float64(1000.0)))
         wp.atomic_add(estimate.wall_load, part, w, 1, wp.int64(wp.float64(k[2]) * wp.float64(1000.0)))
@@ -130,7 +130,9 @@ def noting_functions(scalar):
             found = wp.min(found, parts[part, s])
         return found
 
-    return SimpleNamespace(hurry=hurry, load_wall=load_wall, fastest=fastest, least=least)
+    return SimpleNamespace(
+        record_speed=record_speed, add_wall_stiffness=add_wall_stiffness, fastest=fastest, least=least
+    )
 
 
 @functools.cache
@@ -215,7 +217,7 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
     full, row_sum, stable = matrices.full, matrices.row_sum, matrices.stable
     vec6 = wp.types.vector(6, scalar)
     xyz = vector_functions(scalar).xyz
-    fastest = noting_functions(scalar).fastest
+    fastest = recording_functions(scalar).fastest
     rows = row_functions(scalar)
     read_vec3, read_vec4 = rows.read_vec3, rows.read_vec4
 
@@ -244,8 +246,8 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
         top = scalar(fastest(estimate, s))
         mass = bodies.mass[b]
         inertia = bodies.inertia[b]
-        slight = wp.min(inertia)
-        stout = wp.max(inertia)
+        smallest_inertia = wp.min(inertia)
+        largest_inertia = wp.max(inertia)
         k_sum = vec6()
         c_sum = vec6()
         k_turn = vec6()
@@ -270,9 +272,9 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
             own = wp.length(xyz(read_vec4(spheres.velocity, place)))
             speed = own + top
             lever = radius + wp.length(xyz(position) - read_vec3(bodies.position, b))
-            turn = scalar(1.0) + mass * wp.max(radius * radius / slight, lever * lever / stout)
+            turn = scalar(1.0) + mass * wp.max(radius * radius / smallest_inertia, lever * lever / largest_inertia)
             row = scenes.row[s].laws + spheres.material[place] * materials
-            tip = scalar(1.0) + mass * (lever - radius) * (lever - radius) / stout
+            tip = scalar(1.0) + mass * (lever - radius) * (lever - radius) / largest_inertia
             k, c, k_smooth = floor_of(pair_parameters, wall_parameters, row, materials, radius, speed, mass, turn, tip)
             k_floor = wp.max(k_floor, k)
             k_resolved = wp.max(k_resolved, k_smooth)
@@ -291,8 +293,8 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
         fine = leap
         if k_resolved > scalar(0.0):
             fine = wp.min(fine, wp.sqrt(mass / k_resolved))
-        if not stiff and wp.float64(fine) < estimate.finest[part, s]:
-            wp.atomic_min(estimate.finest, part, s, wp.float64(fine))
+        if not stiff and wp.float64(fine) < estimate.resolution_step[part, s]:
+            wp.atomic_min(estimate.resolution_step, part, s, wp.float64(fine))
         if wp.float64(step) < estimate.smallest[part, s]:
             wp.atomic_min(estimate.smallest, part, s, wp.float64(step))
         elif not (step >= scalar(0.0)):
@@ -305,7 +307,7 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
 def keep_kernel(scalar):
     """Return the kernel over scenes that stores the latest estimate as the stable step of sub-cycled pairs."""
     Estimate, Subcycled = estimate_struct(scalar), subcycled_struct(scalar)
-    least = noting_functions(scalar).least
+    least = recording_functions(scalar).least
 
     @wp.kernel(module="unique", enable_backward=False)
     def keep_stable(due: wp.array(dtype=wp.int32), estimate: Estimate, subcycled: Subcycled):
@@ -318,7 +320,7 @@ def keep_kernel(scalar):
 
 
 @functools.cache
-def settle_kernel(scalar, subcycling: bool):
+def step_kernel(scalar, subcycling: bool):
     """Return the kernel over scenes that sets the stable step, driven walls included, and the next time step.
 
     With `by_device`, scenes then continue. A scene without a usable step stays halted, so that the host can report it.
@@ -327,10 +329,10 @@ def settle_kernel(scalar, subcycling: bool):
     Scenes, Walls = structs.Scenes, structs.Walls
     Estimate, Subcycled = estimate_struct(scalar), subcycled_struct(scalar)
     arrived = arrived_function(scalar)
-    least = noting_functions(scalar).least
+    least = recording_functions(scalar).least
 
     @wp.kernel(module="unique", enable_backward=False)
-    def settle_step(
+    def set_step(
         # The next arguments are arrays that this kernel only reads.
         due: wp.array(dtype=wp.int32),
         by_device: wp.bool,
@@ -352,7 +354,7 @@ def settle_kernel(scalar, subcycling: bool):
                 # requires k h^2 + c h <= m, hence h <= stable / sqrt(1 + RELAXATION rounds).
                 rounds = wp.float64(subcycled.rounds[s])
                 stiff = subcycled.stable[s] * rounds / wp.sqrt(one + wp.float64(RELAXATION) * rounds)
-                step = wp.min(wp.float64(PART) * step, stiff)
+                step = wp.min(wp.float64(SUBCYCLED_STEP_FRACTION) * step, stiff)
         for w in range(scenes.row[s].walls, scenes.row[s].walls + scenes.row[s].wall_count):
             if walls.table[w].motion == DRIVEN:
                 # A driven wall has inertia like a body. Its load is at least one contact with the largest sphere.
@@ -376,11 +378,11 @@ def settle_kernel(scalar, subcycling: bool):
             usable = usable and scenes.row[s].fixed_step <= step * wp.max(one, scenes.row[s].safety)
         else:
             bold = wp.max(one, scenes.row[s].safety / wp.float64(wp.static(DEFAULT_SAFETY)))
-            fine = bold * least(estimate.finest, s)
+            fine = bold * least(estimate.resolution_step, s)
             scenes.clock[s, DT] = wp.min(wp.min(scenes.row[s].safety * step, fine), scenes.row[s].largest_step)
         if by_device and usable:
             flags[s, ESTIMATED] = flags[s, STEPS]
             if not arrived(flags, scenes, s):
                 flags[s, HALTED] = 0
 
-    return settle_step
+    return set_step

@@ -29,7 +29,9 @@ def estimate_struct(scalar):
         # stiffness [mN/m] and damping [mN s/m] of the contacts of each wall, shape (parts, walls, 2)
         wall_load: wp.array3d(dtype=wp.int64)
         smallest: wp.array2d(dtype=wp.float64)  # smallest stable step of any body, shape (parts, scenes) [s]
-        finest: wp.array2d(dtype=wp.float64)  # smallest step limit by impacts and speeds [s], shape (parts, scenes)
+        resolution_step: wp.array2d(
+            dtype=wp.float64
+        )  # smallest step limit by impacts and speeds [s], shape (parts, scenes)
         fastest: wp.array2d(dtype=wp.float64)  # largest speed of any body or wall, shape (parts, scenes) [m/s]
 
     return Estimate

@@ -27,7 +27,7 @@ STABLE = wp.constant(5)  # latest estimate of the stable step, without safety fa
 # Number of columns of `clock`.
 CLOCK = 8
 
-# States of a link, in `links.touched`.
+# States of a link, in `links.state`.
 APART = wp.constant(0)  # the spheres do not touch
 TOUCHING = wp.constant(1)  # the spheres touch or are bonded, or a new list has taken over their contact history
 PARTED = wp.constant(2)  # just parted with energy left in the springs; the sums of the next step count this loss
@@ -56,7 +56,7 @@ def scene_struct(scalar):
         until: wp.float64  # time at which the scene halts [s]
         interval: wp.int32  # steps between two estimates of the stable step
         sort_every: wp.int32  # steps between two re-sortings of the bodies; 0: never
-        foreseen_speed: wp.float64  # largest speed expected before the next stable step estimate [m/s]
+        expected_speed: wp.float64  # largest speed expected before the next stable step estimate [m/s]
         wall_stiffness: wp.float64  # lower bound of the contact stiffness that a driven wall meets [N/m]
         largest_radius: scalar  # largest sphere radius, at full size [m]
         bodies: wp.int32  # first row of the scene in this and each following flat array; `..._count`: number of rows
@@ -70,7 +70,7 @@ def scene_struct(scalar):
         walls: wp.int32
         wall_count: wp.int32
         analytic: wp.int32  # number of planes and pipes, which precede meshes in the list of walls
-        still: wp.int32  # 1 if no plane or pipe of the scene ever moves, else 0
+        walls_fixed: wp.int32  # 1 if no plane or pipe of the scene ever moves, else 0
         held: wp.int32  # 1 if walls with prescribed motion are held at rest for now, else 0
         materials: wp.int32  # number of materials; contact parameters form a square table over pairs of materials
         laws: wp.int32  # first row of the scene in the table of contact parameters
@@ -203,19 +203,21 @@ def links_struct(scalar):
     class Links:
         link: wp.array(dtype=wp.vec4i)  # lower and higher sphere, entry and twin, numbered per scene; or -1: unused
         scene: wp.array(dtype=wp.int32)  # index of each link's scene in the batch, shape (links,)
-        touched: wp.array(dtype=wp.int32)  # state: APART, TOUCHING, PARTED or STIFF, shape (links,)
-        more: wp.array(dtype=wp.int32)  # touching bits of later list entries, MORE integers a sphere
+        state: wp.array(dtype=wp.int32)  # state: APART, TOUCHING, PARTED or STIFF, shape (links,)
+        later_touching: wp.array(dtype=wp.int32)  # touching bits of later list entries, EXTRA_MASKS integers a sphere
         end: wp.array(dtype=wp.int32)  # for each list entry, the index p of its link in the scene; -1 - p for a twin
-        # `pull` holds the result of each link in this step. A link has two rows: (force on its lower sphere [N], arm of
-        # that sphere [m]) and (contact moment divided by the arm [N], arm of the higher sphere [m]). With bonds,
-        # rolling resistance or energy sums it has four rows, two for each sphere: (force on the sphere [N], lost
-        # energy [J] at the lower sphere or 0) and (moment about its centre [N m], 0).
-        pull: wp.array(dtype=t.vec4)
+        # `result` holds the result of each link in this step. A link has two rows: (force on its lower sphere [N], arm
+        # of that sphere [m]) and (contact moment divided by the arm [N], arm of the higher sphere [m]). With bonds,
+        # rolling resistance or energy sums it has four rows, two for each sphere: (force on the sphere [N], lost energy
+        # [J] at the lower sphere or 0) and (moment about its centre [N m], 0).
+        result: wp.array(dtype=t.vec4)
         near: wp.array(dtype=wp.vec4i)  # near links: indices in the batch of both spheres, the list entry and the link
         near_count: wp.array(dtype=wp.int32)  # number of near links, and 1 if any scene must check all its links, (2,)
-        outrun: wp.array(dtype=wp.int32)  # 1 if the scene's near links may miss a contact, else 0, shape (scenes,)
-        seen: wp.array(dtype=t.vec4)  # sphere positions and radii when near links were chosen [m], (spheres,)
-        seen_at: wp.array(dtype=wp.float64)  # time since the list rebuild when near links were chosen [s], (scenes,)
+        near_list_exceeded: wp.array(
+            dtype=wp.int32
+        )  # 1 if the scene's near links may miss a contact, else 0, shape (scenes,)
+        near_position: wp.array(dtype=t.vec4)  # sphere positions and radii when near links were chosen [m], (spheres,)
+        near_time: wp.array(dtype=wp.float64)  # time since the list rebuild when near links were chosen [s], (scenes,)
 
     return Links
 

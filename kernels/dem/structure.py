@@ -8,7 +8,7 @@ from .structs import array_structs
 
 
 @functools.cache
-def wear_kernel(scalar, law):
+def breakdown_kernel(scalar, law):
     """Return a kernel, one thread a scene, that updates the yield stress of a :class:`LubricationLayer` `law`.
 
     The yield stress that the layer gained at rest decays with the slip as exp(-slip / breakdown). Slip is the travel of
@@ -19,7 +19,7 @@ def wear_kernel(scalar, law):
     Parameters = law.functions(scalar).Parameters
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
-    def wear_structure(
+    def break_down_structure(
         own_yield: wp.array(dtype=scalar),  # yield stress without the gain at rest [Pa], one value per contact law
         gained: wp.array(dtype=wp.float64),  # yield stress gained at rest [Pa], one value per scene; 0 before a rest
         # slip after which the gained yield stress has fallen to 1/e [m], one value per scene
@@ -43,4 +43,4 @@ def wear_kernel(scalar, law):
                 law_row.yield_stress = own_yield[k] + left
                 wall_parameters[k] = law_row
 
-    return wear_structure
+    return break_down_structure

@@ -14,8 +14,8 @@ An alternative was tried and rejected: the usual scheme that applies all other f
 al. 1992). A kick loads a stiff bond with the force multiplied by the number of bond periods in a step, which broke
 bonds that survive without sub-cycling. Forces held constant, as used here, have a drawback too. They feed energy into
 vibrations with periods between half a step and a full step, mostly through the dashpots of ordinary contacts, which act
-when the velocity has already changed. Therefore the step is limited to half of what ordinary contacts allow (`PART`),
-and stiff bonds have dashpots (`RELAXATION`).
+when the velocity has already changed. Therefore the step is limited to half of what ordinary contacts allow
+(`SUBCYCLED_STEP_FRACTION`), and stiff bonds have dashpots (`RELAXATION`).
 """
 
 import functools
@@ -26,13 +26,13 @@ from ..common.control import FAILED, HALTED
 from ..common.resident import gather
 from ..common.types import SPAN, types, vector_functions
 from .bond_parallel import HYDRATED, bond_functions, load_row
-from .clump_motion import carry_function
+from .clump_motion import sphere_motion_function
 from .contacts import contact_options
 from .motion import motion_functions, rotation_functions
 from .pairs import bonded_function, broken_function, pair_functions
 from .structs import DT, DT_PREVIOUS, array_structs, links_struct, subcycled_struct
 
-PART = 0.5
+SUBCYCLED_STEP_FRACTION = 0.5
 """Largest step with sub-cycling, as a fraction of the stable step of all other contacts."""
 RELAXATION = 0.01
 """Relaxation time of a stiff bond's dashpots (damping / stiffness), as a fraction of the time step."""
@@ -207,13 +207,13 @@ def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
 
 @functools.cache
 def kick_functions(scalar, dissipation: bool):
-    """Return the functions `kicked` (apply the forces to a body) and `book` (record losses and broken bonds)."""
+    """Return `apply_kick` (apply the forces to a body) and `record_losses` (record losses and broken bonds)."""
     Spheres = array_structs(scalar).Spheres
     Subcycled = subcycled_struct(scalar)
     count_broken = broken_function(scalar)
 
     @wp.func
-    def kicked(subcycled: Subcycled, q: wp.int32, kick: scalar):
+    def apply_kick(subcycled: Subcycled, q: wp.int32, kick: scalar):
         """Return velocity and angular momentum of body q after all forces have acted for the time `kick` [s]."""
         total = subcycled.other_force[q]
         torque = subcycled.other_torque[q]
@@ -224,7 +224,7 @@ def kick_functions(scalar, dissipation: bool):
         return velocity, subcycled.angular_momentum[q] + kick * torque
 
     @wp.func
-    def book(subcycled: Subcycled, spheres: Spheres, q: wp.int32, i: wp.int32):
+    def record_losses(subcycled: Subcycled, spheres: Spheres, q: wp.int32, i: wp.int32):
         """Add energy loss and broken bonds of body q's stiff pairs to sphere i, each pair at its lower sphere only."""
         for place in range(subcycled.start[q], subcycled.start[q + 1]):
             if subcycled.ref[place] % 2 == 0:
@@ -236,7 +236,7 @@ def kick_functions(scalar, dissipation: bool):
                     spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + subcycled.lost[p]
                     subcycled.lost[p] = wp.float64(0.0)
 
-    return kicked, book
+    return apply_kick, record_losses
 
 
 @functools.cache
@@ -245,7 +245,7 @@ def body_round_function(scalar):
     Scenes = array_structs(scalar).Scenes
     Subcycled = subcycled_struct(scalar)
     turned, spin_at_middle = rotation_functions(scalar)
-    moved_on, kicked = motion_functions(scalar, False).moved_on, kick_functions(scalar, False)[0]
+    new_position, apply_kick = motion_functions(scalar, False).new_position, kick_functions(scalar, False)[0]
 
     @wp.func
     def body_round(
@@ -259,8 +259,8 @@ def body_round_function(scalar):
         kick = dt
         if turn == 0:
             kick = scalar(0.5) * dt
-        velocity, angular_momentum = kicked(subcycled, q, kick)
-        x, rounding = moved_on(subcycled.position[q], dt * velocity, subcycled.rounding[q])
+        velocity, angular_momentum = apply_kick(subcycled, q, kick)
+        x, rounding = new_position(subcycled.position[q], dt * velocity, subcycled.rounding[q])
         spin = spin_at_middle(subcycled.orientation[q], angular_momentum, subcycled.inertia[q], dt)
         subcycled.orientation[q] = wp.normalize(turned(subcycled.orientation[q], dt * spin))
         subcycled.rounding[q] = rounding
@@ -349,7 +349,7 @@ def rounds_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
 
 
 @functools.cache
-def foreseeing_kernel(scalar, meshes: bool, half: bool, dissipation: bool):
+def prediction_kernel(scalar, meshes: bool, half: bool, dissipation: bool):
     """Return the kernel over bodies with stiff bonds that runs after the last round of a step.
 
     It applies the last half kick, predicts the bodies' positions at the end of the step for the contact kernels, and
@@ -360,11 +360,11 @@ def foreseeing_kernel(scalar, meshes: bool, half: bool, dissipation: bool):
     Scenes, Bodies, Spheres = structs.Scenes, structs.Bodies, structs.Spheres
     Subcycled = subcycled_struct(scalar)
     turned, spin_at_middle = rotation_functions(scalar)
-    carry, Links = carry_function(scalar, False, meshes, half), links_struct(scalar)
-    kicked, book = kick_functions(scalar, dissipation)
+    move_sphere, Links = sphere_motion_function(scalar, False, meshes, half), links_struct(scalar)
+    apply_kick, record_losses = kick_functions(scalar, dissipation)
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
-    def foresee_bodies(
+    def predict_bodies(
         # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         last: wp.int32,
@@ -386,7 +386,7 @@ def foreseeing_kernel(scalar, meshes: bool, half: bool, dissipation: bool):
             b = subcycled.place[q]
             ahead = scalar(0.5) * scalar(scenes.clock[s, DT])
             kick = scalar(0.25) * scalar(scenes.clock[s, DT] + scenes.clock[s, DT_PREVIOUS]) / scalar(rounds)
-            velocity, angular_momentum = kicked(subcycled, q, kick)
+            velocity, angular_momentum = apply_kick(subcycled, q, kick)
             if not (wp.length_sq(velocity) <= scenes.row[s].speed_limit * scenes.row[s].speed_limit):
                 wp.atomic_cas(flags, s, FAILED, 0, 1 + b - scenes.row[s].bodies)
                 continue
@@ -402,11 +402,11 @@ def foreseeing_kernel(scalar, meshes: bool, half: bool, dissipation: bool):
             bodies.angular_momentum[b] = angular_momentum
             bodies.spin[b] = spin
             begin = scenes.row[s].spheres + bodies.first[b + s]
-            book(subcycled, spheres, q, begin)
+            record_losses(subcycled, spheres, q, begin)
             for i in range(begin, scenes.row[s].spheres + bodies.first[b + s + 1]):
-                carry(
+                move_sphere(
                     flags, scenes, spheres, links, s, i, x, orientation, scalar(1.0), velocity, spin,
                     subcycled.mass[q], scalar(2.0) * ahead,
                 )  # fmt: skip
 
-    return foresee_bodies
+    return predict_bodies

@@ -29,7 +29,7 @@ def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int):
     Parameters = law.functions(scalar).Parameters
     surface = analytic_wall_functions(scalar, law, False, dissipation, wear, width)
     Segment, far_from_walls, on_walls = surface.Segment, surface.far_from_walls, surface.on_walls
-    anywhere = warp_functions(scalar, width).anywhere
+    any_in_warp = warp_functions(scalar, width).any_in_warp
     rows = row_functions(scalar)
     read_vec4, write_vec3 = rows.read_vec4, rows.write_vec3
 
@@ -53,8 +53,8 @@ def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int):
         s = spheres.scene[i]
         here = place < count and flags[s, HALTED] == 0
         far = far_from_walls(read_vec4(spheres.position, i), read_vec4(spheres.clear, i))
-        near = here and (not far or scenes.row[s].still == 0)
-        if anywhere(near):
+        near = here and (not far or scenes.row[s].walls_fixed == 0)
+        if any_in_warp(near):
             force, moment, lost = on_walls(
                 i, scenes.row[s], near, far, wp.tid() % width, 1 << lane_bits, scalar(scenes.clock[s, DT_PREVIOUS]),
                 scenes.clock[s, FORCE_SCALE], wall_parameters, segments, spheres, slots, walls,

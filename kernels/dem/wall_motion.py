@@ -47,7 +47,7 @@ def motion_functions(scalar, strokes: bool):
     Wall = wall_struct(scalar)
 
     @wp.func
-    def gone_at(wall: Wall, time: wp.float64):
+    def distance_at(wall: Wall, time: wp.float64):
         if wp.static(strokes):
             if wall.stops > wp.float64(0.0):
                 return stopped(time, wall.ramp_time, wall.stroke_time, wall.pause, wall.stops)
@@ -57,7 +57,7 @@ def motion_functions(scalar, strokes: bool):
     def follow(walls: Walls, w: wp.int32, now: wp.float64, dt: wp.float64):
         wall = walls.table[w]
         before = walls.position_exact[w]
-        gone = gone_at(wall, now)
+        gone = distance_at(wall, now)
         angle = gone * wp.length(wall.spin)
         after = walls.rest_position[w]
         if angle > wp.float64(0.0):
@@ -68,7 +68,7 @@ def motion_functions(scalar, strokes: bool):
         after += gone * wall.velocity  # The pivot moves with the wall's velocity.
         rate = wp.float64(0.0)
         if dt > wp.float64(0.0):
-            rate = (gone - gone_at(wall, now - dt)) / dt
+            rate = (gone - distance_at(wall, now - dt)) / dt
         # The velocity is averaged over the step, like the leapfrog velocities of bodies.
         walls.spin[w] = t.vec3(rate * wall.spin)
         walls.position_exact[w] = after

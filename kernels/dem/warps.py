@@ -24,16 +24,16 @@ LANES_LEAST = """
 def warp_functions(scalar, width: int) -> SimpleNamespace:
     """Return functions that all threads of a warp of `width` threads must call together.
 
-    `anywhere` returns True if a condition holds for any thread. `from_lane` reads a number of another thread, and
-    `energy_from_lane` does so in double precision. `settle` is a memory barrier: after it, threads may overwrite what
-    other threads have read. `bits_of_lanes` and `least_of_lanes` return the bitwise or and the minimum over groups of
-    `lanes` adjacent threads, where `lanes` is a power of two.
+    `any_in_warp` returns True if a condition holds for any thread. `from_lane` reads a number of another thread, and
+    `energy_from_lane` does so in double precision. `sync_warp` is a memory barrier: after it, threads may overwrite
+    what other threads have read. `bits_of_lanes` and `least_of_lanes` return the bitwise or and the minimum over groups
+    of `lanes` adjacent threads, where `lanes` is a power of two.
     """
     alone = width == 1
     taken = "return value;" if alone else "return __shfl_sync(0xffffffffu, value, lane);"
 
     @wp.func_native("return holds;" if alone else "return __any_sync(0xffffffffu, holds);")
-    def anywhere(holds: wp.bool) -> wp.bool: ...
+    def any_in_warp(holds: wp.bool) -> wp.bool: ...
 
     @wp.func_native(taken)
     def from_lane(value: scalar, lane: wp.int32) -> scalar: ...
@@ -42,7 +42,7 @@ def warp_functions(scalar, width: int) -> SimpleNamespace:
     def energy_from_lane(value: wp.float64, lane: wp.int32) -> wp.float64: ...
 
     @wp.func_native("" if alone else "__syncwarp();")
-    def settle(): ...
+    def sync_warp(): ...
 
     @wp.func_native("return value;" if alone else LANES_BITS)
     def bits_of_lanes(value: wp.int32, lanes: wp.int32) -> wp.int32: ...
@@ -51,7 +51,7 @@ def warp_functions(scalar, width: int) -> SimpleNamespace:
     def least_of_lanes(value: scalar, lanes: wp.int32) -> scalar: ...
 
     return SimpleNamespace(
-        anywhere=anywhere, from_lane=from_lane, energy_from_lane=energy_from_lane, settle=settle,
+        any_in_warp=any_in_warp, from_lane=from_lane, energy_from_lane=energy_from_lane, sync_warp=sync_warp,
         bits_of_lanes=bits_of_lanes, least_of_lanes=least_of_lanes,
     )  # fmt: skip
 

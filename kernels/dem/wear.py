@@ -11,14 +11,14 @@ from .contact_law import contact_functions
 
 @functools.cache
 def wear_functions(scalar, law) -> SimpleNamespace:
-    """Return `worn_by` (wear by one contact in one step) and `in_frame` (a point in the wall's frame)."""
+    """Return `contact_wear` (wear by one contact in one step) and `in_frame` (a point in the wall's frame)."""
     t = types(scalar)
     functions = law.functions(scalar)
     Parameters, contact_force = functions.Parameters, functions.force
     Touch, wall_touch = contact_functions(scalar).Touch, contact_functions(scalar).wall_touch
 
     @wp.func
-    def worn_by(p: Parameters, touch: Touch, f: t.vec3, lost: scalar, dt: scalar):
+    def contact_wear(p: Parameters, touch: Touch, f: t.vec3, lost: scalar, dt: scalar):
         """Return a contact's work of sliding [J], impact loss [J] and load times sliding distance [N m] in a step.
 
         `f` is the contact force and `lost` the contact's total energy loss. The split works for any contact law: the
@@ -37,4 +37,4 @@ def wear_functions(scalar, law) -> SimpleNamespace:
     def in_frame(point: t.vec3, position: t.vec3, orientation: t.quat):
         return wp.quat_rotate_inv(orientation, point - position)
 
-    return SimpleNamespace(worn_by=worn_by, in_frame=in_frame)
+    return SimpleNamespace(contact_wear=contact_wear, in_frame=in_frame)

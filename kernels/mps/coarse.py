@@ -54,13 +54,13 @@ def serial_coarse_kernel(scalar, dimensions: int, vector: bool):
 
     The middle slot of a row holds 1 over the diagonal, or 0 if the cube contains no unknowns.
     """
-    Flow = flow_struct(scalar)
+    FlowConstants = flow_struct(scalar)
     Matrix = array_structs(scalar, dimensions).Matrix
     slot_of = slot_function(scalar, dimensions)
     slots = 3**dimensions
 
     @wp.kernel(enable_backward=False, module="unique")
-    def cubes(flow: Flow, begin: wp.int32, end: wp.int32, flags: wp.array(dtype=wp.int32), matrix: Matrix):
+    def cubes(flow: FlowConstants, begin: wp.int32, end: wp.int32, flags: wp.array(dtype=wp.int32), matrix: Matrix):
         if flags[HALTED] != 0:
             return
         count = matrix.coarse.count
@@ -98,14 +98,14 @@ def coarse_kernels(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
     `pairs` runs with one task per particle, then `sums` with one task per entry of the coarse matrix.
     """
-    Flow = flow_struct(scalar)
+    FlowConstants = flow_struct(scalar)
     Matrix = array_structs(scalar, dimensions).Matrix
     slot_of = slot_function(scalar, dimensions)
     place = row_place(False)
     slots = 3**dimensions
 
     @wp.kernel(enable_backward=False, module="unique")
-    def pairs(flow: Flow, flags: wp.array(dtype=wp.int32), matrix: Matrix):
+    def pairs(flow: FlowConstants, flags: wp.array(dtype=wp.int32), matrix: Matrix):
         """Sum the couplings of each particle with its own cube and with each of the cubes around it."""
         if flags[HALTED] != 0:
             return
@@ -131,7 +131,7 @@ def coarse_kernels(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
         matrix.coarse.pair[wp.static(slots // 2) * flow.count + i] = middle
 
     @wp.kernel(enable_backward=False, module="unique")
-    def sums(flow: Flow, flags: wp.array(dtype=wp.int32), matrix: Matrix):
+    def sums(flow: FlowConstants, flags: wp.array(dtype=wp.int32), matrix: Matrix):
         """Sum the couplings of all particles of a cube, which gives an entry of the coarse matrix."""
         if flags[HALTED] != 0:
             return

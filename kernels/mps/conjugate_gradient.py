@@ -108,7 +108,7 @@ def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNam
             x[i] = x[i] + alpha * system.direction[i]
             left = system.residual[i] - alpha * system.product[i]
             system.residual[i] = left
-            if not wp.static(rigid) or i >= matrix.bound:
+            if not wp.static(rigid) or i >= matrix.grain_rows:
                 z = f.divided(left, matrix.free[i], matrix.diagonal[i], matrix.drag[i])
                 system.product[i] = z
                 rz += f.inner(left, z)
@@ -139,7 +139,7 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
     """
     f, rows = solver_functions(scalar, dimensions, vector), serial_rows(scalar, dimensions, vector, rigid)
     Solve, value = f.Solve, f.value
-    Flow = flow_struct(scalar)
+    FlowConstants = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
     Matrix = structs.Matrix
     product = row_product(scalar, value)
@@ -147,7 +147,7 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def solve(
         # The next arguments are the equations, the error code, the tolerance and the iteration limit.
-        flow: Flow,
+        flow: FlowConstants,
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
@@ -169,13 +169,13 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
         # Preconditioned conjugate gradients (Saad, Iterative Methods for Sparse Linear Systems, 2nd ed., algorithm
         # 9.1). With residual r, preconditioned residual z, search direction p and q = A p, the names of the inner
         # products are rz = r.z, rr = r.r and pq = p.q.
-        bound = wp.int32(0)
+        grain_rows = wp.int32(0)
         bodies = wp.int32(0)
         if wp.static(rigid):
-            bound = matrix.bound
+            grain_rows = matrix.grain_rows
             bodies = matrix.grains.mobility.shape[0]
         for part in range(lower, upper):
-            first = wp.max(flow.count * part / parts, bound)
+            first = wp.max(flow.count * part / parts, grain_rows)
             own_rz, own_rr = rows.begin(first, flow.count * (part + 1) / parts, matrix, system)
             grain_rz, grain_rr = rows.share(
                 bodies * part / parts, bodies * (part + 1) / parts, matrix, system, system.direction
@@ -189,7 +189,7 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
             rz += system.partial[k]
             rr += system.partial[parts + k]
         start = wp.sqrt(rr)
-        goal = wp.max(tolerance * tolerance * rr, system.least[0] * system.least[0])
+        goal = wp.max(tolerance * tolerance * rr, system.stop_norm[0] * system.stop_norm[0])
         count = wp.int32(0)
         while rr > goal and count < maximum:
             for part in range(lower, upper):

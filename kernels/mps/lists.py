@@ -17,7 +17,7 @@ from .structs import array_structs, flow_struct, mps_types, row_place
 def list_kernels(scalar, dimensions: int, serial: bool):
     """Build the kernels `place`, which writes the points of the hash grid, and `search`, which fills all rows."""
     t = mps_types(scalar, dimensions)
-    Flow = flow_struct(scalar)
+    FlowConstants = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
     Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
     entry = row_place(serial)
@@ -30,18 +30,20 @@ def list_kernels(scalar, dimensions: int, serial: bool):
             return wp.vec3f(wp.float32(x[0]), wp.float32(x[1]), wp.float32(x[wp.static(dimensions - 1)]))
 
     @wp.kernel(enable_backward=False, module="unique")
-    def place(flow: Flow, particles: Particles, lists: Lists, points: wp.array(dtype=wp.vec3f), fields: Fields):
+    def place(
+        flow: FlowConstants, particles: Particles, lists: Lists, points: wp.array(dtype=wp.vec3f), fields: Fields
+    ):
         i = wp.tid()
         if i < flow.count:
             points[i] = point(particles.position[i])
-            fields.built[i] = particles.position[i]
+            fields.position_at_build[i] = particles.position[i]
         else:
             points[i] = point(lists.wall_position[i - flow.count])
 
     @wp.kernel(enable_backward=False, module="unique")
     def search(
         # The next argument holds the parameters of the flow.
-        flow: Flow,
+        flow: FlowConstants,
         near_reach: scalar,
         whole_reach: scalar,
         grid: wp.uint64,

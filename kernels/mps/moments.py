@@ -27,7 +27,7 @@ def rheology_functions(scalar, dimensions: int):
     `rate_of` returns the shear rate of a velocity gradient [1/s], `apparent` the viscosity at that rate.
     """
     t = mps_types(scalar, dimensions)
-    Flow = flow_struct(scalar)
+    FlowConstants = flow_struct(scalar)
 
     @wp.func
     def rate_of(gradient: t.mat) -> scalar:
@@ -39,7 +39,7 @@ def rheology_functions(scalar, dimensions: int):
         return wp.sqrt(rate)
 
     @wp.func
-    def apparent(flow: Flow, rate: scalar):
+    def apparent(flow: FlowConstants, rate: scalar):
         """Return the apparent viscosity and the derivative of the stress with respect to the rate, both in [Pa s].
 
         The law is Eq. 15 of Xu, Li & Jiang 2021.
@@ -65,7 +65,7 @@ def moments_function(scalar, dimensions: int, serial: bool):
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
-    Flow = flow_struct(scalar)
+    FlowConstants = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
     Lists, Fields = structs.Lists, structs.Fields
     place = row_place(serial)
@@ -89,7 +89,7 @@ def moments_function(scalar, dimensions: int, serial: bool):
     @wp.func
     def moments(
         i: wp.int32,
-        flow: Flow,
+        flow: FlowConstants,
         position: wp.array(dtype=t.vec),
         velocity: wp.array(dtype=t.vec),
         pressure: wp.array(dtype=scalar),
@@ -146,7 +146,7 @@ def moments_function(scalar, dimensions: int, serial: bool):
         return m
 
     @wp.func
-    def open_above(i: wp.int32, flow: Flow, position: wp.array(dtype=t.vec), lists: Lists) -> wp.int32:
+    def open_above(i: wp.int32, flow: FlowConstants, position: wp.array(dtype=t.vec), lists: Lists) -> wp.int32:
         """Return 1 if no fluid lies above a particle, within the reach of its lists and 45 degrees of the upward axis.
 
         A particle below a hole inside the fluid is not at a free surface: it has fluid on the other side of the hole.
@@ -175,7 +175,7 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
-    Flow = flow_struct(scalar)
+    FlowConstants = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
     Lists, Fields, Matrix, Solve = structs.Lists, structs.Fields, structs.Matrix, structs.NumberSolve
     open_above = moments_function(scalar, dimensions, serial).open_above
@@ -186,7 +186,7 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     @wp.kernel(enable_backward=False, module="unique")
     def geometry(
         # The next argument holds the parameters of the flow.
-        flow: Flow,
+        flow: FlowConstants,
         # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         end: wp.int32,
@@ -208,7 +208,7 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
             m = moments(i, flow, particle_position, particle_velocity, particle_pressure, lists, fields)
             back = f.inverse(m.fluid)
             fields.fluid_inverse[i] = back
-            fields.whole_inverse[i] = f.inverse(m.whole)
+            fields.all_inverse[i] = f.inverse(m.whole)
             full = wp.max(m.whole_number, scalar(FREE) * flow.lattice_number)
             fields.inverse_number[i] = scalar(dimensions) / full
             fields.wall_weight[i] = scalar(wp.static(2.0 * dimensions)) / full * m.wall
@@ -237,7 +237,7 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
 
             apparent, tangent = apparent_viscosity(flow, rate_of(m.shear * back))
             if wp.static(two_phase):
-                if i < matrix.bound:
+                if i < matrix.grain_rows:
                     # Only the mortar between wall and grain is sheared. It ends half a spacing before the centre of a
                     # grain's particle.
                     m.inside -= scalar(0.5) * flow.spacing

@@ -20,7 +20,7 @@ def shift_kernel(scalar, dimensions: int, serial: bool):
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
-    Flow = flow_struct(scalar)
+    FlowConstants = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
     Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
     place = row_place(serial)
@@ -28,7 +28,7 @@ def shift_kernel(scalar, dimensions: int, serial: bool):
     @wp.kernel(enable_backward=False, module="unique")
     def shift(
         # The next argument holds the parameters of the flow.
-        flow: Flow,
+        flow: FlowConstants,
         # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         end: wp.int32,
@@ -62,7 +62,7 @@ def shift_kernel(scalar, dimensions: int, serial: bool):
             size = wp.length(away)
             if size > farthest:
                 away = away * (farthest / size)
-            fields.moved[i] = push - away
+            fields.extra_displacement[i] = push - away
 
     return shift
 
@@ -71,7 +71,7 @@ def shift_kernel(scalar, dimensions: int, serial: bool):
 def advance_kernel(scalar, dimensions: int, serial: bool):
     """Build the kernel that moves the particles and reports stale neighbour lists and lost particles."""
     f = mps_functions(scalar, dimensions)
-    Flow = flow_struct(scalar)
+    FlowConstants = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
     Particles, Fields = structs.Particles, structs.Fields
     last = dimensions - 1
@@ -79,11 +79,11 @@ def advance_kernel(scalar, dimensions: int, serial: bool):
     @wp.kernel(enable_backward=False, module="unique")
     def advance(
         # The next argument holds the parameters of the flow.
-        flow: Flow,
+        flow: FlowConstants,
         # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         end: wp.int32,
-        # The next arguments are the state, which this kernel only reads, apart from the flags `fields.late`.
+        # The next arguments are the state, which this kernel only reads, apart from the flags `fields.event_flags`.
         flags: wp.array(dtype=wp.int32),
         fields: Fields,
         # The next arguments are arrays that this kernel reads and writes.
@@ -97,7 +97,7 @@ def advance_kernel(scalar, dimensions: int, serial: bool):
             relative = particles.velocity[i]
             relative[last] = relative[last] - flow.piston_speed
             # Kahan summation: the rounding error of each small step is stored and corrected in the next step.
-            step = flow.dt * relative + fields.moved[i] - particles.rounding[i]
+            step = flow.dt * relative + fields.extra_displacement[i] - particles.rounding[i]
             after = x + step
             particles.rounding[i] = (after - x) - step
             out = f.beyond_room(flow, after)
@@ -107,24 +107,24 @@ def advance_kernel(scalar, dimensions: int, serial: bool):
             if after[last] < lowest:
                 after[last] = lowest
             particles.position[i] = after
-            far = wp.length(after - fields.built[i])
+            far = wp.length(after - fields.position_at_build[i])
             if far > scalar(0.45) * flow.skin:
-                fields.late[0] = 1
-            if not (far < flow.radius and after[last] < flow.highest):
-                fields.late[1] = 1
+                fields.event_flags[0] = 1
+            if not (far < flow.radius and after[last] < flow.loss_limit):
+                fields.event_flags[1] = 1
 
     return advance
 
 
 @wp.kernel(enable_backward=False)
-def finish(late: wp.array(dtype=wp.int32), flags: wp.array(dtype=wp.int32)):
+def finish(event_flags: wp.array(dtype=wp.int32), flags: wp.array(dtype=wp.int32)):
     """Complete the step in one thread: increase the step count, and halt if lists are stale or a particle is lost."""
     if flags[HALTED] != 0:
         return
     flags[STEPS] = flags[STEPS] + 1
-    if late[0] != 0:
+    if event_flags[0] != 0:
         flags[STALE] = 1
         flags[HALTED] = 1
-    if late[1] != 0:
+    if event_flags[1] != 0:
         flags[FAILED] = LOST
         flags[HALTED] = 1

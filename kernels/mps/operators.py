@@ -25,10 +25,10 @@ def wall_law_function(scalar, dimensions: int):
     """Build `wall_force`, the law of the slip layer between the wall and a particle beside it."""
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
-    Flow = flow_struct(scalar)
+    FlowConstants = flow_struct(scalar)
 
     @wp.func
-    def wall_force(flow: Flow, x: t.vec, v: t.vec, area: scalar, compliance: scalar, force: t.vec):
+    def wall_force(flow: FlowConstants, x: t.vec, v: t.vec, area: scalar, compliance: scalar, force: t.vec):
         """Return `force` with the slip layer's force added, the layer's resistance, and the wall's shear stress [Pa].
 
         The slip law is Eq. 8 of Xu, Li & Jiang 2021. `area` is the wall's area over the particle's volume [1/m]. The
@@ -62,7 +62,7 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
-    Flow = flow_struct(scalar)
+    FlowConstants = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
     Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
     Matrix, Solve = structs.Matrix, structs.VectorSolve
@@ -73,7 +73,7 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     @wp.kernel(enable_backward=False, module="unique")
     def momentum(
         # The next argument holds the parameters of the flow.
-        flow: Flow,
+        flow: FlowConstants,
         # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         end: wp.int32,
@@ -111,14 +111,14 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
                     # If one particle of a pair belongs to a rigid grain, only half of their distance is mortar that can
                     # be sheared, which doubles the coefficient. The space between two grains counts as mortar too.
                     # Nothing is sheared inside a grain.
-                    if i < matrix.bound:
-                        if j >= matrix.bound:
+                    if i < matrix.grain_rows:
+                        if j >= matrix.grain_rows:
                             c = laplacian * scalar(2.0) * other
                         elif particles.group[i] == particles.group[j]:
                             c = scalar(0.0)
                         else:
                             c *= scalar(2.0)
-                    elif j < matrix.bound:
+                    elif j < matrix.grain_rows:
                         c = laplacian * scalar(2.0) * mu
                 matrix.coefficient[at] = c
                 total += c
@@ -148,7 +148,7 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
-    Flow = flow_struct(scalar)
+    FlowConstants = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
     Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
     Matrix, Solve = structs.Matrix, structs.NumberSolve
@@ -158,7 +158,7 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     @wp.kernel(enable_backward=False, module="unique")
     def divergence(
         # The next argument holds the parameters of the flow.
-        flow: Flow,
+        flow: FlowConstants,
         # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         end: wp.int32,
@@ -208,7 +208,7 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
                     if y[last] < scalar(0.0):
                         jump[last] = jump[last] - (v[last] - flow.piston_speed) * (beneath - y[last]) / beneath
                     change += wp.outer(f.weight(r, flow.cutoff) * jump, d)
-            sum_of_slopes = wp.trace(change * fields.whole_inverse[i])
+            sum_of_slopes = wp.trace(change * fields.all_inverse[i])
             if flow.radius - wp.length(f.across(x)) < scalar(NEARER) * flow.spacing:
                 total *= scalar(DAMPED)
             matrix.diagonal[i] = total
@@ -224,7 +224,7 @@ def gradient_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     """Build the kernel that ends the projection: it makes velocities divergence-free and updates the pressure."""
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
-    Flow = flow_struct(scalar)
+    FlowConstants = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
     Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
     place = row_place(serial)
@@ -232,7 +232,7 @@ def gradient_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     @wp.kernel(enable_backward=False, module="unique")
     def project(
         # The next argument holds the parameters of the flow.
-        flow: Flow,
+        flow: FlowConstants,
         # The next arguments are the range of rows that this launch processes.
         first: wp.int32,
         end: wp.int32,

@@ -35,15 +35,17 @@ def resident_blocks(device, rows: int, near_capacity: int, abreast: int) -> tupl
 
 @functools.cache
 def sum_functions(width: int) -> SimpleNamespace:
-    """Build `kept` and `summed`, which form sums over all threads of blocks of `width` threads.
+    """Build `accumulate` and `total_of`, which form sums over all threads of blocks of `width` threads.
 
-    Each thread first passes its contributions through `kept`; after a barrier `summed` returns the total.
+    Each thread first passes its contributions through `accumulate`; after a barrier `total_of` returns the total.
     """
     alone = width == WIDE
     keep, total = block_sums(width).keep, block_sums(width).total
 
     @wp.func
-    def kept(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64) -> wp.float64:
+    def accumulate(
+        thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64
+    ) -> wp.float64:
         """Return the part of `own` that the thread itself must add up: all of it in a single block, else 0.
 
         If there are several blocks, the sum of the chunk is stored in `partial` instead.
@@ -55,7 +57,7 @@ def sum_functions(width: int) -> SimpleNamespace:
             return wp.float64(0.0)
 
     @wp.func
-    def summed(own: wp.float64, lane: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, sums: wp.int32):
+    def total_of(own: wp.float64, lane: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, sums: wp.int32):
         """Return the sum over all threads of all blocks, which must have met at a barrier before."""
         if wp.static(alone):
             whole = wp.tile_sum(wp.tile(own))
@@ -63,7 +65,7 @@ def sum_functions(width: int) -> SimpleNamespace:
         else:
             return total(lane, partial, first, sums)
 
-    return SimpleNamespace(kept=kept, summed=summed)
+    return SimpleNamespace(accumulate=accumulate, total_of=total_of)
 
 
 @functools.cache
@@ -85,7 +87,7 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
         rr = wp.float64(0.0)
         mine = i < count
         if wp.static(rigid):
-            mine = mine and i >= matrix.bound
+            mine = mine and i >= matrix.grain_rows
         if mine:
             z = f.divided(system.residual[i], matrix.free[i], matrix.diagonal[i], matrix.drag[i])
             system.preconditioned[i] = z
@@ -125,7 +127,7 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
             x[i] = x[i] + alpha * system.direction[count - old + i]
             left = system.residual[i] - alpha * system.product[i]
             system.residual[i] = left
-            if not wp.static(rigid) or i >= matrix.bound:
+            if not wp.static(rigid) or i >= matrix.grain_rows:
                 z = f.divided(left, matrix.free[i], matrix.diagonal[i], matrix.drag[i])
                 system.preconditioned[i] = z
                 rz = f.inner(left, z)
@@ -150,7 +152,7 @@ def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, 
 
     It runs as `parties` blocks of `width` threads; a block of WIDE threads must be the only one.
     """
-    kept, summed = sum_functions(width).kept, sum_functions(width).summed
+    accumulate, total_of = sum_functions(width).accumulate, sum_functions(width).total_of
     f, row = solver_functions(scalar, dimensions, vector), row_functions(scalar, dimensions, vector, rigid)
     Solve, value = f.Solve, f.value
     Matrix = array_structs(scalar, dimensions).Matrix
@@ -191,13 +193,13 @@ def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, 
                 own_rz, own_rr = row.begin(chunk * width + lane, count, matrix, system)
             else:
                 own_rz, own_rr = row.share((chunk - blocks) * width + lane, matrix, system)
-            rz += kept(chunk * width + lane, system.partial, 0, own_rz)
-            rr += kept(chunk * width + lane, system.partial, sums, own_rr)
+            rz += accumulate(chunk * width + lane, system.partial, 0, own_rz)
+            rr += accumulate(chunk * width + lane, system.partial, sums, own_rr)
         gather(gate, parties)
-        rz = summed(rz, lane, system.partial, 0, sums)
-        rr = summed(rr, lane, system.partial, sums, sums)
+        rz = total_of(rz, lane, system.partial, 0, sums)
+        rr = total_of(rr, lane, system.partial, sums, sums)
         start = wp.sqrt(rr)
-        goal = wp.max(tolerance * tolerance * rr, system.least[0] * system.least[0])
+        goal = wp.max(tolerance * tolerance * rr, system.stop_norm[0] * system.stop_norm[0])
         done = wp.int32(0)
         beta = scalar(0.0)
         old = count
@@ -208,9 +210,9 @@ def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, 
             pq = wp.float64(0.0)
             for chunk in range(block, blocks, parties):
                 own_pq = row.multiply(chunk * width + lane, count, beta, old, matrix, system)
-                pq += kept(chunk * width + lane, system.partial, 2 * sums, own_pq)
+                pq += accumulate(chunk * width + lane, system.partial, 2 * sums, own_pq)
             gather(gate, parties)
-            pq = summed(pq, lane, system.partial, 2 * sums, blocks)
+            pq = total_of(pq, lane, system.partial, 2 * sums, blocks)
             alpha = scalar(0.0)
             if pq > wp.float64(0.0):
                 alpha = scalar(rz / pq)
@@ -218,17 +220,17 @@ def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, 
             rr = wp.float64(0.0)
             for chunk in range(block, blocks, parties):
                 own_rz, own_rr = row.update(chunk * width + lane, count, alpha, old, matrix, system, x)
-                rz_after += kept(chunk * width + lane, system.partial, 0, own_rz)
-                rr += kept(chunk * width + lane, system.partial, sums, own_rr)
+                rz_after += accumulate(chunk * width + lane, system.partial, 0, own_rz)
+                rr += accumulate(chunk * width + lane, system.partial, sums, own_rr)
             if wp.static(rigid):
                 gather(gate, parties)
                 for chunk in range(blocks + block, sums, parties):
                     own_rz, own_rr = row.share((chunk - blocks) * width + lane, matrix, system)
-                    rz_after += kept(chunk * width + lane, system.partial, 0, own_rz)
-                    rr += kept(chunk * width + lane, system.partial, sums, own_rr)
+                    rz_after += accumulate(chunk * width + lane, system.partial, 0, own_rz)
+                    rr += accumulate(chunk * width + lane, system.partial, sums, own_rr)
             gather(gate, parties)
-            rz_after = summed(rz_after, lane, system.partial, 0, sums)
-            rr = summed(rr, lane, system.partial, sums, sums)
+            rz_after = total_of(rz_after, lane, system.partial, 0, sums)
+            rr = total_of(rr, lane, system.partial, sums, sums)
             beta = scalar(rz_after / rz)
             rz = rz_after
             old = count - old

@@ -20,14 +20,14 @@ from .structs import array_structs, flow_struct, mps_functions, mps_types
 def rotation_functions(scalar, dimensions: int):
     """Build functions for rotations that serve two and three dimensions.
 
-    `raised` converts a vector to three dimensions, `lowered` converts it back, and `turned` continues a rotation.
+    `to_3d` converts a vector to three dimensions, `from_3d` converts it back, and `rotated` continues a rotation.
     """
     t = mps_types(scalar, dimensions)
     vec3 = types(scalar).vec3
     flat = dimensions == 2
 
     @wp.func
-    def raised(v: t.vec) -> vec3:
+    def to_3d(v: t.vec) -> vec3:
         """Return a vector in three dimensions; the two axes of a plane become x and z."""
         if wp.static(flat):
             return vec3(v[0], scalar(0.0), v[1])
@@ -35,14 +35,14 @@ def rotation_functions(scalar, dimensions: int):
             return vec3(v[0], v[1], v[wp.static(dimensions - 1)])
 
     @wp.func
-    def lowered(v: vec3) -> t.vec:
+    def from_3d(v: vec3) -> t.vec:
         if wp.static(flat):
             return t.vec(v[0], v[2])
         else:
             return t.vec(v)
 
     @wp.func
-    def turned(m: t.mat, angle: vec3) -> t.mat:
+    def rotated(m: t.mat, angle: vec3) -> t.mat:
         """Return rotation matrix `m` followed by a small rotation, which is given as a rotation vector [rad]."""
         size = wp.length(angle)
         if size == scalar(0.0):
@@ -62,7 +62,7 @@ def rotation_functions(scalar, dimensions: int):
             y = wp.normalize(y - wp.dot(x, y) * x)
             return wp.matrix_from_rows(x, y, wp.cross(x, y))
 
-    return SimpleNamespace(raised=raised, lowered=lowered, turned=turned)
+    return SimpleNamespace(to_3d=to_3d, from_3d=from_3d, rotated=rotated)
 
 
 @functools.cache
@@ -76,12 +76,12 @@ def body_functions(scalar, dimensions: int) -> SimpleNamespace:
     t = mps_types(scalar, dimensions)
     vec3, mat33 = types(scalar).vec3, types(scalar).mat33
     rotation = rotation_functions(scalar, dimensions)
-    raised, lowered = rotation.raised, rotation.lowered
+    to_3d, from_3d = rotation.to_3d, rotation.from_3d
     flat = dimensions == 2
 
     @wp.func
     def lever_inertia(lever: t.vec) -> mat33:
-        r = raised(lever)
+        r = to_3d(lever)
         return wp.length_sq(r) * wp.identity(n=3, dtype=scalar) - wp.outer(r, r)
 
     @wp.func
@@ -116,12 +116,12 @@ def body_functions(scalar, dimensions: int) -> SimpleNamespace:
         """Return the moment about `centre` of vectors at the particles, of which the uniform `mean` has no moment."""
         sum = vec3()
         for i in range(begin, end):
-            sum += wp.cross(raised(place[i] - centre), raised(borne[i] - mean))
+            sum += wp.cross(to_3d(place[i] - centre), to_3d(borne[i] - mean))
         return sum
 
     @wp.func
     def spun(spin: vec3, lever: t.vec) -> t.vec:
-        return lowered(wp.cross(spin, raised(lever)))
+        return from_3d(wp.cross(spin, to_3d(lever)))
 
     return SimpleNamespace(
         lever_inertia=lever_inertia, inverted=inverted, resultant=resultant, moment=moment, spun=spun
@@ -205,13 +205,15 @@ def velocities_kernel(scalar, dimensions: int):
     It preserves mean velocity and angular momentum, and runs with one thread per grain.
     """
     body = body_functions(scalar, dimensions)
-    Flow = flow_struct(scalar)
+    FlowConstants = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
     Particles, Fields, Grains = structs.Particles, structs.Fields, structs.Grains
     last = dimensions - 1
 
     @wp.kernel(enable_backward=False, module="unique")
-    def velocities(flow: Flow, flags: wp.array(dtype=wp.int32), particles: Particles, fields: Fields, grains: Grains):
+    def velocities(
+        flow: FlowConstants, flags: wp.array(dtype=wp.int32), particles: Particles, fields: Fields, grains: Grains
+    ):
         if flags[HALTED] != 0:
             return
         g = wp.tid()
@@ -219,11 +221,11 @@ def velocities_kernel(scalar, dimensions: int):
         count = scalar(end - begin)
         centre = grains.centre[g]
         mean = body.resultant(particles.velocity, begin, end) / count
-        aside = body.resultant(fields.moved, begin, end) / count
+        aside = body.resultant(fields.extra_displacement, begin, end) / count
         spin = grains.inverse_inertia[g] * body.moment(particles.velocity, mean, particles.position, centre, begin, end)
         for i in range(begin, end):
             particles.velocity[i] = mean + body.spun(spin, particles.position[i] - centre)
-            fields.moved[i] = aside
+            fields.extra_displacement[i] = aside
         grains.spin[g] = spin
         mean[last] = mean[last] - flow.piston_speed
         grains.step[g] = flow.dt * mean + aside
@@ -236,18 +238,18 @@ def places_kernel(scalar, dimensions: int):
     """Build the kernel that moves and rotates each grain after the particles have advanced (one thread per grain)."""
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
-    turned = rotation_functions(scalar, dimensions).turned
-    Flow = flow_struct(scalar)
+    rotated = rotation_functions(scalar, dimensions).rotated
+    FlowConstants = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
     Particles, Grains = structs.Particles, structs.Grains
     last = dimensions - 1
 
     @wp.kernel(enable_backward=False, module="unique")
-    def places(flow: Flow, flags: wp.array(dtype=wp.int32), particles: Particles, grains: Grains):
+    def places(flow: FlowConstants, flags: wp.array(dtype=wp.int32), particles: Particles, grains: Grains):
         if flags[HALTED] != 0:
             return
         g = wp.tid()
-        grains.turn[g] = turned(grains.turn[g], flow.dt * grains.spin[g])
+        grains.turn[g] = rotated(grains.turn[g], flow.dt * grains.spin[g])
         step = grains.step[g] - grains.middle_rounding[g]
         centre = grains.middle[g] + step
         grains.middle_rounding[g] = (centre - grains.middle[g]) - step

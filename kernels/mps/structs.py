@@ -37,7 +37,7 @@ def flow_struct(scalar):
     """Build the struct of a flow's parameters, in one precision."""
 
     @wp.struct
-    class Flow:
+    class FlowConstants:
         count: wp.int32  # Number of fluid particles.
         spacing: scalar  # Initial particle spacing l0 [m].
         cutoff: scalar  # Reach of the weights of gradient, divergence and Laplacian [m].
@@ -45,7 +45,7 @@ def flow_struct(scalar):
         lattice_number: scalar  # Sum of the weights around a particle inside a regular lattice.
         lattice_density: scalar  # Sum of the density weights around a particle inside a regular lattice.
         radius: scalar  # Radius of the pipe, or half the width of the channel [m].
-        highest: scalar  # Position along the pipe beyond which a particle counts as lost [m].
+        loss_limit: scalar  # Position along the pipe beyond which a particle counts as lost [m].
         piston_speed: scalar  # Speed of the piston [m/s].
         gravity: scalar  # Gravitational acceleration along the pipe, positive if opposite to the flow [m/s2].
         dt: scalar  # Time step [s].
@@ -58,7 +58,7 @@ def flow_struct(scalar):
         correction: scalar  # Share of the density error that one step corrects.
         skin: scalar  # Skin of the neighbour lists [m].
 
-    return Flow
+    return FlowConstants
 
 
 @functools.cache
@@ -97,7 +97,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
     class Fields:
         pair_weight: wp.array(dtype=scalar)  # Weight of each entry of `near` over its squared distance [1/m2].
         fluid_inverse: wp.array(dtype=t.mat)  # Inverse moment matrix of the fluid neighbours [1/m2], shape (n,).
-        whole_inverse: wp.array(dtype=t.mat)  # Inverse moment matrix of all neighbours, walls included [1/m2].
+        all_inverse: wp.array(dtype=t.mat)  # Inverse moment matrix of all neighbours, walls included [1/m2].
         inverse_number: wp.array(dtype=scalar)  # Calibration factor of the Laplacian at each particle, shape (n,).
         wall_weight: wp.array(dtype=scalar)  # Wall area per volume of each particle, before scaling [1/m], shape (n,).
         wall_scale: wp.array(dtype=wp.float64)  # Factor that scales the sum of wall areas to the true area, shape (1,).
@@ -107,9 +107,9 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         traction: wp.array(dtype=scalar)  # Shear stress of the wall beside each particle [Pa], shape (n,).
         increment: wp.array(dtype=scalar)  # Change of the pressure in this step [Pa], shape (n,).
         potential: wp.array(dtype=scalar)  # Potential whose gradient moves particles out of crowded regions [m2].
-        moved: wp.array(dtype=t.vec)  # Extra displacement of this step, not caused by the velocity [m], shape (n,).
-        built: wp.array(dtype=t.vec)  # Position when the neighbour lists were built [m], shape (n,).
-        late: wp.array(dtype=wp.int32)  # Flags for stale neighbour lists (slot 0) and a lost particle (1), shape (2,).
+        extra_displacement: wp.array(dtype=t.vec)  # Displacement in this step not caused by velocity [m], shape (n,).
+        position_at_build: wp.array(dtype=t.vec)  # Position when the neighbour lists were built [m], shape (n,).
+        event_flags: wp.array(dtype=wp.int32)  # Flags: stale neighbour lists (slot 0), lost particle (1), shape (2,).
 
     @wp.struct
     class Grains:
@@ -149,7 +149,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         drag: wp.array(dtype=scalar)  # Resistance of the wall to motion along it [kg/m3/s], shape (n,).
         free: wp.array(dtype=wp.int32)  # 1 where the unknown is held at 0, such as the pressure at a free surface.
         position: wp.array(dtype=t.vec)  # Positions of the particles [m], shape (n,).
-        bound: wp.int32  # Number of rows that belong to rigid grains; they come before the rows of mortar.
+        grain_rows: wp.int32  # Number of rows that belong to rigid grains; they come before the rows of mortar.
         grains: Grains
         coarse: Coarse
 
@@ -165,7 +165,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
             change: wp.array(dtype=value)  # Last change of the coarse solution, shape (cubes,).
             inner: wp.array(dtype=wp.float64)  # Product of load and coarse solution in each cube, shape (cubes,).
             partial: wp.array(dtype=wp.float64)  # Partial sums of each block or thread, for up to three different sums.
-            least: wp.array(dtype=wp.float64)  # Residual norm at which the solve stops, shape (1,).
+            stop_norm: wp.array(dtype=wp.float64)  # Residual norm at which the solve stops, shape (1,).
             outcome: wp.array(dtype=wp.float64)  # Iterations, then first and last residual norm, shape (OUTCOME,).
             history: wp.array(dtype=wp.float64)  # Residual norm after each iteration.
 
@@ -181,7 +181,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
 def mps_functions(scalar, dimensions: int) -> SimpleNamespace:
     """Build the weight functions and geometric functions of one precision in two or three dimensions."""
     t = mps_types(scalar, dimensions)
-    Flow = flow_struct(scalar)
+    FlowConstants = flow_struct(scalar)
     last = dimensions - 1
 
     @wp.func
@@ -200,12 +200,12 @@ def mps_functions(scalar, dimensions: int) -> SimpleNamespace:
         return t.vec()
 
     @wp.func
-    def beyond_room(flow: Flow, x: t.vec) -> scalar:
+    def beyond_room(flow: FlowConstants, x: t.vec) -> scalar:
         """Return how far `x` lies beyond the limit for particles [m], which is a quarter of a spacing from the wall."""
         return wp.length(across(x)) - (flow.radius - scalar(0.25) * flow.spacing)
 
     @wp.func
-    def distance(flow: Flow, d: t.vec) -> scalar:
+    def distance(flow: FlowConstants, d: t.vec) -> scalar:
         """Return the length of a vector between particles [m], limited from below so that weights stay finite."""
         return wp.max(wp.length(d), scalar(1.0e-3) * flow.spacing)
 

@@ -64,7 +64,7 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
     """
     f, rows = solver_functions(scalar, dimensions, vector), serial_rows(scalar, dimensions, vector, False)
     Solve, value = f.Solve, f.value
-    Flow = flow_struct(scalar)
+    FlowConstants = flow_struct(scalar)
     Matrix = array_structs(scalar, dimensions).Matrix
     product = row_product(scalar, value)
     correct = serial_correction(scalar, dimensions, vector)
@@ -81,7 +81,7 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def solve(
         # The next arguments are the equations, the error code, the tolerance and the iteration limit.
-        flow: Flow,
+        flow: FlowConstants,
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
@@ -120,7 +120,7 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
         turn(begin, end, scalar(0.0), old, matrix, system)
         meet(gate, workers)
         start = wp.sqrt(rr)
-        goal = wp.max(tolerance * tolerance * rr, system.least[0] * system.least[0])
+        goal = wp.max(tolerance * tolerance * rr, system.stop_norm[0] * system.stop_norm[0])
         count = wp.int32(0)
         while rr > goal and count < maximum:
             for part in range(lower, upper):
@@ -214,7 +214,11 @@ def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK
 
     It runs as `parties` blocks of `width` threads; a block of WIDE threads must be the only one.
     """
-    kept, summed, total = sum_functions(width).kept, sum_functions(width).summed, block_sums(width).total
+    accumulate, total_of, total = (
+        sum_functions(width).accumulate,
+        sum_functions(width).total_of,
+        block_sums(width).total,
+    )
     f, row = solver_functions(scalar, dimensions, vector), row_functions(scalar, dimensions, vector, False)
     Solve, value = f.Solve, f.value
     Matrix = array_structs(scalar, dimensions).Matrix
@@ -270,12 +274,12 @@ def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK
         rr = wp.float64(0.0)
         for chunk in range(block, sums, parties):
             own_rz, own_rr = row.begin(chunk * width + lane, count, matrix, system)
-            rz += kept(chunk * width + lane, system.partial, 0, own_rz)
-            rr += kept(chunk * width + lane, system.partial, sums, own_rr)
+            rz += accumulate(chunk * width + lane, system.partial, 0, own_rz)
+            rr += accumulate(chunk * width + lane, system.partial, sums, own_rr)
         gather(gate, parties)
-        rr = summed(rr, lane, system.partial, sums, sums)
+        rr = total_of(rr, lane, system.partial, sums, sums)
         start = wp.sqrt(rr)
-        goal = wp.max(tolerance * tolerance * rr, system.least[0] * system.least[0])
+        goal = wp.max(tolerance * tolerance * rr, system.stop_norm[0] * system.stop_norm[0])
         done = wp.int32(0)
         beta = scalar(0.0)
         before = wp.float64(1.0)
@@ -284,7 +288,7 @@ def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK
             goal = wp.float64(0.0)
         while rr > goal and done < maximum:
             old = correct(thread, parties, gate, matrix, system)
-            rz = summed(rz, lane, system.partial, 0, sums) + total(lane, system.inner, 0, matrix.coarse.count)
+            rz = total_of(rz, lane, system.partial, 0, sums) + total(lane, system.inner, 0, matrix.coarse.count)
             if done > 0:
                 beta = scalar(rz / before)
             before = rz
@@ -293,11 +297,11 @@ def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK
             gather(gate, parties)
             pq = wp.float64(0.0)
             for chunk in range(block, sums, parties):
-                pq += kept(chunk * width + lane, system.partial, 2 * sums, multiply(
+                pq += accumulate(chunk * width + lane, system.partial, 2 * sums, multiply(
                     chunk * width + lane, count, matrix, system
                 ))  # fmt: skip
             gather(gate, parties)
-            pq = summed(pq, lane, system.partial, 2 * sums, sums)
+            pq = total_of(pq, lane, system.partial, 2 * sums, sums)
             alpha = scalar(0.0)
             if pq > wp.float64(0.0):
                 alpha = scalar(rz / pq)
@@ -305,10 +309,10 @@ def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK
             rr = wp.float64(0.0)
             for chunk in range(block, sums, parties):
                 own_rz, own_rr = row.update(chunk * width + lane, count, alpha, count, matrix, system, x)
-                rz += kept(chunk * width + lane, system.partial, 0, own_rz)
-                rr += kept(chunk * width + lane, system.partial, sums, own_rr)
+                rz += accumulate(chunk * width + lane, system.partial, 0, own_rz)
+                rr += accumulate(chunk * width + lane, system.partial, sums, own_rr)
             gather(gate, parties)
-            rr = summed(rr, lane, system.partial, sums, sums)
+            rr = total_of(rr, lane, system.partial, sums, sums)
             if thread == 0 and done < system.history.shape[0]:
                 system.history[done] = wp.sqrt(rr)
             done += 1

@@ -10,7 +10,7 @@ import click
 
 from ..core.device.device import find_device
 from ..core.errors import RunFolderError
-from ..studies.tradeoffs.advice import advise, shipped
+from ..studies.tradeoffs.advice import advise, nearest_shipped
 
 
 def chosen(
@@ -29,7 +29,7 @@ def chosen(
         part = float(accuracy.strip().removesuffix("%")) / 100
     except ValueError:
         raise click.UsageError(f"accuracy = {accuracy!r}: must be a percentage, such as 5%") from None
-    source = trade or shipped(name, module, parameters, find_device(device).is_cuda)
+    source = trade or nearest_shipped(name, module, parameters, find_device(device).is_cuda)
     if source is None:
         raise click.UsageError(
             f"accuracy = {accuracy!r}: needs --trade FOLDER, because no trade of {name} is shipped; create one "

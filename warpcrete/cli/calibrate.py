@@ -21,7 +21,7 @@ ONE = {
     "trials": int, "batch": int, "repeat": int, "seed": int, "out": Path, "resume": Path, "device": str,
     "precision": str, "processes": int, **ON_WORKERS,
 }  # fmt: skip
-ANEW = ("trials", "processes", *ON_WORKERS)
+CHANGEABLE_SETTINGS = ("trials", "processes", *ON_WORKERS)
 """Names of settings that may differ when a calibration is continued."""
 
 
@@ -53,10 +53,10 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
 
 def _resumed(targets: str | None, settings: dict[str, Any], modules: dict[str, Any]) -> Calibration:
     folder = settings.pop("resume")
-    strange = [name for name in settings if name not in (*ANEW, "progress")]
+    strange = [name for name in settings if name not in (*CHANGEABLE_SETTINGS, "progress")]
     if targets is not None or strange:
         raise click.UsageError(
-            f"resume = '{folder}': continues with its own settings; only {', '.join(ANEW)} may change"
+            f"resume = '{folder}': continues with its own settings; only {', '.join(CHANGEABLE_SETTINGS)} may change"
         )
     if not (folder / RECORD).is_file():
         raise RunFolderError(f"resume = '{folder}': is not the folder of a calibration (it holds no {RECORD})")

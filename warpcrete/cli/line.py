@@ -12,11 +12,11 @@ from ..core.errors import positive
 from ..core.inputs.amounts import amount
 from ..core.inputs.fingerprints import fingerprint
 from ..core.inputs.limits import check_limit, check_velocity, check_whole
-from ..core.run.files import next_folder, whole_file
+from ..core.run.files import atomic_file, next_folder
 from ..core.run.progress import ProgressBar
 from ..mix.mix import completed, mix_named
 from ..mps.mixes import concrete_of
-from ..studies.lines.elements import ElementLine, Elements, lines_of_elements, run_elements
+from ..studies.lines.elements import ElementLine, Elements, element_table_lines, run_elements
 from ..studies.lines.folder import PARTS, line_folder
 from ..studies.lines.losses import PipeLine, friction, read_line, restart, with_stone
 from ..studies.lines.result import LineResult, lines_of
@@ -106,10 +106,10 @@ def _print(
         others = {} if found is None else {"flow": [x.friction for x in found.losses]}
         if completed(name).flow:
             others["theory"] = [friction(part, concrete_of(name), rate) for part in line.parts]
-        text = lines_of_elements(packed, others)
+        text = element_table_lines(packed, others)
         click.echo("\n" + "\n".join(text))
         if folder is not None:
-            with whole_file(folder / "line-dem.md") as partial:
+            with atomic_file(folder / "line-dem.md") as partial:
                 partial.write_text("\n".join(text) + "\n", encoding="utf-8")
     took = (0.0 if found is None else sum(found.took.values())) + (0.0 if packed is None else packed.elapsed)
     if folder is not None:

@@ -17,7 +17,7 @@ from ..core.errors import DiskFullError, InstabilityError, WarpcreteError, one_l
 from .console import prepare_streams
 from .texts import MIX_HELP
 
-LAST_WORDS = 3.0
+EXIT_TIMEOUT = 3.0
 """Time that a command has to end after it has reported a full disk [s]."""
 
 # Warp takes half a second to load, and so do the scenes. Each subcommand therefore loads the modules that it needs only
@@ -141,7 +141,7 @@ def _scene_command(name: str, module: ModuleType) -> click.Command:
                 changes = _part("advice").chosen(name, module, asked, accuracy, trade, settings["device"])
                 if "precision" not in given:
                     settings["precision"] = changes.pop("precision", settings["precision"])
-                parameters = module.scene.meaningful(module.scene.resolved(parameters) | changes)
+                parameters = module.scene.effective_values(module.scene.resolved(parameters) | changes)
             job.run(name, module, parameters, settings)
             return
         changed = [key for key in given if key not in ("resume", "quiet", "live", "bind")]
@@ -559,7 +559,7 @@ def main() -> None:
         _fail(str(error), 1)
     except WarpcreteError as error:
         if isinstance(error, DiskFullError):  # Libraries may wait for the disk when the program ends.
-            end = threading.Timer(LAST_WORDS, os._exit, [2])
+            end = threading.Timer(EXIT_TIMEOUT, os._exit, [2])
             end.daemon = True
             end.start()
         _fail(str(error), 2)

@@ -8,7 +8,7 @@ import click
 
 from ..core.errors import refuse
 from ..core.inputs.yaml_files import yaml_text
-from ..core.run.files import whole_file
+from ..core.run.files import atomic_file
 from ..dem.pumping.parameters import PipeParameters
 from ..mix.mix import Mix, read_mix
 
@@ -26,7 +26,7 @@ def run(name: str, out: Path | None) -> None:
     click.echo(f"\nuse it as --concrete {name}: run tube, part, slump ... (flows), run pipe (elements), line, theory")
     click.echo(f"to simulate its slump with elements: {_cone(mix)}")
     if out is not None:
-        with whole_file(out) as partial:
+        with atomic_file(out) as partial:
             partial.write_text(yaml_text(concrete), encoding="utf-8")
         click.echo(f"written: {out}")
 

@@ -11,7 +11,7 @@ import click
 
 from ..core.errors import suggested
 from ..core.inputs.amounts import amount
-from ..core.inputs.parameters import Alias, Field, OneOf, Spread
+from ..core.inputs.parameters import Alias, CompositeRule, Field, OneOf
 from ..methods import METHODS
 from ..record.recorders import RECORDERS
 
@@ -46,7 +46,7 @@ class SceneCommand(GroupedCommand):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         known = self._scene.fields({})
-        words = {name: word for name, field in known.items() if any(field.of_kind(Spread))
+        words = {name: word for name, field in known.items() if any(field.of_kind(CompositeRule))
                  and (word := _value_of(flag(name), args)) is not None}  # fmt: skip
         more = [replace(field, help=f"{field.help}  [required]") if field.default is MISSING else field
                 for name, field in self._scene.fields(words).items() if name not in known]  # fmt: skip
@@ -114,7 +114,7 @@ def quantity_of(value: Any, field: Field, called: str) -> float:
 
 
 def _kind(field: Field, called: str) -> Any:
-    if any(field.of_kind(Spread)):
+    if any(field.of_kind(CompositeRule)):
         return str
     choices = next((rule.choices for rule in field.of_kind(OneOf)), None)
     if choices and field.kind is str:

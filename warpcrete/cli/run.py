@@ -21,7 +21,7 @@ from ..core.units import number
 from ..methods import Simulation, method_of
 from ..record.checks import failed_checks
 from ..record.loading import is_finished, repeatable_scene
-from ..record.recorders import RECORDERS, Look, recorders_of
+from ..record.recorders import RECORDERS, DrawSettings, recorders_of
 from ..studies.lines.pipeline import check_pipeline, pipeline_estimate
 
 KEPT = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), "pipeline_vertical", "pipeline_horizontal",
@@ -82,7 +82,7 @@ def run(
     other = _pipeline_checked(scene, settings)
     display = method_of(scene).display
     live = True if settings["live"] == "spawn" else settings["live"] or False
-    look = Look(settings["colour"], settings["network"], live, settings["bind"])
+    look = DrawSettings(settings["colour"], settings["network"], live, settings["bind"])
     if look.colouring is not None and look.colouring not in display.colourings:
         refuse("colour", look.colouring, f"must be one of {', '.join(display.colourings)}")
     if look.network and not display.has_network:

@@ -10,7 +10,7 @@ import click
 
 from ..core.device.device import PRECISIONS
 from ..core.errors import RunFolderError, suggested
-from ..core.inputs.parameters import Alias, Field, Spread
+from ..core.inputs.parameters import Alias, CompositeRule, Field
 from ..core.run.files import next_folder, read_record
 from ..core.run.progress import ProgressBar
 from ..record.recorders import RECORDERS
@@ -20,8 +20,8 @@ from .run import CHECK_FAILED, INTERRUPTED
 
 CASE_FAILED = 1
 """Exit code of a study in which a case ended with an error."""
-RECORDED = tuple(kind.name for kind in RECORDERS)
-FLAGS = ("one-at-a-time", *RECORDED, "quiet")
+RECORDER_NAMES = tuple(kind.name for kind in RECORDERS)
+FLAGS = ("one-at-a-time", *RECORDER_NAMES, "quiet")
 ON_WORKERS = {"scheduler": str, "workers": int}
 SETTINGS = {
     **ON_WORKERS,
@@ -36,12 +36,12 @@ SETTINGS = {
 }
 
 
-WHERE = ("processes", *ON_WORKERS)
+EXECUTION_SETTINGS = ("processes", *ON_WORKERS)
 """Settings that determine on which devices or machines cases run; they may change when a study is continued."""
 
 
-def _where(settings: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: settings.get(name) for name in WHERE}
+def _execution_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: settings.get(name) for name in EXECUTION_SETTINGS}
 
 
 def parsed(arguments: list[str]) -> tuple[str | None, dict[str, list[str]]]:
@@ -73,14 +73,14 @@ def parsed(arguments: list[str]) -> tuple[str | None, dict[str, list[str]]]:
 def run(arguments: list[str], modules: dict[str, Any]) -> None:
     """Start or continue a study, and print its table."""
     scene, options = parsed(arguments)
-    settings = _taken(options)
+    settings = _take_settings(options)
     progress = ProgressBar()
     tell = None if settings["quiet"] else progress
     try:
         if settings.get("resume") is not None:
             study = _resumed(scene, options, settings, modules, tell)
         else:
-            study = _begun(scene, options, settings, modules, tell)
+            study = _new_study(scene, options, settings, modules, tell)
     finally:
         progress.close()
     report(study)
@@ -120,7 +120,7 @@ def single(options: dict[str, list[str]], kinds: Mapping[str, Any]) -> dict[str,
     return found
 
 
-def _taken(options: dict[str, list[str]]) -> dict[str, Any]:
+def _take_settings(options: dict[str, list[str]]) -> dict[str, Any]:
     """Remove the study's flags and settings from `options`, and return them; only the scene's parameters remain."""
     settings: dict[str, Any] = {}
     for name in FLAGS:
@@ -140,12 +140,14 @@ def _resumed(
     scene: str | None, options: dict[str, list[str]], settings: dict[str, Any], modules: dict[str, Any], tell: Any
 ) -> Study:
     folder = settings["resume"]
-    given = [n for n in settings if n not in ("resume", "quiet", *WHERE) and settings[n]] + list(options)
+    given = [n for n in settings if n not in ("resume", "quiet", *EXECUTION_SETTINGS) and settings[n]] + list(options)
     if scene is not None or given:
         raise click.UsageError(
             f"resume = '{folder}': a study continues with its own settings; leave out the scene and all other options"
         )
-    return resume_study(folder, recorded_module(folder, "study", modules), progress=tell, **_where(settings))
+    return resume_study(
+        folder, recorded_module(folder, "study", modules), progress=tell, **_execution_settings(settings)
+    )
 
 
 def recorded_module(folder: Path, kind: str, modules: Mapping[str, Any]) -> Any:
@@ -159,7 +161,7 @@ def recorded_module(folder: Path, kind: str, modules: Mapping[str, Any]) -> Any:
     return modules[name]
 
 
-def _begun(
+def _new_study(
     scene: str | None, options: dict[str, list[str]], settings: dict[str, Any], modules: dict[str, Any], tell: Any
 ) -> Study:
     check_scene(scene, modules)
@@ -175,11 +177,11 @@ def _begun(
         one_at_a_time=settings["one-at-a-time"],
         device=settings.get("device"),
         precision=settings.get("precision", PRECISIONS[0]),
-        **_where(settings),
+        **_execution_settings(settings),
         frames=settings.get("frames"),
         checkpoint_every=settings.get("checkpoint-every", 60.0),
         progress=tell,
-        **{name: settings[name] for name in RECORDED},
+        **{name: settings[name] for name in RECORDER_NAMES},
     )
 
 
@@ -188,7 +190,7 @@ def _fields(module: Any, options: Mapping[str, list[str]]) -> dict[str, Field]:
     found: dict[str, Field] = {}
     for name, field in module.scene.fields({}).items():
         found |= dict.fromkeys((name, *(alias.name for alias in field.of_kind(Alias))), field)
-        for word in options.get(name.replace("_", "-"), []) if any(field.of_kind(Spread)) else []:
+        for word in options.get(name.replace("_", "-"), []) if any(field.of_kind(CompositeRule)) else []:
             found = module.scene.fields({name: word}) | found
     return found
 

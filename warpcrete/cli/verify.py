@@ -8,7 +8,7 @@ import click
 
 from .. import verification
 from ..core.device.device import find_device
-from ..core.run.files import check_new, whole_file
+from ..core.run.files import atomic_file, check_new
 from ..core.run.folders import new_folder
 from ..verification import extremes as edge
 from ..verification import flow_extremes
@@ -44,7 +44,7 @@ def run(device: str | None, precision: str, only: str, quick: bool, extremes: bo
     click.echo("\n" + text)
     if out is not None:
         with new_folder(out):
-            with whole_file(out / "verification.md") as partial:
+            with atomic_file(out / "verification.md") as partial:
                 partial.write_text(text, encoding="utf-8")
             draw(results).savefig(out / "verification.png", dpi=110)
         click.echo(f"written: {out / 'verification.md'}, {out / 'verification.png'}")

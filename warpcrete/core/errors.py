@@ -17,7 +17,7 @@ LONGEST_MESSAGE = 2000
 """Maximum number of characters of any part of a message that is not a quoted value or name."""
 LONGEST_NUMBER = 128
 """Maximum number of bits of an integer that a message writes out."""
-FEW = 12
+MOST_NAMES_LISTED = 12
 """Maximum number of names that a message lists in full in addition to the suggested name."""
 
 
@@ -132,10 +132,10 @@ def known_names(word: Any, known: Iterable[Any]) -> str:
     If there are many words and one of them is close, the text only suggests that one.
     """
     names = [str(each) for each in known]
-    meant = suggested(word, names)
-    if meant and len(names) > FEW:
-        return meant
-    return f"must be one of {', '.join(names)}" + (f"; {meant}" if meant else "")
+    suggestion = suggested(word, names)
+    if suggestion and len(names) > MOST_NAMES_LISTED:
+        return suggestion
+    return f"must be one of {', '.join(names)}" + (f"; {suggestion}" if suggestion else "")
 
 
 def positive(field: str, value: float, unit: str = "", hint: str = "") -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-SHOWN = {"Pa": (1e-3, "kPa"), "m/s": (100.0, "cm/s"), "m": (1e3, "mm"), "1": (100.0, "%")}
+DISPLAY_UNITS = {"Pa": (1e-3, "kPa"), "m/s": (100.0, "cm/s"), "m": (1e3, "mm"), "1": (100.0, "%")}
 """Factor and unit by which a quantity is displayed, by its SI unit."""
 
 
@@ -20,4 +20,4 @@ def number(entry: Any) -> float:
 
 def shown(unit: str) -> tuple[float, str]:
     """Return the factor and the unit for the display of a quantity; by default, the factor is 1 and the unit stays."""
-    return SHOWN.get(unit, (1.0, unit))
+    return DISPLAY_UNITS.get(unit, (1.0, unit))

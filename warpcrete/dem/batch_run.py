@@ -10,20 +10,20 @@ from typing import Any
 import warp as wp
 
 from ..core.device.device import MEMORY_FRACTION, memory_free, parallel
-from ..core.device.launching import telling
+from ..core.device.launching import report_compiling
 from ..core.errors import WarpcreteError
 from ..core.inputs.fingerprints import fingerprint
 from ..core.run.run_loop import Coroutine, Run
 from .engine.batch import batch_key
 from .engine.memory import memory_needed
-from .engine.scheduling import drive_abreast
+from .engine.scheduling import drive_batches
 from .engine.stepper import Stepper, steppers_of
 from .packing import Request, pack_many
 from .scene.bodies import BodyTable, placed_bodies
 from .simulation import ElementSimulation
 
 Outcome = Run | BaseException
-PACKED_TOGETHER = 32
+PACKINGS_PER_BATCH = 32
 
 
 def run_batch(
@@ -40,7 +40,7 @@ def run_batch(
     """
     tell = progress or (lambda phase, fraction: None)
     try:
-        with telling(tell):
+        with report_compiling(tell):
             return _run_batch(simulations, checkpoints or [None] * len(simulations), tell)
     finally:
         for simulation in simulations:
@@ -64,25 +64,30 @@ def _run_batch(
         packings = _packed(new, lambda fraction: tell("packing", fraction))
     except KeyboardInterrupt as stop:
         return [stop] * len(simulations)
-    placed: dict[int, tuple[Any, float]] = {}
+    packings_by_number: dict[int, tuple[Any, float]] = {}
     groups: dict[Any, list[int]] = {}
     for number, simulation, path in claimed:
         if path is None and simulation.scene.fill is not None:
-            placed[number] = packings[_packing_key(simulation)]
-            if isinstance(placed[number][0], BaseException):
-                outcomes[number] = placed[number][0]
+            packings_by_number[number] = packings[_packing_key(simulation)]
+            if isinstance(packings_by_number[number][0], BaseException):
+                outcomes[number] = packings_by_number[number][0]
                 continue
         groups.setdefault((batch_key(simulation.model), simulation.threads), []).append(number)
-    parts = [part for numbers in groups.values() for part in _fitting(simulations, placed, numbers)]
-    turns = _abreast(simulations, parts)
+    parts = [part for numbers in groups.values() for part in _split_by_memory(simulations, packings_by_number, numbers)]
+    turns = _turns(simulations, parts)
     for done, turn in enumerate(turns):
-        members = [_Part(simulations, checkpoints, placed, outcomes, stream) for stream in _streams(simulations, turn)]
+        members = [
+            _BatchMember(simulations, checkpoints, packings_by_number, outcomes, stream)
+            for stream in _streams(simulations, turn)
+        ]
         try:
             for part, (numbers, _) in zip(members, turn):
                 part.begin(numbers)
-            begun = [part for part in members if part.scenes]
-            _share_rounds(begun)
-            for part, results in zip(begun, drive_abreast([(part.scenes, part.stream) for part in begun])):
+            started_members = [part for part in members if part.scenes]
+            _share_rounds(started_members)
+            for part, results in zip(
+                started_members, drive_batches([(part.scenes, part.stream) for part in started_members])
+            ):
                 part.end(results)
         except KeyboardInterrupt:
             break
@@ -95,7 +100,7 @@ def _run_batch(
     return [outcomes.get(number, KeyboardInterrupt()) for number in range(len(simulations))]
 
 
-def _share_rounds(parts: Sequence[_Part]) -> None:
+def _share_rounds(parts: Sequence[_BatchMember]) -> None:
     """Divide a GPU's resident thread blocks between the batches that run at the same time.
 
     The kernel for sub-cycling rounds waits at barriers inside the kernel, so all its blocks must be resident at once.
@@ -103,27 +108,27 @@ def _share_rounds(parts: Sequence[_Part]) -> None:
     batches = [next(iter(part.scenes.values()))[0].batch for part in parts]
     several = [batch for batch in batches if batch.features.subcycling]
     for batch in several:
-        batch.subcycles.abreast = len(several)
+        batch.subcycles.concurrent_batches = len(several)
 
 
-class _Part:
+class _BatchMember:
     """Simulations that share one batch, identified by their indices in the list of all simulations."""
 
     def __init__(
         self,
         simulations: Sequence[ElementSimulation],
         checkpoints: Sequence[Path | None],
-        placed: dict[int, tuple[Any, float]],
+        packings_by_number: dict[int, tuple[Any, float]],
         outcomes: dict[int, Outcome],
         stream: Any,
     ) -> None:
-        self.simulations, self.checkpoints, self.placed = simulations, checkpoints, placed
+        self.simulations, self.checkpoints, self.packings_by_number = simulations, checkpoints, packings_by_number
         self.outcomes = outcomes
         self.resumed: dict[int, dict[str, Any]] = {}
         self.stopped = False
         """Whether some run of this batch was interrupted."""
         self.scenes: dict[int, tuple[Stepper, Coroutine]] = {}
-        """Stepper and coroutine of each running simulation, by its index, as `drive_abreast` needs them."""
+        """Stepper and coroutine of each running simulation, by its index, as `drive_batches` needs them."""
         self.stream = stream
         """CUDA stream of this batch while other batches run at the same time, otherwise None."""
         self._members: list[ElementSimulation] = []
@@ -169,7 +174,7 @@ class _Part:
                 self.resumed[number] = simulation.read_checkpoint(path)
                 simulation.restore(self.resumed[number])
             else:
-                simulation.place(*self.placed.get(number, (None, 0.0)))
+                simulation.place(*self.packings_by_number.get(number, (None, 0.0)))
         except WarpcreteError as error:
             self.outcomes[number] = error
             return False
@@ -208,26 +213,26 @@ def _packed(simulations: Sequence[ElementSimulation], tell: Callable[[float], No
     kinds: dict[tuple, list[tuple]] = {}
     for key, s in needed.items():
         kinds.setdefault((str(s.device), s.precision, s.threads), []).append(key)
-    found: dict[tuple, tuple[Any, float]] = {}
+    results_by_key: dict[tuple, tuple[Any, float]] = {}
     for (_, precision, threads), keys in kinds.items():
         started = wall_clock.perf_counter()
         requests = [Request(needed[k].scene.fill, needed[k].scene.contact, needed[k].scene.seed) for k in keys]  # type: ignore[arg-type]
         results: list[Any] = []
-        for first in range(0, len(requests), PACKED_TOGETHER):
+        for first in range(0, len(requests), PACKINGS_PER_BATCH):
             results += pack_many(
-                requests[first : first + PACKED_TOGETHER],
+                requests[first : first + PACKINGS_PER_BATCH],
                 device=needed[keys[0]].device,
                 precision=precision,
                 threads=threads,
                 progress=tell,
             )
         took = (wall_clock.perf_counter() - started) / len(keys)
-        found |= {key: (result, took) for key, result in zip(keys, results)}
-    return found
+        results_by_key |= {key: (result, took) for key, result in zip(keys, results)}
+    return results_by_key
 
 
-def _fitting(
-    simulations: Sequence[ElementSimulation], placed: dict[int, tuple[Any, float]], numbers: list[int]
+def _split_by_memory(
+    simulations: Sequence[ElementSimulation], packings_by_number: dict[int, tuple[Any, float]], numbers: list[int]
 ) -> list[tuple[list[int], float]]:
     """Split simulations into batches that fit the device's memory; return indices and memory [B] of each batch."""
     first = simulations[numbers[0]]
@@ -237,7 +242,7 @@ def _fitting(
     parts: list[tuple[list[int], float]] = []
     for number in numbers:
         simulation = simulations[number]
-        table = placed[number][0][0] if number in placed else BodyTable.empty()
+        table = packings_by_number[number][0][0] if number in packings_by_number else BodyTable.empty()
         needed = memory_needed(simulation.model, table.joined(placed_bodies(simulation.scene)))
         before, used = parts[-1] if parts else ([], 0.0)
         if before and used + needed <= room:
@@ -247,7 +252,7 @@ def _fitting(
     return parts
 
 
-def _abreast(
+def _turns(
     simulations: Sequence[ElementSimulation], parts: list[tuple[list[int], float]]
 ) -> list[list[tuple[list[int], float]]]:
     """Group the batches into turns; a GPU runs as many batches at the same time as fit its memory, a CPU one."""

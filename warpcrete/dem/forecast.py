@@ -19,12 +19,12 @@ import warp as wp
 from ..core.device.device import checked_threads, parallel
 from ..core.device.footprint import footprint
 from ..core.run.forecast import Forecast, Probe, median_time
-from ..core.run.run_loop import drive_alone
+from ..core.run.run_loop import run_coroutine
 from ..geometry.axis import Axis
 from ..geometry.walls import Prescribed
-from ..kernels.dem.subcycling import PART
+from ..kernels.dem.subcycling import SUBCYCLED_STEP_FRACTION
 from .engine.bonding import bond_kinds
-from .engine.state_data import restored, state_dict
+from .engine.state_data import restore_state, state_dict
 from .engine.stepper import Stepper
 from .laws import ContactLaw
 from .packing import PackingReport, pack
@@ -34,17 +34,17 @@ from .scene.scene import Scene
 from .simulation import SETTLING_PARTS, ElementSimulation
 
 LEAST = 0.1  # minimum fraction of the timed wall time that counts as steps; at most the rest counts as list rebuilds
-SPENT = 0.7  # wall time for which steps are timed [s]
+TIMING_TIME = 0.7  # wall time for which steps are timed [s]
 # Maximum number of spheres of the copy, on a GPU (True) or a CPU (False); above it the time per sphere is constant.
-MOST = {True: 400_000, False: 40_000}
+MAXIMUM_SPHERES = {True: 400_000, False: 40_000}
 # Distance that concrete moves between two list rebuilds, divided by the skin. The distance is shorter in a bend,
 # because neighbours move relative to each other there, while concrete in a straight pipe moves as a plug.
 STRAIGHT, BENT = 1.25, 0.5
-SETTLED_BONDS = 1.2  # number of bonds in a settled packing over that in an unsettled one; tests show 1.2 to 1.3
+BONDS_AFTER_SETTLING = 1.2  # number of bonds in a settled packing over that in an unsettled one; tests show 1.2 to 1.3
 SETTLING_BUILDS = 1 / 40  # list rebuilds per step while a packing settles
 # A packing has settled after this number of passages of a pressure wave along the pipe, plus a constant time [s].
-PASSAGES, BESIDES = 2.4, 0.19
-IDLE = 40_000  # number of spheres at which a GPU's step takes about twice as long as a step without spheres
+PASSAGES, SETTLING_OFFSET = 2.4, 0.19
+IDLE_SPHERES = 40_000  # number of spheres at which a GPU's step takes about twice as long as a step without spheres
 
 
 def forecast(scene: Scene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
@@ -52,7 +52,7 @@ def forecast(scene: Scene, device: Any, precision: str, threads: int | None, pro
 
     `probe` measures the time to record one frame. Raises the same errors as the run would before its first step.
     """
-    ready = _Copy(scene, device, precision, threads)
+    ready = _ShortenedCopy(scene, device, precision, threads)
     dt, factor = ready.stepper.dt, ready.factor
     limits, governing = ready.limits()
     frames = probe(ready.simulation)
@@ -66,7 +66,7 @@ def forecast(scene: Scene, device: Any, precision: str, threads: int | None, pro
     if scene.settle is not None and scene.settle.duration > 0:
         time_settling = _settling_time(scene)
         looks = math.ceil(SETTLING_PARTS * time_settling / scene.settle.duration)
-        count = time_settling / (dt / PART if ready.stepper.batch.subcycles.rounds else dt)
+        count = time_settling / (dt / SUBCYCLED_STEP_FRACTION if ready.stepper.batch.subcycles.rounds else dt)
         parts["settling"] = (count * (ready.settling_step() + SETTLING_BUILDS * build) + looks * sample) * factor
     builds = ready.builds(steps)
     parts["steps"] = steps * step * factor
@@ -97,10 +97,10 @@ def _settling_time(scene: Scene) -> float:
     if scene.pipe is None or scene.fill is None:
         return scene.settle.duration
     speed = math.sqrt(scene.contact.stress_scale / (0.6 * scene.fill.density))
-    return min(scene.settle.duration, BESIDES + PASSAGES * scene.pipe.concrete_length / speed)
+    return min(scene.settle.duration, SETTLING_OFFSET + PASSAGES * scene.pipe.concrete_length / speed)
 
 
-class _Copy:
+class _ShortenedCopy:
     """Copy of a scene as at t = 0, but without settling; for a very long pipe only part of it."""
 
     def __init__(self, scene: Scene, device: Any, precision: str, threads: int | None) -> None:
@@ -117,7 +117,7 @@ class _Copy:
         )
         simulation.place(packed, 0.0)
         simulation.join(Stepper(simulation.model, simulation.state, scene.time_step, threads=simulation.threads))
-        drive_alone(simulation.preparing(), simulation.stepper.advance)
+        run_coroutine(simulation.preparing(), simulation.stepper.advance)
         self.simulation, self.stepper = simulation, simulation.stepper
         self.bodies, self.spheres = simulation.state.body_count, simulation.state.sphere_count
         self._time()
@@ -141,13 +141,13 @@ class _Copy:
             self.packing = taken * (2 if fill.pressure is not None else 1)
             return table, report
         whole = container.length / pilot.length
-        most = MOST[parallel(self.device)]
+        most = MAXIMUM_SPHERES[parallel(self.device)]
         spheres = float(table.sphere_counts.sum())
         kept = min(whole, max(most / spheres, 1.0))
         placed = float(placed_bodies(self.scene).sphere_counts.sum())
         self.factor = (whole * spheres + placed) / (kept * spheres + placed)
         if parallel(self.device):
-            long = taken * (IDLE + whole * spheres) / (IDLE + spheres)
+            long = taken * (IDLE_SPHERES + whole * spheres) / (IDLE_SPHERES + spheres)
         else:
             long = taken * whole
         self.packing = long + (taken if fill.pressure is not None else 0.0)
@@ -163,7 +163,7 @@ class _Copy:
             return
         stepper.advance(stepper.time + 2 * stepper.dt)
         batch = stepper.batch
-        self.build = median_time(batch.rebuild if batch.ahead.rebuilds_itself else stepper.rebuild, self.device)
+        self.build = median_time(batch.rebuild if batch.planner.rebuilds_on_device else stepper.rebuild, self.device)
         self.sample = median_time(simulation.measure, self.device)
         begun_builds, first = int(stepper.lists.builds[stepper.index]), stepper.steps
         self.step = self.step_time()
@@ -172,7 +172,7 @@ class _Copy:
         self.memory = _memory(simulation)
         if self.scene.settle and self.scene.bonds and not simulation.model.features.healing:
             load = simulation.state.pairs.load
-            self.memory["contacts"] += (SETTLED_BONDS - 1) * load.size * wp.types.type_size_in_bytes(load.dtype)
+            self.memory["contacts"] += (BONDS_AFTER_SETTLING - 1) * load.size * wp.types.type_size_in_bytes(load.dtype)
 
     def step_time(self) -> float:
         """Measure the wall time of a step without list rebuilds [s]."""
@@ -182,7 +182,7 @@ class _Copy:
         count, spent = 32, 0.0
         stepper.advance(stepper.time + count * stepper.dt)  # the first steps record graphs, which must not be timed
         rates = []
-        while spent < SPENT:
+        while spent < TIMING_TIME:
             wp.synchronize_device(self.device)
             begun, before, built = time.perf_counter(), stepper.steps, int(stepper.lists.builds[stepper.index])
             stepper.advance(stepper.time + count * stepper.dt)
@@ -297,7 +297,7 @@ class _Copy:
         )  # fmt: skip
         one = self.simulation
         other = ElementSimulation(scene, device=str(self.device), precision=one.precision, threads=one.threads)
-        other.state = restored(other.model, state_dict(one.state))
+        other.state = restore_state(other.model, state_dict(one.state))
         if other.model.features.bonds:
             other.state.pairs.bond.zero_()
         stepper = Stepper(other.model, other.state, scene.time_step, threads=one.threads,

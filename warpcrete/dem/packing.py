@@ -33,11 +33,13 @@ START_FRACTION = 0.10  # solid fraction at which aggregates are sown
 GROWTH_STEPS = 1500
 RELAX_STEPS = 3000
 CHUNK = 50  # steps between two evaluations of the pressure
-TRANSIENT = 0.005  # pressure over contact modulus that sown aggregates may cause before they have moved apart
+TRANSIENT_LOOKS = 0.005  # pressure over contact modulus that sown aggregates may cause before they have moved apart
 CLOSE_FRACTION = 0.75  # a solid fraction that no packing of these shapes reaches under kilopascals
-PATIENCE = 45  # evaluations in a row with the pressure off on the same side before sizes change faster
+LOOKS_BEFORE_GAIN = 45  # evaluations in a row with the pressure off on the same side before sizes change faster
 MOST_GAIN = 16.0  # largest factor by which size changes are sped up
-NEAR = 0.15  # relative error of the pressure that ends the relaxation after RELAX_STEPS; else it may take twice as many
+NEAR_TARGET = (
+    0.15  # relative error of the pressure that ends the relaxation after RELAX_STEPS; else it may take twice as many
+)
 MOST_BODIES = 2**25  # limit at which the bodies' arrays still fit the memory of today's largest GPU
 
 
@@ -157,7 +159,7 @@ def pack_many(
             pilots[number] = (pilot, CLOSE_FRACTION)
     part = float(np.mean(parts)) if parts else 0.0  # share of the pilot packings in the total work
 
-    def grow_all(containers: dict[int, Any], told: Callable[[float], None]) -> dict[int, Any]:
+    def grow_all(containers: dict[int, Any], report_fraction: Callable[[float], None]) -> dict[int, Any]:
         found: dict[int, Any] = {}
         growths: dict[int, _Growth] = {}
         for number, (container, fraction) in containers.items():
@@ -166,7 +168,7 @@ def pack_many(
                 growths[number] = _Growth(request, container, fraction, randoms[number], device, precision)
             except WarpcreteError as error:
                 found[number] = error
-        return found | _grow_together(growths, threads, told)
+        return found | _grow_together(growths, threads, report_fraction)
 
     measured = grow_all(pilots, lambda done: tell(part * done)) if pilots else {}
     wanted: dict[int, Any] = {}
@@ -192,7 +194,7 @@ def _grow_together(growths: dict[int, _Growth], threads: int, tell: Callable[[fl
     found: dict[int, Any] = {}
     done = dict.fromkeys(growths, 0.0)
 
-    def told(number: int, fraction: float) -> None:
+    def report_fraction(number: int, fraction: float) -> None:
         done[number] = fraction
         tell(sum(done.values()) / len(done))
 
@@ -202,7 +204,7 @@ def _grow_together(growths: dict[int, _Growth], threads: int, tell: Callable[[fl
         scenes = {}
         for number, growth, stepper in zip(numbers, members, steppers):
             stepper.change(local_damping=0.5, growth_rate=growth.rate, growth_end=1.0)
-            scenes[number] = (stepper, growth.growing(stepper, lambda done, n=number: told(n, done)))
+            scenes[number] = (stepper, growth.growing(stepper, lambda done, n=number: report_fraction(n, done)))
         results = drive(scenes)
         found |= results
         stop = next((r for r in results.values() if isinstance(r, KeyboardInterrupt)), None)
@@ -247,7 +249,7 @@ class _Growth:
         pressure = self.fill.pressure
         # Sown aggregates that still overlap push each other apart for a while, so only a pressure well above that of
         # these overlaps ends the growth.
-        resting = max(pressure or 0.0, TRANSIENT * self.contact.stress_scale)
+        resting = max(pressure or 0.0, TRANSIENT_LOOKS * self.contact.stress_scale)
         for number in range(GROWTH_STEPS // CHUNK):
             stepper.choose_dt()
             yield Steps(CHUNK)
@@ -258,26 +260,29 @@ class _Growth:
     def _rest(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:
         """Let the aggregates come to rest; if a pressure is wanted, adjust sizes until it is met."""
         pressure = self.fill.pressure
-        met, least, below = 0, 1e-3, None
-        gain, aside = 1.0, 0  # `aside` counts evaluations in a row with the pressure off on the same side
+        looks_on_target, least, was_too_low = 0, 1e-3, None
+        gain, looks_off_target = (
+            1.0,
+            0,
+        )  # `looks_off_target` counts evaluations in a row with the pressure off on the same side
         looks = RELAX_STEPS // CHUNK
         for number in range(looks if pressure is None else 2 * looks):
             if pressure is not None:
                 error = pressure - self._pressure()
-                if number >= looks and abs(error) < NEAR * pressure:
+                if number >= looks and abs(error) < NEAR_TARGET * pressure:
                     break
-                met = met + 1 if abs(error) < 0.03 * pressure else 0
-                if met == 4:
+                looks_on_target = looks_on_target + 1 if abs(error) < 0.03 * pressure else 0
+                if looks_on_target == 4:
                     break
-                if met:
-                    gain, aside = 1.0, 0
-                if below is not None and below != (error > 0):
-                    least, gain, aside = 0.5 * least, max(1.0, 0.5 * gain), 0
+                if looks_on_target:
+                    gain, looks_off_target = 1.0, 0
+                if was_too_low is not None and was_too_low != (error > 0):
+                    least, gain, looks_off_target = 0.5 * least, max(1.0, 0.5 * gain), 0
                 elif abs(error) > 0.03 * pressure:
-                    aside += 1
-                    if aside > PATIENCE and aside % 3 == 0:
+                    looks_off_target += 1
+                    if looks_off_target > LOOKS_BEFORE_GAIN and looks_off_target % 3 == 0:
                         gain = min(MOST_GAIN, 1.5 * gain)
-                below = bool(error > 0)
+                was_too_low = bool(error > 0)
                 # dp/d(ln size) of a packing is about the modulus of its contacts, but far less in a packing that is
                 # barely jammed, where growing aggregates mostly move into free space.
                 change = np.clip(gain * error / self.contact.stress_scale, -2e-3 * gain, 2e-3 * gain)

@@ -12,13 +12,13 @@ from ..core.device.footprint import footprint
 from ..core.run.method import results_of
 from ..core.run.provenance import provenance
 from ..core.run.run import Table
-from ..core.run.run_loop import Coroutine, Run, Simulation, Until, drive_alone
+from ..core.run.run_loop import Coroutine, Run, Simulation, Until, run_coroutine
 from ..core.units import quantity
 from .engine.bonding import bond_kinds
 from .engine.memory import check_memory
 from .engine.model import build_model
 from .engine.state import State
-from .engine.state_data import restored, state_dict, state_hash
+from .engine.state_data import restore_state, state_dict, state_hash
 from .engine.stepper import Stepper
 from .measure.blockage import BlockageWatch
 from .measure.display import ElementDisplay
@@ -105,7 +105,7 @@ class ElementSimulation(Simulation):
             )
         self.place(packed, wall_clock.perf_counter() - started)
         self.join(Stepper(self.model, self.state, scene.time_step, threads=self.threads))
-        drive_alone(self.preparing(), self.stepper.advance)
+        run_coroutine(self.preparing(), self.stepper.advance)
 
     def place(self, packed: tuple[BodyTable, PackingReport] | None, took: float) -> None:
         """Create the state from the result of packing, which took `took` [s], and the scene's placed bodies."""
@@ -113,7 +113,7 @@ class ElementSimulation(Simulation):
         if packed is not None:
             table, self.packing = packed
         self.tell("packing", 1.0)
-        self._spent["packing"] = took
+        self._wall_times["packing"] = took
         table = table.joined(placed_bodies(self.scene))
         check_memory(self.model, table)
         self.state = State(self.model, table)
@@ -134,12 +134,12 @@ class ElementSimulation(Simulation):
                 self.stepper.bond(bonds, first_group_kind + number, model.groups.index(group))
             self.stepper.choose_dt()  # refuses an unstable fixed step before any file is written
 
-        started = wall_clock.perf_counter() - self._spent.get("settling", 0.0)
+        started = wall_clock.perf_counter() - self._wall_times.get("settling", 0.0)
         if scene.settle and scene.settle.duration > 0:
             with self._walls_held():
                 yield from self._settling(scene.settle.duration)
             self.stepper.change(local_damping=scene.local_damping)
-        self._spent["settling"] = wall_clock.perf_counter() - started
+        self._wall_times["settling"] = wall_clock.perf_counter() - started
         self._settled = None
         self.stepper.restart_clock()
         if scene.bonds is not None and scene.bonds.healing:
@@ -161,13 +161,13 @@ class ElementSimulation(Simulation):
             self.stepper.change(held=0)
 
     def _settling(self, duration: float) -> Coroutine:
-        before, begun = self._spent.get("settling", 0.0), wall_clock.perf_counter()
+        before, begun = self._wall_times.get("settling", 0.0), wall_clock.perf_counter()
         if self._settled is None:
             self._settled = 0
             self._checkpoint()
         for part in range(self._settled, SETTLING_PARTS):
             self._settled = part
-            self._spent["settling"] = before + wall_clock.perf_counter() - begun
+            self._wall_times["settling"] = before + wall_clock.perf_counter() - begun
             if self.stop_requested:
                 self._checkpoint()
                 raise KeyboardInterrupt
@@ -193,7 +193,7 @@ class ElementSimulation(Simulation):
         rest = self.scene.rest
         if rest is not None and self.rested is None and rest.at <= time:
             yield Until(rest.at)
-            self.rested = self.stepper.stand()
+            self.rested = self.stepper.apply_rest()
         yield Until(time)
 
     def _begin(self) -> None:
@@ -226,11 +226,11 @@ class ElementSimulation(Simulation):
         self.restore(state)
         stepper = Stepper(self.model, self.state, self.scene.time_step, threads=self.threads, resumed=state["stepper"])
         self.join(stepper)
-        drive_alone(self.going_on(state), stepper.advance)
+        run_coroutine(self.going_on(state), stepper.advance)
 
     def restore(self, state: dict[str, Any]) -> None:
         """Create the arrays of a `state_dict`; `join` and then `going_on` complete a resumption."""
-        self.state = restored(self.model, state["state"])
+        self.state = restore_state(self.model, state["state"])
         self._settled = state.get("settled")
 
     def _memory(self) -> float:
@@ -250,7 +250,7 @@ class ElementSimulation(Simulation):
         self.watch.load_state_dict(state["watch"])
         self.rested = state.get("rested")
         if self.rested is not None:
-            self.stepper.wear_from(self.rested)
+            self.stepper.set_layer_gain(self.rested)
         if self.blockage is not None:
             self.blockage.load_state_dict(state["blockage"])
 
@@ -286,7 +286,7 @@ class ElementSimulation(Simulation):
         """Return the run up to now, with its results."""
         series = self.sampler.series()
         steps, state = self.stepper.steps, self.state
-        running = self._spent.get("running", 0.0)
+        running = self._wall_times.get("running", 0.0)
         tables: dict[str, Table] = {}
         result: dict[str, Any] = {
             "scene": self.scene.name,
@@ -324,8 +324,8 @@ class ElementSimulation(Simulation):
                 tables["stations"] = Table(known.log.table(known.window), STATION_UNITS)
         result["speed"] = {
             "wall_time": quantity(running, "s"),
-            "packing_time": quantity(self._spent.get("packing", 0.0), "s"),
-            "settling_time": quantity(self._spent.get("settling", 0.0), "s"),
+            "packing_time": quantity(self._wall_times.get("packing", 0.0), "s"),
+            "settling_time": quantity(self._wall_times.get("settling", 0.0), "s"),
             "steps_per_second": quantity(steps / max(running, 1e-9), "1/s"),
             "sphere_steps_per_second": quantity(steps * state.sphere_count / max(running, 1e-9), "1/s"),
             "memory": quantity(self._memory(), "B"),

@@ -11,7 +11,7 @@ from .axis import Arc, Axis
 
 FACETS = 32
 """Number of facets around the circumference of a pipe that is drawn with triangles."""
-FINE = 400
+VOLUME_SAMPLES = 400
 """Number of arc lengths at which the volume of a pipe is tabulated to find the arc length at which a given share of the
 volume ends.
 """
@@ -72,7 +72,7 @@ class Bores:
 
         `parts` (n,) are shares of the volume of the first `length` [m] of the pipe.
         """
-        s = np.union1d(np.linspace(0, length, FINE), [p for p in self.places if 0 < p < length])
+        s = np.union1d(np.linspace(0, length, VOLUME_SAMPLES), [p for p in self.places if 0 < p < length])
         slices = (
             np.pi / 3 * np.diff(s) * (self.at(s[1:]) ** 2 + self.at(s[1:]) * self.at(s[:-1]) + self.at(s[:-1]) ** 2)
         )

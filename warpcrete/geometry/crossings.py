@@ -14,7 +14,7 @@ HALF_TURN = 0.51 * math.pi
 itself."""
 
 
-def meeting(axis: Axis, spans: Sequence[tuple[float, float, int]], gap: float = 0.0) -> tuple[int, int] | None:
+def first_crossing(axis: Axis, spans: Sequence[tuple[float, float, int]], gap: float = 0.0) -> tuple[int, int] | None:
     """Return the indices of the first two spans of a pipe whose walls are closer than `gap` [m], or None.
 
     A span is a section of the pipe, given by its length [m], its diameter [m] and the number of points along it.

@@ -12,7 +12,7 @@ FLAT = 1e-6
 """Turning angle below which a piece of a curve is made straight [rad]."""
 
 
-def through(points: np.ndarray, tangent: np.ndarray) -> list[Line | Arc]:
+def curve_through(points: np.ndarray, tangent: np.ndarray) -> list[Line | Arc]:
     """Return the pieces of a smooth curve through `points` (n, 3) [m] that starts with the unit vector `tangent`.
 
     Two arcs that meet without a kink join each pair of neighbouring points (biarcs of equal tangent lengths, Bolton
@@ -22,11 +22,11 @@ def through(points: np.ndarray, tangent: np.ndarray) -> list[Line | Arc]:
     pieces: list[Line | Arc] = []
     tangents = _tangents(points, tangent)
     for place in range(len(points) - 1):
-        pieces += joining(points[place], tangents[place], points[place + 1], tangents[place + 1])
+        pieces += biarc(points[place], tangents[place], points[place + 1], tangents[place + 1])
     return pieces
 
 
-def begins(points: np.ndarray) -> np.ndarray:
+def start_tangent(points: np.ndarray) -> np.ndarray:
     """Return the unit tangent, at the first of `points` (n, 3), of the circle through the first three points."""
     chord = _unit(points[1] - points[0])
     if len(points) == 2:
@@ -49,7 +49,7 @@ def _passing(before: np.ndarray, here: np.ndarray, after: np.ndarray) -> np.ndar
     return _unit(_unit(one) * np.linalg.norm(other) + _unit(other) * np.linalg.norm(one))
 
 
-def joining(begin: np.ndarray, t0: np.ndarray, end: np.ndarray, t1: np.ndarray) -> list[Line | Arc]:
+def biarc(begin: np.ndarray, t0: np.ndarray, end: np.ndarray, t1: np.ndarray) -> list[Line | Arc]:
     """Return two arcs (a biarc) from a point with unit tangent `t0` to a point with unit tangent `t1`.
 
     The control points q1 = begin + d t0 and q2 = end - d t1 have the distance 2 d, which gives a quadratic equation for

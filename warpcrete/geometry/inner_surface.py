@@ -9,24 +9,24 @@ from .axis import Axis
 from .cleaning import clean, default_tolerance, merged_corners
 from .meshes import FARTHEST_WALL, SurfaceQueries
 
-WIDEST_ERROR = 0.1
+MAX_RADIUS_ERROR = 0.1
 """Largest difference between the bore of a mesh and the pipe that the mesh represents, as a share of the pipe's
 radius.
 """
-AROUND = 24
+DIRECTIONS_AROUND = 24
 """Number of directions in which the wall's distance is measured at each cross-section."""
 INSET = 1e-3
 """Distance in radii that cross-sections keep from a rim or lid, because rays exactly there may miss the wall."""
-SHORT = 0.02
+MAX_SHORTFALL = 0.02
 """Length in radii by which a mesh may be shorter than the pipeline part that the mesh represents."""
-ACROSS, NEAR = 0.9, 0.1
+LID_COSINE, LID_DISTANCE = 0.9, 0.1
 """Limits that identify a facet of a lid: the cosine between its normal and the axis must exceed the first number, and
 the facet must lie beyond an end of the pipe or nearer to it than the second number in radii."""
-SEEN = 1e-3
+VISIBILITY_TOLERANCE = 1e-3
 """Distance in radii in front of a facet within which another surface does not hide the facet."""
 OFFSET = 1e-4
 """Distance in radii from a facet, on both of its sides, of the points from which the facet's visibility is tested."""
-CORNERS = 0.8
+CORNER_WEIGHT = 0.8
 """Weight of a corner in a mean of a triangle's corner and centre. At these means, and at the centre, the visibility of
 the triangle is tested."""
 
@@ -68,10 +68,10 @@ class InnerSurface:
         self.axis, self._radius = axis, radius
         self._low, self._high = span or (0.0, axis.length)
         self._all = SurfaceQueries(vertices, faces)
-        self.begin, self.end = self._covered(vertices, field, name)
+        self.begin, self.end = self._enclosed_lengths(vertices, field, name)
         """Arc lengths between which the mesh encloses the axis [m]."""
         self._check_free(field, name)
-        kept = self._seen(vertices, faces)
+        kept = self._visible_facets(vertices, faces)
         self._check_closed(field, name, *given, origin, origin[kept])
         used, corners = np.unique(faces[kept], return_inverse=True)
         self.vertices = vertices[used]
@@ -82,13 +82,13 @@ class InnerSurface:
         """Index in the original mesh of each triangle of the inner surface, shape (m,)."""
         self._queries = SurfaceQueries(self.vertices, self.faces)
 
-    def sections(self, s: np.ndarray, around: int = AROUND) -> np.ndarray:
+    def sections(self, s: np.ndarray, around: int = DIRECTIONS_AROUND) -> np.ndarray:
         """Return the distances [m] from the axis to the wall at arc lengths `s` (n,), shape (n, around).
 
         The rays point in `around` equally spaced directions; directions k and k + around / 2 are opposite. The distance
         is -1 where a ray meets no wall.
         """
-        return self._probed(self._inside(s), around)
+        return self._wall_distances(self._inside(s), around)
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Return the distance of `points` (n, 3) from the wall [m], positive inside the bore, shape (n,)."""
@@ -114,18 +114,18 @@ class InnerSurface:
         inset = min(INSET * self._radius, 0.25 * (high - low))
         return np.clip(s, low + inset, high - inset)
 
-    def _probed(self, s: np.ndarray, around: int = AROUND) -> np.ndarray:
+    def _wall_distances(self, s: np.ndarray, around: int = DIRECTIONS_AROUND) -> np.ndarray:
         points, _, normal, side = self.axis.frame(s)
         return self._all.around(points, normal, side, around, FARTHEST_WALL * self._radius)
 
-    def _covered(self, vertices: np.ndarray, field: str, name: str) -> tuple[float, float]:
+    def _enclosed_lengths(self, vertices: np.ndarray, field: str, name: str) -> tuple[float, float]:
         """Return the arc lengths [m] between which the mesh encloses the axis.
 
         A mesh with open cross-sections between them is refused.
         """
-        low, high, short = self._low, self._high, SHORT * self._radius
+        low, high, short = self._low, self._high, MAX_SHORTFALL * self._radius
         s = np.linspace(low + short, high - short, max(8, 2 + int(2 * (high - low) / self._radius)))
-        missed = np.any(self._probed(s) < 0, axis=1)
+        missed = np.any(self._wall_distances(s) < 0, axis=1)
         along = self.axis.along(vertices)
         closed = np.flatnonzero(~missed)
         reaches = along.min() <= low + short and along.max() >= high - short
@@ -146,12 +146,12 @@ class InnerSurface:
 
         The cross-section at `closed` is closed; `beyond` lies at or outside the end.
         """
-        if not np.any(self._probed(np.array([beyond])) < 0):
+        if not np.any(self._wall_distances(np.array([beyond])) < 0):
             return beyond
         opened = beyond
         while abs(opened - closed) > 0.1 * INSET * self._radius:
             middle = 0.5 * (opened + closed)
-            if np.any(self._probed(np.array([middle])) < 0):
+            if np.any(self._wall_distances(np.array([middle])) < 0):
                 opened = middle
             else:
                 closed = middle
@@ -161,14 +161,14 @@ class InnerSurface:
         """Return which facets close the pipe across its axis at an end or beyond, as booleans of shape (f,)."""
         s = self.axis.along(middles)
         tangents = self.axis.at(s)[1]
-        near = NEAR * self._radius
-        across = np.abs(np.sum(normals * tangents, axis=1)) > ACROSS
+        near = LID_DISTANCE * self._radius
+        across = np.abs(np.sum(normals * tangents, axis=1)) > LID_COSINE
         low, high = max(self.begin, self._low), min(self.end, self._high)
         return across & ((s < low + near) | (s > high - near))
 
     def _check_free(self, field: str, name: str) -> None:
         """Refuse a mesh with a surface that crosses the axis inside the part; lids at its ends are allowed."""
-        inset = SHORT * self._radius
+        inset = MAX_SHORTFALL * self._radius
         low, high = max(self.begin, self._low) + inset, min(self.end, self._high) - inset
         s = np.linspace(low, high, max(8, 2 + int(8 * (high - low) / self._radius)))
         points, _ = self.axis.at(s)
@@ -200,7 +200,7 @@ class InnerSurface:
             return np.bincount(of[np.concatenate(chosen)].ravel(), minlength=len(edges))
 
         low, high = max(self.begin, self._low), min(self.end, self._high)
-        inset = SHORT * self._radius
+        inset = MAX_SHORTFALL * self._radius
         along = self.axis.along(vertices[edges].reshape(-1, 3)).reshape(-1, 2)
         open_ = np.any((along > low + inset) & (along < high - inset), axis=1) & (count(kept) == 1)
         holes = open_ & (count(whole, flat) == 1)
@@ -212,7 +212,7 @@ class InnerSurface:
             refuse(field, name, f"has an undercut (wall that is not visible from the axis) {along[hidden].min():.3g} m "
                    "from its start", "fill the undercut")  # fmt: skip
 
-    def _seen(self, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    def _visible_facets(self, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         """Return the indices of the facets of the inner surface: visible from the axis and not part of a lid."""
         corners = vertices[faces]
         middles = corners.mean(axis=1)
@@ -220,7 +220,7 @@ class InnerSurface:
         normals = normals / np.linalg.norm(normals, axis=1)[:, None]
         waiting = np.flatnonzero(~self._closes(middles, normals))
         seen = np.zeros(len(faces), bool)
-        places = [middles, *((CORNERS * corners[:, k] + (1 - CORNERS) * middles) for k in range(3))]
+        places = [middles, *((CORNER_WEIGHT * corners[:, k] + (1 - CORNER_WEIGHT) * middles) for k in range(3))]
         for place in places:
             for side in (1.0, -1.0):
                 points = place[waiting] + side * OFFSET * self._radius * normals[waiting]
@@ -228,7 +228,7 @@ class InnerSurface:
                 apart = np.linalg.norm(points - nearest, axis=1)
                 ways = (points - nearest) / np.maximum(apart, 1e-12)[:, None]
                 found = self._all.rays(nearest, ways, float(apart.max(initial=1e-12)) * 1.001)
-                free = (found < 0) | (found > apart - SEEN * self._radius)
+                free = (found < 0) | (found > apart - VISIBILITY_TOLERANCE * self._radius)
                 seen[waiting[free]] = True
                 waiting = waiting[~free]
         return np.flatnonzero(seen)
@@ -248,7 +248,7 @@ def pipe_in(
     """
     surface = InnerSurface(vertices, faces, axis, radius, field, name, (0.0, length))
     reach = surface.sections(np.linspace(0.0, length, max(8, int(length / radius))))
-    if np.any(np.abs(reach / radius - 1) > WIDEST_ERROR):
+    if np.any(np.abs(reach / radius - 1) > MAX_RADIUS_ERROR):
         refuse(field, name, f"has a bore {2e3 * reach.min():.4g} to {2e3 * reach.max():.4g} mm wide, but the pipe "
                f"is {2e3 * radius:g} mm wide", "check its position and unit (wall_scale=0.001 for mm)")  # fmt: skip
     return surface

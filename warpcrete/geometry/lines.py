@@ -15,33 +15,33 @@ from ..core.errors import one_line, one_of, positive, refuse, suggested
 from ..core.inputs.amounts import amount
 from ..core.inputs.concretes import is_file
 from ..core.inputs.limits import check_limit, check_velocity, warn
-from ..core.inputs.text_files import name_of, read_mapping, within
+from ..core.inputs.text_files import errors_located_at, name_of, read_mapping
 from .axis import Arc, Axis, Line
 from .bores import Bores
-from .crossings import meeting
-from .curves import begins, through
+from .crossings import first_crossing
+from .curves import curve_through, start_tangent
 from .line_entries import AMOUNTS, BEGINS, KEYS, LIMITED_AS, MOST_PARTS, MOST_POINTS, PARTS, WAYS
-from .mesh_parts import MeshBore, bore_of, directions_at, turned
+from .mesh_parts import MeshBore, bore_of, directions_at, rotated_pieces
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
-SHARPEST = 135.0
+MAX_BEND_ANGLE = 135.0
 """Largest angle of a single bend [degrees]."""
-BLOCKING = 3.0
+BLOCKING_RATIO = 3.0
 """Ratio of pipe diameter to largest stone below which pipes are known to block. ACI 304.2R requires 3 for crushed
 stone."""
-CURVED = ((0.0, 0.15, 0.3, 0.6), (0.0, 0.023, 0.042, 0.125))
+BEND_EXTRA_LOSS = ((0.0, 0.15, 0.3, 0.6), (0.0, 0.023, 0.042, 0.125))
 """Additional pressure loss of a bend, relative to straight pipe of its length (second row), by the pipe's diameter over
 the bend's radius (first row). Source: simulated flows of the concrete no1, the highest loss of three concretes, through
 bends of 150 mm pipe at 30 m3/h. The loss of a hose is computed from this table.
 """
-ASKEW = 20.0
+MAX_HOSE_KINK = 20.0
 """Largest angle between a line and the first direction of a hose's points at which the hose still continues the line
 without a kink [degrees]."""
-LAYERS = (0.1, 10.0)
+HOSE_LAYER = (0.1, 10.0)
 """Usual range of the slip layer's resistance in a hose relative to a pipe; a warning is given outside this range."""
 UP = np.array([0.0, 0.0, 1.0])
 Pieces = Sequence[Line | Arc]
-PLACES = {"bend": 9, "hose": 33, "bore": 33}
+CROSSING_SAMPLES = {"bend": 9, "hose": 33, "bore": 33}
 """Number of points along a part, by its kind, between which the part is taken as straight when crossings are sought."""
 
 
@@ -64,7 +64,7 @@ class Part:
     """Radius of a bend's centreline [m]; 0 for other parts."""
     angle: float = 0.0
     """Angle of a bend [degrees]; 0 for other parts."""
-    curving: float = 1.0
+    relative_loss: float = 1.0
     """Pressure loss of a hose relative to a straight pipe of the same length; 1 for other parts."""
     layer: float = 1.0
     """Resistance of the slip layer in a hose relative to that in a pipe; 1 for other parts."""
@@ -77,7 +77,7 @@ class Part:
         return min(self.diameter, self.outlet, self.mesh.narrowest if self.mesh else math.inf)
 
     @property
-    def by_length(self) -> bool:
+    def is_by_length(self) -> bool:
         """Return whether the part's pressure loss is proportional to its length."""
         return self.kind in ("straight", "hose")
 
@@ -97,9 +97,9 @@ class Part:
         return f"straight{way}"
 
     @property
-    def alike(self) -> tuple[Any, ...]:
+    def loss_key(self) -> tuple[Any, ...]:
         """Key that is equal for parts with equal pressure loss; straight parts are compared by their loss per metre."""
-        if self.by_length:
+        if self.is_by_length:
             return ("straight", self.diameter, self.layer)
         shape = self.mesh.digest if self.mesh else ""
         return (self.kind, self.diameter, self.outlet, self.length, self.radius, self.angle, shape)
@@ -156,9 +156,9 @@ class PipeLine:
         """Return warnings about the line for its user, such as stones that may block a narrow part."""
         found = []
         narrow = min(part.narrow for part in self.parts)
-        if self.largest_stone and narrow < BLOCKING * self.largest_stone:
+        if self.largest_stone and narrow < BLOCKING_RATIO * self.largest_stone:
             found.append(f"stones of {1e3 * self.largest_stone:g} mm in a bore of {1e3 * narrow:.6g} mm may block: "
-                         f"the bore is narrower than {BLOCKING:g} of them")  # fmt: skip
+                         f"the bore is narrower than {BLOCKING_RATIO:g} of them")  # fmt: skip
         return found
 
 
@@ -206,7 +206,7 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
     if not isinstance(given, Mapping):
         refuse("line", given, "must hold 'key: value' lines")
     for key in given:
-        with within(given, key):
+        with errors_located_at(given, key):
             one_of("line's key", key, KEYS)
     entries = given.get("parts")
     if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:
@@ -220,14 +220,14 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
     )
     assert diameter is not None
     begin = given.get("begin", "level")
-    with within(given, "begin"):
+    with errors_located_at(given, "begin"):
         one_of("begin", begin, BEGINS)
     course = _Course(np.array(BEGINS[begin]), diameter, folder)
     for number, entry in enumerate(entries, 1):
-        with within(entries, number - 1):
+        with errors_located_at(entries, number - 1):
             course.add(number, entry)
     if flow is not None:
-        with within(given, "flow"):
+        with errors_located_at(given, "flow"):
             narrow = min(min(part.diameter, part.outlet) for part in course.parts)
             check_velocity("flow", flow, 4 * flow / (math.pi * narrow**2))
     axis = Axis((0.0, 0.0, 0.0), BEGINS[begin], tuple(course.pieces))
@@ -260,7 +260,7 @@ def _text(given: Mapping[str, Any], field: str, default: str) -> str:
     """Return a text without the control characters of terminals, or the default if the entry is missing."""
     found = given.get(field, default)
     if isinstance(found, Mapping | list):
-        with within(given, field):
+        with errors_located_at(given, field):
             refuse(field, found, "must be text of one line", "put it in quotes")
     return one_line(str(found))
 
@@ -269,7 +269,7 @@ def _above(given: Mapping[str, Any], field: str, unit: str) -> float | None:
     """Return a positive entry in `unit`, or None if the entry is missing."""
     if field not in given:
         return None
-    with within(given, field):
+    with errors_located_at(given, field):
         found = amount(field, given[field], unit)
         positive(field, found, unit)
         check_limit(field, found, unit, LIMITED_AS.get(field, field))
@@ -344,8 +344,8 @@ class _Course:
             )
         whole = math.degrees(math.acos(float(np.clip(towards @ self.tangent, -1, 1))))
         angle = get("angle", "degrees", round(whole, 9))
-        if not 1 <= angle <= SHARPEST:
-            refuse(f"{field}: angle", angle, f"must be in [1, {SHARPEST:g}] degrees", "split it into two bends")
+        if not 1 <= angle <= MAX_BEND_ANGLE:
+            refuse(f"{field}: angle", angle, f"must be in [1, {MAX_BEND_ANGLE:g}] degrees", "split it into two bends")
         if way in ("up", "down", "level") and angle > whole + 1e-6:
             refuse(f"{field}: angle", angle, f"turns beyond {way!r}, which is at {whole:.4g} degrees",
                    "leave out the angle")  # fmt: skip
@@ -381,26 +381,30 @@ class _Course:
             refuse(f"{field}: points", given, "must be at least half a diameter apart")
         layer = float(amount(f"{field}: layer", said.get("layer", 1.0), "1"))
         positive(f"{field}: layer", layer, "")
-        if not LAYERS[0] <= layer <= LAYERS[1]:
-            warn(f"{field}: layer = {layer:g}: is unusual: hoses have {LAYERS[0]:g} to {LAYERS[1]:g} times the "
+        if not HOSE_LAYER[0] <= layer <= HOSE_LAYER[1]:
+            warn(f"{field}: layer = {layer:g}: is unusual: hoses have {HOSE_LAYER[0]:g} to {HOSE_LAYER[1]:g} times the "
                  "resistance of a pipe; write per cent with the unit, as '80 %'")  # fmt: skip
         points = local @ np.array([self.heading, np.cross(UP, self.heading), UP])
-        askew = math.degrees(math.acos(float(np.clip(begins(points) @ self.tangent, -1, 1))))
-        if askew > ASKEW:
+        askew = math.degrees(math.acos(float(np.clip(start_tangent(points) @ self.tangent, -1, 1))))
+        if askew > MAX_HOSE_KINK:
             refuse(f"{field}: points", given, f"begin at an angle of {askew:.0f} degrees to the direction of the line",
                    "put a bend before the hose, or move the first points")  # fmt: skip
-        pieces = through(points, self.tangent)
+        pieces = curve_through(points, self.tangent)
         length = sum(piece.length for piece in pieces)
         bends = [piece for piece in pieces if isinstance(piece, Arc)]
         sharpest = min((piece.radius for piece in bends), default=math.inf)
-        if self.diameter > CURVED[0][-1] * sharpest:
+        if self.diameter > BEND_EXTRA_LOSS[0][-1] * sharpest:
             refuse(f"{field}: points", given, f"bend it to a radius of {sharpest:.3g} m",
-                   f"keep the radius above {self.diameter / CURVED[0][-1]:.3g} m")  # fmt: skip
-        more = sum(arc.length * float(np.interp(self.diameter / arc.radius, *CURVED)) for arc in bends) / length
+                   f"keep the radius above {self.diameter / BEND_EXTRA_LOSS[0][-1]:.3g} m")  # fmt: skip
+        more = (
+            sum(arc.length * float(np.interp(self.diameter / arc.radius, *BEND_EXTRA_LOSS)) for arc in bends) / length
+        )
         rise = float(points[-1, 2])
         end = Axis((0.0, 0.0, 0.0), tuple(self.tangent.tolist()), tuple(pieces)).at(length)[1][0]
         self._turn(end)
-        return Part(number, "hose", self.diameter, length, rise, self.diameter, curving=1 + more, layer=layer), pieces
+        return Part(
+            number, "hose", self.diameter, length, rise, self.diameter, relative_loss=1 + more, layer=layer
+        ), pieces
 
     def _reducer(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
         outlet, length = get("to", "m"), get("length", "m")
@@ -431,7 +435,7 @@ class _Course:
         rise = float(((ends[1] - ends[0]) @ directions)[2])
         self._turn(tangents[1] @ directions)
         part = Part(number, "bore", self.diameter, mesh.axis.length, rise, outlet, mesh=mesh)
-        return part, turned(mesh.axis.pieces, directions)
+        return part, rotated_pieces(mesh.axis.pieces, directions)
 
 
 def check_crossing(line: PipeLine, gap: float = 0.0, hint: str = "change the course of the line") -> None:
@@ -442,8 +446,8 @@ def check_crossing(line: PipeLine, gap: float = 0.0, hint: str = "change the cou
         wide = max(part.diameter, part.outlet)
         # With a gap, divide long parts into short pieces. Along the axis, two parallel legs of a U-turn are so close to
         # each other that, as whole pieces, they would be skipped as neighbours.
-        spans.append((part.length, wide, PLACES.get(part.kind, 2 + int(part.length / wide) if gap else 2)))
-    found = meeting(line.axis, spans, gap)
+        spans.append((part.length, wide, CROSSING_SAMPLES.get(part.kind, 2 + int(part.length / wide) if gap else 2)))
+    found = first_crossing(line.axis, spans, gap)
     if found is None:
         return
     why = f"come within {gap:.3g} m of each other" if gap else "touch each other: the line crosses itself"

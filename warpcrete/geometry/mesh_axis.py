@@ -9,33 +9,33 @@ import numpy as np
 
 from ..core.errors import refuse
 from .axis import Arc, Axis, Line
-from .curves import joining
+from .curves import biarc
 from .meshes import FARTHEST_WALL, SurfaceQueries, fan
 
 AROUND = 36
 """Number of directions in which the wall's distance is measured at each cross-section."""
 ADVANCE = 0.25
 """Distance between neighbouring cross-sections, in radii of the bore."""
-FINEST = 1 / 256
+MIN_END_STEP = 1 / 256
 """Smallest step, in radii, of the search for the last cross-section before the end of a bore."""
-SHORTEST = ADVANCE / 16
+MIN_ADVANCE = ADVANCE / 16
 """Smallest distance between neighbouring cross-sections, in radii, in the search along a bore."""
-TURNS, TURN = 6, 0.4
+MAX_ROTATIONS, ROTATION_FRACTION = 6, 0.4
 """Number of times a new cross-section is turned towards the local direction of the bore, and the fraction of the
 remaining angle by which it is turned each time."""
-SHARPEST = 0.6
+MAX_TURN_PER_STEP = 0.6
 """Largest angle between the directions of neighbouring cross-sections [rad]."""
-BEYOND = (0.1, 0.3)
+END_CHECK_DISTANCES = (0.1, 0.3)
 """Distances beyond an end of a bore, in radii, at which no wall may surround the axis."""
-MOST = 4000
+MAX_SECTIONS = 4000
 """Largest number of cross-sections of a bore."""
-ROUNDS = 3
+TURNING_ROUNDS = 3
 """Number of rounds in which all cross-sections are turned perpendicular to the curve through their centres."""
 WINDOW = 2
 """Number of cross-sections on either side whose centres determine the local direction of the bore."""
-STRAYS = 0.004
+AXIS_TOLERANCE = 0.004
 """Largest distance between the fitted axis and the centres of the cross-sections, in radii."""
-BENT = 0.004
+STRAIGHT_TOLERANCE = 0.004
 """Largest angle between a straight piece of the axis and the directions of its cross-sections [rad]."""
 LEAST_STRAIGHT = 4
 """Smallest number of intervals between cross-sections that form a straight piece of the axis."""
@@ -43,9 +43,9 @@ NEAREST = 1e-3
 """Distance of the first cross-section from the start of the bore, relative to the size of the mesh."""
 ASIDE = 0.02
 """Largest distance, in radii, between the start of the bore and the centre of the first cross-section."""
-SAME = 0.02
+RADIUS_TOLERANCE = 0.02
 """Largest relative change of a cross-section's radius when the cross-section is shifted or turned a little."""
-WIDENS = 3.0
+OPENING_RATIO = 3.0
 """Ratio of the radii of successive cross-sections above which the wall is taken to have an opening."""
 
 
@@ -82,12 +82,12 @@ def follow(
         SceneError: No cross-section is closed at the start, the bore opens to the side, or the bore has no end.
     """
     queries = SurfaceQueries(vertices, faces)
-    ahead, radius = _first_way(queries, start, ways, float(np.ptp(vertices, axis=0).max()), field, name)
-    points, radii = _march(queries, start, ahead, radius, field, name)
+    ahead, radius = _first_direction(queries, start, ways, float(np.ptp(vertices, axis=0).max()), field, name)
+    points, radii = _follow_bore(queries, start, ahead, radius, field, name)
     _square(queries, points, radii, ahead)
     # The last cross-section found in the search may be tilted by as much as the bore turns within one step. Now that
     # its direction is corrected, a closed cross-section may exist nearer to the end.
-    points, radii = _to_the_end(queries, points, radii, directions(points, ahead))
+    points, radii = _extended_to_end(queries, points, radii, directions(points, ahead))
     _square(queries, points, radii, ahead)
     last = directions(points, ahead)[-1]
     found = f"can be followed for {_length(list(points)):.4g} m only"
@@ -98,26 +98,26 @@ def follow(
 
 def _square(queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, ahead: np.ndarray) -> None:
     """Turn cross-sections perpendicular to the curve through their centres; points and radii change in place."""
-    for _ in range(ROUNDS):
+    for _ in range(TURNING_ROUNDS):
         tangents = directions(points, ahead)
         for k in range(1, len(points)):
             found = _section(queries, points[k], tangents[k], radii[k])
-            if found is not None and abs(found[1] / radii[k] - 1) <= SAME:
+            if found is not None and abs(found[1] / radii[k] - 1) <= RADIUS_TOLERANCE:
                 points[k], radii[k] = found
 
 
-def _to_the_end(
+def _extended_to_end(
     queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, tangents: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Move the last cross-section towards the end of the bore, as long as it stays closed and keeps its size."""
     bend = (tangents[-1] - tangents[-2]) / np.linalg.norm(points[-1] - points[-2])
     step, far, found = 0.5 * ADVANCE * radii[-1], 0.0, None
-    while step > FINEST / 4 * radii[-1]:
+    while step > MIN_END_STEP / 4 * radii[-1]:
         way = tangents[-1] + (far + step) * bend
         way = way / np.linalg.norm(way)
         further = _section(queries, points[-1] + 0.5 * (far + step) * (tangents[-1] + way), way, radii[-1])
         # Near a lid, the rays of a slightly tilted cross-section end on the lid and change its size.
-        if further is None or abs(further[1] / radii[-1] - 1) > SAME:
+        if further is None or abs(further[1] / radii[-1] - 1) > RADIUS_TOLERANCE:
             step *= 0.5
         else:
             found, far = further, far + step
@@ -136,7 +136,7 @@ def pieces_through(points: np.ndarray, ahead: np.ndarray, radius: float) -> tupl
     spans as many points as the tolerance allows.
     """
     tangents = directions(points, ahead)
-    allowed = STRAYS * radius
+    allowed = AXIS_TOLERANCE * radius
     found: list[Line | Arc] = []
     here, tangent, position = 0, ahead, points[0]
     last = len(points) - 1
@@ -167,7 +167,7 @@ def directions(points: np.ndarray, ahead: np.ndarray) -> np.ndarray:
     return found
 
 
-def _first_way(
+def _first_direction(
     queries: SurfaceQueries, start: np.ndarray, ways: Sequence[np.ndarray], extent: float, field: str, name: str
 ) -> tuple[np.ndarray, float]:
     """Return the first of the directions `ways` in which a bore leads away from `start`, and its radius there [m]."""
@@ -190,28 +190,28 @@ def _first_way(
            "move it so that it begins there and leads that way, close its holes, or check its unit")  # fmt: skip
 
 
-def _march(
+def _follow_bore(
     queries: SurfaceQueries, start: np.ndarray, ahead: np.ndarray, radius: float, field: str, name: str
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return centres and radii [m] of cross-sections from `start` on, as far as the bore can be followed."""
     points, radii = [start], [radius]
     tangent, step = ahead, ADVANCE
-    while len(points) <= MOST:
-        found = _advanced(queries, points, tangent, step * radii[-1], radii[-1])
+    while len(points) <= MAX_SECTIONS:
+        found = _next_section(queries, points, tangent, step * radii[-1], radii[-1])
         if found is None:
             step *= 0.5
-            if step < SHORTEST:
+            if step < MIN_ADVANCE:
                 break
             continue
         middle, wide, tangent = found
-        if wide > WIDENS * radii[-1]:
+        if wide > OPENING_RATIO * radii[-1]:
             refuse(field, name, f"opens to the side {_length(points):.3g} m from its start",
                    "close the opening, because a bore has a single passage")  # fmt: skip
         points.append(middle)
         radii.append(wide)
         step = min(2 * step, ADVANCE)
     else:
-        refuse(field, name, f"is longer than {MOST} quarters of its radius",
+        refuse(field, name, f"is longer than {MAX_SECTIONS} quarters of its radius",
                "split it into several parts")  # fmt: skip
     # Drop the last cross-section, whose rays may end on a lid, and cross-sections close together, because the direction
     # between their centres is inaccurate.
@@ -224,7 +224,7 @@ def _march(
     return np.array(points)[kept], np.array(radii)[kept]
 
 
-def _advanced(
+def _next_section(
     queries: SurfaceQueries, points: list[np.ndarray], tangent: np.ndarray, step: float, radius: float
 ) -> tuple[np.ndarray, float, np.ndarray] | None:
     """Return centre, radius and direction of the section one `step` [m] further on, or None if none there is closed.
@@ -235,14 +235,14 @@ def _advanced(
     """
     way, found = tangent, None
     place = points[-1] + step * tangent
-    for _ in range(TURNS):
+    for _ in range(MAX_ROTATIONS):
         found = _section(queries, place, way, radius)
         if found is None or not 0.5 * step < (found[0] - points[-1]) @ tangent < 1.5 * step:
             return None
-        way = way + TURN * (_slope(points, found[0], 0.9 * ADVANCE * radius, tangent) - way)
+        way = way + ROTATION_FRACTION * (_slope(points, found[0], 0.9 * ADVANCE * radius, tangent) - way)
         way = way / np.linalg.norm(way)
         place = found[0]
-    if found is None or way @ tangent < np.cos(SHARPEST):
+    if found is None or way @ tangent < np.cos(MAX_TURN_PER_STEP):
         return None
     return found[0], found[1], way
 
@@ -278,7 +278,7 @@ def _check_open(
 ) -> None:
     """Refuse a bore that continues beyond one of its ends, where most rays must not meet any wall."""
     normal, side = _across(outward)
-    places = end + radius * np.array(BEYOND)[:, None] * outward
+    places = end + radius * np.array(END_CHECK_DISTANCES)[:, None] * outward
     missed = queries.around(places, normal[[0, 0]], side[[0, 0]], AROUND, FARTHEST_WALL * radius) < 0
     if np.any(missed.mean(axis=1) < 0.5):
         refuse(field, name, *words)
@@ -351,7 +351,7 @@ def _straight(
     # The tangent at the last point also depends on the next piece, which may bend. This tangent is therefore ignored,
     # except at the end of the whole curve.
     inner = turned if stop == len(points) - 1 else turned[:-1]
-    if np.all(beside <= 0.5 * allowed) and np.all(inner <= BENT):
+    if np.all(beside <= 0.5 * allowed) and np.all(inner <= STRAIGHT_TOLERANCE):
         return [Line(float(along[-1]))]
     return None
 
@@ -363,7 +363,7 @@ def _biarc(
     """Return two arcs from `position` to the point `stop` if they pass all points between, else None."""
     if stop > here + 1 and (points[stop] - position) @ (tangent + tangents[stop]) <= 0:
         return None
-    curve = joining(position, tangent, points[stop], tangents[stop])
+    curve = biarc(position, tangent, points[stop], tangents[stop])
     if stop > here + 1 and any(isinstance(piece, Arc) and piece.angle > 0.5 * np.pi for piece in curve):
         return None
     axis = Axis(tuple(position.tolist()), tuple(tangent.tolist()), tuple(curve))

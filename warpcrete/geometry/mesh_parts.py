@@ -14,14 +14,14 @@ from ..core.errors import refuse
 from ..core.inputs.text_files import check_file
 from .axis import Arc, Axis, Line
 from .bores import Bores
-from .inner_surface import AROUND, InnerSurface, equal_radii
+from .inner_surface import DIRECTIONS_AROUND, InnerSurface, equal_radii
 from .mesh_axis import follow, pieces_through
 from .meshes import load
 
-FIT, ROUND = 0.02, 0.05
+DIAMETER_TOLERANCE, ROUNDNESS_TOLERANCE = 0.02, 0.05
 """Largest relative differences between a mesh and the line's pipe at its ends: first in the diameter of equal area,
 then in the radius in any direction."""
-PLACED = 0.002
+STRAIGHT_LENGTH_TOLERANCE = 0.002
 """Largest difference, in diameters, between the length of a straight mesh and the length stated for its part."""
 MEASURED = 0.01
 """Largest relative difference between the length stated for a bent part and the length measured in its mesh."""
@@ -104,10 +104,10 @@ def bore_of(
     for end, place, which in ((0, 0.0, "begins"), (1, found.axis.length, "ends")):
         reach = _surface(found, fields[0]).sections(np.array([place]))[0]
         wide = 2 * float(np.sqrt(np.mean(reach**2)))
-        if diameters is not None and abs(wide / diameters[end] - 1) > FIT:
+        if diameters is not None and abs(wide / diameters[end] - 1) > DIAMETER_TOLERANCE:
             refuse(fields[0], name, f"is {wide:.4g} m wide where it {which}, but the line is {diameters[end]:g} "
                    "m wide", "set outlet, the diameter behind it, or add a reducer")  # fmt: skip
-        if np.any(np.abs(2 * reach / (diameters[end] if diameters else wide) - 1) > ROUND):
+        if np.any(np.abs(2 * reach / (diameters[end] if diameters else wide) - 1) > ROUNDNESS_TOLERANCE):
             refuse(fields[0], name, f"is not round and centred where it {which}: its wall is {reach.min():.4g} "
                    f"to {reach.max():.4g} m from the axis", "move it, or make it round there")  # fmt: skip
     return found
@@ -118,7 +118,7 @@ def _of_length(fields: Fields, bore: MeshBore, length: float | None) -> MeshBore
     if length is None:
         return bore
     found, straight = bore.axis.length, _is_straight(bore.axis)
-    near = PLACED * min(bore.ends) if straight else MEASURED * length
+    near = STRAIGHT_LENGTH_TOLERANCE * min(bore.ends) if straight else MEASURED * length
     if abs(found - length) > near:
         refuse(fields[0], bore.file, f"has an axis of {found:.4g} m, but the part has a length of {length:g} m",
                "correct the length of the part, or leave it out")  # fmt: skip
@@ -158,7 +158,7 @@ def _measured(
         tuple(float(of(block)) for block in each)
         for of, each in zip((np.mean, lambda area: np.sqrt(np.mean(area)), np.min), blocks, strict=True)
     )
-    narrowest = float((reach[:, : AROUND // 2] + reach[:, AROUND // 2 :]).min())
+    narrowest = float((reach[:, : DIRECTIONS_AROUND // 2] + reach[:, DIRECTIONS_AROUND // 2 :]).min())
     return MeshBore(name, scale, axis, narrowest, digest, places, radii, least)
 
 
@@ -196,7 +196,7 @@ def directions_at(axis: Axis, s: float) -> np.ndarray:
     return np.array([ahead, np.cross(up, ahead), up])
 
 
-def turned(pieces: Sequence[Line | Arc], directions: np.ndarray) -> tuple[Line | Arc, ...]:
+def rotated_pieces(pieces: Sequence[Line | Arc], directions: np.ndarray) -> tuple[Line | Arc, ...]:
     """Return the pieces of an axis rotated by the rows of `directions`, shape (3, 3)."""
     return tuple(
         replace(piece, towards=tuple((np.array(piece.towards) @ directions).tolist()))

@@ -23,14 +23,14 @@ if TYPE_CHECKING:  # Importing trimesh takes half a second, and most scenes have
 
 FARTHEST_WALL = 10.0
 """Length of the rays that search for a wall, in pipe radii."""
-TURNED, ASIDE = 0.382, 0.1
+FAN_ROTATION, RETRY_ROTATION = 0.382, 0.1
 """Rotations of a fan of rays, as fractions of the angle between two rays. The first rotation keeps the rays away from
 the edges of regular tubes. Rays that still meet no wall are repeated with the second rotation added."""
-ROUND = 0.01
+ROUNDNESS_TOLERANCE = 0.01
 """Largest difference, in radii, between a pipe's wall and a cylinder for the wall to count as cylindrical."""
-MOST_FACES = 500_000
+MAX_FACES = 500_000
 """Largest number of triangles of a mesh; reading such a mesh takes ten seconds."""
-FARTHEST = 1e4
+MAX_EXTENT = 1e4
 """Largest distance of a mesh's corner from the origin [m]."""
 
 
@@ -76,12 +76,12 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
 
 def _check_size(mesh: trimesh.Trimesh, field: str, name: str, scale: float) -> None:
     """Refuse a mesh with too many triangles, or with corners too far away for the accuracy of the computation."""
-    if len(mesh.faces) > MOST_FACES:
-        refuse(field, name, f"has {len(mesh.faces)} triangles, but at most {MOST_FACES} are allowed",
+    if len(mesh.faces) > MAX_FACES:
+        refuse(field, name, f"has {len(mesh.faces)} triangles, but at most {MAX_FACES} are allowed",
                "simplify it (trimesh.Trimesh.simplify_quadric_decimation, or in the CAD program)")  # fmt: skip
     farthest = float(np.abs(mesh.vertices).max()) * scale
-    if farthest > FARTHEST:
-        refuse(field, name, f"has a vertex {farthest:.3g} m from the origin, but at most {FARTHEST:g} m are allowed",
+    if farthest > MAX_EXTENT:
+        refuse(field, name, f"has a vertex {farthest:.3g} m from the origin, but at most {MAX_EXTENT:g} m are allowed",
                "check its vertices, and the scale of its unit (0.001 for mm)")  # fmt: skip
 
 
@@ -147,7 +147,9 @@ class Bore:
 
     def is_round(self, radius: float) -> bool:
         """Return whether a cylinder of `radius` [m] describes the bore accurately enough."""
-        return self.smallest >= (1 - ROUND) * radius and self.largest <= (1 + ROUND) * radius
+        return (
+            self.smallest >= (1 - ROUNDNESS_TOLERANCE) * radius and self.largest <= (1 + ROUNDNESS_TOLERANCE) * radius
+        )
 
 
 def _stations(radius: float, end: float, begin: float = 0.0) -> np.ndarray:
@@ -198,7 +200,7 @@ def rays(mesh: Any, origins: np.ndarray, directions: np.ndarray, reach: float) -
     return SurfaceQueries(mesh.vertices, mesh.faces).rays(origins, directions, reach)
 
 
-def fan(normal: np.ndarray, side: np.ndarray, count: int, turned: float = TURNED) -> np.ndarray:
+def fan(normal: np.ndarray, side: np.ndarray, count: int, turned: float = FAN_ROTATION) -> np.ndarray:
     """Return `count` unit vectors at equal angles in planes, shape (n, count, 3).
 
     The unit vectors `normal` and `side`, shape (n, 3) each, span the planes. `turned` rotates all vectors, as a
@@ -221,7 +223,7 @@ class SurfaceQueries:
     def rays(self, origins: np.ndarray, directions: np.ndarray, reach: float) -> np.ndarray:
         """Return distances [m] along unit `directions` (n, 3) from `origins` (n, 3) to the mesh, -1 for a miss."""
         along = wp.array(np.ascontiguousarray(directions, np.float32), dtype=wp.vec3, device="cpu")
-        return self._launched(ray_distances, origins=_points(origins), directions=along, reach=reach)
+        return self._query(ray_distances, origins=_points(origins), directions=along, reach=reach)
 
     def around(self, points: np.ndarray, normal: np.ndarray, side: np.ndarray, count: int, reach: float) -> np.ndarray:
         """Return distances [m] from `points` to the wall in `count` directions at equal angles, shape (n, count).
@@ -229,10 +231,12 @@ class SurfaceQueries:
         The directions lie in planes spanned by the unit vectors `normal` and `side`, shape (n, 3) each. The distance is
         -1 where there is no wall within `reach` [m].
         """
-        found = self._fan(points, normal, side, count, reach, TURNED)
+        found = self._fan(points, normal, side, count, reach, FAN_ROTATION)
         if np.any(found < 0):
             # A ray along the edge between two facets may miss both, so repeat the search with slightly rotated rays.
-            found = np.where(found < 0, self._fan(points, normal, side, count, reach, TURNED + ASIDE), found)
+            found = np.where(
+                found < 0, self._fan(points, normal, side, count, reach, FAN_ROTATION + RETRY_ROTATION), found
+            )
         return found
 
     def _fan(
@@ -245,9 +249,9 @@ class SurfaceQueries:
     def distances(self, points: np.ndarray) -> np.ndarray:
         """Return the distance [m] of each of `points` (n, 3) from the surface, shape (n,)."""
         reach = 4 * (self._extent + float(np.abs(points).max(initial=0.0)))
-        return self._launched(distances, points=_points(points), reach=reach)
+        return self._query(distances, points=_points(points), reach=reach)
 
-    def _launched(self, kernel: wp.Kernel, **arguments: Any) -> np.ndarray:
+    def _query(self, kernel: wp.Kernel, **arguments: Any) -> np.ndarray:
         count = len(next(iter(arguments.values())))
         distance = wp.zeros(count, dtype=wp.float32, device="cpu")
         launch(kernel, count, wp.get_device("cpu"), mesh=self._mesh.id, distance=distance, **arguments)

@@ -12,17 +12,17 @@ import numpy as np
 
 from ..core.errors import refuse
 from ..core.inputs.amounts import amount
-from ..core.inputs.text_files import within
+from ..core.inputs.text_files import errors_located_at
 from .axis import Axis, Line
 from .bores import Bores
 from .lines import PipeLine, line_file
 from .mesh_parts import WAYS, Way, bore_of
 
-LONGEST = 10_000
+MAX_LENGTH_RATIO = 10_000
 """Largest length of a pipe that can be simulated, in diameters."""
 
 
-def said_by_line(values: Mapping[str, Any]) -> dict[str, Any]:
+def parameters_from_line(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the flow [m3/s] and the concrete that the file of the scene's `line` states.
 
     The result is empty if `values`, the parameters of the scene, name no line, or if they state both flow and concrete
@@ -31,12 +31,12 @@ def said_by_line(values: Mapping[str, Any]) -> dict[str, Any]:
     if values.get("line") is None or ("flow" in values and "concrete" in values):
         return {}
     given, _ = line_file(values["line"])
-    with within(given, "flow"):
+    with errors_located_at(given, "flow"):
         found = {"flow": amount("flow", given["flow"], "m3/s")} if "flow" in given else {}
     return found | ({"concrete": str(given["concrete"])} if "concrete" in given else {})
 
 
-def said_by_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) -> dict[str, Any]:
+def parameters_from_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) -> dict[str, Any]:
     """Return the parameters that the mesh `wall` of a scene implies: `unit`, and the inlet's `diameter` [m].
 
     The result is empty without a mesh, or if the parameters name a unit other than `mesh`. At its origin the mesh may
@@ -86,8 +86,8 @@ def check_return(axis: Axis, bores: Bores, begin: float = 0.0, aside: float = ma
     The first plane crosses the pipe at right angles at the arc length `begin` [m] and extends `aside` [m] from the
     axis. The second plane crosses the end of the pipe at right angles and has no limit.
     """
-    if axis.length > LONGEST * 2 * bores.largest:
-        refuse("line", f"{axis.length:.6g} m", f"is longer than {LONGEST:,} diameters", "shorten it, or use "
+    if axis.length > MAX_LENGTH_RATIO * 2 * bores.largest:
+        refuse("line", f"{axis.length:.6g} m", f"is longer than {MAX_LENGTH_RATIO:,} diameters", "shorten it, or use "
                "'warpcrete line', which simulates its parts one by one")  # fmt: skip
     s = np.linspace(0, axis.length, max(400, math.ceil(8 * axis.length / bores.largest)))
     points, tangents = axis.at(s)

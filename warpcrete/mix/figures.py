@@ -49,7 +49,7 @@ def around(name: str, value: float, off: float, unit: str, way: str, source: str
     return Figure(name, value, value * (1 - off), value * (1 + off), unit, way, source)
 
 
-def agreed(candidates: list[Figure]) -> tuple[Figure, list[str]]:
+def reconciled(candidates: list[Figure]) -> tuple[Figure, list[str]]:
     """Return the first of several values for one property, and remarks on differences between the values.
 
     The candidates come from different entries of the mix. Raises :class:`SceneError` if the bands of two candidates

@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 from ..core.errors import between, one_of, positive, refuse, suggested
 from ..core.inputs.amounts import amount, bare_number
 from ..core.inputs.limits import check_limit
-from ..core.inputs.text_files import within
-from .ingredients import LEAST, check_volume
+from ..core.inputs.text_files import errors_located_at
+from .ingredients import MIN_AMOUNT, check_volume
 from .points import PUMPED, read_points
 
 T = TypeVar("T")
@@ -71,12 +71,12 @@ SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crush
 a row of spheres."""
 FINEST, COARSEST = 1e-3, 0.3
 """Smallest and largest size of stones that count as coarse aggregate [m]."""
-PACKED = 0.57
+PACKING = 0.57
 """Volume fraction of equal spheres in random loose packing (Mahaut et al. 2008); no concrete has more coarse
 aggregate."""
 GRAVEL = 2650.0
 """Density of aggregate if none is stated [kg/m3]."""
-OFF = 0.03
+DENSITY_TOLERANCE = 0.03
 """Relative difference allowed between two densities that should be equal."""
 MORTARS = (1200.0, 2800.0)
 """Smallest and largest density of mortar that is possible [kg/m3]."""
@@ -95,18 +95,18 @@ class Layer:
     """Measurements of the slip layer: constants, points from a pipe, or points from a tribometer."""
 
     constants: Measured | None = None
-    pumped: tuple[list[float], list[float]] | None = None
+    pipe_points: tuple[list[float], list[float]] | None = None
     """Flows [m3/s] and pressures [Pa] measured on a pipe of the given dimensions."""
     diameter: float = 0.0
     length: float = 0.0
     rise: float = 0.0
     """Height of the pipe's end above its start [m]."""
-    slipped: tuple[list[float], list[float]] | None = None
+    tribometer_points: tuple[list[float], list[float]] | None = None
     """Speeds [m/s] and stresses [Pa] measured with a tribometer."""
 
 
 @dataclass(frozen=True)
-class Given:
+class MixEntries:
     """Entries of a mix in SI units; an entry that is missing in the file is None."""
 
     density: float
@@ -123,7 +123,7 @@ class Given:
     """Shape of the stones, as the discrete element method names it."""
     concrete: Measured
     mortar: Measured
-    sheared: tuple[list[float], list[float]] | None
+    viscometer_points: tuple[list[float], list[float]] | None
     """Shear rates [1/s] and stresses [Pa] measured with a viscometer."""
     slump: float | None
     spread: float | None
@@ -138,7 +138,7 @@ class Given:
         return self.sizes[1] if self.sizes is not None else None
 
 
-def read(given: Mapping[str, Any], folder: Path) -> Given:
+def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
     """Read a mix from its section in a file in `folder`.
 
     Raises :class:`SceneError` if an entry is invalid or entries contradict each other.
@@ -148,16 +148,16 @@ def read(given: Mapping[str, Any], folder: Path) -> Given:
     if not isinstance(given, Mapping):
         refuse("mix", given, "must hold 'key: value' lines", "indent them below the name of the section")
     for key in given:
-        with within(given, key):
+        with errors_located_at(given, key):
             one_of("mix key", key, KEYS)
     if "sieve" in given and "sizes" in given:
         refuse("mix sizes", given["sizes"], "is given together with sieve", "leave out one of them")
     heavy = _number(given, "aggregate_density") or GRAVEL
-    with within(given, "parts" if "parts" in given else "density"):
+    with errors_located_at(given, "parts" if "parts" in given else "density"):
         density, summed = _density(given, heavy)
-    with within(given, "aggregate"):
+    with errors_located_at(given, "aggregate"):
         share = _share(given["aggregate"], heavy) if "aggregate" in given else None
-    with within(given, "mortar"):
+    with errors_located_at(given, "mortar"):
         mortar = _constants("mortar", given.get("mortar", {}), {**UNITS, "density": "kg/m3"})
     if mortar.values and share is None:
         refuse(
@@ -173,7 +173,7 @@ def read(given: Mapping[str, Any], folder: Path) -> Given:
         refuse(
             "mix t500", given["t500"], "needs a final spread of 500 mm or more", "add it, for example 'spread: 650 mm'"
         )
-    return Given(
+    return MixEntries(
         density=density,
         summed=summed,
         share=share,
@@ -183,7 +183,7 @@ def read(given: Mapping[str, Any], folder: Path) -> Given:
         shape=_entry(given, "shape", _shape),
         concrete=_entry(given, "concrete", lambda found: _constants("concrete", found, UNITS)) or Measured(),
         mortar=mortar,
-        sheared=_entry(given, "viscometer", lambda found: _pairs("viscometer", found, SHEARED, folder)),
+        viscometer_points=_entry(given, "viscometer", lambda found: _pairs("viscometer", found, SHEARED, folder)),
         slump=_number(given, "slump"),
         spread=spread,
         t500=t500,
@@ -195,7 +195,7 @@ def _entry(given: Mapping[str, Any], name: str, read: Callable[[Any], T]) -> T |
     """Return the converted value of an entry, or None if it is missing; error messages name the entry's line."""
     if name not in given:
         return None
-    with within(given, name):
+    with errors_located_at(given, name):
         return read(given[name])
 
 
@@ -204,7 +204,7 @@ def _number(given: Mapping[str, Any], name: str) -> float | None:
     if given.get(name) is None:
         return None
     entry = NUMBERS[name]
-    with within(given, name):
+    with errors_located_at(given, name):
         found = amount(f"mix {name}", given[name], entry.unit)
         between(f"mix {name}", found, entry.low, entry.high, entry.unit, entry.hint)
     return found
@@ -235,11 +235,13 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool]:
         )
     masses = {}
     for name, value in parts.items():
-        with within(parts, name):
+        with errors_located_at(parts, name):
             masses[str(name)] = amount(f"mix parts: {name}", value, "kg/m3")
-            between(f"mix parts: {name}", masses[str(name)], LEAST, 5000, "kg/m3", "leave out ingredients with no mass")
+            between(
+                f"mix parts: {name}", masses[str(name)], MIN_AMOUNT, 5000, "kg/m3", "leave out ingredients with no mass"
+            )
     total = sum(masses.values())
-    if own is not None and abs(total / own - 1) > OFF:
+    if own is not None and abs(total / own - 1) > DENSITY_TOLERANCE:
         refuse("mix density", own, f"contradicts its parts, which add up to {total:.5g} kg/m3", "leave out one of them")
     if own is None:
         between("mix parts, their sum", total, 1000, 5000, "kg/m3", "list all ingredients, including aggregates")
@@ -260,8 +262,8 @@ def _share(given: Any, heavy: float) -> float:
             refuse("mix aggregate", given, "must be a share of the volume up to 1, or have a unit",
                    "for example '36 %', '360 l/m3' or '950 kg/m3'")  # fmt: skip
     positive("mix aggregate", found)
-    if found >= PACKED:
-        refuse("mix aggregate", given, f"is {found:.3g} of the volume: more than loosely packed stones fill, {PACKED}",
+    if found >= PACKING:
+        refuse("mix aggregate", given, f"is {found:.3g} of the volume: more than loosely packed stones fill, {PACKING}",
                "give the coarse aggregate only")  # fmt: skip
     return found
 
@@ -273,7 +275,7 @@ def _check_parts(density: float, share: float, heavy: float, own: float | None) 
     if not MORTARS[0] <= rest <= MORTARS[1]:
         refuse("mix density", density, f"{words}; mortars have {MORTARS[0]:g} to {MORTARS[1]:g} kg/m3",
                "check aggregate and aggregate_density")  # fmt: skip
-    if own is not None and abs(rest / own - 1) > OFF:
+    if own is not None and abs(rest / own - 1) > DENSITY_TOLERANCE:
         refuse(
             "mix density",
             density,
@@ -377,11 +379,11 @@ def _layer(given: Any, folder: Path) -> Layer:
         between(
             "mix layer: rise", found["rise"], -found["length"], found["length"], "m", "the height that the pipe gains"
         )
-        return Layer(pumped=_pairs("layer: points", given["points"], PUMPED, folder), **found)
+        return Layer(pipe_points=_pairs("layer: points", given["points"], PUMPED, folder), **found)
     if "tribometer" in given:
         for key in given:
             one_of("mix layer: key", key, ("tribometer",))
-        return Layer(slipped=_pairs("layer: tribometer", given["tribometer"], SLIPPED, folder))
+        return Layer(tribometer_points=_pairs("layer: tribometer", given["tribometer"], SLIPPED, folder))
     constants = _constants("layer", given, {"yield_stress": "Pa", "viscosity": "Pa s/m"})
     if len(constants.values) < 2:
         refuse(

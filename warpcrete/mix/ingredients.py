@@ -26,18 +26,18 @@ DENSITIES = {
 """Usual density of each ingredient by a word of its name [kg/m3]."""
 COARSE = ("gravel", "stone", "stones", "grit", "chippings", "granite", "basalt", "coarse", "pebbles")
 """Words for coarse aggregate; a mix may state the density of these ingredients."""
-VARIES = ("lightweight", "light", "expanded", "clay", "pumice", "perlite", "recycled", "polypropylene", "polymer",
+VARIABLE = ("lightweight", "light", "expanded", "clay", "pumice", "perlite", "recycled", "polypropylene", "polymer",
           "plastic", "glass", "basaltic", "pigment", "rubber")  # fmt: skip
 """Words for ingredients whose density varies too much to add up volumes."""
-LEAST = 0.01
+MIN_AMOUNT = 0.01
 """Smallest amount of an ingredient [kg/m3]; admixtures amount to 0.1 kg/m3 and more."""
-FILLED = (0.88, 1.05)
+POSSIBLE_VOLUMES = (0.88, 1.05)
 """Smallest and largest possible volume of all ingredients in a cubic metre [m3/m3]; air fills the rest, and densities
 vary."""
 USUAL_AIR = (-0.02, 0.06)
 """Range of the calculated air content without a warning [m3/m3]: 1 to 3 % are usual, and uncertain densities may make
 the content negative."""
-OFF, FAR_OFF = 0.03, 0.07
+VOLUME_WARNING, VOLUME_ERROR = 0.03, 0.07
 """Deviations from a cubic metre [m3/m3] of all ingredients and the stated air, above which the mix causes a warning or
 is refused."""
 
@@ -48,7 +48,7 @@ def density_of(name: str) -> float | None:
     Raises :class:`SceneError` for a name that is probably misspelt.
     """
     words = [word for word in re.split(r"[^a-z]+", name.casefold()) if word]
-    if any(word in VARIES for word in words):
+    if any(word in VARIABLE for word in words):
         return None
     known = [DENSITIES[word] for word in words if word in DENSITIES]
     if known:
@@ -77,13 +77,13 @@ def check_volume(parts: Mapping[str, float], coarse: float, air: float | None) -
     if air is not None:
         gap = 1 - filled - air
         words = f"fill {filled + air:.3f} m3 of 1 m3, with {100 * air:.3g} % of air"
-        if gap < -FAR_OFF or (complete and gap > FAR_OFF):
+        if gap < -VOLUME_ERROR or (complete and gap > VOLUME_ERROR):
             refuse("mix parts", ", ".join(parts), words, "list all ingredients, in kg/m3")
-        if gap < -OFF or (complete and gap > OFF):
+        if gap < -VOLUME_WARNING or (complete and gap > VOLUME_WARNING):
             warn(f"mix parts: {words}")
         return
     words = f"fill {filled:.3f} m3 of 1 m3"
-    if filled > FILLED[1] or (complete and filled < FILLED[0]):
+    if filled > POSSIBLE_VOLUMES[1] or (complete and filled < POSSIBLE_VOLUMES[0]):
         refuse("mix parts", ", ".join(parts), f"{words} without air", "list all ingredients, in kg/m3")
     if 1 - filled < USUAL_AIR[0] or (complete and 1 - filled > USUAL_AIR[1]):
         left = f"which leaves {100 * (1 - filled):.2g} % of air; state it, as in 'air: 8 %'"

@@ -13,8 +13,8 @@ from ..core.errors import between, positive, refuse
 from ..core.inputs.amounts import amount
 from ..core.inputs.concretes import NamedConcrete, concrete, known_only
 from ..theory.pipe import Concrete
-from .figures import Figure, agreed, around, short
-from .given import OFF, Given, read
+from .figures import Figure, around, reconciled, short
+from .given import DENSITY_TOLERANCE, MixEntries, read
 from .rheology import layer, mortar, unknown_viscosity, viscosities, yield_stresses
 
 FLOW = {"density": "density", "viscosity": "viscosity", "yield_stress": "yield stress",
@@ -30,7 +30,7 @@ class Mix:
 
     name: str
     source: str
-    given: Given
+    given: MixEntries
     figures: tuple[Figure, ...]
     """All properties calculated from the mix, in SI units."""
     remarks: tuple[str, ...] = ()
@@ -163,13 +163,15 @@ def mix_of(
     """
     told = read(given, folder)
     way = "sum of the parts" if told.summed else "density"
-    bulk = {"density": around("density", told.density, OFF if told.summed else 0.01, "kg/m3", way, "as given")}
+    bulk = {
+        "density": around("density", told.density, DENSITY_TOLERANCE if told.summed else 0.01, "kg/m3", way, "as given")
+    }
     bulk |= {_named(key, value).name: _named(key, value) for key, value in (stated or {}).items()}
     remarks = []
     for wanted, candidates in (("yield stress", yield_stresses(told)), ("viscosity", viscosities(told))):
         tells = list(candidates) if wanted not in bulk else []
         if tells:
-            bulk[wanted], more = agreed(tells)
+            bulk[wanted], more = reconciled(tells)
             remarks += more
     if "yield stress" not in bulk:
         refuse("mix", ", ".join(given), "does not determine the yield stress of the concrete",

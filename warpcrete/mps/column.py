@@ -17,7 +17,7 @@ from ..core.inputs.parameters import Above, Alias, FileIf, Needs, OneOf, Within
 from ..core.run.checks import with_cures
 from ..core.run.run_loop import Run
 from ..core.units import number
-from ..theory.pipe import MIXES, Concrete, Line, Steady, flow_of_pressure, rested, steady, steady_of_stress
+from ..theory.pipe import MIXES, Concrete, Line, Steady, after_rest, flow_of_pressure, steady, steady_of_stress
 from ..theory.suspension import SUSPENSIONS, mortar_of
 from .mixes import CONSTANTS, concrete_of, file_aggregates, file_constants
 from .scene import ENDS, Aggregates, FlowSettings, FluidScene
@@ -27,16 +27,16 @@ SHEARED: dict[str, Any] = {
     "density": 2350.0,
 }  # fmt: skip
 """Name of a self-compacting concrete; in the paper's case, slip carries only 0.7 of its flow."""
-LEAST_SLIP = 0.9
+MIN_SLIP_RATIO = 0.9
 """Minimum ratio of slip to mean velocity for a column on a piston to keep its volume and force balance."""
-FEWEST_ACROSS = 4
+MIN_PARTICLES_ACROSS = 4
 """Minimum number of particles across a pipe when a trade-off between accuracy and run time coarsens the spacing."""
 FLOW = 1500e-6
 """Volume flow of the paper's reference case [m3/s]."""
-TWO_PHASES = Needs("aggregates", bool, "is on")
+NEEDS_AGGREGATES = Needs("aggregates", bool, "is on")
 
 
-def twice(radius: Any) -> Any:
+def diameter_of_radius(radius: Any) -> Any:
     """Return the diameter for a radius; a value that is not a number is returned unchanged."""
     return 2 * radius if isinstance(radius, int | float) and not isinstance(radius, bool) else radius
 
@@ -82,7 +82,7 @@ class ColumnParameters:
     """Pipe, piston and particle spacing."""
 
     diameter: Annotated[
-        float, "Inner diameter of the pipe, or distance of the planes [m]", Above(), Alias("radius", twice)
+        float, "Inner diameter of the pipe, or distance of the planes [m]", Above(), Alias("radius", diameter_of_radius)
     ] = 0.1
     length: Annotated[float, "Length of the concrete in the pipe [m]"] = 0.3
     flow: Annotated[float | None, "Volume flow through a round pipe of this diameter [m3/s]; default: 1500e-6"] = None
@@ -100,22 +100,22 @@ class AggregateParameters:
     aggregate_fraction: Annotated[
         float | None,
         "Volume fraction of the coarse aggregate; default: the concrete's gravel",
-        TWO_PHASES,
+        NEEDS_AGGREGATES,
         Alias("aggregate_share"),
     ] = None
-    aggregate_density: Annotated[float, "Density of the coarse aggregate [kg/m3]", Above(), TWO_PHASES] = 2630.0
+    aggregate_density: Annotated[float, "Density of the coarse aggregate [kg/m3]", Above(), NEEDS_AGGREGATES] = 2630.0
     inclusions: Annotated[
         str,
         "Shape of the aggregate in the formula for the mortar's default constants: discs, spheres; auto: by dimension",
         OneOf(("auto", *SUSPENSIONS)),
-        TWO_PHASES,
+        NEEDS_AGGREGATES,
     ] = "auto"
     mortar_viscosity: Annotated[
-        float | None, "Plastic viscosity of the mortar [Pa s]; default: by homogenisation", TWO_PHASES
+        float | None, "Plastic viscosity of the mortar [Pa s]; default: by homogenisation", NEEDS_AGGREGATES
     ] = None
-    mortar_yield: Annotated[float | None, "Yield stress of the mortar [Pa]; default: by homogenisation", TWO_PHASES] = (
-        None
-    )
+    mortar_yield: Annotated[
+        float | None, "Yield stress of the mortar [Pa]; default: by homogenisation", NEEDS_AGGREGATES
+    ] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,7 +155,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         mortar = replace(mortar, **{key: value for key, value in own.items() if value is not None})
         return Aggregates(fraction=fraction, mortar=mortar, density=self.aggregate_density)
 
-    def driven(self, concrete: Concrete, bulk: float, dimensions: int) -> float:
+    def volume_flow(self, concrete: Concrete, bulk: float, dimensions: int) -> float:
         """Return the given flow [m3/s], or the flow that the given pressure drives by theory.
 
         `bulk` is the pipe's radius less the slip layer [m]. Raises :class:`SceneError` if flow and pressure are both
@@ -186,7 +186,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
             return "periodic"
         line = Line(radius=bulk, length=self.length, gravity=self.gravity)
         state = steady(concrete, line, flow, "plane" if dimensions == 2 else "pipe")
-        return "piston" if state.slip_velocity >= LEAST_SLIP * flow / (np.pi * bulk**2) else "periodic"
+        return "piston" if state.slip_velocity >= MIN_SLIP_RATIO * flow / (np.pi * bulk**2) else "periodic"
 
 
 def column_scene(
@@ -203,7 +203,7 @@ def column_scene(
     concrete = given.constants()
     bulk = given.diameter / 2 - given.slip_thickness
     area = np.pi * bulk**2
-    flow = given.driven(concrete, bulk, dimensions)
+    flow = given.volume_flow(concrete, bulk, dimensions)
     given = replace(given, ends=given.ends_for(concrete, bulk, flow, dimensions))
     check_velocity("flow", flow, flow / area)
     settings = {f.name: getattr(given, f.name) for f in fields(FlowSettings)}
@@ -216,12 +216,12 @@ def column_scene(
         velocity=flow / area,
         spacing=given.spacing,
         aggregates=given.coarse(concrete, dimensions),
-        published=(paper or {}).get(given.concrete, {}) if _is_papers(given) else {},
+        published=(paper or {}).get(given.concrete, {}) if _is_reference_case(given) else {},
         **settings,
     )
 
 
-def _is_papers(given: FlowParameters) -> bool:
+def _is_reference_case(given: FlowParameters) -> bool:
     """Return whether the scene is the paper's own case, with one phase and a slip layer of zero thickness."""
     free = {"concrete", "spacing", "flow", *(f.name for f in fields(FlowSettings))} - {"gravity", "rest"}
     other = [f.name for f in fields(given) if f.name not in free and getattr(given, f.name) != f.default]
@@ -275,9 +275,16 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
     }  # fmt: skip
     if scene.gained:  # The closed-form theory does not cover structure that partly survives in the bulk.
         found = {name: found[name] for name in ("volume", "balance of forces")}
-        peak, least, most = number(result["restart_pressure"]), scene.theory().pressure, all_slip(scene).pressure
+        peak, least, most = (
+            number(result["restart_pressure"]),
+            scene.theory().pressure,
+            plug_restart_state(scene).pressure,
+        )
         # A plug that slips as a whole still has most of its layer's gained yield stress when the first sample is taken.
-        plug = all_slip(scene).wall_stress <= rested(scene.concrete, scene.rest, scene.thixotropy).yield_stress
+        plug = (
+            plug_restart_state(scene).wall_stress
+            <= after_rest(scene.concrete, scene.rest, scene.thixotropy).yield_stress
+        )
         left = 0.5 * math.exp(-scene.velocity * float(run.series["time"][1]) / scene.breakdown) if plug else 0.0
         found["restart"] = (
             (least + left * (most - least)) * (1 - limit) < peak < most * (1 + limit),
@@ -296,9 +303,9 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
     return found
 
 
-def all_slip(scene: FluidScene) -> Steady:
+def plug_restart_state(scene: FluidScene) -> Steady:
     """Return the state just after a rest, when the whole section slips as a plug on an intact layer."""
-    concrete = rested(scene.concrete, scene.rest, scene.thixotropy)
+    concrete = after_rest(scene.concrete, scene.rest, scene.thixotropy)
     stress = concrete.slip_yield + concrete.slip_viscosity * scene.velocity
     return steady_of_stress(replace(concrete, yield_stress=max(stress, concrete.yield_stress)), scene.line, stress,
                             scene.form)  # fmt: skip
@@ -341,7 +348,7 @@ def _variants(given: FlowParameters, dimensions: int) -> dict[str, dict[str, Any
 
 
 def _knobs(given: FlowParameters, dimensions: int) -> Iterator[Knob]:
-    spacings = [f for f in (4.0, 2.0, 1.0, 0.5) if f * given.spacing <= given.diameter / FEWEST_ACROSS]
+    spacings = [f for f in (4.0, 2.0, 1.0, 0.5) if f * given.spacing <= given.diameter / MIN_PARTICLES_ACROSS]
     yield scaled("spacing", "spacing", given.spacing, spacings, -(dimensions + 0.5), "m")
     yield scaled("time step", "time_step", given.time_step, (4.0, 2.0, 1.0, 0.5), -0.7, "s")
     tolerances = [f for f in (30.0, 10.0, 1.0, 0.1) if f * given.tolerance <= 0.5]

@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from ..core.drawing.display import Curve, Display, DrawnWall, Plot, Points, Profile
-from ..core.drawing.paint import on_palette
+from ..core.drawing.paint import palette_colours
 from ..geometry.axis import Axis, Line
 from ..theory.pipe import velocity
 from .probes import MIDDLE, Snapshot, over_radius
@@ -15,7 +15,7 @@ from .probes import MIDDLE, Snapshot, over_radius
 GRAIN = np.array([120, 118, 112], np.uint8)
 MORTAR = np.array([214, 204, 184], np.uint8)
 PIPE = (150, 165, 180, 40)
-GOLDEN = np.pi * (3 - 5**0.5)
+GOLDEN_ANGLE = np.pi * (3 - 5**0.5)
 """Golden angle [rad], by which successive particles are turned about the axis of a tube."""
 OURS, THEORY = (215, 95, 30), (150, 150, 150)
 
@@ -32,7 +32,7 @@ class FlowDisplay(Display):
         return "speed" if self.simulation.scene.aggregates is None else "phase"
 
     @property
-    def driven(self) -> str:
+    def pressure_label(self) -> str:
         """Label of the pressure that drives the flow."""
         return "pressure on the piston" if self.simulation.scene.ends == "piston" else "pressure over the stretch"
 
@@ -44,7 +44,7 @@ class FlowDisplay(Display):
 
     def radii(self) -> np.ndarray:
         """Return the radii of the drawn particles [m], half a spacing each, shape (n,)."""
-        return np.full(self.simulation.state.count, 0.5 * self.simulation.state.mark_spacing, np.float32)
+        return np.full(self.simulation.state.count, 0.5 * self.simulation.state.particle_spacing, np.float32)
 
     def centres(self) -> np.ndarray:
         """Return the positions of the particles [m], shape (n, 3): z is up, a channel lies in the plane y = 0."""
@@ -53,7 +53,7 @@ class FlowDisplay(Display):
         if self.simulation.scene.dimensions == 2:
             return np.insert(x, 1, 0.0, axis=1)
         if x.shape[1] == 2:  # A flow about the axis is two-dimensional; each particle is drawn at an angle of its own.
-            angle = GOLDEN * np.arange(len(x))
+            angle = GOLDEN_ANGLE * np.arange(len(x))
             return np.stack([x[:, 0] * np.cos(angle), x[:, 0] * np.sin(angle), x[:, 1]], 1)
         return x
 
@@ -67,24 +67,24 @@ class FlowDisplay(Display):
             return "velocity [cm/s]", 100 * theory.slip_velocity, 100 * centre
         return None
 
-    def things(self) -> dict[str, np.ndarray]:
+    def categories(self) -> dict[str, np.ndarray]:
         """Return the colours of grains and mortar if the colours show materials."""
         return {"coarse aggregate": GRAIN, "mortar": MORTAR} if self.scale() is None else {}
 
-    def _snap(self) -> Snapshot:
-        return self.once("particles", lambda: Snapshot.of(self.simulation.flow))
+    def _snapshot(self) -> Snapshot:
+        return self.snapshot_value("particles", lambda: Snapshot.of(self.simulation.flow))
 
     def fields(self) -> dict[str, np.ndarray]:
         """Return velocity along the pipe [m/s] and pressure [Pa] of all particles."""
-        return {"velocity": self._snap().velocity, "pressure": self._snap().pressure}
+        return {"velocity": self._snapshot().velocity, "pressure": self._snapshot().pressure}
 
     def colours(self) -> np.ndarray:
         """Return RGB bytes of all particles, shape (n, 3)."""
-        snap = self._snap()
+        snap = self._snapshot()
         scale = self.scale()
         if scale is not None:
             _, lower, upper = scale
-            return on_palette(
+            return palette_colours(
                 snap.pressure / 1e3 if self.colouring == "pressure" else 100 * snap.velocity, upper, lower
             )
         grains = self.simulation.state.grains
@@ -98,8 +98,8 @@ class FlowDisplay(Display):
         """Return curves of the driving pressure and the slip velocity over time, with their values by theory."""
         theory = self.simulation.scene.theory()
         return (
-            Plot("pressure", self.driven.capitalize(), (
-                Curve("piston", f"{self.driven} [kPa]", lambda row: row["pressure"] / 1e3, OURS),
+            Plot("pressure", self.pressure_label.capitalize(), (
+                Curve("piston", f"{self.pressure_label} [kPa]", lambda row: row["pressure"] / 1e3, OURS),
                 Curve("theory", "theory", lambda row: theory.pressure / 1e3, THEORY),
             )),
             Plot("slip", "Slip velocity", (
@@ -117,7 +117,7 @@ class FlowDisplay(Display):
         )),)  # fmt: skip
 
     def _velocities(self) -> tuple[np.ndarray, np.ndarray]:
-        snap, layout, radius = self._snap(), self.simulation.state.layout, self.simulation.scene.radius
+        snap, layout, radius = self._snapshot(), self.simulation.state.layout, self.simulation.scene.radius
         part = snap.height / layout.height
         middle = (part > MIDDLE[0]) & (part < MIDDLE[1])
         bins = max(2, round(radius / layout.spacing))

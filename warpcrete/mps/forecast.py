@@ -21,10 +21,10 @@ from .run import FlowRun
 from .scene import FluidScene
 from .simulation import FluidSimulation
 
-ENOUGH = 2500
+COARSE_PARTICLES = 2500
 """Number of particles of the coarser copy."""
 SPENT = 1.0  # Wall time for which steps are timed [s].
-TAKEN = 10  # Number of steps that are timed together.
+TIMED_STEPS = 10  # Number of steps that are timed together.
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def flow_forecast(
 
     scene = (loading := begun()).scene
     # Take at most as many steps as lie between two samples.
-    count = max(1, min(round(scene.sample_interval / scene.time_step), TAKEN))
+    count = max(1, min(round(scene.sample_interval / scene.time_step), TIMED_STEPS))
     loading.flow.take(count)  # This call loads the kernels, so that later timings exclude the loading.
     course = course_of(loading)
     loading.release()
@@ -122,12 +122,12 @@ def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | 
 def step_time(simulation: Any) -> float:
     """Return the wall time of a step [s]."""
     flow = simulation.flow
-    flow.take(TAKEN)  # This call captures the launch graph before steps are timed.
+    flow.take(TIMED_STEPS)  # This call captures the launch graph before steps are timed.
     times: list[float] = []
     while sum(times) < SPENT:
-        times.append(timed(lambda: flow.take(TAKEN), flow.device)[1])
+        times.append(timed(lambda: flow.take(TIMED_STEPS), flow.device)[1])
     # Other programs only slow steps down, and rarely during a long run, so the forecast uses the lower quartile.
-    return float(np.quantile(times, 0.25)) / TAKEN
+    return float(np.quantile(times, 0.25)) / TIMED_STEPS
 
 
 def forecast(scene: FluidScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
@@ -149,7 +149,7 @@ def _course(simulation: FluidSimulation) -> Course:
     scene = simulation.scene
     if scene.duration is not None:
         return Course(scene.duration, scene.time_step)
-    factor = (simulation.flow.count / ENOUGH) ** (1 / scene.dimensions)
+    factor = (simulation.flow.count / COARSE_PARTICLES) ** (1 / scene.dimensions)
     spacing = min(factor * scene.spacing, scene.radius / 2, scene.length / 8)
     changes = dict(spacing=spacing, aggregates=None) if factor > 1 else {}
     _, reached, remarks = coarser_run(simulation, "the flow is not steady", **changes)
@@ -165,13 +165,13 @@ def _features(simulation: FluidSimulation) -> dict[str, str]:
         "phases": "one" if scene.aggregates is None else "two: rigid grains in mortar",
         "yield stress": f"{concrete.yield_stress:g} Pa, regularised" if concrete.yield_stress else "left out",
         "slip layer": f"{concrete.slip_viscosity:g} Pa s/m and {concrete.slip_yield:g} Pa",
-        "scheme": _scheme(scene),
-        "solves": _solves(flow),
+        "scheme": _scheme_text(scene),
+        "solves": _solver_text(flow),
         "threads": "one thread per particle" if flow.parallel else f"{flow.threads}",
     }
 
 
-def _solves(flow: Any) -> str:
+def _solver_text(flow: Any) -> str:
     coarse = getattr(flow, "coarse", None)
     return (
         "preconditioned by the diagonal"
@@ -180,7 +180,7 @@ def _solves(flow: Any) -> str:
     )
 
 
-def _scheme(scene: FluidScene) -> str:
+def _scheme_text(scene: FluidScene) -> str:
     if scene.ends == "periodic":
         return "solved on a grid" + (" about the axis" if scene.dimensions == 3 else "")
     return "particles alone"

@@ -30,7 +30,7 @@ class Grains:
         return len(self.size)
 
 
-def scatter(scene: FluidScene, layout: Layout) -> Grains:
+def place_grains(scene: FluidScene, layout: Layout) -> Grains:
     """Place grains of random size and shape at random, the largest class first, up to their volume fraction.
 
     A grain consists of the particles inside its outline, a circle or ball of its size with a random waviness, clear of

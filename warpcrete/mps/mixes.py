@@ -12,7 +12,7 @@ from ..core.inputs.concretes import is_file, known_only, shipped
 from ..core.inputs.text_files import name_of
 from ..mix.mix import UNITS as FLOW_UNITS
 from ..mix.mix import completed, mix_named
-from ..theory.pipe import THICKER_LAYERS, Concrete
+from ..theory.pipe import SLIP_VISCOSITY_BY_THICKNESS, Concrete
 
 CONSTANTS = ("density", "viscosity", "yield_stress", "slip_viscosity", "slip_yield")
 """Names of the constants of a concrete; a given value replaces that of a named concrete."""
@@ -37,8 +37,8 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
             f"has no value for {', '.join(missing)}",
             f"give them, or use one of {', '.join(flowing())}",
         )
-    if slip_thickness > 0 and "slip_viscosity" not in given and name in THICKER_LAYERS:
-        table = THICKER_LAYERS[name]
+    if slip_thickness > 0 and "slip_viscosity" not in given and name in SLIP_VISCOSITY_BY_THICKNESS:
+        table = SLIP_VISCOSITY_BY_THICKNESS[name]
         match = [eta for thickness, eta in table.items() if abs(thickness - slip_thickness) < 1e-9]
         if not match:
             printed = ", ".join(f"{x:g}" for x in table)

@@ -22,7 +22,7 @@ from ..kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY
 from .allocation import allocate
 from .coarse import LEAST, WIDTH, CoarseGrid
 from .stages import step_by_one_thread, step_stages
-from .state import CUTOFF, WIDE, FluidState, flow_numbers
+from .state import DENSITY_REACH, OPERATOR_REACH, FluidState, flow_numbers
 from .stepping import Stepping
 
 SKIN = 0.1  # Skin of the neighbour lists in spacings. The column moves as a whole, so lists last some eighty steps.
@@ -77,7 +77,7 @@ class MovingParticles(Stepping):
         self.points = wp.zeros(self.count + len(state.layout.wall), dtype=wp.vec3f, device=self.device)
         """Positions of fluid and wall particles for the hash grid [m], shape (n + wall particles,)."""
         self.flow = flow_numbers(state, skin=SKIN, correction=CORRECTION)
-        self._room = 1.0
+        self._list_capacity_factor = 1.0
         self._step: Step | None = None
         self._reserve()
         flat = scene.dimensions == 2
@@ -91,7 +91,7 @@ class MovingParticles(Stepping):
     def _fields(self) -> Any:
         """Return the working arrays, except for those whose sizes depend on the neighbour lists."""
         struct = self.structs.Fields
-        sizes = dict.fromkeys(struct.vars, self.count) | {"wall_scale": 1, "late": 2, "pair_weight": 0}
+        sizes = dict.fromkeys(struct.vars, self.count) | {"wall_scale": 1, "event_flags": 2, "pair_weight": 0}
         return allocate(struct, self.device, **sizes)
 
     def _matrix(self) -> Any:
@@ -102,7 +102,7 @@ class MovingParticles(Stepping):
         matrix.position = self.particles.position
         if self.grains is not None:
             assert self.state.grains is not None
-            matrix.bound, matrix.grains = int(self.state.grains.first[-1]), self.grains
+            matrix.grain_rows, matrix.grains = int(self.state.grains.first[-1]), self.grains
         if self.coarse is not None:
             matrix.coarse = self.coarse.arrays
         return matrix
@@ -125,7 +125,7 @@ class MovingParticles(Stepping):
         sizes = {
             "load": cubes, "lift": 2 * cubes, "change": cubes, "inner": cubes,
             "partial": 3 * (self.blocks + -(-bodies // BLOCK) if self.parallel else self.threads), "outcome": OUTCOME,
-            "least": 1, "history": HISTORY, "direction": self.count * (2 if self.parallel else 1),
+            "stop_norm": 1, "history": HISTORY, "direction": self.count * (2 if self.parallel else 1),
             "preconditioned": self.count if self.parallel else 0,
         }  # fmt: skip
         return allocate(struct, self.device, **dict.fromkeys(struct.vars, self.count) | sizes)
@@ -152,14 +152,16 @@ class MovingParticles(Stepping):
     @property
     def _list_reach(self) -> tuple[float, float]:
         """Reach of the near neighbours and of all neighbours [m], including the skin."""
-        return (CUTOFF + SKIN) * self.state.layout.spacing, (WIDE + SKIN) * self.state.layout.spacing
+        return (OPERATOR_REACH + SKIN) * self.state.layout.spacing, (DENSITY_REACH + SKIN) * self.state.layout.spacing
 
     def _reserve(self) -> None:
         """Allocate list rows for 1.6 times the neighbours that the lattice has, to leave room for crowded regions."""
         d, n = self.scene.dimensions, self.count
         ball = math.pi if d == 2 else 4 / 3 * math.pi
         near, whole = (ball * (reach / self.state.layout.spacing) ** d for reach in self._list_reach)
-        near, far, wall = (int(self._room * 1.6 * x) + 8 for x in (near, max(whole - near, 4.0), 0.55 * whole))
+        near, far, wall = (
+            int(self._list_capacity_factor * 1.6 * x) + 8 for x in (near, max(whole - near, 4.0), 0.55 * whole)
+        )
         self._check_memory(near, far, wall)
         for name, capacity in (("near", near), ("far", far), ("wall", wall)):
             setattr(self.lists, f"{name}_capacity", capacity)
@@ -212,9 +214,9 @@ class MovingParticles(Stepping):
             self.flags.assign(flags)
             if over == 0:
                 break
-            self._room *= max(1.25, 1.1 * over / 1000)
+            self._list_capacity_factor *= max(1.25, 1.1 * over / 1000)
             self._reserve()
-        self.fields.late.zero_()
+        self.fields.event_flags.zero_()
         self.rebuilds += 1
 
     # The following methods provide the stages of a step and the state for checkpoints.
@@ -246,7 +248,7 @@ class MovingParticles(Stepping):
             self._step = step_stages(self)
         return self._step
 
-    def _alone(self) -> Step:
+    def _single_thread_step(self) -> Step:
         return step_by_one_thread(self)
 
     def solves(self) -> dict[int, Any]:
@@ -259,7 +261,7 @@ class MovingParticles(Stepping):
         Among the arrays are the positions at which the neighbour lists were built: neighbour lists rebuilt from these
         positions have the same order, so that all sums have the same bits.
         """
-        lists = {"built": self.fields.built.numpy(), "late": self.fields.late.numpy()}
+        lists = {"built": self.fields.position_at_build.numpy(), "late": self.fields.event_flags.numpy()}
         return self.state.state_dict() | lists
 
     def state_dict(self) -> dict[str, Any]:
@@ -272,6 +274,6 @@ class MovingParticles(Stepping):
         self.particles.position.assign(arrays["built"])
         self.build()
         self.state.load_state_dict(arrays)
-        self.fields.late.assign(arrays["late"])
+        self.fields.event_flags.assign(arrays["late"])
         self.steps, self.rebuilds = int(numbers["steps"]), int(numbers["rebuilds"])
         self.time = self.steps * self.scene.time_step

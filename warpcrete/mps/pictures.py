@@ -107,5 +107,5 @@ def draw(simulation: Any, run: Run, colouring: str | None) -> Any:
     if "profiles" not in run.result:
         return None
     display = simulation.display(colouring)
-    particles = display.centres(), display.colours(), simulation.state.mark_spacing
+    particles = display.centres(), display.colours(), simulation.state.particle_spacing
     return plot_flow(run, particles, display.scale())

@@ -13,15 +13,15 @@ from ..core.units import number, shown
 from ..theory.pipe import Steady
 from .scene import FluidScene
 
-LAST = 0.2
+AVERAGED_FRACTION = 0.2
 """Last fraction of a run of given duration over which quantities are averaged; other runs use the last row."""
-COMPARED = ("pressure", "slip_velocity", "wall_stress")
+THEORY_COLUMNS = ("pressure", "slip_velocity", "wall_stress")
 """Columns of the series that theory predicts."""
 UNITS = {"pressure": "Pa", "slip_velocity": "m/s", "wall_stress": "Pa"}
 
 
 @dataclass(frozen=True)
-class Known:
+class RunData:
     """Scene, series and theory from which the quantities of a flow are computed."""
 
     scene: FluidScene
@@ -35,7 +35,7 @@ class Known:
         time = self.series["time"]
         if self.scene.duration is None:
             return np.arange(len(time)) == len(time) - 1
-        return time >= time[-1] * (1 - LAST)
+        return time >= time[-1] * (1 - AVERAGED_FRACTION)
 
     def mean(self, name: str) -> float:
         """Return the mean of a column over the chosen rows."""
@@ -89,7 +89,7 @@ def _restarted(of):
     return lambda known: of(known) if known.scene.gained else None
 
 
-def _restart_words(run: Run) -> str:
+def _restart_text(run: Run) -> str:
     peak, whole = (number(run.result[name]) / 1e3 for name in ("restart_pressure", "restart_pressure_theory"))
     return (
         f"{peak:.4g} kPa, {run.result['restart_over_steady']:.3g} times the steady pressure by theory   (theory with "
@@ -98,13 +98,13 @@ def _restart_words(run: Run) -> str:
 
 
 QUANTITIES = (
-    *(quantity for name in COMPARED for quantity in _of_column(name)),
+    *(quantity for name in THEORY_COLUMNS for quantity in _of_column(name)),
     Quantity(
         "restart_pressure",
         "Pa",
         _restarted(lambda k: k.series["pressure"].max()),
         "peak of the restart",
-        _restart_words,
+        _restart_text,
         True,
     ),
     Quantity("restart_pressure_theory", "Pa", _restarted(lambda k: k.scene.restart().pressure)),

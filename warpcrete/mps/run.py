@@ -29,7 +29,7 @@ class FlowRun(Simulation):
         """True once the flow has reached the state at which it ends: it is steady or at rest."""
 
     @abstractmethod
-    def placed(self) -> Any:
+    def place_flow(self) -> Any:
         """Return the flow at its start, with its particles placed."""
 
     @abstractmethod
@@ -63,9 +63,9 @@ class FlowRun(Simulation):
         """Place the particles at their initial positions."""
         started = wall_clock.perf_counter()
         self.tell("packing", 0.0)
-        self.flow = self.stepper = self.placed()
+        self.flow = self.stepper = self.place_flow()
         self.tell("packing", 1.0)
-        self._spent["packing"] = wall_clock.perf_counter() - started
+        self._wall_times["packing"] = wall_clock.perf_counter() - started
 
     def measure(self) -> dict[str, float]:
         """Measure the flow and append the row to `rows`."""
@@ -83,9 +83,9 @@ class FlowRun(Simulation):
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore a run from a `state_dict`, in place of `prepare`."""
-        spent = dict(self._spent)
+        spent = dict(self._wall_times)
         self.prepare()
-        self._spent = spent
+        self._wall_times = spent
         self.flow.load_state_dict(state["flow"])
         self._rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
 
@@ -120,10 +120,10 @@ class FlowRun(Simulation):
 
     def speed(self) -> dict[str, Any]:
         """Return wall times, step rates and memory of the run for its result."""
-        flow, running = self.flow, self._spent.get("running", 0.0)
+        flow, running = self.flow, self._wall_times.get("running", 0.0)
         return {
             "wall_time": quantity(running, "s"),
-            "packing_time": quantity(self._spent.get("packing", 0.0), "s"),
+            "packing_time": quantity(self._wall_times.get("packing", 0.0), "s"),
             "steps_per_second": quantity(flow.steps / max(running, 1e-9), "1/s"),
             "particle_steps_per_second": quantity(flow.steps * flow.count / max(running, 1e-9), "1/s"),
             "memory": quantity(footprint(flow=flow)["flow"], "B"),

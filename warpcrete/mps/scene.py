@@ -18,13 +18,13 @@ from ..core.errors import between, one_of, positive, refuse
 from ..core.inputs.parameters import Above, Alias, Declared, Needs, OneOf, Within
 from ..theory.pipe import Concrete, Line, Steady, restart, steady
 
-FEWEST_ACROSS = 4  # Minimum number of particles across the pipe.
+MIN_PARTICLES_ACROSS = 4  # Minimum number of particles across the pipe.
 ENDS = ("piston", "periodic")
 RESTED = Needs("rest", lambda rest: rest > 0, "is above 0")
-MOST_PARTICLES = 2**26
+MAX_PARTICLES = 2**26
 """Maximum number of particles of a column; their neighbour lists still fit in the memory of today's largest GPU."""
 # Minimum length of a column in spacings. In a shorter column, piston and surface disturb the flow everywhere.
-SHORTEST = 8
+MIN_SPACINGS_HIGH = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,19 +213,23 @@ class FluidScene(Parametrised, FlowSettings):
                 "use ends = piston",
             )
         across = 2 * self.radius / self.spacing
-        if across < FEWEST_ACROSS - 0.5:
+        if across < MIN_PARTICLES_ACROSS - 0.5:
             refuse(
                 "spacing",
                 self.spacing,
-                f"leaves {across:.2g} particles across the pipe, but at least {FEWEST_ACROSS} are needed",
-                f"use {2 * self.radius / FEWEST_ACROSS:g} m or less",
+                f"leaves {across:.2g} particles across the pipe, but at least {MIN_PARTICLES_ACROSS} are needed",
+                f"use {2 * self.radius / MIN_PARTICLES_ACROSS:g} m or less",
             )
-        if self.length < SHORTEST * self.spacing:
-            refuse("length", self.length, f"must hold {SHORTEST} particles, {SHORTEST * self.spacing:g} m")
+        if self.length < MIN_SPACINGS_HIGH * self.spacing:
+            refuse(
+                "length",
+                self.length,
+                f"must hold {MIN_SPACINGS_HIGH} particles, {MIN_SPACINGS_HIGH * self.spacing:g} m",
+            )
         section = 2 * self.radius if self.dimensions == 2 else np.pi * self.radius**2
         count = section * self.length / self.spacing**self.dimensions
-        if self.ends == "piston" and count > MOST_PARTICLES:
-            refuse("length", self.length, f"needs {count:.2g} particles, but at most {MOST_PARTICLES:.2g} are possible",
+        if self.ends == "piston" and count > MAX_PARTICLES:
+            refuse("length", self.length, f"needs {count:.2g} particles, but at most {MAX_PARTICLES:.2g} are possible",
                    "use a shorter column, a larger spacing, or ends = periodic")  # fmt: skip
         if self.time_step * self.velocity > 0.5 * self.spacing:
             refuse(

@@ -18,24 +18,24 @@ from .grid.layout import pipe_cells, pipe_layout
 from .grid.state import GridState, check_memory
 from .particles import MovingParticles
 from .probes import UNITS
-from .quantities import QUANTITIES, Known
+from .quantities import QUANTITIES, RunData
 from .run import FlowRun
 from .scene import FluidScene
 from .state import FluidState
 from .watch import WatchedFlow
 
-LONGEST = 2.0  # simulated time [s] after which a flow that does not become steady ends
-SETTLES = 0.03
+MAX_DURATION = 2.0  # simulated time [s] after which a flow that does not become steady ends
+TYPICAL_DURATION = 0.03
 """Typical simulated time until a flow is steady [s]."""
-PROFILES = (0.2, 0.5, 0.8)
+PROFILE_HEIGHTS = (0.2, 0.5, 0.8)
 """Heights of the result's velocity profiles, relative to the column's height (Xu et al. 2021, Fig. 18)."""
-BREAKING = 6.0
+MAX_BREAKDOWN_TIMES = 6.0
 """Maximum duration of a flow, in units of the time in which slip breaks the layer's structure down to 1/e."""
-SLIPS = 0.1
+MIN_SLIP_RATIO = 0.1
 """Ratio of slip to mean velocity below which a run does not wait until the layer's structure is broken."""
-BROKEN = 0.01
+MAX_STRUCTURE_LEFT = 0.01
 """Fraction of the yield stress gained at rest that the slip layer may still have in a steady flow."""
-APART = 5e-3
+COMPARISON_INTERVAL = 5e-3
 """Simulated time between the rows that must agree in a steady flow [s]."""
 
 
@@ -65,19 +65,23 @@ class FluidSimulation(FlowRun):
         """Maximum simulated time of the whole run [s]."""
         if self.scene.duration is not None:
             return self.scene.duration
-        breaking = BREAKING * self.scene.breakdown / self.scene.theory().slip_velocity if self._breaks else 0.0
-        return max(LONGEST, breaking)
+        breaking = (
+            MAX_BREAKDOWN_TIMES * self.scene.breakdown / self.scene.theory().slip_velocity
+            if self._structure_breaks
+            else 0.0
+        )
+        return max(MAX_DURATION, breaking)
 
     @property
-    def _breaks(self) -> bool:
+    def _structure_breaks(self) -> bool:
         """True if slip breaks the structure that the layer gained at rest, within a reasonable time."""
         scene = self.scene
-        return bool(scene.gained) and scene.theory().slip_velocity > SLIPS * scene.velocity
+        return bool(scene.gained) and scene.theory().slip_velocity > MIN_SLIP_RATIO * scene.velocity
 
     @property
     def expected_duration(self) -> float:
         """Expected simulated time of the run [s]."""
-        return SETTLES if self.scene.duration is None else self.scene.duration
+        return TYPICAL_DURATION if self.scene.duration is None else self.scene.duration
 
     @property
     def frame_step(self) -> float:
@@ -92,7 +96,7 @@ class FluidSimulation(FlowRun):
         """Return the display that recorders draw."""
         return FlowDisplay(self, colouring)
 
-    def placed(self) -> MovingParticles | GridFlow:
+    def place_flow(self) -> MovingParticles | GridFlow:
         """Return the flow at its start: a grid with particles for a periodic pipe, else particles alone."""
         if self._periodic:
             check_memory(pipe_cells(self.scene), self.device, self.precision)
@@ -110,10 +114,10 @@ class FluidSimulation(FlowRun):
     def ended_early(self) -> bool:
         """Return whether the flow is steady and no duration is given."""
         now, part = self._rows[-1], self.scene.steadiness
-        if self._breaks and now["layer_gained"] > BROKEN * self.scene.gained:
+        if self._structure_breaks and now["layer_gained"] > MAX_STRUCTURE_LEFT * self.scene.gained:
             return False  # the structure may break so slowly that no other quantity shows it
         earlier = []
-        for wanted in (now["time"] - APART, now["time"] - 2 * APART):
+        for wanted in (now["time"] - COMPARISON_INTERVAL, now["time"] - 2 * COMPARISON_INTERVAL):
             # In the first row the slip layer is not computed yet. Two earlier rows must agree with the last one,
             # because a single row may agree by chance.
             found = [row for row in self._rows[1:] if row["time"] <= wanted + 1e-9]
@@ -144,9 +148,9 @@ class FluidSimulation(FlowRun):
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
         """Return entries of the result that the series gives, and no tables."""
-        result = results_of(QUANTITIES, Known(self.scene, series, self.scene.theory()))
+        result = results_of(QUANTITIES, RunData(self.scene, series, self.scene.theory()))
         result["theory"] = self.scene.form
-        result["profiles"] = [self._profile(part) for part in PROFILES]
+        result["profiles"] = [self._profile(part) for part in PROFILE_HEIGHTS]
         outcomes = {what: float(series[f"{what}_iterations"][1:].mean()) for what in ("viscosity", "pressure")}
         result["iterations"] = outcomes
         return result, {}

@@ -19,7 +19,7 @@ import functools
 import math
 from typing import Any
 
-from ..core.device.launching import Stage, Step, members
+from ..core.device.launching import Stage, Step, struct_arguments
 from ..kernels.common.reductions import BLOCK, parallel_scale, serial_scale
 from ..kernels.mps.coarse import coarse_kernels, serial_coarse_kernel
 from ..kernels.mps.conjugate_gradient import serial_solver
@@ -33,12 +33,12 @@ from ..kernels.mps.two_level import resident_two_level, serial_two_level
 
 VELOCITY_ERROR = 1e-6
 """Tolerance of the viscosity solve, relative to the residual that a velocity error of piston speed would cause."""
-LEAST_PRESSURE = 1e-4
+ABSOLUTE_PRESSURE_FACTOR = 1e-4
 """Ratio of the absolute to the relative tolerance of the pressure solve.
 
 The absolute tolerance is a fraction of the residual for a divergence of (piston speed / radius).
 """
-SHIFTING = 0.1, 1e-7
+DENSITY_TOLERANCES = 0.1, 1e-7
 """Relative tolerance of the density solve, and the rms residual below which the solve stops in any case."""
 
 
@@ -54,15 +54,15 @@ def step_by_one_thread(particles: Any) -> Step:
 
 def step_parts(particles: Any) -> list[StepPart]:
     """Return the part of a step for each thread."""
-    meet = particles.barrier()
-    return [StepPart(particles, range(part, part + 1), meet) for part in range(particles.threads)]
+    barrier_stages = particles.barrier()
+    return [StepPart(particles, range(part, part + 1), barrier_stages) for part in range(particles.threads)]
 
 
 class StepPart:
     """Part of a step that one thread does: the rows of its `parts`, and for the first thread the shared work."""
 
-    def __init__(self, particles: Any, parts: range, meet: list[Stage]) -> None:
-        self.p, self.parts, self.meet = particles, parts, meet
+    def __init__(self, particles: Any, parts: range, barrier_stages: list[Stage]) -> None:
+        self.p, self.parts, self.barrier_stages = particles, parts, barrier_stages
         self.scene, self.dimensions = particles.scene, particles.scene.dimensions
         self.serial = not particles.parallel
         self.two_phase = particles.grains is not None
@@ -76,9 +76,9 @@ class StepPart:
             *self.momentum(),
             *self.bodies(),
             *self.viscosity(),
-            *self.each(divergence_kernel(*self.kind, self.two_phase)),
+            *self.over_rows(divergence_kernel(*self.kind, self.two_phase)),
             *self.pressure(),
-            *self.each(gradient_kernel(*self.kind, self.two_phase)),
+            *self.over_rows(gradient_kernel(*self.kind, self.two_phase)),
             *self.shifting(),
             *self.motion(),
             *self.finish(),
@@ -86,18 +86,18 @@ class StepPart:
 
     # The following methods make stages from a kernel.
 
-    def each(self, kernel: Any, **named: Any) -> list[Stage]:
+    def over_rows(self, kernel: Any, **named: Any) -> list[Stage]:
         """Return stages that run a kernel over the rows of each part, followed by a barrier."""
         p, found = self.p, []
         for part in self.parts:
             first, end = p.count * part // p.threads, p.count * (part + 1) // p.threads
             tasks = -(-(end - first) // span(self.serial))
             found.append(p.stage(kernel, tasks, first=first, end=end, **named))
-        return [*found, *self.meet]
+        return [*found, *self.barrier_stages]
 
-    def alone(self, kernel: Any, tasks: int = 1, **named: Any) -> list[Stage]:
+    def by_first_thread(self, kernel: Any, tasks: int = 1, **named: Any) -> list[Stage]:
         """Return stages in which the first thread runs a kernel for all, followed by a barrier."""
-        return [*([self.p.stage(kernel, tasks, **named)] if self.parts.start == 0 else []), *self.meet]
+        return [*([self.p.stage(kernel, tasks, **named)] if self.parts.start == 0 else []), *self.barrier_stages]
 
     def in_blocks(self, kernel: Any, number: int | None = None, **named: Any) -> Stage:
         """Return a stage that runs a kernel in whole GPU blocks, over all rows unless a number of blocks is given."""
@@ -107,7 +107,7 @@ class StepPart:
 
     def geometry(self) -> list[Any]:
         kernel = geometry_kernel(*self.kind, self.two_phase)
-        return self.each(kernel, **members(kernel, particle=self.p.particles))
+        return self.over_rows(kernel, **struct_arguments(kernel, particle=self.p.particles))
 
     def wall_scale(self) -> list[Any]:
         """Return stages that scale the particles' wall areas so that their sum is the area of the wetted wall."""
@@ -115,7 +115,7 @@ class StepPart:
         weights = {"weight": p.fields.wall_weight}
         result = {"wanted": p.wet_area / p.state.layout.volume, "factor": p.fields.wall_scale}
         if self.serial:
-            return self.alone(serial_scale(p.scalar), **weights, **result)
+            return self.by_first_thread(serial_scale(p.scalar), **weights, **result)
         gather, divide = parallel_scale(p.scalar)
         partial = p.viscous.partial
         return [
@@ -124,48 +124,51 @@ class StepPart:
         ]
 
     def momentum(self) -> list[Any]:
-        return self.each(momentum_kernel(*self.kind, self.two_phase))
+        return self.over_rows(momentum_kernel(*self.kind, self.two_phase))
 
     def bodies(self) -> list[Any]:
         """Return the stage that prepares the rigid grains for the velocity solve."""
         if not self.two_phase:
             return []
-        return self.alone(bodies_kernel(self.p.scalar, self.dimensions), self.p.state.grains.count)
+        return self.by_first_thread(bodies_kernel(self.p.scalar, self.dimensions), self.p.state.grains.count)
 
     def viscosity(self) -> list[Any]:
         absolute = VELOCITY_ERROR * self.rate * self.scene.velocity * self.size
-        return [*self.gathered(True), *self.solve(self.p.viscous, VISCOSITY, self.p.particles.velocity, 0.0, absolute)]
+        return [
+            *self.coarse_matrix(True),
+            *self.solve(self.p.viscous, VISCOSITY, self.p.particles.velocity, 0.0, absolute),
+        ]
 
     def pressure(self) -> list[Any]:
         scene, tolerance = self.scene, self.scene.tolerance
-        absolute = LEAST_PRESSURE * tolerance * self.rate * scene.velocity / scene.radius * self.size
+        absolute = ABSOLUTE_PRESSURE_FACTOR * tolerance * self.rate * scene.velocity / scene.radius * self.size
         solve = self.solve(self.p.projection, PRESSURE, self.p.fields.increment, tolerance, absolute)
-        return [*self.gathered(False), *solve]
+        return [*self.coarse_matrix(False), *solve]
 
     def shifting(self) -> list[Any]:
         """Return the density solve and the stage that turns its solution into shifts out of crowded regions."""
-        tolerance, error = SHIFTING
+        tolerance, error = DENSITY_TOLERANCES
         return [
             *self.solve(self.p.shifting, DENSITY, self.p.fields.potential, tolerance, error * self.size),
-            *self.each(shift_kernel(*self.kind)),
+            *self.over_rows(shift_kernel(*self.kind)),
         ]
 
     def motion(self) -> list[Any]:
         """Return stages that update the grains' velocities, then all particles, then the grains' positions."""
-        advance = self.each(advance_kernel(*self.kind))
+        advance = self.over_rows(advance_kernel(*self.kind))
         if not self.two_phase:
             return advance
         p, grains = self.p, self.p.state.grains.count
-        before = self.alone(velocities_kernel(p.scalar, self.dimensions), grains)
-        after = self.alone(places_kernel(p.scalar, self.dimensions), grains)
+        before = self.by_first_thread(velocities_kernel(p.scalar, self.dimensions), grains)
+        after = self.by_first_thread(places_kernel(p.scalar, self.dimensions), grains)
         return [*before, *advance, *after]
 
     def finish(self) -> list[Any]:
-        return self.alone(finish, late=self.p.fields.late)
+        return self.by_first_thread(finish, event_flags=self.p.fields.event_flags)
 
     # The following methods return the linear solves.
 
-    def gathered(self, vector: bool) -> list[Any]:
+    def coarse_matrix(self, vector: bool) -> list[Any]:
         """Return stages that form the coarse matrix of the preconditioner, of velocities (`vector`) or of the pressure.
 
         The coarse matrix of the pressure also serves the density solve.
@@ -176,7 +179,7 @@ class StepPart:
         p, kind = self.p, (self.p.scalar, self.dimensions, vector)
         if self.serial:
             begin, end = (coarse.count * part // p.threads for part in (self.parts.start, self.parts.stop))
-            return [p.stage(serial_coarse_kernel(*kind), 1, begin=begin, end=end), *self.meet]
+            return [p.stage(serial_coarse_kernel(*kind), 1, begin=begin, end=end), *self.barrier_stages]
         kernels = coarse_kernels(*kind)
         return [p.stage(kernels.pairs, p.count), p.stage(kernels.sums, coarse.count * 3**self.dimensions)]
 
@@ -203,7 +206,7 @@ class StepPart:
         serial, resident = (functools.partial(solver, *kind) for solver in (serial_two_level, resident_two_level))
         if p.coarse is None:
             serial, resident = (functools.partial(s, *kind, rigid) for s in (serial_solver, resident_solver))
-        system.least.fill_(absolute)
+        system.stop_norm.fill_(absolute)
         if self.serial:
             lower, upper = self.parts.start, self.parts.stop
             chunks = {"parts": p.threads, "lower": lower, "upper": upper, "workers": p.threads // (upper - lower)}

@@ -12,13 +12,13 @@ from ..core.device.device import scalar_of
 from ..kernels.common.control import FLAGS
 from ..kernels.mps.structs import array_structs, flow_struct
 from .allocation import allocate
-from .grains import Grains, scatter
+from .grains import Grains, place_grains
 from .layout import Layout, layout
 from .scene import FluidScene
 
-CUTOFF = 2.1
+OPERATOR_REACH = 2.1
 """Reach of gradient, divergence and Laplacian in particle spacings (Xu et al. 2021 use 2.1 and 4.1)."""
-WIDE = 3.1
+DENSITY_REACH = 3.1
 """Reach of the density sum in particle spacings."""
 
 
@@ -44,7 +44,7 @@ class FluidState:
         fluid = self.layout.fluid
         group, density = np.zeros(0, np.int32), np.zeros(0)
         if scene.aggregates is not None and scene.aggregates.fraction > 0:
-            self.grains = scatter(scene, self.layout)
+            self.grains = place_grains(scene, self.layout)
             fluid = fluid[self.grains.order]
             group = self.grains.group
             density = np.where(group >= 0, scene.aggregates.density, scene.aggregates.mortar.density)
@@ -89,7 +89,7 @@ class FluidState:
         )
 
     @property
-    def mark_spacing(self) -> float:
+    def particle_spacing(self) -> float:
         """Distance of particles at the start [m]."""
         return self.layout.spacing
 
@@ -136,12 +136,12 @@ def flow_numbers(state: FluidState, *, skin: float, correction: float) -> Any:
     values = dict(
         count=state.count,
         spacing=l0,
-        cutoff=CUTOFF * l0,
-        wide=WIDE * l0,
-        lattice_number=_sum_at_start(layout, CUTOFF, _weight),
-        lattice_density=_sum_at_start(layout, WIDE, _density_weight) + 1.0,
+        cutoff=OPERATOR_REACH * l0,
+        wide=DENSITY_REACH * l0,
+        lattice_number=_sum_at_start(layout, OPERATOR_REACH, _weight),
+        lattice_density=_sum_at_start(layout, DENSITY_REACH, _density_weight) + 1.0,
         radius=scene.radius,
-        highest=1.5 * layout.height,
+        loss_limit=1.5 * layout.height,
         piston_speed=scene.velocity,
         gravity=scene.gravity,
         dt=scene.time_step,

@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 
 from ..core.device.device import parallel
-from ..core.device.launching import Launcher, Size, Stage, Step, completed, graph_sizes, telling
+from ..core.device.launching import Launcher, Size, Stage, Step, completed, graph_sizes, report_compiling
 from ..core.errors import CapacityError, ConvergenceError, InstabilityError
 from ..core.run.method import Progress, run_in_turn
 from ..core.run.run_loop import Coroutine, Run
@@ -26,9 +26,9 @@ from ..kernels.mps.conjugate_gradient import AFTER, BEFORE, ITERATIONS
 from ..kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY
 
 LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}  # Maximum number of steps in one graph.
-LAUNCH = 4  # Number of graphs of the largest size that are launched between two reads of the flags.
-WHAT = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
-ABREAST = 64
+GRAPHS_PER_CHECK = 4  # Number of graphs of the largest size that are launched between two reads of the flags.
+SOLVE_NAMES = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
+MAX_CONCURRENT_FLOWS = 64
 """Maximum number of flows that run on one GPU at a time."""
 
 
@@ -68,7 +68,7 @@ class Stepping(ABC):
     def _kernel_arrays(self) -> dict[str, Any]:
         """Arrays and structs of the flow, by the names of the kernel parameters that receive them."""
 
-    def _alone(self) -> Step:
+    def _single_thread_step(self) -> Step:
         return self.step
 
     def build(self) -> None:
@@ -83,49 +83,49 @@ class Stepping(ABC):
 
     def take(self, steps: int) -> None:
         """Take a number of steps; raise :class:`ConvergenceError` or :class:`InstabilityError` if one fails."""
-        self.aim(steps=self.steps + steps)
-        self._go()
+        self.set_goal(steps=self.steps + steps)
+        self._run_to_goal()
 
     def advance(self, until: float) -> None:
         """Take whole steps up to the step that ends nearest to `until` [s]; raise the same errors as `take`."""
-        self.aim(until)
-        self._go()
+        self.set_goal(until)
+        self._run_to_goal()
 
-    def _go(self) -> None:
-        while not self.arrived:
+    def _run_to_goal(self) -> None:
+        while not self.goal_reached:
             self.launch()
             self.settle()
 
-    def aim(self, until: float = math.inf, steps: int | None = None) -> None:
+    def set_goal(self, until: float = math.inf, steps: int | None = None) -> None:
         """Set the goal: the step that ends nearest to `until` [s], or a total number of steps."""
         self._goal = math.floor(until / self.scene.time_step + 0.5) if steps is None else steps
 
     @property
-    def arrived(self) -> bool:
+    def goal_reached(self) -> bool:
         """True when the flow has reached its goal."""
         return self.steps >= self._goal
 
     @property
-    def _left(self) -> int:
+    def _steps_left(self) -> int:
         """Number of steps still to take, possibly an estimate; at least one before the goal is reached."""
         return self._goal - self.steps
 
     def launch(self) -> None:
         """Launch some of the steps towards the goal; a GPU takes them while Python goes on."""
         largest = LARGEST_GRAPH["cuda" if self.parallel else "threads" if self.threads > 1 else "cpu"]
-        sizes = graph_sizes(min(self._left, LAUNCH * largest), largest)
-        self._launcher.replay(self.step, self._alone, sizes, lambda: bool(self.flags.numpy()[int(HALTED)]))
+        sizes = graph_sizes(min(self._steps_left, GRAPHS_PER_CHECK * largest), largest)
+        self._launcher.replay(self.step, self._single_thread_step, sizes, lambda: bool(self.flags.numpy()[int(HALTED)]))
 
     def settle(self) -> None:
         """Wait for the launched steps and read how far they came; raise the error of a failed step."""
         flags = self.flags.numpy()
-        self._look(flags)
+        self._read_progress(flags)
         if flags[int(FAILED)]:
             self._fail(int(flags[int(FAILED)]))
         if flags[int(STALE)]:
             self.build()
 
-    def _look(self, flags: np.ndarray) -> None:
+    def _read_progress(self, flags: np.ndarray) -> None:
         """Update step count and time from the flags."""
         self.steps = int(flags[int(STEPS)])
         self.time = self.steps * self.scene.time_step
@@ -141,7 +141,7 @@ class Stepping(ABC):
         count = int(outcome[int(ITERATIONS)])
         history = [float(outcome[int(BEFORE)]), *map(float, solve.history.numpy()[:count])]
         raise ConvergenceError(
-            self.time, WHAT[what], count, history, float(outcome[int(AFTER)]), self.scene.maximum_iterations
+            self.time, SOLVE_NAMES[what], count, history, float(outcome[int(AFTER)]), self.scene.maximum_iterations
         )
 
     def outcomes(self) -> dict[str, dict[str, float]]:
@@ -150,7 +150,7 @@ class Stepping(ABC):
         for what, solve in self.solves().items():
             outcome: np.ndarray = solve.outcome.numpy()
             numbers = {"iterations": ITERATIONS, "before": BEFORE, "after": AFTER}
-            found[WHAT[what]] = {key: float(outcome[int(slot)]) for key, slot in numbers.items()}
+            found[SOLVE_NAMES[what]] = {key: float(outcome[int(slot)]) for key, slot in numbers.items()}
         return found
 
 
@@ -177,35 +177,35 @@ class _Run:
             simulation.begin(self.checkpoint)
         self._flow.share(abreast)
         self._coroutine = simulation.running()
-        self._go_on(None)
+        self._resume(None)
 
-    def set_out(self) -> None:
+    def launch_steps(self) -> None:
         """Launch steps towards the goal; the device takes them while Python goes on."""
         try:
             with wp.ScopedStream(self._stream) if self._stream else nullcontext():
                 self._flow.launch()
         except Exception as failure:
-            self._go_on(failure)
+            self._resume(failure)
 
-    def look(self) -> None:
+    def check_steps(self) -> None:
         """Check the launched steps, then set the run's next goal or store the finished run or its error."""
         try:
             self._flow.settle()
         except (Exception, KeyboardInterrupt) as failure:
-            self._go_on(failure)
+            self._resume(failure)
         else:
-            if self._flow.arrived:
-                self._go_on(None)
+            if self._flow.goal_reached:
+                self._resume(None)
 
-    def _go_on(self, error: BaseException | None) -> None:
+    def _resume(self, error: BaseException | None) -> None:
         """Resume the run's coroutine until it wants a later time or ends; an `error` is raised inside the run."""
         assert self._coroutine is not None
         try:
             while True:
                 wanted = next(self._coroutine) if error is None else self._coroutine.throw(error)
                 error = None
-                self._flow.aim(wanted.time)
-                if not self._flow.arrived:
+                self._flow.set_goal(wanted.time)
+                if not self._flow.goal_reached:
                     return
         except StopIteration as end:
             self.outcome = end.value
@@ -220,7 +220,7 @@ class _Run:
             if self._coroutine is None:
                 self.outcome = why
             else:
-                self._go_on(why)
+                self._resume(why)
 
 
 def run_abreast(
@@ -235,22 +235,22 @@ def run_abreast(
     """
     if len(simulations) < 2 or not parallel(simulations[0].device):
         return run_in_turn(simulations, checkpoints, progress)
-    everyone = [_Run(*pair) for pair in zip(simulations, checkpoints)]
+    runs = [_Run(*pair) for pair in zip(simulations, checkpoints)]
     try:
-        with telling(progress):
-            _together(everyone, simulations[0].device, progress)
+        with report_compiling(progress):
+            _run_together(runs, simulations[0].device, progress)
     except KeyboardInterrupt as why:
-        for run in everyone:
+        for run in runs:
             run.stop(why)
             run.simulation.release()
-    return [run.outcome for run in everyone if run.outcome is not None]
+    return [run.outcome for run in runs if run.outcome is not None]
 
 
-def _together(everyone: list[_Run], device: Any, progress: Progress) -> None:
-    left, under_way, full = list(everyone), [], False
-    abreast = min(len(everyone), ABREAST)
+def _run_together(runs: list[_Run], device: Any, progress: Progress) -> None:
+    left, under_way, full = list(runs), [], False
+    abreast = min(len(runs), MAX_CONCURRENT_FLOWS)
     while left or under_way:
-        while left and len(under_way) < ABREAST and not full:
+        while left and len(under_way) < MAX_CONCURRENT_FLOWS and not full:
             run = left[0]
             try:
                 if run.simulation.stop_requested:
@@ -267,13 +267,13 @@ def _together(everyone: list[_Run], device: Any, progress: Progress) -> None:
             under_way.append(left.pop(0))
         for run in under_way:
             if run.outcome is None:
-                run.set_out()
+                run.launch_steps()
         wp.synchronize_device(device)
         for run in list(under_way):
             if run.outcome is None:
-                run.look()
+                run.check_steps()
             if run.outcome is not None:
                 under_way.remove(run)
                 full = False
                 run.simulation.release()
-                progress("running", sum(each.outcome is not None for each in everyone) / len(everyone))
+                progress("running", sum(each.outcome is not None for each in runs) / len(runs))

@@ -8,10 +8,10 @@ from ..core.errors import InstabilityError
 from ..theory.pipe import velocity
 from .scene import FluidScene
 
-MEASURED = ("pressure", "wall_stress", "fastest", "volume_error", "momentum")
+FINITE_COLUMNS = ("pressure", "wall_stress", "fastest", "volume_error", "momentum")
 """Columns of the time series that must be finite in every row."""
 CURES = "a smaller time step, a finer spacing, precision float64"
-OF_COLUMNS = "; for concrete that shears, ends = periodic"
+COLUMN_CURES = "; for concrete that shears, ends = periodic"
 
 
 class WatchedFlow:
@@ -19,7 +19,7 @@ class WatchedFlow:
 
     def __init__(self, scene: FluidScene) -> None:
         self.limits = scene.watch
-        self.cures = CURES + (OF_COLUMNS if scene.ends == "piston" else "")
+        self.cures = CURES + (COLUMN_CURES if scene.ends == "piston" else "")
         theory = scene.theory()
         self.pressure = scene.restart().pressure
         self.top_speed = float(velocity(scene.concrete, scene.line, theory, [0.0])[0])
@@ -27,7 +27,7 @@ class WatchedFlow:
     def __call__(self, row: dict[str, float]) -> None:
         """Raise :class:`InstabilityError` with time, quantity, limit and cures if a row exceeds a limit."""
         limits = self.limits
-        for name in MEASURED:
+        for name in FINITE_COLUMNS:
             if not math.isfinite(row[name]):
                 raise self._unstable(row, f"{name} is not a finite number")
         if limits.speed is not None and row["fastest"] > limits.speed * self.top_speed:

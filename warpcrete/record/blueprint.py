@@ -11,7 +11,7 @@ from ..geometry.rotation import rotate
 from .legend import capitalised, legend_title
 
 PAPER = (250, 250, 250)
-PLAYED = 8.0
+MIN_PLAY_TIME = 8.0
 """Shortest time for which the viewer plays a run [s]; shorter simulated times are played in slow motion."""
 SLIM = 0.25
 """Aspect ratio of the scene, width to height or height to width, below which all views are arranged in one row or
@@ -35,7 +35,7 @@ def blueprint(display: Display, *, network: bool, legend: bool, duration: float)
         scenes = rrb.Vertical(scenes, *views, row_shares=[8, *(1 for _ in views)])
     curves = [rrb.TimeSeriesView(name=plot.title, origin=plot.path) for plot in display.plots()]
     curves += [rrb.BarChartView(name=each.title, origin=f"profile/{each.path}") for each in display.profiles()]
-    speed = min(1.0, duration / PLAYED)
+    speed = min(1.0, duration / MIN_PLAY_TIME)
     return rrb.Blueprint(
         rrb.Horizontal(scenes, rrb.Vertical(*curves), column_shares=[2, 1]),
         rrb.TimePanel(timeline="time", playback_speed=speed, state="collapsed"),
@@ -61,7 +61,7 @@ def _scenes(display: Display, network: bool) -> list[Any]:
     noun = display.noun
     whole = ["+ scene/**", f"- {CHAINS}/**", f"- {CUT}/**"]
     found = [_view(display, f"{noun.capitalize()} by {display.colouring}", whole)]
-    kept = behind(display)
+    kept = spheres_behind_cut(display)
     if kept is not None:
         import rerun as rr
 
@@ -90,7 +90,7 @@ def _view(display: Display, name: str, contents: list[str], overrides: dict[str,
     )
 
 
-def behind(display: Display) -> np.ndarray | None:
+def spheres_behind_cut(display: Display) -> np.ndarray | None:
     """Return which spheres lie behind the cutting plane, as booleans of shape (n,).
 
     The result is None without a plane, or if all spheres lie on one side of it.

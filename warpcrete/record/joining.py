@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..core.run.files import cannot_write, partial_of
-from ..core.run.processes import tied
+from ..core.run.processes import killed_with_parent
 from ..core.run.viewer import rerun_tool
 
 
@@ -23,7 +23,9 @@ def join(parts: Sequence[Path], path: Path) -> None:
     parts = [part for part in parts if part.is_file()]
     partial = partial_of(path)
     command = [rerun_tool(), "rrd", "merge", "--continue-on-error", *map(str, parts), "-o", str(partial)]
-    done = subprocess.run(tied(command), capture_output=True, text=True, encoding="utf-8", errors="replace")
+    done = subprocess.run(
+        killed_with_parent(command), capture_output=True, text=True, encoding="utf-8", errors="replace"
+    )
     if done.returncode != 0 or not partial.is_file():
         partial.unlink(missing_ok=True)
         number = re.search(r"os error (\d+)", done.stderr)

@@ -17,7 +17,7 @@ SIZE, DENSITY = (9.0, 0.55), 100
 def legend_title(display: Display) -> str:
     """Return the title of the legend: the quantity or things that the colours show, with the unit."""
     scale = display.scale()
-    return capitalised(scale[0] if scale is not None else ", ".join(display.things()))
+    return capitalised(scale[0] if scale is not None else ", ".join(display.categories()))
 
 
 def capitalised(title: str) -> str:
@@ -31,9 +31,9 @@ def meaning(display: Display) -> str:
     if scale is not None:
         label, lower, upper = scale
         return f"Colours: {label} from {lower:.3g} (dark violet) to {upper:.3g} and above (yellow), on viridis."
-    things = display.things()
-    if things:
-        return "Colours: " + ", ".join(f"{name} RGB {tuple(map(int, c))}" for name, c in things.items()) + "."
+    categories = display.categories()
+    if categories:
+        return "Colours: " + ", ".join(f"{name} RGB {tuple(map(int, c))}" for name, c in categories.items()) + "."
     return ""
 
 
@@ -49,16 +49,16 @@ def legend(display: Display) -> bytes | None:
 
     The legend is a colour bar with values, or a patch of colour for each kind of thing.
     """
-    scale, things = display.scale(), display.things()
+    scale, categories = display.scale(), display.categories()
     if scale is not None:
         return _bar(scale[1], scale[2], "viridis")
-    if not things:
+    if not categories:
         return None
     figure, axes = _blank()
     axes.axis("off")
-    for number, (name, colour) in enumerate(things.items()):
-        axes.add_patch(_patch(number / len(things), colour))
-        axes.text(number / len(things) + 0.09, 0.4, name, va="center", fontsize=11)
+    for number, (name, colour) in enumerate(categories.items()):
+        axes.add_patch(_patch(number / len(categories), colour))
+        axes.text(number / len(categories) + 0.09, 0.4, name, va="center", fontsize=11)
     return _png(figure)
 
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from ..core.device.recorder_thread import Later
+from ..core.device.recorder_thread import RecorderThread
 from ..core.errors import WarpcreteError
-from ..core.run.files import cannot_write, whole_file
+from ..core.run.files import atomic_file, cannot_write
 from ..core.run.run_loop import Recorder, Run, Simulation
 from ..geometry.rotation import rotate
 
@@ -46,7 +46,7 @@ class ParaViewRecorder(Recorder):
 
     def start(self, simulation: Simulation) -> None:
         """Prepare the display, the walls and the files."""
-        self._display, self._later = simulation.display(self.colouring), Later.of(simulation)
+        self._display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._walls = self._display.walls()
         self._open()
         for file in self._files.values():  # Delete the files of a run that stopped before its first checkpoint.
@@ -61,7 +61,7 @@ class ParaViewRecorder(Recorder):
 
     def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
         """Remove the frames after the checkpoint, and frames that are not in all files."""
-        self._display, self._later = simulation.display(self.colouring), Later.of(simulation)
+        self._display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._walls = self._display.walls()
         self._open()
         self._frames = min(state["frames"], *(file.count() for file in self._files.values()))
@@ -136,32 +136,32 @@ class Poly:
 
     def __init__(self, path: Path, kind: str) -> None:
         self.path, self.kind = path, kind
-        self._waiting: list[tuple[float, np.ndarray, np.ndarray, dict[str, np.ndarray]]] = []
+        self._pending_frames: list[tuple[float, np.ndarray, np.ndarray, dict[str, np.ndarray]]] = []
 
     def add(self, time: float, points: np.ndarray, cells: np.ndarray, fields: dict[str, np.ndarray]) -> None:
         """Add a step: points (n, 3) [m], cells as numbers of their points (m, k), and the fields of the points.
 
         The step is kept in memory until :meth:`write` is called.
         """
-        self._waiting.append((time, points.astype(np.float32), cells.astype(np.int64), fields))
+        self._pending_frames.append((time, points.astype(np.float32), cells.astype(np.int64), fields))
 
     def write(self) -> None:
         """Append the steps that are kept in memory to the file."""
         import h5py
 
-        if not self._waiting:
+        if not self._pending_frames:
             return
-        with whole_file(self.path) as partial:
+        with atomic_file(self.path) as partial:
             if self.path.is_file():
                 shutil.copyfile(self.path, partial)
             try:
                 with h5py.File(partial, "a") as file:
                     root = file["VTKHDF"] if "VTKHDF" in file else self._begin(file)
-                    for step in self._waiting:
+                    for step in self._pending_frames:
                         self._append(root, *step)
             except RuntimeError as error:  # On a full disk, h5py raises RuntimeError while closing a file.
                 raise cannot_write(self.path, error) from error
-        self._waiting = []
+        self._pending_frames = []
 
     def _begin(self, file: Any) -> Any:
         """Create the empty, extendable datasets of the format, and return their group."""
@@ -231,13 +231,13 @@ class Poly:
         if count == 0:
             self.path.unlink(missing_ok=True)
             return
-        with whole_file(self.path) as partial:
+        with atomic_file(self.path) as partial:
             shutil.copyfile(self.path, partial)
             with h5py.File(partial, "a") as file:
-                _cut(file["VTKHDF"], count)
+                _truncate(file["VTKHDF"], count)
 
 
-def _cut(root: Any, count: int) -> None:
+def _truncate(root: Any, count: int) -> None:
     """Remove all steps after the first `count` from an open file."""
     steps = root["Steps"]
     if int(steps.attrs["NSteps"]) == count:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..core.run.files import whole_file
+from ..core.run.files import atomic_file
 from ..core.run.run_loop import Recorder, Run, Simulation
 from ..methods import method_of
 
@@ -23,5 +23,5 @@ class PictureRecorder(Recorder):
         figures = {method.picture: method.draw(simulation, run, self.colouring), **method.more_pictures(run)}
         for name, figure in figures.items():
             if figure is not None:
-                with whole_file(self.folder / name) as partial:
+                with atomic_file(self.folder / name) as partial:
                     figure.savefig(partial, dpi=150, format="png")

@@ -18,7 +18,7 @@ from .usd import UsdRecorder
 
 
 @dataclass(frozen=True)
-class Look:
+class DrawSettings:
     """Settings for drawing a run."""
 
     colouring: str | None = None
@@ -31,7 +31,7 @@ class Look:
 
 
 @dataclass(frozen=True)
-class Kind:
+class RecorderKind:
     """Optional recorder, with its name, default and help text."""
 
     name: str
@@ -39,15 +39,15 @@ class Kind:
     default: bool
     """Whether `warpcrete run` uses the recorder by default; studies use none by default."""
     help: str
-    make: Callable[[Path, Look], Recorder]
+    make: Callable[[Path, DrawSettings], Recorder]
 
 
 RECORDERS = (
-    Kind("rerun", True, "Write run.rrd for the Rerun viewer", lambda folder, look: RerunRecorder(
+    RecorderKind("rerun", True, "Write run.rrd for the Rerun viewer", lambda folder, look: RerunRecorder(
         folder / "run.rrd", live=look.live, bind=look.bind, colouring=look.colouring, network=look.network)),
-    Kind("usd", True, "Write scene.usdc for USD viewers and Blender", lambda folder, look: UsdRecorder(
+    RecorderKind("usd", True, "Write scene.usdc for USD viewers and Blender", lambda folder, look: UsdRecorder(
         folder / "scene.usdc", colouring=look.colouring, velocities=False)),
-    Kind("paraview", False, "Write bodies.vtkhdf, walls.vtkhdf and contacts.vtkhdf for ParaView (needs h5py)",
+    RecorderKind("paraview", False, "Write bodies.vtkhdf, walls.vtkhdf and contacts.vtkhdf for ParaView (needs h5py)",
          lambda folder, look: ParaViewRecorder(folder, colouring=look.colouring)),
 )  # fmt: skip
 
@@ -56,7 +56,7 @@ def recorders_of(
     folder: Path,
     check: Check,
     chosen: Mapping[str, Any],
-    look: Look | None = None,
+    look: DrawSettings | None = None,
     command: dict[str, Any] | None = None,
     *,
     going_on: bool = False,
@@ -69,7 +69,7 @@ def recorders_of(
     folder must be that of the same, interrupted run. With `again`, an existing folder must hold the record of exactly
     this run.
     """
-    look = look or Look()
+    look = look or DrawSettings()
     found: list[Recorder] = [TableRecorder(folder, command, going_on=going_on, again=again), CheckRecorder(check)]
     found += [kind.make(folder, look) for kind in RECORDERS if chosen.get(kind.name)]
     if look.live and not chosen.get("rerun"):

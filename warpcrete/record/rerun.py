@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from ..core.device.recorder_thread import Later
+from ..core.device.recorder_thread import RecorderThread
 from ..core.drawing.display import Display, Profile
-from ..core.drawing.paint import STEPS, Paint
+from ..core.drawing.paint import COLOUR_STEPS, Paint
 from ..core.errors import RunFolderError, refuse
-from ..core.run.files import cannot_write, room_in
+from ..core.run.files import cannot_write, space_error
 from ..core.run.run_loop import Recorder, Run, Simulation
 from ..core.run.viewer import LOOPBACK, has_screen, screen_viewer
 from .blueprint import CHAINS, CUT, PAINT_LEGEND, blueprint, cut_walls
@@ -28,12 +28,12 @@ from .legend import legend, paint_legend
 
 PATIENCE = 4.0
 """Longest wait [s] for a viewer to receive the remaining data, or for a file that has stopped growing."""
-GOODBYE = 30.0
+CLOSE_TIMEOUT = 30.0
 """Longest time [s] for opening the file, or for closing it after a viewer did not receive the whole recording."""
-LOOK = 0.5
+POLL_INTERVAL = 0.5
 """Time [s] between two checks whether the file has grown."""
 AXIS = (200, 200, 200)
-MARGIN = 512
+TEXTURE_MARGIN = 512
 """Number of texels that repeat the first colour at the start of the texture. At the edges of a mesh, a renderer samples
 colours slightly outside the triangles."""
 
@@ -79,7 +79,7 @@ class RerunRecorder(Recorder):
             refuse("live", live, "needs a screen, but none was found (DISPLAY is not set)",
                    "give the URL of a running viewer, or use 'warpcrete view --web' with the folder")  # fmt: skip
         self._recording: Any = None
-        self._later = Later(beside=False)
+        self._later = RecorderThread(in_thread=False)
         self._display: Display | None = None
         # Rerun's log would fill the terminal; its calls report errors anyway.
         os.environ.setdefault("RUST_LOG", "off")
@@ -100,9 +100,9 @@ class RerunRecorder(Recorder):
     def start(self, simulation: Simulation) -> None:
         """Open the sinks, and send the blueprint and all data that does not change."""
         if self.path is not None:
-            for path in self._later_parts(0):  # Delete parts of a run that stopped before its first checkpoint.
+            for path in self._parts_from(0):  # Delete parts of a run that stopped before its first checkpoint.
                 path.unlink(missing_ok=True)
-        display, self._later = simulation.display(self.colouring), Later.of(simulation)
+        display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._open(display, str(uuid.uuid4()), 0, self._blueprint(simulation, display))
         self._describe(display)
         self._log_zeros(display, simulation.stepper.time, simulation.stepper.steps)
@@ -114,13 +114,13 @@ class RerunRecorder(Recorder):
                 warnings.warn(f"'{self.path}': is missing; a new recording starts here", stacklevel=2)
                 self.start(simulation)
                 return
-            for path in self._later_parts(state["parts"]):
+            for path in self._parts_from(state["parts"]):
                 path.unlink()
-            if not simulation.over:  # The parts of a finished run may have been joined already.
+            if not simulation.at_end:  # The parts of a finished run may have been joined already.
                 for number in range(1, state["parts"]):
                     if not self._part(number).is_file():
                         warnings.warn(f"'{self._part(number)}': is missing; its frames are lost", stacklevel=2)
-        display, self._later = simulation.display(self.colouring), Later.of(simulation)
+        display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         layout = self._blueprint(simulation, display) if self.live else None
         self._open(display, state["recording_id"], state["parts"], layout)
         if not self.live:  # A newly opened viewer has no data yet, so the positions of all bars must be sent again.
@@ -155,7 +155,7 @@ class RerunRecorder(Recorder):
                 if value is not None:
                     self._log(path, self._rr.Scalars(value))
 
-        self._later.do(log)
+        self._later.submit(log)
 
     def frame(self, simulation: Simulation) -> None:
         """Record bodies, moving walls and, if selected, the network."""
@@ -163,7 +163,7 @@ class RerunRecorder(Recorder):
         self._display.draw(self._later, self._draw)
         if self._legend_due:  # Drawing the legend takes ten times as long as a frame.
             self._legend_due = False
-            self._later.do(self._log_legend)
+            self._later.submit(self._log_legend)
 
     def _log_legend(self) -> None:
         assert self._display is not None
@@ -196,7 +196,7 @@ class RerunRecorder(Recorder):
             if (values := display.wall_values(number)) is None:
                 continue
             places = np.full((len(values), 2), 0.5, np.float32)
-            places[:, 0] = (MARGIN + paint.steps(values) + 0.5) / (MARGIN + STEPS)
+            places[:, 0] = (TEXTURE_MARGIN + paint.steps(values) + 0.5) / (TEXTURE_MARGIN + COLOUR_STEPS)
             paths = [f"scene/walls/{wall}"] + [f"{CUT}/{wall}"] * (wall in self._cut)
             for path in paths:
                 self._log(path, self._rr.Mesh3D.from_fields(vertex_texcoords=places))
@@ -213,7 +213,7 @@ class RerunRecorder(Recorder):
         rr = self._rr
         from rerun.components import ImageFormat
 
-        colours = np.pad(paint.colours(), ((MARGIN, 0), (0, 0)), mode="edge")
+        colours = np.pad(paint.colours(), ((TEXTURE_MARGIN, 0), (0, 0)), mode="edge")
         form = ImageFormat(width=len(colours), height=1, color_model="RGB", channel_datatype="U8")
         texture = rr.Mesh3D.from_fields(albedo_texture_buffer=colours.tobytes(), albedo_texture_format=form)
         for path in painted:
@@ -259,11 +259,11 @@ class RerunRecorder(Recorder):
                 self._later.close()
                 self._flush()
             except BaseException:
-                self._disconnect(LOOK)
+                self._disconnect(POLL_INTERVAL)
                 raise
             # If the viewer has disconnected, Rerun first waits for the viewer and only then closes the file.
-            if not self._disconnect(GOODBYE if watched and not self.live else PATIENCE):
-                raise self._trouble(RuntimeError("the writer thread did not finish in time"))
+            if not self._disconnect(CLOSE_TIMEOUT if watched and not self.live else PATIENCE):
+                raise self._recording_error(RuntimeError("the writer thread did not finish in time"))
 
     def tidy(self, simulation: Simulation, run: Run) -> None:
         """Join the parts of the recording into one file."""
@@ -292,11 +292,11 @@ class RerunRecorder(Recorder):
                 self._log(f"{plot.path}/{curve.name}", line, static=True)
 
     def _log(self, path: str, what: Any, static: bool = False) -> None:
-        self._later.give_way()
+        self._later.yield_to_run()
         try:
             self._recording.log(path, what, static=static)
         except RuntimeError as error:
-            raise self._trouble(error) from error
+            raise self._recording_error(error) from error
 
     def _log_zeros(self, display: Display, time: float, steps: int) -> None:
         """Record one point in every plot, so that its axis begins at zero."""
@@ -318,7 +318,7 @@ class RerunRecorder(Recorder):
 
     def _blueprint(self, simulation: Simulation, display: Display) -> Any:
         network = self.network and display.has_network
-        with_legend = display.scale() is not None or bool(display.things())
+        with_legend = display.scale() is not None or bool(display.categories())
         return blueprint(display, network=network, legend=with_legend, duration=simulation.expected_duration)
 
     # The following methods manage the sinks and the parts of the file.
@@ -355,10 +355,10 @@ class RerunRecorder(Recorder):
             except RuntimeError as error:
                 failures.append(error)
 
-        if not self._finishes(open_them, GOODBYE):
+        if not self._finishes(open_them, CLOSE_TIMEOUT):
             failures.append(RuntimeError("the writer does not answer"))
         if failures:
-            raise self._trouble(failures[0]) from failures[0]
+            raise self._recording_error(failures[0]) from failures[0]
 
     def _finishes(self, call: Callable[[], None], patience: float) -> bool:
         """Return whether a call of Rerun ends within `patience` [s]; stop waiting if the disk turns out to be full.
@@ -369,15 +369,15 @@ class RerunRecorder(Recorder):
         calling.start()
         end = time.monotonic() + patience
         while calling.is_alive() and time.monotonic() < end:
-            calling.join(LOOK)
-            if calling.is_alive() and self.path is not None and room_in(self.path.parent):
+            calling.join(POLL_INTERVAL)
+            if calling.is_alive() and self.path is not None and space_error(self.path.parent):
                 calling.join(PATIENCE)
                 break
         if calling.is_alive():
             atexit.unregister(self._rr.rerun_shutdown)
         return not calling.is_alive()
 
-    def _trouble(self, error: Exception) -> RunFolderError:
+    def _recording_error(self, error: Exception) -> RunFolderError:
         return cannot_write(self.path if self.path is not None else Path("run.rrd"), error)
 
     def _flush(self) -> None:
@@ -385,7 +385,7 @@ class RerunRecorder(Recorder):
         size, since = -1, time.monotonic()
         while True:
             try:
-                self._recording.flush(timeout_sec=LOOK)
+                self._recording.flush(timeout_sec=POLL_INTERVAL)
                 return
             except (RuntimeError, ValueError) as error:
                 trouble = error
@@ -396,10 +396,10 @@ class RerunRecorder(Recorder):
                 before, size = size, self._part(self._parts).stat().st_size
                 if size != before:
                     since = time.monotonic()
-            if time.monotonic() - since > PATIENCE or (self.path is not None and room_in(self.path.parent)):
+            if time.monotonic() - since > PATIENCE or (self.path is not None and space_error(self.path.parent)):
                 break
         if not self.live:
-            raise self._trouble(trouble) from trouble
+            raise self._recording_error(trouble) from trouble
         # A viewer that has disconnected must not stop the run, because the file has all data.
         warnings.warn(f"the Rerun viewer did not receive the whole recording: {trouble}", stacklevel=2)
         self.live = False
@@ -421,7 +421,7 @@ class RerunRecorder(Recorder):
         assert self.path is not None
         return self.path if number == 0 else self.path.with_name(f"{self.path.stem}-{number:04d}{self.path.suffix}")
 
-    def _later_parts(self, first: int) -> list[Path]:
+    def _parts_from(self, first: int) -> list[Path]:
         assert self.path is not None
         numbered = self.path.parent.glob(f"{self.path.stem}-[0-9][0-9][0-9][0-9]*{self.path.suffix}")
         later = [path for path in numbered if int(path.stem[len(self.path.stem) + 1 :]) >= first]

@@ -10,8 +10,8 @@ from typing import Any, Literal, TextIO
 
 from ..core.errors import RunFolderError
 from ..core.inputs.origin import Arguments, changed_fields, readable
-from ..core.run.files import cannot_write, read_json, whole_file, write_json
-from ..core.run.folders import Hold, make_folder
+from ..core.run.files import atomic_file, cannot_write, read_json, write_json
+from ..core.run.folders import FolderLock, make_folder
 from ..core.run.provenance import provenance
 from ..core.run.run import Table
 from ..core.run.run_loop import Recorder, Run, Simulation
@@ -52,7 +52,7 @@ class TableRecorder(Recorder):
         self, folder: Path, command: dict[str, Any] | None = None, *, going_on: bool = False, again: bool = False
     ) -> None:
         self.folder, self.command, self.going_on, self.again = folder, command, going_on, again
-        self._hold: Hold | None = None
+        self._folder_hold: FolderLock | None = None
         self._is_new = False  # True if this recorder created the folder.
         self._file: TextIO | None = None
         self._writer: Any = None
@@ -63,12 +63,12 @@ class TableRecorder(Recorder):
 
     def claim(self, simulation: Simulation) -> None:
         """Create the folder with scene.json, or take over the folder of an interrupted run, and lock the folder."""
-        if self._hold is not None:
+        if self._folder_hold is not None:
             return
         record = scene_record(simulation, self.command)
         path = self.folder / "scene.json"
-        if (self.going_on or simulation.goes_on) and path.is_file():
-            self._hold = Hold(self.folder)
+        if (self.going_on or simulation.resumes) and path.is_file():
+            self._folder_hold = FolderLock(self.folder)
             # Check only after locking the folder: another process may have finished the run in the meantime.
             if is_finished(self.folder):
                 raise RunFolderError(
@@ -77,19 +77,19 @@ class TableRecorder(Recorder):
                 )
             if self.again and path.is_file():
                 _check_same_run(path, record)
-            if simulation.goes_on or (self.folder / "checkpoint.npz").is_file():
+            if simulation.resumes or (self.folder / "checkpoint.npz").is_file():
                 return
         else:
-            self._hold = make_folder(self.folder)
+            self._folder_hold = make_folder(self.folder)
             self._is_new = True
         write_json(path, record)
 
     def abandon(self, simulation: Simulation) -> None:
         """Remove the folder if it is new and holds no checkpoint."""
-        if self._hold is not None and self._is_new and not (self.folder / "checkpoint.npz").exists():
+        if self._folder_hold is not None and self._is_new and not (self.folder / "checkpoint.npz").exists():
             with suppress(OSError):
                 (self.folder / "scene.json").unlink(missing_ok=True)
-            self._hold.remove()
+            self._folder_hold.remove()
         self.close(simulation)
 
     def start(self, simulation: Simulation) -> None:
@@ -106,7 +106,7 @@ class TableRecorder(Recorder):
     def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
         """Rewrite series.csv with the rows of the checkpoint."""
         self.claim(simulation)
-        with whole_file(self._series) as partial:
+        with atomic_file(self._series) as partial:
             self._file = partial.open("w", newline="", encoding="utf-8")
             for row in simulation.rows:
                 self._write(simulation, row)
@@ -151,9 +151,9 @@ class TableRecorder(Recorder):
 
     def close(self, simulation: Simulation) -> None:
         """Release the lock on the folder."""
-        if self._hold is not None:
-            self._hold.release()
-            self._hold = None
+        if self._folder_hold is not None:
+            self._folder_hold.release()
+            self._folder_hold = None
 
 
 def _check_same_run(path: Path, record: dict[str, Any]) -> None:
@@ -169,7 +169,7 @@ def _check_same_run(path: Path, record: dict[str, Any]) -> None:
 
 def _write_table(path: Path, table: Table) -> None:
     """Write a table in the format of series.csv."""
-    with whole_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
+    with atomic_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow([f"{name} [{table.units[name]}]" for name in table.columns])
         writer.writerows([[f"{value:.9g}" for value in row] for row in zip(*table.columns.values(), strict=True)])

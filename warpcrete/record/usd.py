@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from ..core.device.recorder_thread import Later
+from ..core.device.recorder_thread import RecorderThread
 from ..core.drawing.display import Display, DrawnWall, RigidBodies
-from ..core.run.files import cannot_write, whole_file
+from ..core.run.files import atomic_file, cannot_write
 from ..core.run.run_loop import Recorder, Run, Simulation
 from .usd_looks import Colours, Painted, bind, bodies_look, describe, light, wall_look
 
@@ -70,7 +70,7 @@ class UsdRecorder(Recorder):
         """Define everything that does not change in time; objects that the stage already has are left as they are."""
         from pxr import UsdGeom
 
-        self._stage, self._later = stage, Later.of(simulation)
+        self._stage, self._later = stage, RecorderThread.for_simulation(simulation)
         self._display = display = simulation.display(self.colouring)
         UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
         UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -183,7 +183,7 @@ class UsdRecorder(Recorder):
             return
         self._stage.SetStartTimeCode(self._first)
         self._stage.SetEndTimeCode(self._last)
-        with whole_file(self.path) as partial:
+        with atomic_file(self.path) as partial:
             try:
                 written = self._stage.GetRootLayer().Export(str(partial))
             except Tf.ErrorException as error:

@@ -10,8 +10,8 @@ from typing import Any
 
 from ..core.errors import refuse
 
-LONGEST_NAME = 120  # maximum length of a run folder's name [characters]
-MOST_CASES = 10_000
+MAX_NAME_LENGTH = 120  # maximum length of a run folder's name [characters]
+MAX_CASES = 10_000
 """Maximum number of cases in a study, because every case fills a folder and appears in the tables and the figure."""
 
 
@@ -44,8 +44,8 @@ def cases_of(
     cases are merged. `seeded` tells whether the scene has a seed. Raises :class:`SceneError` for empty or repeated
     values and for too many cases.
     """
-    if not 1 <= repeat <= MOST_CASES:
-        refuse("repeat", repeat, f"must be from 1 to {MOST_CASES}")
+    if not 1 <= repeat <= MAX_CASES:
+        refuse("repeat", repeat, f"must be from 1 to {MAX_CASES}")
     for name, values in varied.items():
         if not values or len(set(map(repr, values))) < len(values):
             refuse(name, values, "must be one or more values, all different")
@@ -54,28 +54,28 @@ def cases_of(
     if "seed" in varied and repeat > 1:
         refuse("repeat", repeat, "cannot be combined with a list of seeds", "leave out one of the two")
     count = repeat * (sum if one_at_a_time and varied else math.prod)(map(len, varied.values()))
-    if count > MOST_CASES:
+    if count > MAX_CASES:
         refuse("repeat" if repeat > 1 else next(iter(varied)), repeat if repeat > 1 else f"{count} combinations",
-               f"makes {count:,} cases, but a study has at most {MOST_CASES:,}, because each fills a folder",
+               f"makes {count:,} cases, but a study has at most {MAX_CASES:,}, because each fills a folder",
                "vary fewer values, or split the study")  # fmt: skip
-    points = _alone(base, varied, defaults or {}) if one_at_a_time and varied else _combined(varied)
+    points = _one_at_a_time(base, varied, defaults or {}) if one_at_a_time and varied else _all_combinations(varied)
     first = int(base.get("seed", 0))
     cases: list[Case] = []
     for point in points:
         for seed in range(first, first + repeat):
             seeds = {"seed": seed} if seeded and "seed" not in point else {}
             shown = point | (seeds if repeat > 1 or not point else {})
-            text = "-".join(f"{name}={word_of(value)}" for name, value in shown.items())
-            name = f"{len(cases) + 1:03d}-{text}"[:LONGEST_NAME]
+            text = "-".join(f"{name}={name_part(value)}" for name, value in shown.items())
+            name = f"{len(cases) + 1:03d}-{text}"[:MAX_NAME_LENGTH]
             cases.append(Case(name, dict(point), {**base, **point, **seeds}))
     return cases
 
 
-def _combined(varied: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
+def _all_combinations(varied: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
     return [dict(zip(varied, values)) for values in itertools.product(*varied.values())]
 
 
-def _alone(
+def _one_at_a_time(
     base: Mapping[str, Any], varied: Mapping[str, Sequence[Any]], defaults: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
     """Return points at which one parameter varies and the others are fixed; every point names all parameters."""
@@ -88,7 +88,7 @@ def _alone(
     return unique
 
 
-def word_of(value: Any) -> str:
+def name_part(value: Any) -> str:
     """Return a value as part of a folder's name, with unsafe characters replaced."""
     return "".join(
         c if c.isalnum() or c in ".+-" else "_" for c in (f"{value:g}" if isinstance(value, float) else str(value))

@@ -23,20 +23,20 @@ from typing import Any, TypeVar
 import warp as wp
 
 from ..core.device.device import default_threads, find_device
-from ..core.device.interrupts import StopAtSample, leave_to_parent
+from ..core.device.interrupts import StopAtSample, ignore_interrupts
 from ..core.errors import WarpcreteError, between, refuse, warn_in_one_line
 from ..core.run.provenance import processor, provenance
 from ..core.run.viewer import LOOPBACK
 from .cases import Case
-from .running import Book, kept, run_cases
+from .running import OutcomeCallback, previous_outcome, run_cases
 
 SCHEDULERS = ("local", "slurm")
 """Schedulers that this module can start; any other text is the address of a running scheduler."""
-LOCAL = {"host": LOOPBACK, "port": 0, "dashboard": False, "dashboard_address": f"{LOOPBACK}:0"}
+LOCAL_SCHEDULER_OPTIONS = {"host": LOOPBACK, "port": 0, "dashboard": False, "dashboard_address": f"{LOOPBACK}:0"}
 """Options of a scheduler that only processes on this machine can reach."""
-LOOK = 1.0
+STOP_POLL_INTERVAL = 1.0
 """Interval at which a worker checks whether the user wants to stop [s]."""
-CONNECT = 20.0
+CONNECT_TIMEOUT = 20.0
 """Time limit for a scheduler to answer and for the first worker to connect [s]."""
 T = TypeVar("T")
 _job = threading.Lock()
@@ -110,33 +110,35 @@ class Cluster:
             )
         return found[0]
 
-    def run(self, record: dict[str, Any], module: Any, folder: Path, pending: list[Case], book: Book) -> None:
+    def run(
+        self, record: dict[str, Any], module: Any, folder: Path, pending: list[Case], store_outcome: OutcomeCallback
+    ) -> None:
         """Run the cases of a study: one job per case on CPUs, one batch of cases per worker on GPUs."""
         parts = [[case] for case in pending]
         if record["device"].startswith("cuda"):
             count = self._workers or self.count
             parts = [part for k in range(count) if (part := pending[k::count])]
 
-        def booked(part: list[Case], found: Any) -> None:
+        def store_part(part: list[Case], found: Any) -> None:
             for case, outcome in zip(part, [found] * len(part) if isinstance(found, Exception) else found):
-                book(case, outcome)
+                store_outcome(case, outcome)
 
         with StopAtSample([]) as gap:
-            self.each(_run_part, (record, module, folder), zip(parts, parts), booked, gap)
+            self.each(_run_part, (record, module, folder), zip(parts, parts), store_part, gap)
 
     def each(
         self,
         function: Callable[..., Any],
         where: tuple[dict[str, Any], Any, Path],
         jobs: Iterator[tuple[T, Any]],
-        book: Callable[[T, Any], None],
+        store_outcome: Callable[[T, Any], None],
         gap: StopAtSample,
         *,
         lazily: bool = False,
     ) -> None:
         """Run `function(record, module, folder, job, asked)` on workers for every job.
 
-        `where` holds the first three arguments. `jobs` yields pairs of a tag and a job, and `book` receives the tag and
+        `where` holds the first three arguments. `jobs` yields (tag, job) pairs, and `store_outcome` gets the tag and
         the job's result or exception. With `lazily`, `jobs` is read only when a worker is free for the next job. After
         a Ctrl-C in `gap`, the callback `asked` returns True in running jobs, and waiting jobs are cancelled.
         """
@@ -151,8 +153,8 @@ class Cluster:
         try:
             while True:
                 for tag, job in islice(jobs, max(0, self.count - len(running)) if lazily else None):
-                    running[self._client.submit(_do, function, *common, job, name, pure=False)] = tag
-                if gap.asked and not stopping:
+                    running[self._client.submit(_run_job, function, *common, job, name, pure=False)] = tag
+                if gap.requested and not stopping:
                     stopping = True
                     stop.set()  # make running jobs end at their next sample
                     with_workers = {key for keys in self._client.processing().values() for key in keys}
@@ -163,11 +165,11 @@ class Cluster:
                     return
                 try:
                     with self._client.as_current():
-                        ended: Any = wait(list(running), timeout=LOOK, return_when="FIRST_COMPLETED")
+                        ended: Any = wait(list(running), timeout=STOP_POLL_INTERVAL, return_when="FIRST_COMPLETED")
                 except NotYet:
                     continue
                 for future in ended.done:
-                    book(running.pop(future), _outcome(future))
+                    store_outcome(running.pop(future), _outcome(future))
         except WarpcreteError:
             stop.set()  # end the other jobs, because their results are lost
             raise
@@ -202,7 +204,7 @@ def open_cluster(
         yield None
         return
     with _without_main() if scheduler == "local" else nullcontext():
-        yield from _opened(scheduler, workers, device, threads)
+        yield from _start_cluster(scheduler, workers, device, threads)
 
 
 @contextmanager
@@ -217,36 +219,36 @@ def _without_main() -> Iterator[None]:
         main.update(hidden)
 
 
-def _opened(scheduler: str, workers: int | None, device: str | None, threads: int) -> Iterator[Cluster]:
+def _start_cluster(scheduler: str, workers: int | None, device: str | None, threads: int) -> Iterator[Cluster]:
     from dask.distributed import Client
 
-    made = None
+    dask_cluster = None
     try:
         if scheduler == "local":
-            made = local_cluster(workers, device, threads)
-            workers = len(made.worker_spec)
+            dask_cluster = local_cluster(workers, device, threads)
+            workers = len(dask_cluster.worker_spec)
         elif scheduler == "slurm":
             if shutil.which("sbatch") is None:
                 raise WarpcreteError(
                     "scheduler = 'slurm': the command sbatch is missing on this machine; start on a machine that "
                     "submits jobs"
                 )
-            made, workers = slurm_cluster(device, threads), workers or 1
-            made.scale(jobs=workers)
+            dask_cluster, workers = slurm_cluster(device, threads), workers or 1
+            dask_cluster.scale(jobs=workers)
         try:
-            client = Client(made or scheduler, timeout=CONNECT, set_as_default=False)
+            client = Client(dask_cluster or scheduler, timeout=CONNECT_TIMEOUT, set_as_default=False)
         except (OSError, ValueError) as error:
             raise WarpcreteError(f"scheduler = {scheduler!r}: does not answer: {error}; check the address") from error
         with client:
             try:
                 # A SLURM job may wait in the queue for hours, and the user expects that, so there is no time limit.
-                client.wait_for_workers(1, timeout=None if scheduler == "slurm" else CONNECT)
+                client.wait_for_workers(1, timeout=None if scheduler == "slurm" else CONNECT_TIMEOUT)
             except TimeoutError as error:
                 raise WarpcreteError(f"scheduler = {scheduler!r}: has no workers; start some") from error
             yield Cluster(client, scheduler, workers)
     finally:
-        if made is not None:
-            made.close()
+        if dask_cluster is not None:
+            dask_cluster.close()
 
 
 def local_cluster(workers: int | None, device: str | None, threads: int = 1) -> Any:
@@ -282,7 +284,7 @@ def local_cluster(workers: int | None, device: str | None, threads: int = 1) -> 
     }
     return SpecCluster(
         workers={k: {"cls": Nanny, "options": options | {"env": env}} for k, env in enumerate(environments)},
-        scheduler={"cls": Scheduler, "options": LOCAL},
+        scheduler={"cls": Scheduler, "options": LOCAL_SCHEDULER_OPTIONS},
         silence_logs=logging.CRITICAL,
     )
 
@@ -329,7 +331,7 @@ def unnumbered(device: str | None) -> str | None:
 def dask_setup(worker: Any) -> None:
     """Prepare a local worker when Dask preloads this module: ignore Ctrl-C, which the parent process handles."""
     warn_in_one_line()
-    leave_to_parent()
+    ignore_interrupts()
 
 
 def _machine(device: str | None, precision: str, seed: int) -> tuple[str, dict[str, Any]]:
@@ -343,34 +345,36 @@ def hardware(device: str | None) -> str:
     return found.name if found.is_cuda else processor()
 
 
-def _do(function: Callable[..., T], record: dict[str, Any], module_name: str, folder: str, job: Any, stop: str) -> T:
+def _run_job(
+    function: Callable[..., T], record: dict[str, Any], module_name: str, folder: str, job: Any, stop: str
+) -> T:
     """Run one job on a worker.
 
     A lock admits one job at a time, because a process can capture kernel launches for only one simulation at once.
     """
     with _job:
-        return function(record, importlib.import_module(module_name), Path(folder), job, _asked(stop))
+        return function(record, importlib.import_module(module_name), Path(folder), job, _stop_requested(stop))
 
 
 def _run_part(
     record: dict[str, Any], module: Any, folder: Path, cases: list[Case], asked: Callable[[], bool]
 ) -> list[Any]:
     """Run cases of a study on a worker, except those that this or a lost worker has finished before."""
-    found = {case.name: kept(folder / case.name) for case in cases}
+    found = {case.name: previous_outcome(folder / case.name) for case in cases}
     left = [case for case in cases if found[case.name] is None]
     found |= dict(zip((case.name for case in left), run_cases(record, module, folder, left, asked)))
     return [found[case.name] for case in cases]
 
 
-def _asked(name: str) -> Callable[[], bool]:
-    """Return a function that tells whether a Dask event is set; it queries the scheduler once per `LOOK` seconds."""
+def _stop_requested(name: str) -> Callable[[], bool]:
+    """Return a function that tells whether a Dask event is set; it asks once per `STOP_POLL_INTERVAL` seconds."""
     from dask.distributed import Event, get_client
 
-    event, looked, answer = Event(name, client=get_client()), -LOOK, False
+    event, looked, answer = Event(name, client=get_client()), -STOP_POLL_INTERVAL, False
 
     def ask() -> bool:
         nonlocal looked, answer
-        if not answer and time.monotonic() - looked >= LOOK:
+        if not answer and time.monotonic() - looked >= STOP_POLL_INTERVAL:
             looked, answer = time.monotonic(), bool(event.is_set())
         return answer
 

@@ -17,17 +17,17 @@ from ..core.inputs.fingerprints import fingerprint
 from ..core.inputs.origin import arguments_of
 from ..core.run.files import read_json, write_json
 from ..core.run.forecast import Forecast
-from ..core.run.frames import LEAST, SLOWEST
+from ..core.run.frames import LONGEST_FRAME_INTERVAL, MINIMUM_FRAMES
 from ..core.run.provenance import provenance
 from ..methods import method_of
-from ..record.recorders import RECORDERS, Look
+from ..record.recorders import RECORDERS, DrawSettings
 from ..scenes import modules
-from .tradeoffs.advice import outside, shipped
+from .tradeoffs.advice import nearest_shipped, outside
 from .tradeoffs.fronts import Error, worst
 from .tradeoffs.report import percent
 
-TIMED = 3  # number of frames that are timed for each recorder
-LARGE = 0.9
+TIMED_FRAMES = 3  # number of frames that are timed for each recorder
+MAX_TIME_RATIO = 0.9
 """A simplification is listed only if it leaves less than this fraction of the wall time."""
 
 
@@ -102,14 +102,14 @@ def _frames(simulation: Any) -> dict[str, float]:
     found = {}
     for kind in (kind for kind in RECORDERS if kind.default):
         with tempfile.TemporaryDirectory() as folder:
-            recorder = kind.make(Path(folder), Look())
+            recorder = kind.make(Path(folder), DrawSettings())
             recorder.start(simulation)
             recorder.frame(simulation)
             begun = time.perf_counter()
-            for _ in range(TIMED):
+            for _ in range(TIMED_FRAMES):
                 recorder.frame(simulation)
             recorder.finish(simulation, simulation.result(False))
-            found[kind.name] = (time.perf_counter() - begun) / TIMED
+            found[kind.name] = (time.perf_counter() - begun) / TIMED_FRAMES
     return found
 
 
@@ -132,9 +132,9 @@ def _read(path: Path) -> Forecast | None:
 
 def _savings(scene: Any, forecast: Forecast, trade: Path | None, on_gpu: bool) -> tuple[tuple[Saving, ...], str]:
     """Return savings found from a trade-off record and from the limits of the time step, with the record's source."""
-    found = list(_by_step(forecast))
+    found = list(_time_step_savings(forecast))
     record, source = _trade_of(scene, trade, on_gpu)
-    found += _alone(record.get("points", []), _knobs_of(scene))
+    found += _knob_savings(record.get("points", []), _knobs_of(scene))
     return tuple(sorted(found, key=lambda each: each.ratio)), source
 
 
@@ -147,7 +147,7 @@ def _knobs_of(scene: Any) -> set[str]:
     return {k.name for k in module.trading.knobs(module.scene.declared(given)) if k.chosen}
 
 
-def _alone(points: list[dict[str, Any]], knobs: set[str]) -> Iterator[Saving]:
+def _knob_savings(points: list[dict[str, Any]], knobs: set[str]) -> Iterator[Saving]:
     """Yield a saving for every point of a trade-off record that changes one knob and shortens the run.
 
     The first point of a record is the scene as given.
@@ -160,21 +160,21 @@ def _alone(points: list[dict[str, Any]], knobs: set[str]) -> Iterator[Saving]:
         found = [Error(name, e["shift"], e["interval"] or 0.0) for name, e in point["errors"].items()
                  if e["shift"] is not None]  # fmt: skip
         largest = worst(found)
-        if ratio < LARGE and largest is not None:
+        if ratio < MAX_TIME_RATIO and largest is not None:
             yield Saving(point["setting"], ratio, f"error of {largest.quantity} {percent(largest)}")
 
 
-def _by_step(forecast: Forecast) -> Iterator[Saving]:
+def _time_step_savings(forecast: Forecast) -> Iterator[Saving]:
     """Yield the saving from removing or softening the kind of bond that limits the time step, if there is one."""
     alone, whole = forecast.limits.get("contacts"), forecast.limits.get("all together")
     if not alone or not whole or not forecast.wall_time or not 0.9 < forecast.time_step / whole < 1.1:
         return  # the user chose the time step, so nothing would lengthen it
     rest = 1.0 - sum(forecast.parts.get(part, 0.0) for part in ("steps", "settling")) / forecast.wall_time
     for name, limit in forecast.limits.items():
-        if name.startswith("contacts and ") and limit < 1.05 * whole and limit < LARGE * alone:
+        if name.startswith("contacts and ") and limit < 1.05 * whole and limit < MAX_TIME_RATIO * alone:
             others = [v for n, v in forecast.limits.items() if n.startswith("contacts and ") and n != name] + [alone]
             ratio = rest + (1.0 - rest) * whole / min(others)
-            if ratio < LARGE:
+            if ratio < MAX_TIME_RATIO:
                 yield Saving(f"no {name.removeprefix('contacts and ')}, or softer ones", ratio, "error not measured")
 
 
@@ -196,7 +196,7 @@ def _trade_of(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[Mapping[str
     if module is None or not given:
         return {}, ""
     try:
-        path = shipped(scene.name, module, given, on_gpu)
+        path = nearest_shipped(scene.name, module, given, on_gpu)
     except SceneError:
         return {}, ""
     if path is None:
@@ -226,7 +226,7 @@ def _lines(told: Explanation) -> Iterator[str]:
     yield f"wall time: {_seconds(f.wall_time)} without recordings, with compiled kernels"
     yield from (f"  {name:20s} {_seconds(spent)}" for name, spent in f.parts.items())
     if f.frame:
-        frames = 1 + max(LEAST, int(f.duration / SLOWEST))
+        frames = 1 + max(MINIMUM_FRAMES, int(f.duration / LONGEST_FRAME_INTERVAL))
         spent = ", ".join(f"{_seconds(frames * each)} {name}" for name, each in f.frame.items())
         yield f"  plus {frames} recorded frames: {spent}"
     yield "largest possible savings of time" + (f" (errors by {told.source})" if told.source else "")

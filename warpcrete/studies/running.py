@@ -15,22 +15,22 @@ from ..core.errors import WarpcreteError
 from ..core.inputs.origin import check_files
 from ..core.inputs.text_files import saved_text
 from ..core.run.files import read_json
-from ..core.run.folders import Hold
+from ..core.run.folders import FolderLock
 from ..core.run.run_loop import Run
 from ..methods import Simulation, method_of
 from ..record.recorders import recorders_of
 from .cases import Case
-from .workers import Crew, NoWorker
+from .workers import NoWorker, WorkerPool
 
 FAILED = "failed.txt"
 """Name of the file in a case's folder that states why the case failed for good."""
 Progress = Callable[[str, float, dict[str, Any]], None]
-Book = Callable[[Case, Any], None]
+OutcomeCallback = Callable[[Case, Any], None]
 """Callback that receives a case and its outcome: a run, the contents of its result.json, or an exception."""
 
 
 def simulation_of(
-    record: dict[str, Any], module: Any, folder: Path, case: Case, tell: Progress
+    record: dict[str, Any], module: Any, folder: Path, case: Case, progress: Progress
 ) -> tuple[Simulation, Path | None]:
     """Return the simulation of a case, and the checkpoint from which it continues (None without one)."""
     here, command = folder / case.name, record["command"]
@@ -46,7 +46,7 @@ def simulation_of(
         threads=record.get("threads", 1),
         recorders=recorders_of(here, module.check, command, going_on=here.is_dir()),
         frame_interval=1.0 / command["frames"] if command["frames"] else None,
-        progress=tell,
+        progress=progress,
         checkpoint_path=checkpoint if every else None,
         checkpoint_every=every,
     )
@@ -55,59 +55,69 @@ def simulation_of(
 
 
 def simulations_of(
-    record: dict[str, Any], module: Any, folder: Path, cases: list[Case], told: Callable[[Case], Progress]
+    record: dict[str, Any], module: Any, folder: Path, cases: list[Case], progress_of: Callable[[Case], Progress]
 ) -> tuple[dict[str, tuple[Simulation, Path | None]], dict[str, Any]]:
     """Return the simulations and checkpoints of the cases by name, and the exceptions of cases that are refused."""
-    made, refused = {}, {}
+    by_name, refused = {}, {}
     for case in cases:
         try:
-            made[case.name] = simulation_of(record, module, folder, case, told(case))
+            by_name[case.name] = simulation_of(record, module, folder, case, progress_of(case))
         except Exception as error:  # an invalid case must not stop the other cases
             refused[case.name] = error
-    return made, refused
+    return by_name, refused
 
 
 def run_on_gpu(
-    record: dict[str, Any], module: Any, folder: Path, pending: list[Case], book: Book, tell: Progress
+    record: dict[str, Any],
+    module: Any,
+    folder: Path,
+    pending: list[Case],
+    store_outcome: OutcomeCallback,
+    progress: Progress,
 ) -> None:
     """Run all cases together on a GPU: discrete elements in batches, flows on streams of their own."""
     done = dict.fromkeys((c.name for c in pending), 0.0)
 
-    def told(case: Case) -> Progress:
-        def hear(phase: str, fraction: float, figures: dict[str, Any]) -> None:
+    def progress_of(case: Case) -> Progress:
+        def report_progress(phase: str, fraction: float, figures: dict[str, Any]) -> None:
             if phase == "running":
                 done[case.name] = fraction
-                tell("running", sum(done.values()) / len(done), {})
+                progress("running", sum(done.values()) / len(done), {})
 
-        return hear
+        return report_progress
 
-    made, found = simulations_of(record, module, folder, pending, told)
-    simulations = [simulation for simulation, _ in made.values()]
+    by_name, found = simulations_of(record, module, folder, pending, progress_of)
+    simulations = [simulation for simulation, _ in by_name.values()]
     with StopAtSample(simulations) as stop:
 
         def packing(phase: str, fraction: float) -> None:
             if phase == "packing":
-                if stop.asked:
+                if stop.requested:
                     raise KeyboardInterrupt
-                tell(phase, fraction, {})
+                progress(phase, fraction, {})
 
-        found |= _outcomes(made, packing)
+        found |= _outcomes(by_name, packing)
     for case in pending:
-        book(case, found[case.name])
+        store_outcome(case, found[case.name])
 
 
 def _outcomes(
-    made: dict[str, tuple[Simulation, Path | None]], tell: Callable[[str, float], None]
+    by_name: dict[str, tuple[Simulation, Path | None]], progress: Callable[[str, float], None]
 ) -> dict[str, Run | BaseException]:
     """Run the simulations with the method's `run_many`, and return the outcomes by case name."""
-    if not made:
+    if not by_name:
         return {}
-    simulations, checkpoints = zip(*made.values())
-    return dict(zip(made, method_of(simulations[0].scene).run_many(simulations, checkpoints, tell)))
+    simulations, checkpoints = zip(*by_name.values())
+    return dict(zip(by_name, method_of(simulations[0].scene).run_many(simulations, checkpoints, progress)))
 
 
 def run_in_processes(
-    record: dict[str, Any], module: Any, folder: Path, pending: list[Case], processes: int | None, book: Book
+    record: dict[str, Any],
+    module: Any,
+    folder: Path,
+    pending: list[Case],
+    processes: int | None,
+    store_outcome: OutcomeCallback,
 ) -> None:
     """Run the cases in worker processes, one case per process at a time.
 
@@ -116,7 +126,7 @@ def run_in_processes(
     workers = min(processes or default_threads(), len(pending))
     left = list(pending)
     running: dict[Any, Case] = {}
-    with ThreadPoolExecutor(workers) as pool, Crew() as crew:
+    with ThreadPoolExecutor(workers) as pool, WorkerPool() as crew:
         while left or running:
             try:
                 while left and len(running) < workers and not crew.stopping:
@@ -133,7 +143,7 @@ def run_in_processes(
                         raise
                     except Exception as error:
                         outcome = error
-                    book(case, outcome)
+                    store_outcome(case, outcome)
             except KeyboardInterrupt:
                 crew.stop()  # make running cases end at their next sample
 
@@ -152,30 +162,30 @@ def run_cases(
     the exception that ended it, or None if it had not started.
     """
     simulations: list[Simulation] = []
-    hear = heard(asked, simulations)
+    report_progress = stop_callback(asked, simulations)
     if not cases or asked():
         return [None] * len(cases)
-    made, found = simulations_of(record, module, folder, cases, lambda case: hear)
-    simulations += [simulation for simulation, _ in made.values()]
-    outcomes = _outcomes(made, lambda phase, fraction: hear(phase, fraction, {}))
+    by_name, found = simulations_of(record, module, folder, cases, lambda case: report_progress)
+    simulations += [simulation for simulation, _ in by_name.values()]
+    outcomes = _outcomes(by_name, lambda phase, fraction: report_progress(phase, fraction, {}))
     found |= {name: _plain(outcome) for name, outcome in outcomes.items()}
     return [found[case.name] for case in cases]
 
 
-def heard(asked: Callable[[], bool], simulations: Sequence[Simulation]) -> Progress:
+def stop_callback(asked: Callable[[], bool], simulations: Sequence[Simulation]) -> Progress:
     """Return a progress callback that ends runs when `asked` returns True.
 
     Running simulations end at their next sample; any earlier phase, such as packing, is interrupted at once.
     """
 
-    def hear(phase: str, fraction: float, figures: dict[str, Any]) -> None:
+    def report_progress(phase: str, fraction: float, figures: dict[str, Any]) -> None:
         if asked():
             if phase not in ("running", "compiling"):
                 raise KeyboardInterrupt
             for simulation in simulations:
                 simulation.stop_requested = True
 
-    return hear
+    return report_progress
 
 
 def _plain(outcome: Any) -> Any:
@@ -196,11 +206,11 @@ def outcome_of(folder: Path) -> Any:
     return None
 
 
-def kept(folder: Path) -> Any:
+def previous_outcome(folder: Path) -> Any:
     """Return a case's earlier outcome; delete its folder if that holds neither an outcome nor a checkpoint."""
     found = outcome_of(folder)
     if found is None and folder.exists() and not (folder / "checkpoint.npz").is_file():
-        hold = Hold(folder)
+        hold = FolderLock(folder)
         try:
             shutil.rmtree(folder)
         finally:

@@ -15,7 +15,7 @@ from ..core.errors import refuse, suggested
 from ..core.inputs.amounts import UNITS
 from ..core.inputs.concretes import SECTIONS, TEXTS
 from ..core.inputs.limits import LARGEST_INTEGER, LARGEST_SEED, limit_of
-from ..core.inputs.parameters import Above, Alias, Field, OneOf, Spread, Within, declared_fields
+from ..core.inputs.parameters import Above, Alias, CompositeRule, Field, OneOf, Within, declared_fields
 from ..dem.pumping.parameters import PipeParameters
 from ..geometry.line_entries import AMOUNTS, BEGINS, MOST_PARTS, MOST_POINTS, PARTS, WAYS
 from ..geometry.line_entries import KEYS as LINE_KEYS
@@ -34,7 +34,7 @@ DRAFT = "http://json-schema.org/draft-07/schema#"
 NUMBER = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
 """Schema of a text entry, which YAML may have read as a number."""
 TEXT: Schema = {"type": ["string", "number"]}
-SAID = {
+TEXT_DESCRIPTIONS = {
     "name": "name of the concrete",
     "source": "origin of the numbers",
     "calibrated": "parameters that were fitted, and to which targets",
@@ -62,9 +62,9 @@ def concrete_schema() -> Schema:
     _, known = PipeParameters.of_concrete()
     constants = declared_fields(Concrete)
     found = {
-        **{name: TEXT | {"description": SAID[name]} for name in TEXTS},
-        "elements": _object({name: of_field(fields[name]) for name in known}, "parameters of discrete elements"),
-        "flow": _object({name: of_field(field) for name, field in constants.items()},
+        **{name: TEXT | {"description": TEXT_DESCRIPTIONS[name]} for name in TEXTS},
+        "elements": _object({name: field_schema(fields[name]) for name in known}, "parameters of discrete elements"),
+        "flow": _object({name: field_schema(field) for name, field in constants.items()},
                         "constants of a Bingham fluid with a slip layer"),
         "mix": _mix_section(),
     }  # fmt: skip
@@ -143,7 +143,7 @@ def quantity(unit: str, text: str, number: Mapping[str, Any] | None = None) -> S
     }
 
 
-def of_field(field: Field) -> Schema:
+def field_schema(field: Field) -> Schema:
     """Return the schema of a declared parameter."""
     found: Schema = {"description": field.help}
     if field.kind is float:
@@ -185,13 +185,13 @@ def _parameters(fields: Iterable[Field]) -> dict[str, Schema]:
     found = {}
     for field in fields:
         for name in (field.name, *(alias.name for alias in field.of_kind(Alias))):
-            found[name] = of_field(field)
+            found[name] = field_schema(field)
     return found
 
 
 def _own_parameters(fields: Mapping[str, Field]) -> Schema:
     """Return a schema that allows the parameters of a value that has some of its own, as `contact_stiffness`."""
-    prefixes = [name for name, field in fields.items() if any(field.of_kind(Spread))]
+    prefixes = [name for name, field in fields.items() if any(field.of_kind(CompositeRule))]
     return {"patternProperties": {f"^{name}_": {} for name in prefixes}} if prefixes else {}
 
 

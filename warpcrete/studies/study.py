@@ -22,8 +22,8 @@ from ..core.errors import InstabilityError, RunFolderError, SceneError, between,
 from ..core.inputs.by_name import names_from_file
 from ..core.inputs.limits import check_limit
 from ..core.inputs.origin import check_files, check_named
-from ..core.run.files import check_new, is_full, read_record, whole_file, write_json
-from ..core.run.folders import held, new_folder
+from ..core.run.files import atomic_file, check_new, is_full, read_record, write_json
+from ..core.run.folders import locked_folder, new_folder
 from ..core.run.method import Quantity
 from ..core.run.provenance import provenance
 from ..core.run.run import Run, dataframe
@@ -36,7 +36,7 @@ from ..scenes import modules
 from .cases import Case, cases_of
 from .cluster import Cluster, check_scheduler, open_cluster, unnumbered
 from .drawing import draw
-from .running import FAILED, kept, outcome_of, run_in_processes, run_on_gpu
+from .running import FAILED, outcome_of, previous_outcome, run_in_processes, run_on_gpu
 from .study_table import columns_of, write_parquet
 from .workers import WorkerDied
 
@@ -61,7 +61,7 @@ class Study:
     """Contents of result.json of every finished case, by case name."""
     failures: dict[str, str] = field(default_factory=dict)
     """Message of the error that ended a case, by case name."""
-    blameless: set[str] = field(default_factory=set)
+    not_at_fault: set[str] = field(default_factory=set)
     """Names of failed cases that are not at fault, because their process died or the disk was full."""
 
     def __repr__(self) -> str:
@@ -81,7 +81,7 @@ class Study:
     @property
     def lost(self) -> list[str]:
         """Names of failed cases that will run again, because their process died or the disk was full."""
-        return [name for name in self.failures if name in self.blameless]
+        return [name for name in self.failures if name in self.not_at_fault]
 
     @property
     def suspect(self) -> dict[str, list[str]]:
@@ -178,15 +178,15 @@ class Study:
         units = {each.name: each.unit for each in self.compared}
         units |= {f"{name}_scatter": unit for name, unit in units.items()}
         names = list(dict.fromkeys(key for row in rows for key in row))
-        with whole_file(self.folder / "study.csv") as partial, partial.open("w", newline="", encoding="utf-8") as file:
+        with atomic_file(self.folder / "study.csv") as partial, partial.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow([f"{n} [{units[n]}]" if n in units else self.heading(n) for n in names])
             writer.writerows([[row.get(name, "") for name in names] for row in rows])
-        with whole_file(self.folder / "study.md") as partial:
+        with atomic_file(self.folder / "study.md") as partial:
             partial.write_text(f"{self.markdown()}\n", encoding="utf-8")
         write_parquet(self, self.folder / "study.parquet")
         if figure and self.results:
-            with whole_file(self.folder / "study.png") as partial:
+            with atomic_file(self.folder / "study.png") as partial:
                 draw(self).savefig(partial, dpi=150, format="png")
 
 
@@ -221,7 +221,7 @@ def run_study(
     """
     check_scheduler(scheduler, workers, processes)
     given: dict[str, Any] = module.scene.resolved(base or {})
-    varied = _lists(module.scene, varied)
+    varied = _resolved_values(module.scene, varied)
     known = module.scene.fields({**{name: values[0] for name, values in varied.items() if values}, **given})
     for name in varied:
         if name in given:
@@ -243,7 +243,7 @@ def run_study(
         given, varied, defaults=defaults, repeat=repeat, one_at_a_time=one_at_a_time, seeded="seed" in known
     )
     return run_listed(
-        scene_name, module, _meaningful(module.scene, cases), out=out, device=device, precision=precision,
+        scene_name, module, _without_idle_parameters(module.scene, cases), out=out, device=device, precision=precision,
         processes=processes, frames=frames, checkpoint_every=checkpoint_every, scheduler=scheduler, workers=workers,
         progress=progress, **recorders,
     )  # fmt: skip
@@ -302,7 +302,7 @@ def run_listed(
                     "provenance": made_by,
                 },
             )
-            return _go_on(out, module, processes, cluster, progress)
+            return _continue(out, module, processes, cluster, progress)
 
 
 def resume_study(
@@ -323,20 +323,20 @@ def resume_study(
     check_files(folder / "study.json", record.get("files", {}))
     # Use all GPUs that are present, because the number of the earlier GPU means nothing on another machine.
     device = unnumbered(record.get("device"))
-    with held(folder, "study.json"), open_cluster(scheduler, workers, device) as cluster:
-        return _go_on(folder, module, processes, cluster, progress)
+    with locked_folder(folder, "study.json"), open_cluster(scheduler, workers, device) as cluster:
+        return _continue(folder, module, processes, cluster, progress)
 
 
-def _go_on(
+def _continue(
     folder: Path, module: Any, processes: int | None, cluster: Cluster | None, progress: Progress | None
 ) -> Study:
     """Run all unfinished cases, and write the tables and the figure."""
     record, study = _opened(folder, module)
     cases = study.cases
-    pending = [case for case in cases if not _known(study, case)]
+    pending = [case for case in cases if not _take_over(study, case)]
     tell = progress or (lambda phase, fraction, figures: None)
 
-    def book(case: Case, outcome: Any) -> None:
+    def store_outcome(case: Case, outcome: Any) -> None:
         """Store the outcome of a case; only an instability or an invalid scene counts as its final failure."""
         if isinstance(outcome, Run | dict):
             result = outcome.result if isinstance(outcome, Run) else outcome
@@ -345,7 +345,7 @@ def _go_on(
         elif isinstance(outcome, Exception):
             study.failures[case.name] = str(outcome) or type(outcome).__name__
             if isinstance(outcome, WorkerDied) or is_full(outcome):
-                study.blameless.add(case.name)
+                study.not_at_fault.add(case.name)
             if isinstance(outcome, InstabilityError | SceneError):
                 (folder / case.name).mkdir(exist_ok=True)
                 (folder / case.name / FAILED).write_text(f"{outcome}\n", encoding="utf-8")
@@ -353,11 +353,11 @@ def _go_on(
 
     try:
         if pending and cluster is not None:
-            cluster.run(record, module, folder, pending, book)
+            cluster.run(record, module, folder, pending, store_outcome)
         elif pending and find_device(record["device"]).is_cuda:
-            run_on_gpu(record, module, folder, pending, book, tell)
+            run_on_gpu(record, module, folder, pending, store_outcome, tell)
         elif pending:
-            run_in_processes(record, module, folder, pending, processes, book)
+            run_in_processes(record, module, folder, pending, processes, store_outcome)
     finally:
         study.write(record.get("figure", True))
     return study
@@ -396,11 +396,11 @@ def load_study(folder: Path) -> Study:
         )
     _, study = _opened(folder, known[name])
     for case in study.cases:
-        _book(study, case, outcome_of(folder / case.name))
+        _store_outcome(study, case, outcome_of(folder / case.name))
     return study
 
 
-def _lists(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:
+def _resolved_values(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[str, list[Any]]:
     """Return the varied values by the parameters' own names, after replacing aliases and reading units."""
     found: dict[str, list[Any]] = {}
     for name, values in varied.items():
@@ -415,12 +415,12 @@ def _lists(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[str, list[An
     return found
 
 
-def _meaningful(scene: Any, cases: Sequence[Case]) -> list[Case]:
+def _without_idle_parameters(scene: Any, cases: Sequence[Case]) -> list[Case]:
     """Return the cases without parameters that have no effect in them.
 
     Raises :class:`SceneError` for a parameter that has no effect in any case.
     """
-    found = [replace(case, parameters=scene.meaningful(case.parameters)) for case in cases]
+    found = [replace(case, parameters=scene.effective_values(case.parameters)) for case in cases]
     used = {name for case in found for name in case.parameters}
     for case in cases:
         if set(case.parameters) - used:
@@ -428,17 +428,17 @@ def _meaningful(scene: Any, cases: Sequence[Case]) -> list[Case]:
     return found
 
 
-def _known(study: Study, case: Case) -> bool:
+def _take_over(study: Study, case: Case) -> bool:
     """Return whether a case has finished or failed before, and store that outcome in `study`.
 
     A case that was interrupted before its first checkpoint is deleted.
     """
-    found = kept(study.folder / case.name)
-    _book(study, case, found)
+    found = previous_outcome(study.folder / case.name)
+    _store_outcome(study, case, found)
     return found is not None
 
 
-def _book(study: Study, case: Case, found: Any) -> None:
+def _store_outcome(study: Study, case: Case, found: Any) -> None:
     if isinstance(found, dict):
         study.results[case.name] = found
     elif found is not None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..core.run.files import whole_file
+from ..core.run.files import atomic_file
 
 FINISHED, FAILED, OPEN = "finished", "failed", "not finished"
 
@@ -64,7 +64,7 @@ def write_parquet(study: Any, path: Path) -> None:
     ]
     notes = {"scene": study.scene, "units": json.dumps(units), "PANDAS_ATTRS": json.dumps({"units": units})}
     table = pyarrow.Table.from_arrays(arrays, schema=pyarrow.schema(fields, metadata=notes))
-    with whole_file(path) as partial:
+    with atomic_file(path) as partial:
         parquet.write_table(table, partial)
 
 

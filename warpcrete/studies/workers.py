@@ -23,7 +23,7 @@ from typing import Any
 from ..core.errors import PlausibilityWarning, WarpcreteError, warn_in_one_line
 
 # Workers ignore Ctrl-C from their first moment on, because the parent process handles it and tells them to stop.
-BOOT = """\
+START_CODE = """\
 import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)
 import json, sys; sys.path[:] = json.loads(sys.argv[1])
 from warpcrete.studies.workers import serve; serve()
@@ -39,30 +39,30 @@ class NoWorker(WarpcreteError):
     """Error raised when no worker process can be started."""
 
 
-class Crew:
+class WorkerPool:
     """Worker processes, started on demand; any thread may give them jobs."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._all: list[_Worker] = []
+        self._workers: list[_Worker] = []
         self._idle: list[_Worker] = []
         self.stopping = False
         """Whether the workers have received the message to end their cases at the next sample."""
 
-    def __enter__(self) -> Crew:
+    def __enter__(self) -> WorkerPool:
         return self
 
     def __exit__(self, *unused: Any) -> None:
         """End all workers at once, including those that run a case."""
-        for worker in self._all:
+        for worker in self._workers:
             worker.end()
 
     def stop(self) -> None:
         """Tell all workers to end their cases at the next sample."""
         with self._lock:
             self.stopping = True
-            for worker in self._all:
-                worker.tell(STOP)
+            for worker in self._workers:
+                worker.send(STOP)
 
     def run(self, *job: Any) -> Any:
         """Run a job, a function and its arguments, in a worker process; return its result or the exception it raised.
@@ -72,26 +72,26 @@ class Crew:
         """
         with self._lock:
             worker = self._idle.pop() if self._idle else _Worker()
-            if worker not in self._all:
-                self._all.append(worker)
+            if worker not in self._workers:
+                self._workers.append(worker)
             if self.stopping:
-                worker.tell(STOP)
+                worker.send(STOP)
         try:
             worker.wait_until_ready()
         except WorkerDied as error:
             with self._lock:
                 worker.failed = True
-                none = all(each.failed for each in self._all)
+                none = all(each.failed for each in self._workers)
             if none:
                 raise NoWorker(f"no worker process can be started: {error}; the messages above say why") from error
             raise
         try:
-            worker.tell(job)
+            worker.send(job)
         except Exception:  # the job cannot be pickled
             with self._lock:
                 self._idle.append(worker)
             raise
-        found = worker.hear()
+        found = worker.receive()
         with self._lock:
             self._idle.append(worker)
         return found
@@ -104,13 +104,13 @@ class _Worker:
         """Whether the process ended before it was ready."""
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", BOOT, json.dumps([str(path) for path in sys.path])],
+                [sys.executable, "-c", START_CODE, json.dumps([str(path) for path in sys.path])],
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             )  # fmt: skip
         except OSError as error:
             raise NoWorker(f"no worker process can be started: {error}; use processes = 1") from error
 
-    def tell(self, message: Any) -> None:
+    def send(self, message: Any) -> None:
         """Send a message; a dead worker is detected only when its answer is read."""
         assert self._process.stdin is not None
         data = pickle.dumps(message)
@@ -118,7 +118,7 @@ class _Worker:
             self._process.stdin.write(data)
             self._process.stdin.flush()
 
-    def hear(self) -> Any:
+    def receive(self) -> Any:
         """Wait for an answer and return it; raise :class:`WorkerDied` if the worker has ended."""
         assert self._process.stdout is not None
         try:
@@ -131,7 +131,7 @@ class _Worker:
     def wait_until_ready(self) -> None:
         """Wait until the worker process has imported its modules."""
         if not self._ready:
-            self._ready = self.hear() == READY
+            self._ready = self.receive() == READY
 
     def _end(self) -> str:
         code = self._process.wait()
@@ -187,9 +187,9 @@ def _answer(answers: Any, message: Any) -> None:
     answers.flush()
 
 
-def _outcome(function: tuple[str, str], arguments: tuple[Any, ...], asked: Callable[[], bool]) -> Any:
+def _outcome(function: tuple[str, str], arguments: tuple[Any, ...], stop_requested: Callable[[], bool]) -> Any:
     """Return the result of a function, named by its module and name, or the exception that it raises."""
     try:
-        return getattr(importlib.import_module(function[0]), function[1])(*arguments, asked)
+        return getattr(importlib.import_module(function[0]), function[1])(*arguments, stop_requested)
     except Exception as error:
         return error

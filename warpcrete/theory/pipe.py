@@ -51,7 +51,7 @@ class Concrete(Declared):
 CONCRETES = {name: Concrete(name=name, **concrete(name).flow) for name in ("no1", "no2", "no3")}
 """Concretes of Xu, Li & Jiang 2021, Tables 1 to 3, with a slip layer of zero thickness; slumps 13, 18 and 22 cm."""
 
-THICKER_LAYERS = {
+SLIP_VISCOSITY_BY_THICKNESS = {
     "no1": {2e-3: 889.0, 4e-3: 885.0, 6e-3: 882.0},
     "no2": {2e-3: 839.0, 4e-3: 834.0, 6e-3: 831.0},
     "no3": {2e-3: 914.0, 4e-3: 908.0, 6e-3: 902.0},
@@ -162,7 +162,7 @@ def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> S
     return steady_of_stress(concrete, line, high if flow > 0 else low, form)
 
 
-def rested(concrete: Concrete, rest: float, thixotropy: float) -> Concrete:
+def after_rest(concrete: Concrete, rest: float, thixotropy: float) -> Concrete:
     """Return the concrete after `rest` [s], when the yield stresses of bulk and slip layer have grown by A_thix t.
 
     The linear growth was proposed by Roussel (2006) and holds for some tens of minutes at most. In Roussel's classes,
@@ -185,7 +185,7 @@ def restart(
     with a `flow` [m3/s] must drag the layer as well. In both cases the pressure falls to the steady value as shear
     breaks the structure.
     """
-    return steady(rested(concrete, rest, thixotropy), line, flow, form)
+    return steady(after_rest(concrete, rest, thixotropy), line, flow, form)
 
 
 def restart_table(concrete: Concrete, line: Line, rest: float, thixotropy: float, flow: float) -> str:
@@ -193,7 +193,7 @@ def restart_table(concrete: Concrete, line: Line, rest: float, thixotropy: float
 
     Each row also relates the peak pressure at `flow` [m3/s] to the steady pressure at that flow.
     """
-    grown = rested(concrete, rest, thixotropy)
+    grown = after_rest(concrete, rest, thixotropy)
     lines = [
         f"after {rest:g} s at rest with a growth rate of {thixotropy:g} Pa/s: yield stress {grown.yield_stress:g} Pa; "
         f"slip layer {grown.slip_yield:g} Pa",

@@ -41,7 +41,7 @@ class Outcome:
     growth: float
     """Energy gained without work, over the energy in play, as determined by the stability watch."""
     steps: int
-    must: str = ""
+    expected_outcome: str = ""
     """Required result in this precision: `run`, or a pattern for the reason to stop; empty if both are acceptable."""
 
     @property
@@ -49,12 +49,12 @@ class Outcome:
         """Return whether the result is acceptable.
 
         A completed run must be within bounds. The message of a stopped run must name time, body, quantity and cures.
-        The result must also agree with `must`.
+        The result must also agree with `expected_outcome`.
         """
         if self.stopped:
             named = all(word in self.stopped for word in ("t = ", "body ", "usual cures: "))
-            return named and bool(re.search(self.must, self.stopped.split("usual cures")[0]))
-        return self.deepest <= 1.0 and self.growth <= ENERGY and self.must in ("", "run")
+            return named and bool(re.search(self.expected_outcome, self.stopped.split("usual cures")[0]))
+        return self.deepest <= 1.0 and self.growth <= ENERGY and self.expected_outcome in ("", "run")
 
 
 def cup(*, modulus=1e6, ratio=2.0, density=2500.0, velocity=0.3, gravity=9.81, restitution=0.5, friction=0.3,
@@ -114,7 +114,7 @@ def outcome(name: str, scene: Scene, device: str, precision: str, steps: int = S
         growth = float(np.max(free - np.minimum.accumulate(free)) / max(simulation.watch.scale, 1e-300))
         deepest = float(np.max(series["deepest_overlap"]))
     taken = simulation.stepper.steps if hasattr(simulation, "stepper") else 0
-    return Outcome(name, stopped, deepest, growth, taken, must(name, precision))
+    return Outcome(name, stopped, deepest, growth, taken, expected_outcome(name, precision))
 
 
 # The following scenes must stop; each has a pattern for the error message. The prefix `float32:` limits this
@@ -130,7 +130,7 @@ MUST_STOP = {
 EITHER = ("friction 10", "time step 2 of the estimate")
 
 
-def must(name: str, precision: str) -> str:
+def expected_outcome(name: str, precision: str) -> str:
     """Return what a scene must do: `run`, or a pattern for the reason to stop; empty if both are acceptable."""
     if name.startswith("corner") or name in EITHER:
         return ""

@@ -47,7 +47,7 @@ class FlowOutcome:
     speed: float
     closest: float
     steps: int
-    must: str = ""
+    expected_outcome: str = ""
     """Required result: `run`, or part of the message with which the flow must stop; empty if both are acceptable."""
 
     @property
@@ -55,13 +55,17 @@ class FlowOutcome:
         """Return whether the result is acceptable.
 
         A completed flow must be within bounds. The message of a stopped flow must name time, quantity and cures, and
-        the message of a refused scene must name the field. The result must also agree with `must`.
+        the message of a refused scene must name the field. The result must also agree with `expected_outcome`.
         """
         if self.stopped:
             words = (" = ", ": ") if self.refused else ("t = ", "usual cure")
-            return self.must != "run" and all(word in self.stopped for word in words) and self.must in self.stopped
+            return (
+                self.expected_outcome != "run"
+                and all(word in self.stopped for word in words)
+                and self.expected_outcome in self.stopped
+            )
         within = self.balance <= BALANCE and self.volume <= VOLUME and self.speed <= SPEED and self.closest >= CLOSEST
-        return within and self.must in ("", "run")
+        return within and self.expected_outcome in ("", "run")
 
 
 def column(

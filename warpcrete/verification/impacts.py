@@ -186,11 +186,13 @@ def oblique(device, precision) -> list[Row]:
     # then equals a small difference between the tangential restitution and 1, and the restitution is compared above.
     for which, where, tolerance in ((TEST_4[:, 0] == 10, "at 10 degrees", 0.1), (~steep, "from 15 degrees on", 0.03)):
         label = f"test 4: final angular velocity {where}"
-        rows.append(_worst(label, turning[which], TEST_4[which, 2], tolerance, "rad/s"))
+        rows.append(_largest_error(label, turning[which], TEST_4[which, 2], tolerance, "rad/s"))
     # The tangential impulse of friction changes velocity and spin in a fixed ratio. The overlap shortens the lever arm
     # by 0.3 %.
     exact = -2.5 * (velocities[:, 0] - velocity[:, 0]) / radius
-    rows.append(_worst("test 4: final angular velocity by what friction takes, exact", turning, exact, 4e-3, "rad/s"))
+    rows.append(
+        _largest_error("test 4: final angular velocity by what friction takes, exact", turning, exact, 4e-3, "rad/s")
+    )
     # Above the angle of full slip there is a closed form, v_t' = v_t - mu (1 + e) v_n.
     slip = TEST_4[:, 0] >= 50
     exact = 1 - 0.092 * 1.98 / np.tan(angle[slip])
@@ -227,7 +229,7 @@ def normalised(device, precision) -> list[Row]:
         slip = published[:, 0] > 9
         exact = published[slip, 0] - 7 if name.startswith("surface") else np.full(int(slip.sum()), -5.0)
         rows.append(
-            _worst(f"test 5: rebound {name} in full slip, rigid plane", found[1][slip], exact, 1.2e-2, "1")
+            _largest_error(f"test 5: rebound {name} in full slip, rigid plane", found[1][slip], exact, 1.2e-2, "1")
         )  # The overlap shortens the lever arm, which explains the larger tolerance.
     return rows
 
@@ -246,9 +248,11 @@ def spinning(device, precision) -> list[Row]:
     velocity, spin = spheres_on_a_plane(law, radius, 2700.0, velocities, spins, device, precision)
     impulse = friction * (1 + e) * normal
     # The lever arm ends at the plane, which lies inside the sphere by 0.05 % of the radius.
-    rows.append(_worst("test 6, on a plane: tangential velocity", -velocity[:, 0], np.full(3, impulse), 3e-3, "m/s"))
     rows.append(
-        _worst(
+        _largest_error("test 6, on a plane: tangential velocity", -velocity[:, 0], np.full(3, impulse), 3e-3, "m/s")
+    )
+    rows.append(
+        _largest_error(
             "test 6, on a plane: loss of spin", spin[:, 1] + rates, np.full(3, 2.5 * impulse / radius), 3e-3, "rad/s"
         )
     )
@@ -277,14 +281,16 @@ def spinning(device, precision) -> list[Row]:
         found = stepper.state.bodies.velocity.numpy()[order].astype(float)
         turned = stepper.state.bodies.spin.numpy()[order].astype(float)
         label = {7: "test 7, equal spheres", 8: "test 8, on a sphere 5 times as large, 1000 times as dense"}[number]
-        rows.append(_worst(f"{label}: tangential velocity", -found[:, 0], np.full(3, impulse), 3e-3, "m/s"))
+        rows.append(_largest_error(f"{label}: tangential velocity", -found[:, 0], np.full(3, impulse), 3e-3, "m/s"))
         rows.append(
-            _worst(f"{label}: loss of spin", turned[:, 1] + rates, np.full(3, 2.5 * impulse / radius), 3e-3, "rad/s")
+            _largest_error(
+                f"{label}: loss of spin", turned[:, 1] + rates, np.full(3, 2.5 * impulse / radius), 3e-3, "rad/s"
+            )
         )
     return rows
 
 
-def _worst(label: str, ours: np.ndarray, expected: np.ndarray, tolerance: float, unit: str) -> Row:
+def _largest_error(label: str, ours: np.ndarray, expected: np.ndarray, tolerance: float, unit: str) -> Row:
     place = int(np.argmax(np.abs(ours - expected) / np.abs(expected)))
     return Row(f"{label}, the worst of {len(ours)}", float(ours[place]), float(expected[place]), tolerance, unit)
 

@@ -7,7 +7,7 @@ import numpy as np
 from ..mps.free.probes import surface
 from ..mps.free.scene import FreeScene
 from ..mps.free.simulation import FreeSimulation
-from ..mps.grid.state import STICKS
+from ..mps.grid.state import NO_SLIP_VISCOSITY
 from ..theory.pipe import Concrete
 from ..theory.vessels import heap_at_rest, heap_depth, viscous_front
 from .case import Case, Row
@@ -22,7 +22,7 @@ def let_go(yield_stress: float, width: float, duration: float) -> FreeScene:
     The concrete has a viscosity of 10 Pa s and sticks to the plate.
     """
     concrete = Concrete(
-        density=2000.0, viscosity=10.0, yield_stress=yield_stress, slip_viscosity=STICKS, slip_yield=0.0
+        density=2000.0, viscosity=10.0, yield_stress=yield_stress, slip_viscosity=NO_SLIP_VISCOSITY, slip_yield=0.0
     )
     box = ((0.0, 0.0), (HALF[0], 0.0), HALF, (0.0, HALF[1]))
     return FreeScene(

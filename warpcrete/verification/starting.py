@@ -19,7 +19,7 @@ FINER = 4
 """Number of cells of the one-dimensional solution per cell of the grid."""
 SAMPLES = 40
 """Number of times at which both solutions are compared."""
-BEGUN = (
+START_CASES = (
     # Columns: Bingham number, viscous constant of the slip layer [Pa s/m], allowed error of a step, and time at which
     # the flow is almost steady [s].
     (0.0, 1e6, 1e-4, 0.4), (0.0, 4e3, 1e-4, 0.4), (1.0, 1e6, 3e-6, 0.2), (10.0, 1e6, 1e-6, 0.04),
@@ -28,7 +28,7 @@ BEGUN = (
 need shorter steps."""
 LONGEST = 2e-3
 """Longest time step on the grid [s]."""
-EXACT = 5e-4
+EXACT_STEP_RATIO = 5e-4
 """Time step of the one-dimensional solution over the simulated time."""
 
 
@@ -86,11 +86,11 @@ def worst(
     )  # fmt: skip
     scene = column_scene("flow", dimensions, given)
     force = scene.theory().pressure / scene.length
-    layout = replace(pipe_layout(scene), frame=0.0, drive=force, held=False)
+    layout = replace(pipe_layout(scene), frame=0.0, drive=force, mean_velocity_fixed=False)
     flow = GridFlow(GridState(scene, layout, find_device(device), precision))
     times = np.linspace(0, end, SAMPLES + 1)[1:]
     across = layout.cells[0] if dimensions == 3 else layout.cells[0] // 2
-    exact = profiles(scene, force, across * FINER, times, EXACT * end).reshape(SAMPLES, across, FINER)
+    exact = profiles(scene, force, across * FINER, times, EXACT_STEP_RATIO * end).reshape(SAMPLES, across, FINER)
     # Cells of a pipe are rings, and the grid's velocities are means over these rings.
     weight = (np.arange(across * FINER) + 0.5).reshape(across, FINER) if dimensions == 3 else np.ones((across, FINER))
     exact = (exact * weight).sum(-1) / weight.sum(-1)
@@ -108,7 +108,7 @@ def start(device: str, precision: str) -> list[Row]:
     """Compare flows that start from rest, in channel and tube, with stick or slip, with and without a yield stress."""
     found = []
     for dimensions, form in ((2, "channel"), (3, "tube")):
-        for number, layer, error, end in BEGUN:
+        for number, layer, error, end in START_CASES:
             rms, largest = worst(dimensions, number, layer, LONGEST, error, end, device, precision)
             name = f"{form}, Bn {number:g}" + (", slips" if layer < 1e6 else "")
             # The measured errors of the velocity profile are 0.11 to 0.38 % (largest rms) and 0.15 to 0.7 % (largest in

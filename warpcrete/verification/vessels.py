@@ -9,18 +9,18 @@ import numpy as np
 from ..core.device.device import find_device
 from ..geometry.axis import Axis, Line
 from ..geometry.walls import PipeWall
-from ..kernels.mps.grid.cells import ACTED, LIQUID, Kind
+from ..kernels.mps.grid.cells import LAST_FORCE, LIQUID, GridKind
 from ..mps.free.layout import fill_cells
 from ..mps.free.scene import FreeScene
 from ..mps.free.simulation import FreeSimulation
 from ..mps.grid.flow import GridFlow
-from ..mps.grid.geometry import BARE, PLATE, ROUGH, WALL, Distance, Room, geometry_of, nearest_wall, wall_distance
+from ..mps.grid.geometry import OPEN_SIDE, PLATE, ROUGH, WALL, Distance, Room, geometry_of, nearest_wall, wall_distance
 from ..mps.grid.layout import GridLayout, Motion
-from ..mps.grid.state import STICKS, GridState
+from ..mps.grid.state import NO_SLIP_VISCOSITY, GridState
 from ..theory.pipe import Concrete
 from .case import Case, Row
 
-PASTE = Concrete(density=2000.0, viscosity=20.0, yield_stress=0.0, slip_viscosity=STICKS, slip_yield=0.0)
+PASTE = Concrete(density=2000.0, viscosity=20.0, yield_stress=0.0, slip_viscosity=NO_SLIP_VISCOSITY, slip_yield=0.0)
 INNER, OUTER, TURNS = 0.05, 0.1, 1.0
 """Radii of the inner and outer cylinder [m], and angular velocity of the inner one [rad/s]."""
 RADIUS, SPEED = 0.05, 0.19
@@ -46,12 +46,12 @@ def _filled(room: Room, walls: list[tuple[Distance, int]], abreast: int) -> dict
     places, mass = fill_cells(room, abreast, lambda points: nearest(points)[0] > 0)
     return {
         "room": room, "geometry": geometry, "solid": geometry.solid, "fluid": places, "mass": mass,
-        "mark_spacing": room.width[0] / abreast, "slip": (STICKS, 0.0),
+        "particle_spacing": room.width[0] / abreast, "slip": (NO_SLIP_VISCOSITY, 0.0),
     }  # fmt: skip
 
 
 def between_cylinders(
-    device: str, precision: str, cells: int, layers: tuple[float, float] = (STICKS, STICKS)
+    device: str, precision: str, cells: int, layers: tuple[float, float] = (NO_SLIP_VISCOSITY, NO_SLIP_VISCOSITY)
 ) -> GridFlow:
     """Return the flow of paste between a rotating inner cylinder and an outer cylinder at rest, on a Cartesian grid.
 
@@ -64,7 +64,7 @@ def between_cylinders(
         (lambda x: np.linalg.norm(x, axis=1) - INNER, ROUGH + 1),
     ]
     layout = GridLayout(
-        kind=Kind(2, cut=True), speed=TURNS * INNER, length=INNER, full=True,
+        kind=GridKind(2, cut=True), speed=TURNS * INNER, length=INNER, full=True,
         motions=(Motion((0.0, 0.0), (0.0, TURNS, 0.0)),), **_filled(room, walls, 3),
     )  # fmt: skip
     state = GridState(_Paste(PASTE, 5e-3), layout, find_device(device), precision)
@@ -74,7 +74,7 @@ def between_cylinders(
     return GridFlow(state)
 
 
-def couette_error(flow: GridFlow, layers: tuple[float, float] = (STICKS, STICKS)) -> float:
+def couette_error(flow: GridFlow, layers: tuple[float, float] = (NO_SLIP_VISCOSITY, NO_SLIP_VISCOSITY)) -> float:
     """Return the rms error of the velocity between the cylinders, over the speed of the inner wall.
 
     The exact velocity is u = a r + b / r. Its shear stress 2 mu b / r^2 acts on each slip layer and, divided by the
@@ -112,11 +112,15 @@ def cylinders_with_layers(device: str, precision: str) -> list[Row]:
     found = []
     # The measured rms errors of the velocity, over the speed of the inner wall, are 0.40 and 0.20 % on the two grids
     # for the first pair of layers, 0.37 and 0.36 % for the second, and 0.77 and 1.02 % for the third.
-    for layers, allowed in (((400.0, STICKS), 0.005), ((200.0, 200.0), 0.005), ((STICKS, 200.0), 0.012)):
+    for layers, allowed in (
+        ((400.0, NO_SLIP_VISCOSITY), 0.005),
+        ((200.0, 200.0), 0.005),
+        ((NO_SLIP_VISCOSITY, 200.0), 0.012),
+    ):
         for cells in (22, 44):
             flow = between_cylinders(device, precision, cells, layers)
             flow.take(300)
-            words = [f"{layer:g} Pa s/m" if layer < STICKS else "sticks" for layer in layers]
+            words = [f"{layer:g} Pa s/m" if layer < NO_SLIP_VISCOSITY else "sticks" for layer in layers]
             across = INNER / flow.state.layout.spacing
             name = f"inner {words[0]}, outer {words[1]}, {across:.0f} cells: velocity, rms over the wall's"
             found.append(Row(name, couette_error(flow, layers), 0.0, allowed, scale=1.0))
@@ -130,11 +134,11 @@ def round_pipe(device: str, precision: str, cells: int, yield_stress: float) -> 
     """
     h = 2.2 * RADIUS / cells
     room = Room((cells, cells, 2), (h,) * 3, (-1.1 * RADIUS + 0.13 * h, -1.1 * RADIUS - 0.21 * h, 0.0),
-                ((WALL, WALL), (WALL, WALL), (BARE, BARE)))  # fmt: skip
+                ((WALL, WALL), (WALL, WALL), (OPEN_SIDE, OPEN_SIDE)))  # fmt: skip
     pipe = PipeWall(name="pipe", axis=Axis((0.0, 0.0, -1.0), (0.0, 0.0, 1.0), (Line(2.0),)), radius=RADIUS)
     resistance = 8 * PASTE.viscosity / RADIUS**2
     layout = GridLayout(
-        kind=Kind(3, periodic=True, cut=True), speed=SPEED, length=RADIUS, frame=SPEED, drive=resistance * SPEED,
+        kind=GridKind(3, periodic=True, cut=True), speed=SPEED, length=RADIUS, frame=SPEED, drive=resistance * SPEED,
         resistance=resistance, **_filled(room, [(wall_distance(pipe, np.zeros(3)), ROUGH)], 2),
     )  # fmt: skip
     paste = _Paste(replace(PASTE, yield_stress=yield_stress), 1e-3)
@@ -164,7 +168,7 @@ def pipe_in_space(device: str, precision: str) -> list[Row]:
         yield_stress = number * PASTE.viscosity * SPEED / RADIUS
         flow = round_pipe(device, precision, 22, yield_stress)
         flow.take(250)
-        ours = float(flow.mesh.drive.numpy()[int(ACTED)])
+        ours = float(flow.mesh.drive.numpy()[int(LAST_FORCE)])
         found.append(Row(f"Bn {number:g}: pressure per length", ours, pipe_gradient(yield_stress), 8e-3, "Pa/m"))
     return found
 

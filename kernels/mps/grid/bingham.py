@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from .cells import cells_struct
+from .cells import grid_parameters_struct
 
 
 @functools.cache
@@ -18,12 +18,12 @@ def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
     """Build the functions of the law: viscosity as a function of the rate, and rate as a function of the stress.
 
     `apparent` follows the regularised law. `rate_of` replaces its inverse by two straight lines, one below and one
-    above the yield stress; `rate_slope` is its derivative, and `once` and `twice` are its first and second integrals.
+    above the yield stress; `rate_slope` is its derivative, `rate_integral` and `double_integral` are its integrals.
     """
-    Cells = cells_struct(scalar, dimensions)
+    Grid = grid_parameters_struct(scalar, dimensions)
 
     @wp.func
-    def apparent(g: Cells, rate: scalar) -> scalar:
+    def apparent(g: Grid, rate: scalar) -> scalar:
         """Return the apparent viscosity at a shear rate, which is stress over rate [Pa s]."""
         bent = g.regularisation * rate
         if bent > scalar(1.0e-3):
@@ -32,45 +32,50 @@ def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
         return g.viscosity + g.yield_stress * g.regularisation * (scalar(1.0) - scalar(0.5) * bent)
 
     @wp.func
-    def unyielded(g: Cells) -> scalar:
+    def unyielded_viscosity(g: Grid) -> scalar:
         """Return the viscosity below the yield stress [Pa s]."""
         return g.viscosity + g.yield_stress * g.regularisation
 
     @wp.func
-    def rate_of(g: Cells, stress: scalar) -> scalar:
+    def rate_of(g: Grid, stress: scalar) -> scalar:
         """Return the shear rate [1/s] at a nonnegative stress, on two straight lines that meet at the yield stress."""
         return wp.max(stress - g.yield_stress, scalar(0.0)) / g.viscosity + (
-            wp.min(stress, g.yield_stress) / unyielded(g)
+            wp.min(stress, g.yield_stress) / unyielded_viscosity(g)
         )
 
     @wp.func
-    def rate_slope(g: Cells, stress: scalar) -> scalar:
+    def rate_slope(g: Grid, stress: scalar) -> scalar:
         if stress > g.yield_stress:
             return scalar(1.0) / g.viscosity
-        return scalar(1.0) / unyielded(g)
+        return scalar(1.0) / unyielded_viscosity(g)
 
     @wp.func
-    def once(g: Cells, stress: scalar) -> scalar:
+    def rate_integral(g: Grid, stress: scalar) -> scalar:
         """Return the integral of `rate_of` from 0 to a nonnegative stress."""
         over = wp.max(stress - g.yield_stress, scalar(0.0))
         below = wp.min(stress, g.yield_stress)
-        return scalar(0.5) * (over * over / g.viscosity + below * below / unyielded(g)) + (
-            over * g.yield_stress / unyielded(g)
+        return scalar(0.5) * (over * over / g.viscosity + below * below / unyielded_viscosity(g)) + (
+            over * g.yield_stress / unyielded_viscosity(g)
         )
 
     @wp.func
-    def twice(g: Cells, stress: scalar) -> scalar:
+    def double_integral(g: Grid, stress: scalar) -> scalar:
         """Return the second integral of `rate_of` from 0 to the stress, with the sign of the stress."""
         size = wp.abs(stress)
         over = wp.max(size - g.yield_stress, scalar(0.0))
         below = wp.min(size, g.yield_stress)
         sum = over * over * over / (scalar(6.0) * g.viscosity) + (
             below * below * below / scalar(6.0) + over * g.yield_stress * (g.yield_stress + over) / scalar(2.0)
-        ) / unyielded(g)
+        ) / unyielded_viscosity(g)
         return wp.sign(stress) * sum
 
     return SimpleNamespace(
-        apparent=apparent, unyielded=unyielded, rate_of=rate_of, rate_slope=rate_slope, once=once, twice=twice
+        apparent=apparent,
+        unyielded_viscosity=unyielded_viscosity,
+        rate_of=rate_of,
+        rate_slope=rate_slope,
+        rate_integral=rate_integral,
+        double_integral=double_integral,
     )
 
 
@@ -81,14 +86,14 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
     `apparent` is the viscosity at a shear rate, `apparent_at_edge` the viscosity at a corner near which a plug may end,
     and `at_wall` the stress of a wall on the cell beside it.
     """
-    Cells = cells_struct(scalar, dimensions)
+    Grid = grid_parameters_struct(scalar, dimensions)
     f = rate_functions(scalar, dimensions)
-    apparent, unyielded, rate_of, rate_slope, once, twice = (
-        f.apparent, f.unyielded, f.rate_of, f.rate_slope, f.once, f.twice,
+    apparent, unyielded_viscosity, rate_of, rate_slope, rate_integral, double_integral = (
+        f.apparent, f.unyielded_viscosity, f.rate_of, f.rate_slope, f.rate_integral, f.double_integral,
     )  # fmt: skip
 
     @wp.func
-    def apparent_at_edge(g: Cells, rate: scalar, change: scalar) -> scalar:
+    def apparent_at_edge(g: Grid, rate: scalar, change: scalar) -> scalar:
         """Return the viscosity at the corner between two cells, corrected if a plug ends within these cells.
 
         `rate` is the difference of the cells' mean velocities over their distance. `change` is the change of the stress
@@ -96,16 +101,23 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
         """
         viscosity = apparent(g, rate)
         # This is the stress at the corner if no plug ends within the cells, according to the two straight lines.
-        most = wp.min(rate * unyielded(g), g.yield_stress + g.viscosity * (rate - g.yield_stress / unyielded(g)))
+        most = wp.min(
+            rate * unyielded_viscosity(g),
+            g.yield_stress + g.viscosity * (rate - g.yield_stress / unyielded_viscosity(g)),
+        )
         if most + change <= g.yield_stress or most - change >= g.yield_stress or change <= scalar(0.01) * most:
             return viscosity
         low = scalar(0.0)
         high = most
         # Find the corner's stress by bisection. The mean of the shear rate over both cells, weighted by the distance
-        # from the corner, is (F(s + d) - 2 F(s) + F(s - d)) / d^2 with F = `twice`, s = `middle`, d = `change`.
+        # from the corner, is (F(s + d) - 2 F(s) + F(s - d)) / d^2, F = `double_integral`, s = `middle`, d = `change`.
         for _ in range(20):
             middle = scalar(0.5) * (low + high)
-            mean = twice(g, middle + change) - scalar(2.0) * twice(g, middle) + twice(g, middle - change)
+            mean = (
+                double_integral(g, middle + change)
+                - scalar(2.0) * double_integral(g, middle)
+                + double_integral(g, middle - change)
+            )
             if mean < rate * change * change:
                 low = middle
             else:
@@ -113,17 +125,19 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
         return viscosity * high / most
 
     @wp.func
-    def beside_wall(g: Cells, stress: scalar, inner: scalar, width: scalar):
+    def beside_wall(g: Grid, stress: scalar, inner: scalar, width: scalar):
         """Return the mean velocity of a wall cell minus the velocity at the wall, and this difference's derivative.
 
         The derivative is with respect to `stress`, the stress at the wall. The stress falls linearly from there to
         `inner` on the cell's opposite side.
         """
         # With a linear stress, the velocity where the stress is tau is u = width / change * (F1(stress) - F1(tau)),
-        # where F1 = `once`. The mean of u over the cell follows with the integral of F1, which is `twice`.
+        # where F1 = `rate_integral`. The mean of u over the cell follows with its integral `double_integral`.
         change = stress - inner
         if change > scalar(0.05) * stress:
-            part = (change * once(g, stress) - (twice(g, stress) - twice(g, inner))) / (change * change)
+            part = (change * rate_integral(g, stress) - (double_integral(g, stress) - double_integral(g, inner))) / (
+                change * change
+            )
             return width * part, width / change * (rate_of(g, stress) - scalar(2.0) * part)
         # If the stress hardly varies, the closed form loses digits, and Simpson's rule is accurate.
         middle = scalar(0.5) * (stress + inner)
@@ -132,7 +146,7 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def at_wall(
-        g: Cells, speed: scalar, inner: scalar, width: scalar, ring: scalar, slip_viscosity: scalar, slip_yield: scalar
+        g: Grid, speed: scalar, inner: scalar, width: scalar, ring: scalar, slip_viscosity: scalar, slip_yield: scalar
     ):  # fmt: skip
         """Return a wall's stress on the cell beside it, its derivative with respect to `speed`, and the slip velocity.
 
@@ -146,7 +160,7 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
         stress = wp.min(slip_yield + slip_viscosity * speed, sheared)
         growth = scalar(1.0)
         slip = scalar(0.0)
-        least = scalar(0.1) * width / unyielded(g)
+        least = scalar(0.1) * width / unyielded_viscosity(g)
         for _ in range(40):
             slip = wp.max(stress - slip_yield, scalar(0.0)) / slip_viscosity
             within, grows = beside_wall(g, stress, wp.min(inner, stress), width)
@@ -159,4 +173,6 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
                 break
         return stress, scalar(1.0) / growth, slip
 
-    return SimpleNamespace(apparent=apparent, unyielded=unyielded, apparent_at_edge=apparent_at_edge, at_wall=at_wall)
+    return SimpleNamespace(
+        apparent=apparent, unyielded_viscosity=unyielded_viscosity, apparent_at_edge=apparent_at_edge, at_wall=at_wall
+    )

@@ -7,7 +7,7 @@ pair of axes a and b is the lowest edge of cell c that is parallel to neither ax
 In a plane an edge is a corner, and edge c is the lower left corner of cell c. Velocities are relative to the room.
 Volumes and areas are per metre of depth in a plane, and per radian about an axis.
 
-Walls coincide with sides of cells or, if `Kind.cut` is true, pass through cells (cut cells). Then each face stores its
+Walls coincide with sides of cells or, if `GridKind.cut`, pass through cells (cut cells). Then each face stores its
 distance from the nearest wall and the open part of its area, and cells and edges store the part of their volume that is
 not wall. Concrete flows in and out of a cell through the open parts of its faces (Ng, Min & Gibou 2009). Shear and
 stretch are weighted with the open volumes of edges and cells (Batty & Bridson 2008). They also need velocities of some
@@ -37,8 +37,8 @@ ROUGH = wp.constant(4)  # Number of the wall that concrete sticks to; walls with
 GHOST = wp.constant(4)  # Face inside a wall whose velocity enters the shear or stretch of the concrete beside it.
 # Slots of the array `drive`, which holds the force that drives the flow of a periodic pipe.
 FORCE = wp.constant(0)  # Driving force per volume at the start of the next step [N/m3].
-ACTED = wp.constant(1)  # Driving force per volume that acted in this step [N/m3].
-PUSH = wp.constant(2)  # Velocity that is added to all faces along the pipe at the end of this step [m/s].
+LAST_FORCE = wp.constant(1)  # Driving force per volume that acted in this step [N/m3].
+VELOCITY_CORRECTION = wp.constant(2)  # Velocity added to all faces along the pipe at the end of this step [m/s].
 DRIVE = 3
 # Slots of the array `clock`, which holds the time and the step control.
 DT = wp.constant(0)  # Time step [s].
@@ -46,14 +46,14 @@ NOW = wp.constant(1)  # Present time [s].
 UNTIL = wp.constant(2)  # Time at which the flow must stop [s].
 WANTED = wp.constant(3)  # Time step that accuracy allows [s]; a step that ends at a given time may be shorter.
 SPEED = wp.constant(4)  # Root mean square speed of the concrete [m/s].
-SWIFT = wp.constant(5)  # Number of cells that the fastest concrete crosses per second [1/s].
+CELLS_PER_SECOND = wp.constant(5)  # Number of cells that the fastest concrete crosses per second [1/s].
 BEFORE = wp.constant(6)  # Value of SPEED in the previous step [m/s].
 RATE = wp.constant(7)  # Rate of change of SPEED in the previous step [m/s2].
 LAST = wp.constant(8)  # Previous time step [s].
 CLOCK = 9
 
 
-class Kind(NamedTuple):
+class GridKind(NamedTuple):
     """Properties of a grid for which its kernels are specialised."""
 
     dimensions: int = 2
@@ -83,12 +83,12 @@ class Kind(NamedTuple):
 
 
 @functools.cache
-def cells_struct(scalar, dimensions: int):
+def grid_parameters_struct(scalar, dimensions: int):
     """Build the struct with the parameters of a grid and of the flow on it."""
     t = mps_types(scalar, dimensions)
 
     @wp.struct
-    class Cells:
+    class Grid:
         n: t.whole  # Number of cells along each axis.
         slots: wp.int32  # Number of cells including the frame around the grid.
         width: t.vec  # Width of a cell along each axis [m].
@@ -103,12 +103,12 @@ def cells_struct(scalar, dimensions: int):
         inflow: t.vec  # Velocity of particles that re-enter the grid after they have left it [m/s].
         resistance: wp.float64  # Derivative of the wall force per volume with respect to the mean velocity [kg/m3/s].
 
-    return Cells
+    return Grid
 
 
 @functools.cache
 def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
-    """Build the structs `Particles`, `Mesh` (arrays on the grid), `Geometry` (position of walls) and `Walls`."""
+    """Build the structs `Particles`, `Fields` (arrays on the grid), `Geometry` (position of walls) and `Walls`."""
     t = mps_types(scalar, dimensions)
     vec3 = types(scalar).vec3
 
@@ -122,31 +122,31 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         mass: wp.array(dtype=scalar)
 
     @wp.struct
-    class Mesh:
+    class Fields:
         solid: wp.array(dtype=wp.int32)  # Number of the wall that fills each cell, or OPEN, shape (slots,).
         liquid: wp.array(dtype=wp.int32)  # 1 for cells with concrete that can flow, else 0, shape (slots,).
-        crowd: wp.array(dtype=scalar)  # Density of particles at a cell's centre, 1 if they fill it, shape (slots,).
+        particle_density: wp.array(dtype=scalar)  # Particle density at a cell's centre, 1 if full, shape (slots,).
         fill: wp.array(dtype=scalar)  # Part of a cell's open volume that concrete fills, shape (slots,).
         count: wp.array(dtype=wp.int32)  # Number of particles in each cell, shape (slots,).
-        begin: wp.array(dtype=wp.int32)  # Index of each cell's first particle in `bin`, shape (slots,).
-        listed: wp.array(dtype=wp.int32)  # Number of places of `bin` that cells have reserved so far, shape (1,).
-        home: wp.array(dtype=wp.int32)  # Cell of each particle, -1 if it has left the grid, shape (n,).
+        begin: wp.array(dtype=wp.int32)  # Index of each cell's first particle in `sorted_particles`, shape (slots,).
+        reserved_places: wp.array(dtype=wp.int32)  # Number of places of `sorted_particles` reserved so far, shape (1,).
+        cell_of_particle: wp.array(dtype=wp.int32)  # Cell of each particle, -1 if it has left the grid, shape (n,).
         place: wp.array(dtype=wp.int32)  # Number of each particle among those of its cell, shape (n,).
-        bin: wp.array(dtype=wp.int32)  # Particles sorted by cell, shape (n,).
+        sorted_particles: wp.array(dtype=wp.int32)  # Particles sorted by cell, shape (n,).
         kind: wp.array(dtype=wp.int32)  # Kind of each face, such as LIQUID, shape (axes * slots,).
         velocity: wp.array(dtype=scalar)  # Velocity across each face [m/s], shape (axes * slots,).
         start: wp.array(dtype=scalar)  # Velocity across each face before the forces of the step act [m/s].
         volume: wp.array(dtype=scalar)  # Volume of concrete that belongs to each face, shape (axes * slots,).
-        rubbed: wp.array(dtype=scalar)  # Area of a pipe's walls along the volume of each face.
+        wall_area: wp.array(dtype=scalar)  # Area of a pipe's walls along the volume of each face.
         traction: wp.array(dtype=scalar)  # Shear stress of a pipe's walls, with the sign of the velocity [Pa].
-        growth: wp.array(dtype=scalar)  # Derivative of `traction` with respect to the velocity of the face [Pa s/m].
+        traction_slope: wp.array(dtype=scalar)  # Derivative of `traction` with respect to the face's velocity [Pa s/m].
         # Velocity of concrete at a pipe's wall, or velocity of the face if there is no wall [m/s].
         slip: wp.array(dtype=scalar)
         # Walls in cut cells: force of a wall between a face and the next face along an axis, over the velocity at the
         # wall. Shape (axes^2 * slots,), ordered by the face's axis, then by the axis along which the next face lies.
-        grip: wp.array(dtype=scalar)
-        pull: wp.array(dtype=scalar)  # Force of a wall in a cut cell at the known velocity, shaped as `grip`.
-        lean: wp.array(dtype=scalar)  # Weight of the next face in the velocity at a cut cell's wall, shaped as `grip`.
+        wall_stiffness: wp.array(dtype=scalar)
+        wall_force: wp.array(dtype=scalar)  # Force of a wall in a cut cell at the known velocity, as `wall_stiffness`.
+        wall_weight: wp.array(dtype=scalar)  # Weight of the next face in the velocity at the wall, as `wall_stiffness`.
         shift: wp.array(dtype=scalar)  # Velocity that moves particles out of crowded regions [m/s], one per face.
         pressure: wp.array(dtype=scalar)  # Pressure in each cell [Pa], shape (slots,).
         increment: wp.array(dtype=scalar)  # Change of the pressure in this step [Pa], shape (slots,).
@@ -156,10 +156,10 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         stress: wp.array(dtype=scalar)  # Shear stress at corners and walls of a pipe's cells in the previous step [Pa].
         strain: wp.array(dtype=scalar)  # Square of each cell's shear rate [1/s2], shape (slots,).
         # Square of each cell's shear rate without the part of one pair of axes [1/s2], shape (pairs * slots,).
-        besides: wp.array(dtype=scalar)
+        strain_without_pair: wp.array(dtype=scalar)
         gained: wp.array(dtype=scalar)  # Yield stress gained at rest in each cell [Pa], shape (slots,), or empty.
         layer: wp.array(dtype=scalar)  # Yield stress that the slip layer gained at rest [Pa], one per face, or empty.
-        drive: wp.array(dtype=wp.float64)  # Driving force of a periodic pipe in slots FORCE to PUSH, shape (DRIVE,).
+        drive: wp.array(dtype=wp.float64)  # Driving force of a pipe in FORCE to VELOCITY_CORRECTION, shape (DRIVE,).
         clock: wp.array(dtype=wp.float64)  # Time and step control in the slots DT to LAST, shape (CLOCK,).
 
     @wp.struct
@@ -170,8 +170,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         room: wp.array(dtype=scalar)  # Part of each cell's volume that is not wall, shape (slots,).
         # Part of each quarter of a cell that is not wall; for each pair of axes the quarters adjoin the four edges.
         # Shape (slots * pairs * 4,), in which the pair's first axis varies fastest.
-        nook: wp.array(dtype=scalar)
-        hold: wp.array(dtype=scalar)  # Open volume around a cell's centre, weighted as particles are, shape (slots,).
+        quarter_fraction: wp.array(dtype=scalar)
+        weighted_volume: wp.array(dtype=scalar)  # Open volume around a cell, weighted like particles, shape (slots,).
         opens: wp.array(dtype=scalar)  # Time at which the gate in a cell opens [s], shape (slots,); empty without gate.
         inlet: wp.array(dtype=t.vec)  # Positions at which particles that have left re-enter [m]; may be empty.
         gap: wp.array(dtype=scalar)  # Distance of each face's centre from the nearest wall [m], shape (axes * slots,).
@@ -187,19 +187,19 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         slip_viscosity: wp.array(dtype=scalar)  # Viscous constant of a wall's slip layer [Pa s/m]; < 0 if frictionless.
         slip_yield: wp.array(dtype=scalar)  # Yield stress of a wall's slip layer [Pa].
 
-    return SimpleNamespace(Particles=Particles, Mesh=Mesh, Geometry=Geometry, Walls=Walls)
+    return SimpleNamespace(Particles=Particles, Fields=Fields, Geometry=Geometry, Walls=Walls)
 
 
 @functools.cache
-def place_functions(scalar, of: Kind) -> SimpleNamespace:
+def place_functions(scalar, of: GridKind) -> SimpleNamespace:
     """Build functions for numbers, positions, areas and volumes of cells, faces and edges."""
     dims, last = of.dimensions, of.dimensions - 1
     t = mps_types(scalar, dims)
     whole, vec = t.whole, t.vec
-    Cells = cells_struct(scalar, dims)
+    Grid = grid_parameters_struct(scalar, dims)
 
     @wp.func
-    def at(g: Cells, c: whole) -> wp.int32:
+    def at(g: Grid, c: whole) -> wp.int32:
         """Return the number of the cell with the indices `c`; the cell's edge and first face have the same number."""
         k = c[last]
         if wp.static(of.periodic):
@@ -210,7 +210,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
             return ((k + 1) * (g.n[1] + 2) + c[1] + 1) * (g.n[0] + 2) + c[0] + 1
 
     @wp.func
-    def cell(g: Cells, number: wp.int32) -> whole:
+    def cell(g: Grid, number: wp.int32) -> whole:
         """Return the indices of the cell with the given number; this is the inverse of `at`."""
         across = g.n[0] + 2
         if wp.static(of.dimensions == 2):
@@ -227,7 +227,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
         return c
 
     @wp.func
-    def on_grid(g: Cells, c: whole) -> wp.bool:
+    def on_grid(g: Grid, c: whole) -> wp.bool:
         """Return whether a face or edge with the indices `c` exists; a periodic grid lacks those at its upper end."""
         found = c[last] >= 0 and c[last] <= g.n[last] - wp.static(1 if of.periodic else 0)
         for b in range(last):
@@ -236,7 +236,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
         return found
 
     @wp.func
-    def reached(g: Cells, c: whole) -> wp.bool:
+    def reached(g: Grid, c: whole) -> wp.bool:
         """Return whether a face or edge with the indices `c` exists, if a periodic grid continues without end."""
         found = wp.bool(True)
         for b in range(wp.static(last if of.periodic else dims)):
@@ -245,7 +245,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
         return found
 
     @wp.func
-    def in_grid(g: Cells, c: whole) -> wp.bool:
+    def in_grid(g: Grid, c: whole) -> wp.bool:
         """Return whether the cell lies inside the grid, rather than in its frame."""
         found = wp.bool(True)
         for b in range(dims):
@@ -254,7 +254,7 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
         return found
 
     @wp.func
-    def face_middle(g: Cells, c: whole, axis: wp.int32) -> vec:
+    def face_middle(g: Grid, c: whole, axis: wp.int32) -> vec:
         """Return the position of a face's centre [m]."""
         x = vec()
         for b in range(dims):
@@ -262,21 +262,21 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
         return x
 
     @wp.func
-    def side_weight(g: Cells, c: whole) -> scalar:
+    def side_weight(g: Grid, c: whole) -> scalar:
         """Return the radius of a cell's inner side about the axis of symmetry [m], or 1 without such an axis."""
         if wp.static(of.axial):
             return scalar(c[0]) * g.width[0]
         return scalar(1.0)
 
     @wp.func
-    def cell_weight(g: Cells, c: whole) -> scalar:
+    def cell_weight(g: Grid, c: whole) -> scalar:
         """Return the radius of a cell's centre about the axis of symmetry [m], or 1 without such an axis."""
         if wp.static(of.axial):
             return (scalar(c[0]) + scalar(0.5)) * g.width[0]
         return scalar(1.0)
 
     @wp.func
-    def block(g: Cells) -> scalar:
+    def block(g: Grid) -> scalar:
         """Return the product of a cell's widths, which times `cell_weight` is its volume."""
         if wp.static(of.dimensions == 2):
             return g.width[0] * g.width[1]
@@ -284,15 +284,15 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
             return g.width[0] * g.width[1] * g.width[2]
 
     @wp.func
-    def cell_volume(g: Cells, c: whole) -> scalar:
+    def cell_volume(g: Grid, c: whole) -> scalar:
         return cell_weight(g, c) * block(g)
 
     @wp.func
-    def face_area(g: Cells, c: whole, axis: wp.int32) -> scalar:
+    def face_area(g: Grid, c: whole, axis: wp.int32) -> scalar:
         return wp.where(axis == 0, side_weight(g, c), cell_weight(g, c)) * block(g) / g.width[axis]
 
     @wp.func
-    def cell_of(g: Cells, x: vec) -> wp.int32:
+    def cell_of(g: Grid, x: vec) -> wp.int32:
         """Return the number of the cell that contains `x`, or of the nearest cell."""
         c = whole()
         for b in range(dims):
@@ -307,41 +307,41 @@ def place_functions(scalar, of: Kind) -> SimpleNamespace:
 
 
 @functools.cache
-def grid_functions(scalar, of: Kind) -> SimpleNamespace:
+def grid_functions(scalar, of: GridKind) -> SimpleNamespace:
     """Build all functions of `place_functions`, and functions for open areas, shear rates and wall velocities."""
     dims = of.dimensions
     t = mps_types(scalar, dims)
     whole, vec = t.whole, t.vec
     vec3 = types(scalar).vec3
-    Cells = cells_struct(scalar, dims)
+    Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
-    Mesh, Walls, Geometry = structs.Mesh, structs.Walls, structs.Geometry
+    Fields, Walls, Geometry = structs.Fields, structs.Walls, structs.Geometry
     places = place_functions(scalar, of)
     at, moved, side_weight, cell_weight, block = (
         places.at, places.moved, places.side_weight, places.cell_weight, places.block,
     )  # fmt: skip
 
     @wp.func
-    def open_area(g: Cells, geometry: Geometry, c: whole, axis: wp.int32) -> scalar:
+    def open_area(g: Grid, geometry: Geometry, c: whole, axis: wp.int32) -> scalar:
         """Return the area of a face through which concrete can flow."""
         if wp.static(of.cut):
             return places.face_area(g, c, axis) * geometry.part[at(g, c) + axis * g.slots]
         return places.face_area(g, c, axis)
 
     @wp.func
-    def unknown(kind: wp.int32) -> wp.bool:
+    def is_unknown(kind: wp.int32) -> wp.bool:
         """Return whether the velocity of a face is an unknown of the viscous solve."""
         if wp.static(of.cut):
             return wp.where(kind == LIQUID, True, kind == GHOST)
         return kind == LIQUID
 
     @wp.func
-    def sheared(kind: wp.int32) -> wp.bool:
+    def has_velocity(kind: wp.int32) -> wp.bool:
         """Return whether a face has a velocity that enters the rates of shear and stretch."""
-        return unknown(kind) or kind == FIXED
+        return is_unknown(kind) or kind == FIXED
 
     @wp.func
-    def wetness(g: Cells, mesh: Mesh, geometry: Geometry, c: whole, pair: wp.int32) -> scalar:
+    def wetness(g: Grid, mesh: Fields, geometry: Geometry, c: whole, pair: wp.int32) -> scalar:
         """Return the part of the volume around an edge that concrete fills."""
         a = wp.where(pair == 2, 1, 0)
         b = wp.where(pair == 0, 1, 2)
@@ -349,13 +349,13 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
         for n in range(4):
             o = at(g, moved(moved(c, a, -(n % 2)), b, -(n / 2)))
             if wp.static(of.cut):
-                sum += mesh.fill[o] * geometry.nook[(o * wp.static(of.pairs) + pair) * 4 + n]
+                sum += mesh.fill[o] * geometry.quarter_fraction[(o * wp.static(of.pairs) + pair) * 4 + n]
             else:
                 sum += mesh.fill[o]
         return scalar(0.25) * sum
 
     @wp.func
-    def shear(g: Cells, mesh: Mesh, geometry: Geometry, c: whole, pair: wp.int32):
+    def shear(g: Grid, mesh: Fields, geometry: Geometry, c: whole, pair: wp.int32):
         """Return the shear rate at an edge [1/s] and the volume of concrete that belongs to it; both 0 in the air."""
         a = wp.where(pair == 2, 1, 0)
         b = wp.where(pair == 0, 1, 2)
@@ -363,14 +363,19 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
         rate = scalar(0.0)
         volume = scalar(0.0)
         u0, u1, w0, w1 = below + a * g.slots, here + a * g.slots, left + b * g.slots, here + b * g.slots
-        if sheared(mesh.kind[u0]) and sheared(mesh.kind[u1]) and sheared(mesh.kind[w0]) and sheared(mesh.kind[w1]):
+        if (
+            has_velocity(mesh.kind[u0])
+            and has_velocity(mesh.kind[u1])
+            and has_velocity(mesh.kind[w0])
+            and has_velocity(mesh.kind[w1])
+        ):
             rate = (mesh.velocity[u1] - mesh.velocity[u0]) / g.width[b]
             rate += (mesh.velocity[w1] - mesh.velocity[w0]) / g.width[a]
             volume = wetness(g, mesh, geometry, c, pair) * side_weight(g, c) * block(g)
         return rate, volume
 
     @wp.func
-    def stretch(g: Cells, mesh: Mesh, c: whole) -> vec3:
+    def stretch(g: Grid, mesh: Fields, c: whole) -> vec3:
         """Return the stretch rates of a cell along its axes [1/s].
 
         With an axis of symmetry the third component is the stretch rate in the circumferential direction.
@@ -381,7 +386,7 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
             r = here + axis * g.slots
             s = at(g, moved(c, axis, 1)) + axis * g.slots
             if wp.static(of.cut):
-                both = sheared(mesh.kind[r]) and sheared(mesh.kind[s])
+                both = has_velocity(mesh.kind[r]) and has_velocity(mesh.kind[s])
                 if both:
                     rates[axis] = (mesh.velocity[s] - mesh.velocity[r]) / g.width[axis]
             else:
@@ -390,10 +395,10 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
             right = at(g, moved(c, 0, 1))
             sum = mesh.velocity[here] + mesh.velocity[right]
             if wp.static(of.cut):
-                if not sheared(mesh.kind[here]):
+                if not has_velocity(mesh.kind[here]):
                     sum = scalar(2.0) * mesh.velocity[right]
-                if not sheared(mesh.kind[right]):
-                    sum = wp.where(sheared(mesh.kind[here]), scalar(2.0) * mesh.velocity[here], scalar(0.0))
+                if not has_velocity(mesh.kind[right]):
+                    sum = wp.where(has_velocity(mesh.kind[here]), scalar(2.0) * mesh.velocity[here], scalar(0.0))
             rates[2] = scalar(0.5) * sum / cell_weight(g, c)
         return rates
 
@@ -408,6 +413,6 @@ def grid_functions(scalar, of: Kind) -> SimpleNamespace:
             return walls.velocity[wall][axis] + wp.cross(w, d)[axis]
 
     return SimpleNamespace(
-        **vars(places), open_area=open_area, unknown=unknown, sheared=sheared, wetness=wetness,
+        **vars(places), open_area=open_area, is_unknown=is_unknown, has_velocity=has_velocity, wetness=wetness,
         shear=shear, stretch=stretch, wall_speed=wall_speed,
     )  # fmt: skip

@@ -7,7 +7,7 @@ import warp as wp
 
 from ...common.control import HALTED
 from ..structs import mps_types
-from .cells import OPEN, Kind, cells_struct, grid_functions, grid_structs
+from .cells import OPEN, GridKind, grid_functions, grid_parameters_struct, grid_structs
 
 WET = wp.constant(0.02)
 """Fill fraction of a cell above which its concrete can flow. With a smaller value, free surfaces at rest that coincide
@@ -15,42 +15,42 @@ with the sides of cells would not stay at rest (1 mm/s in a fluid of 10 Pa s).""
 
 
 @functools.cache
-def level_functions(scalar, of: Kind) -> SimpleNamespace:
-    """Build functions that convert the density of particles at a cell's centre (`crowd`) to the cell's fill fraction.
+def level_functions(scalar, of: GridKind) -> SimpleNamespace:
+    """Build functions that convert `particle_density` at a cell's centre to the cell's fill fraction.
 
     `level` does so at a free surface, and `lies` for a film of concrete that lies on a wall. `film` decides between
     them. `behind` corrects the density beside walls.
     """
     dims = of.dimensions
-    Cells = cells_struct(scalar, dims)
-    Mesh = grid_structs(scalar, dims).Mesh
+    Grid = grid_parameters_struct(scalar, dims)
+    Fields = grid_structs(scalar, dims).Fields
     f = grid_functions(scalar, of)
     t = mps_types(scalar, dims)
     vec, whole = t.vec, t.whole
     corners = 2**dims
 
     @wp.func
-    def level(crowd: scalar) -> scalar:
+    def level(particle_density: scalar) -> scalar:
         """Return the height of a flat free surface in a cell, from 0 at the bottom to 1 at the top.
 
-        `crowd` is the density of particles at the cell's centre, weighted linearly with the distance from it.
+        `particle_density` is the value at the cell's centre, weighted linearly with the distance from it.
         """
         # With a linear weight of the particles, a surface at height h < 1/2, below the centre, gives a density of
         # (h + 1/2)^2 / 2, and a surface above the centre gives 1 - (3/2 - h)^2 / 2. Solve for h.
-        if crowd < scalar(0.5):
-            return wp.sqrt(scalar(2.0) * crowd) - scalar(0.5)
-        return scalar(1.5) - wp.sqrt(wp.max(scalar(2.0) * (scalar(1.0) - crowd), scalar(0.0)))
+        if particle_density < scalar(0.5):
+            return wp.sqrt(scalar(2.0) * particle_density) - scalar(0.5)
+        return scalar(1.5) - wp.sqrt(wp.max(scalar(2.0) * (scalar(1.0) - particle_density), scalar(0.0)))
 
     @wp.func
-    def lies(crowd: scalar) -> scalar:
+    def lies(particle_density: scalar) -> scalar:
         """Return the height of a free surface of concrete that lies on a wall, from 0 at the wall to 1 at the top.
 
         Up to half the cell's height, this height equals the density of particles at the cell's centre.
         """
-        return wp.where(crowd < scalar(0.5), crowd, level(crowd))
+        return wp.where(particle_density < scalar(0.5), particle_density, level(particle_density))
 
     @wp.func
-    def film(mesh: Mesh, g: Cells, c: whole) -> wp.bool:
+    def film(mesh: Fields, g: Grid, c: whole) -> wp.bool:
         """Return whether the concrete in a cell is a thin film on a wall.
 
         This is so if there is a wall on one side of the cell, no particle in the cell on the opposite side, and no
@@ -68,7 +68,7 @@ def level_functions(scalar, of: Kind) -> SimpleNamespace:
         return found
 
     @wp.func
-    def behind(g: Cells, mesh: Mesh, c: whole, d: vec) -> scalar:
+    def behind(g: Grid, mesh: Fields, c: whole, d: vec) -> scalar:
         """Return the share of a particle's weight that would fall on neighbouring wall cells.
 
         This share is added to the weight in the particle's own cell. Otherwise concrete that lies on a wall would have
@@ -95,16 +95,16 @@ def level_functions(scalar, of: Kind) -> SimpleNamespace:
 
 
 @functools.cache
-def fill_kernel(scalar, of: Kind):
+def fill_kernel(scalar, of: GridKind):
     """Build the kernel that computes the fill fraction of each cell, with one task per cell.
 
     The fill fraction follows from the density of particles around the cell's centre. It is exact for a flat free
     surface parallel to the cells' sides, and it does not depend on how the particles inside the concrete are arranged.
     """
     dims = of.dimensions
-    Cells = cells_struct(scalar, dims)
+    Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
-    Particles, Mesh, Geometry = structs.Particles, structs.Mesh, structs.Geometry
+    Particles, Fields, Geometry = structs.Particles, structs.Fields, structs.Geometry
     f = grid_functions(scalar, of)
     t = mps_types(scalar, dims)
     vec, whole = t.vec, t.whole
@@ -113,7 +113,7 @@ def fill_kernel(scalar, of: Kind):
     level, lies, film, behind = say.level, say.lies, say.film, say.behind
 
     @wp.kernel(enable_backward=False, module="unique")
-    def fill(g: Cells, flags: wp.array(dtype=wp.int32), particles: Particles, geometry: Geometry, mesh: Mesh):
+    def fill(g: Grid, flags: wp.array(dtype=wp.int32), particles: Particles, geometry: Geometry, mesh: Fields):
         if flags[HALTED] != 0:
             return
         number = wp.tid()
@@ -121,7 +121,7 @@ def fill_kernel(scalar, of: Kind):
         if not f.in_grid(g, c):
             return
         part = scalar(0.0)
-        crowd = scalar(1.0)
+        particle_density = scalar(1.0)
         if mesh.solid[number] == OPEN:
             place = vec()
             for b in range(dims):
@@ -136,7 +136,7 @@ def fill_kernel(scalar, of: Kind):
                 if f.in_grid(g, o):
                     other = f.at(g, o)
                     for k in range(mesh.count[other]):
-                        p = mesh.bin[mesh.begin[other] + k]
+                        p = mesh.sorted_particles[mesh.begin[other] + k]
                         d = particles.position[p] - place
                         near = scalar(1.0)
                         for b in range(dims):
@@ -144,9 +144,11 @@ def fill_kernel(scalar, of: Kind):
                         if n == wp.static(around // 2):
                             near += behind(g, mesh, c, d)
                         sum += near * particles.mass[p]
-            crowd = sum * g.volume / geometry.hold[number]
-            part = wp.clamp(wp.where(film(mesh, g, c), lies(crowd), level(crowd)), scalar(0.0), scalar(1.0))
-        mesh.crowd[number] = crowd
+            particle_density = sum * g.volume / geometry.weighted_volume[number]
+            part = wp.clamp(
+                wp.where(film(mesh, g, c), lies(particle_density), level(particle_density)), scalar(0.0), scalar(1.0)
+            )
+        mesh.particle_density[number] = particle_density
         mesh.fill[number] = part
         mesh.liquid[number] = wp.where(part > scalar(WET), 1, 0)
 

@@ -13,8 +13,8 @@ import warp as wp
 from ...common.control import HALTED
 from ..structs import array_structs, mps_types, row_place
 from .bingham import bingham_functions
-from .cells import DT, FORCE, LIQUID, Kind, cells_struct, grid_functions, grid_structs
-from .structure import grown_function
+from .cells import DT, FORCE, LIQUID, GridKind, grid_functions, grid_parameters_struct, grid_structs
+from .structure import with_gain_function
 
 STIFFENING = wp.constant(2.0)
 """Factor on the change of the logarithm of a viscosity in a step, for unyielded concrete in flows with a free
@@ -22,13 +22,13 @@ surface; 1 would be the whole change."""
 
 
 @functools.cache
-def relaxing_function(scalar, of: Kind):
-    """Build `relaxed`, which moves a viscosity from its previous value towards the value at the present rate."""
-    Cells = cells_struct(scalar, of.dimensions)
+def relaxed_viscosity_function(scalar, of: GridKind):
+    """Build `relaxed_viscosity`, which moves a viscosity from its previous value towards that at the present rate."""
+    Grid = grid_parameters_struct(scalar, of.dimensions)
     law = bingham_functions(scalar, of.dimensions)
 
     @wp.func
-    def relaxed(g: Cells, before: scalar, now: scalar, rate: scalar) -> scalar:
+    def relaxed_viscosity(g: Grid, before: scalar, now: scalar, rate: scalar) -> scalar:
         """Return a viscosity between the previous value `before` and the value `now` at the present shear rate.
 
         Normally this is the geometric mean of both. With `now` itself, a plug that ends less than a cell from the wall
@@ -43,31 +43,31 @@ def relaxing_function(scalar, of: Kind):
             if wp.static(not of.periodic):
                 if now > before and before * rate < g.yield_stress:
                     ahead = wp.pow(now / before, scalar(STIFFENING))
-                    return wp.min(before * ahead, law.unyielded(g))
+                    return wp.min(before * ahead, law.unyielded_viscosity(g))
                 if now < before:
                     return now
             return wp.sqrt(before * now)
         return now
 
-    return relaxed
+    return relaxed_viscosity
 
 
 @functools.cache
-def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
+def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels `rates` and `viscosity`, which compute the apparent viscosity of cells and then of edges.
 
     Both use the magnitude of the whole strain rate tensor. Components that are defined elsewhere on the staggered grid
     are averaged over the four nearest places.
     """
     dims, pairs = of.dimensions, of.pairs
-    Cells = cells_struct(scalar, dims)
+    Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
-    Mesh, Geometry = structs.Mesh, structs.Geometry
+    Fields, Geometry = structs.Fields, structs.Geometry
     whole = mps_types(scalar, dims).whole
     f = grid_functions(scalar, of)
     law = bingham_functions(scalar, dims)
-    relaxed = relaxing_function(scalar, of)
-    grown = grown_function(scalar, dims)
+    relaxed_viscosity = relaxed_viscosity_function(scalar, of)
+    with_gain = with_gain_function(scalar, dims)
 
     @wp.func
     def first(pair: wp.int32) -> wp.int32:
@@ -78,7 +78,7 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
         return wp.where(pair == 0, 1, 2)
 
     @wp.func
-    def change(g: Cells, mesh: Mesh, c: whole, axis: wp.int32) -> scalar:
+    def change(g: Grid, mesh: Fields, c: whole, axis: wp.int32) -> scalar:
         """Return the change of the shear stress at a corner over one cell along an axis, in two dimensions.
 
         The stress is smoothed across that axis, so that oscillations from cell to cell do not amplify themselves.
@@ -91,7 +91,7 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
         return scalar(0.5) * wp.abs(sum)
 
     @wp.func
-    def around(g: Cells, mesh: Mesh, geometry: Geometry, c: whole, pair: wp.int32) -> scalar:
+    def around(g: Grid, mesh: Fields, geometry: Geometry, c: whole, pair: wp.int32) -> scalar:
         """Return the mean square of the shear rates at a cell's edges in concrete, for one pair of axes [1/s2]."""
         sum = scalar(0.0)
         count = scalar(0.0)
@@ -104,7 +104,7 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
         return sum / wp.max(count, scalar(1.0))
 
     @wp.kernel(enable_backward=False, module="unique")
-    def rates(g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh):
+    def rates(g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields):
         if flags[HALTED] != 0:
             return
         number = wp.tid()
@@ -113,24 +113,26 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
             return
         square = scalar(2.0) * wp.length_sq(f.stretch(g, mesh, c))
         if wp.static(of.dimensions == 2):
-            mesh.besides[number] = square
+            mesh.strain_without_pair[number] = square
             square += around(g, mesh, geometry, c, 0)
         else:
             first_pair, second_pair, third = (
                 around(g, mesh, geometry, c, 0), around(g, mesh, geometry, c, 1), around(g, mesh, geometry, c, 2),
             )  # fmt: skip
-            mesh.besides[number] = square + second_pair + third
-            mesh.besides[number + g.slots] = square + first_pair + third
-            mesh.besides[number + 2 * g.slots] = square + first_pair + second_pair
+            mesh.strain_without_pair[number] = square + second_pair + third
+            mesh.strain_without_pair[number + g.slots] = square + first_pair + third
+            mesh.strain_without_pair[number + 2 * g.slots] = square + first_pair + second_pair
             square += first_pair + second_pair + third
         mesh.strain[number] = square
         own = g
         if wp.static(of.thixotropic):
-            own = grown(g, mesh.gained[number])
-        mesh.in_cell[number] = relaxed(g, mesh.in_cell[number], law.apparent(own, wp.sqrt(square)), wp.sqrt(square))
+            own = with_gain(g, mesh.gained[number])
+        mesh.in_cell[number] = relaxed_viscosity(
+            g, mesh.in_cell[number], law.apparent(own, wp.sqrt(square)), wp.sqrt(square)
+        )
 
     @wp.kernel(enable_backward=False, module="unique")
-    def viscosity(g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh):
+    def viscosity(g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields):
         if flags[HALTED] != 0:
             return
         number = wp.tid()
@@ -147,98 +149,100 @@ def viscosity_kernels(scalar, of: Kind) -> SimpleNamespace:
                 for n in range(4):
                     o = f.at(g, f.moved(f.moved(c, first(pair), -(n % 2)), second(pair), -(n / 2)))
                     if mesh.liquid[o] != 0:
-                        sum += mesh.besides[o + pair * g.slots]
+                        sum += mesh.strain_without_pair[o + pair * g.slots]
                         if wp.static(of.thixotropic):
                             gained += mesh.gained[o]
                         count += scalar(1.0)
                 own = g
                 if wp.static(of.thixotropic):
-                    own = grown(g, gained / wp.max(count, scalar(1.0)))
+                    own = with_gain(g, gained / wp.max(count, scalar(1.0)))
                 total = wp.sqrt(rate * rate + sum / wp.max(count, scalar(1.0)))
                 # The correction for the edge of a plug is used in full pipes only. Beside a free surface the stress
                 # varies along both axes, and it contains noise from the particles.
                 most = scalar(0.0)
                 if wp.static(of.periodic and not of.cut):
                     most = wp.max(change(g, mesh, c, 1), change(g, mesh, c, 0))
-                mesh.in_corner[place] = relaxed(g, mesh.in_corner[place], law.apparent_at_edge(own, total, most), total)
+                mesh.in_corner[place] = relaxed_viscosity(
+                    g, mesh.in_corner[place], law.apparent_at_edge(own, total, most), total
+                )
 
     return SimpleNamespace(rates=rates, viscosity=viscosity)
 
 
 @functools.cache
-def rubbing_function(scalar, of: Kind):
-    """Build `rubbed`, the friction of a wall that passes between a face and the next face along an axis.
+def friction_function(scalar, of: GridKind):
+    """Build `wall_friction`, the friction of a wall that passes between a face and the next face along an axis.
 
     It returns the force that slows the face, the derivative of that force with respect to the face's velocity, and the
     matrix coefficient of the next face.
     """
     dims = of.dimensions
-    Cells = cells_struct(scalar, dims)
-    Mesh = grid_structs(scalar, dims).Mesh
+    Grid = grid_parameters_struct(scalar, dims)
+    Fields = grid_structs(scalar, dims).Fields
     whole = mps_types(scalar, dims).whole
     f = grid_functions(scalar, of)
 
     @wp.func
-    def rubbed(g: Cells, mesh: Mesh, c: whole, axis: wp.int32, b: wp.int32, side: wp.int32):
+    def wall_friction(g: Grid, mesh: Fields, c: whole, axis: wp.int32, b: wp.int32, side: wp.int32):
         force = scalar(0.0)
-        growth = scalar(0.0)
+        traction_slope = scalar(0.0)
         coefficient = scalar(0.0)
         lower = f.moved(c, b, side - 1)
         around = b == wp.static(dims - 1 if of.periodic else -1)
         if around or (lower[b] >= -1 and lower[b] < g.n[b]):
             k = (axis * dims + b) * g.slots + f.at(g, lower)
-            grip = mesh.grip[k]
-            if grip > scalar(0.0):
-                share = wp.where(side == 0, mesh.lean[k], scalar(1.0) - mesh.lean[k])
-                force = share * mesh.pull[k]
-                growth = share * share * grip
-                coefficient = -share * (scalar(1.0) - share) * grip
-        return force, growth, coefficient
+            wall_stiffness = mesh.wall_stiffness[k]
+            if wall_stiffness > scalar(0.0):
+                share = wp.where(side == 0, mesh.wall_weight[k], scalar(1.0) - mesh.wall_weight[k])
+                force = share * mesh.wall_force[k]
+                traction_slope = share * share * wall_stiffness
+                coefficient = -share * (scalar(1.0) - share) * wall_stiffness
+        return force, traction_slope, coefficient
 
-    return rubbed
+    return wall_friction
 
 
 @functools.cache
-def entering_function(scalar, serial: bool, of: Kind):
-    """Build `put`, which adds a neighbour to a matrix row if it is unknown, and returns the new number of entries."""
-    Mesh = grid_structs(scalar, of.dimensions).Mesh
+def store_coefficient_function(scalar, serial: bool, of: GridKind):
+    """Build `store_coefficient`, which adds a neighbour to a matrix row if it is unknown, and returns the new count."""
+    Fields = grid_structs(scalar, of.dimensions).Fields
     Matrix = array_structs(scalar, 2).Matrix
     f = grid_functions(scalar, of)
     entry = row_place(serial)
 
     @wp.func
-    def put(
-        mesh: Mesh, matrix: Matrix, rows: wp.int32, r: wp.int32, count: wp.int32, near: wp.int32, c: scalar
+    def store_coefficient(
+        mesh: Fields, matrix: Matrix, rows: wp.int32, r: wp.int32, count: wp.int32, near: wp.int32, c: scalar
     ) -> wp.int32:
-        if not f.unknown(mesh.kind[near]):
+        if not f.is_unknown(mesh.kind[near]):
             return count
         place = entry(r, count, rows, matrix.near_capacity)
         matrix.near[place] = near
         matrix.coefficient[place] = c
         return count + 1
 
-    return put
+    return store_coefficient
 
 
 @functools.cache
-def momentum_kernel(scalar, serial: bool, of: Kind):
+def momentum_kernel(scalar, serial: bool, of: GridKind):
     """Build the kernel that computes forces on faces at the known velocities, and the matrix of their implicit change.
 
     The matrix has a row for each face. The kernel runs with one task per cell.
     """
     dims = of.dimensions
-    Cells = cells_struct(scalar, dims)
+    Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
-    Mesh, Geometry = structs.Mesh, structs.Geometry
+    Fields, Geometry = structs.Fields, structs.Geometry
     solves = array_structs(scalar, 2)
     Matrix, Solve = solves.Matrix, solves.NumberSolve
     f = grid_functions(scalar, of)
-    put = entering_function(scalar, serial, of)
-    rubbed = rubbing_function(scalar, of)
+    store_coefficient = store_coefficient_function(scalar, serial, of)
+    wall_friction = friction_function(scalar, of)
 
     @wp.kernel(enable_backward=False, module="unique")
     def momentum(
-        g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh, matrix: Matrix, viscous: Solve
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, matrix: Matrix, viscous: Solve
     ):
         if flags[HALTED] != 0:
             return
@@ -260,8 +264,8 @@ def momentum_kernel(scalar, serial: bool, of: Kind):
             force = scalar(0.0)
             kind = mesh.kind[r]
             # Ghost faces inside a wall at the grid's boundary lie one cell outside the grid.
-            unknown = (within or wp.static(of.cut)) and f.unknown(kind)
-            if unknown:
+            is_unknown = (within or wp.static(of.cut)) and f.is_unknown(kind)
+            if is_unknown:
                 volume = mesh.volume[r]
                 mesh.start[r] = mesh.velocity[r]
                 low = f.at(g, f.moved(c, axis, -1))
@@ -278,7 +282,7 @@ def momentum_kernel(scalar, serial: bool, of: Kind):
                         next = f.at(g, f.moved(c, b, 2 * side - 1)) + axis * g.slots
                         other = scalar(0.0)
                         if wp.static(of.cut):
-                            slowed, grows, coupled = rubbed(g, mesh, c, axis, b, side)
+                            slowed, grows, coupled = wall_friction(g, mesh, c, axis, b, side)
                             force -= slowed
                             diagonal += grows
                             other = coupled
@@ -293,14 +297,14 @@ def momentum_kernel(scalar, serial: bool, of: Kind):
                                     both *= geometry.room[o]
                                 rates = f.stretch(g, mesh, cell)
                                 own = scalar(0.0)
-                                if f.sheared(mesh.kind[next]):
+                                if f.has_velocity(mesh.kind[next]):
                                     force -= both * way * rates[axis] / along
                                     own = both / (along * along)
                                     other += own
                                 if wp.static(of.axial):
                                     if axis == 0:
                                         half = scalar(0.5) / f.cell_weight(g, cell)
-                                        if not f.sheared(mesh.kind[next]):
+                                        if not f.has_velocity(mesh.kind[next]):
                                             half = scalar(2.0) * half
                                         else:
                                             other -= both * half * half
@@ -322,16 +326,16 @@ def momentum_kernel(scalar, serial: bool, of: Kind):
                                 other += own
                                 cross = way * both / (across * g.width[axis])
                                 other_axis = b * g.slots
-                                count = put(mesh, matrix, rows, r, count, e + other_axis, -cross)
+                                count = store_coefficient(mesh, matrix, rows, r, count, e + other_axis, -cross)
                                 behind = f.at(g, f.moved(edge, axis, -1)) + other_axis
-                                count = put(mesh, matrix, rows, r, count, behind, cross)
+                                count = store_coefficient(mesh, matrix, rows, r, count, behind, cross)
                         if other != scalar(0.0):
-                            count = put(mesh, matrix, rows, r, count, next, other)
+                            count = store_coefficient(mesh, matrix, rows, r, count, next, other)
                 if wp.static(not of.cut):
-                    area = scalar(0.5) * (mesh.fill[low] + mesh.fill[number]) * mesh.rubbed[r]
+                    area = scalar(0.5) * (mesh.fill[low] + mesh.fill[number]) * mesh.wall_area[r]
                     force -= area * mesh.traction[r]
-                    diagonal += area * mesh.growth[r]
-            matrix.free[r] = wp.where(unknown, 0, 1)
+                    diagonal += area * mesh.traction_slope[r]
+            matrix.free[r] = wp.where(is_unknown, 0, 1)
             matrix.near_count[r] = count
             matrix.diagonal[r] = diagonal
             viscous.residual[r] = force

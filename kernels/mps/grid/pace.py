@@ -15,17 +15,17 @@ from ...common.reductions import BLOCK, keep, total
 from ..structs import LOST
 from .cells import (
     BEFORE,
+    CELLS_PER_SECOND,
     DT,
     LAST,
     LIQUID,
     NOW,
     RATE,
     SPEED,
-    SWIFT,
     UNTIL,
     WANTED,
-    Kind,
-    cells_struct,
+    GridKind,
+    grid_parameters_struct,
     grid_structs,
 )
 
@@ -51,17 +51,17 @@ class Pace:
 
 
 @functools.cache
-def speed_kernels(scalar, of: Kind) -> SimpleNamespace:
+def speed_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels that measure the speed of the concrete.
 
     They are `speeds` for a CPU, and `sums` followed by `speeds_of_sums` for a GPU.
     """
     dims = of.dimensions
-    Cells = cells_struct(scalar, dims)
-    Mesh = grid_structs(scalar, dims).Mesh
+    Grid = grid_parameters_struct(scalar, dims)
+    Fields = grid_structs(scalar, dims).Fields
 
     @wp.func
-    def swift(g: Cells, mesh: Mesh, r: wp.int32) -> wp.float64:
+    def cells_per_second(g: Grid, mesh: Fields, r: wp.int32) -> wp.float64:
         """Return the number of cells that the concrete at a face crosses per second."""
         axis = r / g.slots
         speed = mesh.velocity[r]
@@ -71,7 +71,7 @@ def speed_kernels(scalar, of: Kind) -> SimpleNamespace:
         return wp.float64(wp.abs(speed) / g.width[axis])
 
     @wp.kernel(enable_backward=False, module="unique")
-    def speeds(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
+    def speeds(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields):
         """Compute the rms speed and the largest number of cells crossed per second, in one task."""
         if flags[HALTED] != 0:
             return
@@ -83,12 +83,12 @@ def speed_kernels(scalar, of: Kind) -> SimpleNamespace:
                 u = wp.float64(mesh.velocity[r])
                 square += wp.float64(mesh.volume[r]) * u * u
                 volume += wp.float64(mesh.volume[r])
-                most = wp.max(most, swift(g, mesh, r))
+                most = wp.max(most, cells_per_second(g, mesh, r))
         mesh.clock[SPEED] = wp.sqrt(square / wp.max(volume, wp.float64(1.0e-30)))
-        mesh.clock[SWIFT] = most
+        mesh.clock[CELLS_PER_SECOND] = most
 
     @wp.kernel(enable_backward=False, module="unique")
-    def sums(g: Cells, blocks: wp.int32, mesh: Mesh, partial: wp.array(dtype=wp.float64)):
+    def sums(g: Grid, blocks: wp.int32, mesh: Fields, partial: wp.array(dtype=wp.float64)):
         """Compute partial sums and maxima of the speeds of all faces, in whole blocks with one thread per face."""
         r = wp.tid()
         square = wp.float64(0.0)
@@ -99,7 +99,7 @@ def speed_kernels(scalar, of: Kind) -> SimpleNamespace:
                 u = wp.float64(mesh.velocity[r])
                 volume = wp.float64(mesh.volume[r])
                 square = volume * u * u
-                most = swift(g, mesh, r)
+                most = cells_per_second(g, mesh, r)
         keep(r, partial, 0, square)
         keep(r, partial, blocks, volume)
         highest = wp.tile_max(wp.tile(most))
@@ -109,7 +109,7 @@ def speed_kernels(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def speeds_of_sums(
-        blocks: wp.int32, flags: wp.array(dtype=wp.int32), partial: wp.array(dtype=wp.float64), mesh: Mesh
+        blocks: wp.int32, flags: wp.array(dtype=wp.int32), partial: wp.array(dtype=wp.float64), mesh: Fields
     ):
         """Combine the results of `sums` into the rms speed and the largest number of cells crossed, in one block."""
         thread = wp.tid()
@@ -122,15 +122,15 @@ def speed_kernels(scalar, of: Kind) -> SimpleNamespace:
         most = highest[0]
         if thread == 0 and flags[HALTED] == 0:
             mesh.clock[SPEED] = wp.sqrt(square / wp.max(volume, wp.float64(1.0e-30)))
-            mesh.clock[SWIFT] = most
+            mesh.clock[CELLS_PER_SECOND] = most
 
     return SimpleNamespace(speeds=speeds, sums=sums, speeds_of_sums=speeds_of_sums)
 
 
 @functools.cache
-def clock_kernels(scalar, of: Kind) -> SimpleNamespace:
+def clock_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels `begin`, which sets a goal for the flow, and `tick`, which ends each step."""
-    Mesh = grid_structs(scalar, of.dimensions).Mesh
+    Fields = grid_structs(scalar, of.dimensions).Fields
 
     @wp.func
     def fit(
@@ -166,14 +166,14 @@ def clock_kernels(scalar, of: Kind) -> SimpleNamespace:
             longer = wp.min(factor * dt, longest)
         clock[RATE] = (clock[SPEED] - clock[BEFORE]) / dt
         clock[BEFORE] = clock[SPEED]
-        longer = wp.min(longer, COURANT / wp.max(clock[SWIFT], wp.float64(1.0e-30)))
+        longer = wp.min(longer, COURANT / wp.max(clock[CELLS_PER_SECOND], wp.float64(1.0e-30)))
         return wp.clamp(longer, LEAST * pace.longest, pace.longest)
 
     @wp.kernel(enable_backward=False, module="unique")
     def tick(
-        pace: Pace, late: wp.array(dtype=wp.int32), flags: wp.array(dtype=wp.int32), mesh: Mesh,
-        viscous_least: wp.array(dtype=wp.float64), pressure_least: wp.array(dtype=wp.float64),
-        crowding_least: wp.array(dtype=wp.float64),
+        pace: Pace, event_flags: wp.array(dtype=wp.int32), flags: wp.array(dtype=wp.int32), mesh: Fields,
+        viscosity_threshold: wp.array(dtype=wp.float64), pressure_threshold: wp.array(dtype=wp.float64),
+        dispersion_threshold: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         """Complete the step in one thread: advance the clock, choose the next step, and halt at the goal."""
         if flags[HALTED] != 0:
@@ -187,20 +187,20 @@ def clock_kernels(scalar, of: Kind) -> SimpleNamespace:
             if mesh.clock[UNTIL] - mesh.clock[NOW] < wp.float64(1.0e-9) * pace.longest:
                 flags[HALTED] = 1
             else:
-                fit(pace, mesh.clock, viscous_least, pressure_least, crowding_least)
+                fit(pace, mesh.clock, viscosity_threshold, pressure_threshold, dispersion_threshold)
         else:
             mesh.clock[NOW] = wp.float64(flags[STEPS]) * mesh.clock[DT]
         if flags[STEPS] >= flags[GOAL]:
             flags[HALTED] = 1
-        if late[1] != 0:
+        if event_flags[1] != 0:
             flags[FAILED] = LOST
             flags[HALTED] = 1
 
     @wp.kernel(enable_backward=False, module="unique")
     def begin(
-        until: wp.float64, goal: wp.int32, pace: Pace, flags: wp.array(dtype=wp.int32), mesh: Mesh,
-        viscous_least: wp.array(dtype=wp.float64), pressure_least: wp.array(dtype=wp.float64),
-        crowding_least: wp.array(dtype=wp.float64),
+        until: wp.float64, goal: wp.int32, pace: Pace, flags: wp.array(dtype=wp.int32), mesh: Fields,
+        viscosity_threshold: wp.array(dtype=wp.float64), pressure_threshold: wp.array(dtype=wp.float64),
+        dispersion_threshold: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         """Set the time or the step count at which the flow must halt, and let it continue, in one thread."""
         if flags[FAILED] != 0:
@@ -211,6 +211,6 @@ def clock_kernels(scalar, of: Kind) -> SimpleNamespace:
         if flags[STEPS] >= goal or until - mesh.clock[NOW] < wp.float64(1.0e-9) * pace.longest:
             flags[HALTED] = 1
         elif pace.error > wp.float64(0.0):
-            fit(pace, mesh.clock, viscous_least, pressure_least, crowding_least)
+            fit(pace, mesh.clock, viscosity_threshold, pressure_threshold, dispersion_threshold)
 
     return SimpleNamespace(tick=tick, begin=begin)

@@ -8,22 +8,34 @@ import warp as wp
 from ...common.control import HALTED
 from ...common.reductions import keep, total
 from ..structs import array_structs, mps_types, row_place
-from .cells import ACTED, DT, FORCE, LIQUID, OPEN, PUSH, ROUGH, Kind, cells_struct, grid_functions, grid_structs
+from .cells import (
+    DT,
+    FORCE,
+    LAST_FORCE,
+    LIQUID,
+    OPEN,
+    ROUGH,
+    VELOCITY_CORRECTION,
+    GridKind,
+    grid_functions,
+    grid_parameters_struct,
+    grid_structs,
+)
 
 CORRECTED = 0.1
 """Share of a cell's excess or lack of particles that one step corrects."""
 
 
 @functools.cache
-def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
+def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     """Build the kernels `divergence` and `project`, which run before and after the pressure solve.
 
     Both run with one task per cell.
     """
     dims = of.dimensions
-    Cells = cells_struct(scalar, dims)
+    Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
-    Mesh, Geometry, Walls = structs.Mesh, structs.Geometry, structs.Walls
+    Fields, Geometry, Walls = structs.Fields, structs.Geometry, structs.Walls
     solves = array_structs(scalar, 2)
     Matrix, Solve = solves.Matrix, solves.NumberSolve
     f = grid_functions(scalar, of)
@@ -31,7 +43,7 @@ def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def divergence(
-        g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, walls: Walls, mesh: Mesh, matrix: Matrix,
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, walls: Walls, mesh: Fields, matrix: Matrix,
         projection: Solve,
     ):  # fmt: skip
         """Compute the net volume flow into each cell, and the cell's row of the matrix for the pressure increment."""
@@ -72,7 +84,7 @@ def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
         projection.residual[number] = g.density / scalar(mesh.clock[DT]) * into
 
     @wp.kernel(enable_backward=False, module="unique")
-    def project(g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh):
+    def project(g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields):
         """Subtract the gradient of the pressure increment from the velocities, and update the pressure."""
         if flags[HALTED] != 0:
             return
@@ -85,7 +97,7 @@ def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
             kind = mesh.kind[r]
             # Update the stress of the walls to the velocity after the viscous solve.
             if wp.static(not of.cut) and kind == LIQUID:
-                mesh.traction[r] = mesh.traction[r] + mesh.growth[r] * (mesh.velocity[r] - mesh.start[r])
+                mesh.traction[r] = mesh.traction[r] + mesh.traction_slope[r] * (mesh.velocity[r] - mesh.start[r])
             if kind == LIQUID:
                 rise = mesh.increment[number] - mesh.increment[f.at(g, f.moved(c, axis, -1))]
                 ease = scalar(mesh.clock[DT]) / g.density * f.open_area(g, geometry, c, axis) / mesh.volume[r]
@@ -98,7 +110,7 @@ def pressure_kernels(scalar, serial: bool, of: Kind) -> SimpleNamespace:
 
 
 @functools.cache
-def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
+def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels `source` and `disperse`, which correct the density of particles.
 
     Particles slowly accumulate in some places and become sparse in others, because divergence-free velocities in the
@@ -107,15 +119,15 @@ def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
     kernel has one task per cell.
     """
     dims = of.dimensions
-    Cells = cells_struct(scalar, dims)
+    Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
-    Mesh, Geometry = structs.Mesh, structs.Geometry
+    Fields, Geometry = structs.Fields, structs.Geometry
     Solve = array_structs(scalar, 2).NumberSolve
     f = grid_functions(scalar, of)
     whole = mps_types(scalar, dims).whole
 
     @wp.func
-    def missing(g: Cells, mesh: Mesh, c: whole) -> scalar:
+    def missing(g: Grid, mesh: Fields, c: whole) -> scalar:
         """Return by how much a cell's particle density is below 1 because the cells around it are not full.
 
         Concrete in the cells around is taken to be spread evenly.
@@ -137,7 +149,7 @@ def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
         return sum
 
     @wp.kernel(enable_backward=False, module="unique")
-    def source(g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh, projection: Solve):
+    def source(g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, projection: Solve):
         if flags[HALTED] != 0:
             return
         number = wp.tid()
@@ -146,7 +158,7 @@ def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
         excess = scalar(0.0)
         dt = scalar(mesh.clock[DT])
         if mesh.liquid[number] != 0:
-            excess = mesh.crowd[number] - scalar(1.0)
+            excess = mesh.particle_density[number] - scalar(1.0)
             if excess < scalar(0.0):
                 # Near a free surface a lack of particles is normal. Only the part that exceeds the lack due to partly
                 # filled cells is corrected.
@@ -157,7 +169,7 @@ def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
         projection.residual[number] = g.density / dt * excess
 
     @wp.kernel(enable_backward=False, module="unique")
-    def disperse(g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh):
+    def disperse(g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields):
         if flags[HALTED] != 0:
             return
         number = wp.tid()
@@ -180,23 +192,23 @@ def crowd_kernels(scalar, of: Kind) -> SimpleNamespace:
 def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
     """Build the kernels that keep the mean velocity along a periodic pipe constant.
 
-    `lacking` (on a GPU `sums` and `lacking_of_sums`) computes the difference between the wanted and the present mean
-    velocity. `shove` adds this difference to all faces, which is equivalent to a uniform force. The next step starts
+    `deficit` (on a GPU `sums` and `deficit_of_sums`) computes the difference between the wanted and the present mean
+    velocity. `correct` adds this difference to all faces, which is equivalent to a uniform force. The next step starts
     with a driving force increased by this force and by the resulting increase of wall friction.
     """
-    Cells = cells_struct(scalar, dimensions)
-    Mesh = grid_structs(scalar, dimensions).Mesh
+    Grid = grid_parameters_struct(scalar, dimensions)
+    Fields = grid_structs(scalar, dimensions).Fields
 
     @wp.func
-    def book(g: Cells, clock: wp.array(dtype=wp.float64), drive: wp.array(dtype=wp.float64), mean: wp.float64):
+    def record_deficit(g: Grid, clock: wp.array(dtype=wp.float64), drive: wp.array(dtype=wp.float64), mean: wp.float64):
         lacks = wp.float64(g.frame) - mean
         inertia = wp.float64(g.density) / clock[DT]
-        drive[ACTED] = drive[FORCE] + inertia * lacks
+        drive[LAST_FORCE] = drive[FORCE] + inertia * lacks
         drive[FORCE] = drive[FORCE] + (inertia + g.resistance) * lacks
-        drive[PUSH] = lacks
+        drive[VELOCITY_CORRECTION] = lacks
 
     @wp.kernel(enable_backward=False, module="unique")
-    def lacking(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
+    def deficit(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields):
         """Compute the missing mean velocity and the driving force, in one task."""
         if flags[HALTED] != 0:
             return
@@ -206,10 +218,10 @@ def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
             if mesh.kind[r] == LIQUID:
                 sum += wp.float64(mesh.volume[r]) * wp.float64(mesh.velocity[r])
                 whole += wp.float64(mesh.volume[r])
-        book(g, mesh.clock, mesh.drive, sum / whole)
+        record_deficit(g, mesh.clock, mesh.drive, sum / whole)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def sums(g: Cells, blocks: wp.int32, mesh: Mesh, partial: wp.array(dtype=wp.float64)):
+    def sums(g: Grid, blocks: wp.int32, mesh: Fields, partial: wp.array(dtype=wp.float64)):
         """Compute partial sums of volume and volume flow along the pipe, in whole blocks with one thread per face."""
         c = wp.tid()
         own = wp.float64(0.0)
@@ -223,23 +235,23 @@ def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
         keep(c, partial, blocks, volume)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def lacking_of_sums(
-        g: Cells, blocks: wp.int32, flags: wp.array(dtype=wp.int32), partial: wp.array(dtype=wp.float64), mesh: Mesh
+    def deficit_of_sums(
+        g: Grid, blocks: wp.int32, flags: wp.array(dtype=wp.int32), partial: wp.array(dtype=wp.float64), mesh: Fields
     ):
         """Compute the missing mean velocity and the driving force from the partial sums, in one block."""
         c = wp.tid()
         sum = total(c, partial, 0, blocks)
         whole = total(c, partial, blocks, blocks)
         if c == 0 and flags[HALTED] == 0:
-            book(g, mesh.clock, mesh.drive, sum / whole)
+            record_deficit(g, mesh.clock, mesh.drive, sum / whole)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def shove(g: Cells, flags: wp.array(dtype=wp.int32), mesh: Mesh):
+    def correct(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields):
         """Add the missing mean velocity to all faces along the pipe, with one task per cell."""
         if flags[HALTED] != 0:
             return
         r = wp.tid() + (dimensions - 1) * g.slots
         if mesh.kind[r] == LIQUID:
-            mesh.velocity[r] = mesh.velocity[r] + scalar(mesh.drive[PUSH])
+            mesh.velocity[r] = mesh.velocity[r] + scalar(mesh.drive[VELOCITY_CORRECTION])
 
-    return SimpleNamespace(lacking=lacking, sums=sums, lacking_of_sums=lacking_of_sums, shove=shove)
+    return SimpleNamespace(deficit=deficit, sums=sums, deficit_of_sums=deficit_of_sums, correct=correct)

@@ -10,37 +10,42 @@ import functools
 import warp as wp
 
 from ...common.control import HALTED
-from .cells import DT, LIQUID, Kind, cells_struct, grid_functions, grid_structs
+from .cells import DT, LIQUID, GridKind, grid_functions, grid_parameters_struct, grid_structs
 
 
 @functools.cache
-def grown_function(scalar, dimensions: int):
-    """Build `grown`, which returns a copy of the grid's parameters with the yield stress raised by `gained`."""
-    Cells = cells_struct(scalar, dimensions)
+def with_gain_function(scalar, dimensions: int):
+    """Build `with_gain`, which returns a copy of the grid's parameters with the yield stress raised by `gained`."""
+    Grid = grid_parameters_struct(scalar, dimensions)
 
     @wp.func
-    def grown(g: Cells, gained: scalar):
+    def with_gain(g: Grid, gained: scalar):
         own = g
         own.yield_stress = g.yield_stress + gained
         return own
 
-    return grown
+    return with_gain
 
 
 @functools.cache
-def break_kernel(scalar, of: Kind):
+def break_kernel(scalar, of: GridKind):
     """Build the kernel that breaks down the structure of each cell, and of the slip layer along its faces, in a step.
 
     It runs with one thread per cell.
     """
-    Cells = cells_struct(scalar, of.dimensions)
+    Grid = grid_parameters_struct(scalar, of.dimensions)
     structs = grid_structs(scalar, of.dimensions)
-    Mesh, Walls = structs.Mesh, structs.Walls
+    Fields, Walls = structs.Fields, structs.Walls
     f = grid_functions(scalar, of)
 
     @wp.kernel(enable_backward=False, module="unique")
     def break_structure(
-        g: Cells, breakdown: scalar, breakdown_strain: scalar, flags: wp.array(dtype=wp.int32), walls: Walls, mesh: Mesh
+        g: Grid,
+        breakdown: scalar,
+        breakdown_strain: scalar,
+        flags: wp.array(dtype=wp.int32),
+        walls: Walls,
+        mesh: Fields,
     ):
         if flags[HALTED] != 0:
             return
@@ -52,7 +57,7 @@ def break_kernel(scalar, of: Kind):
             mesh.gained[number] = mesh.gained[number] * wp.exp(-wp.sqrt(mesh.strain[number]) * dt / breakdown_strain)
         for axis in range(of.dimensions):
             r = number + axis * g.slots
-            if mesh.kind[r] == LIQUID and mesh.rubbed[r] > scalar(0.0):
+            if mesh.kind[r] == LIQUID and mesh.wall_area[r] > scalar(0.0):
                 mesh.layer[r] = mesh.layer[r] * wp.exp(-wp.abs(mesh.slip[r]) * dt / breakdown)
 
     return break_structure

@@ -21,9 +21,9 @@ from .cells import (
     LIQUID,
     OPEN,
     SMOOTH,
-    Kind,
-    cells_struct,
+    GridKind,
     grid_functions,
+    grid_parameters_struct,
     grid_structs,
 )
 
@@ -35,7 +35,7 @@ LIGHT = wp.constant(0.1)
 
 
 @functools.cache
-def gather_kernel(scalar, of: Kind):
+def gather_kernel(scalar, of: GridKind):
     """Build the kernel that determines kind and volume of each face and the velocity that particles bring to it.
 
     It runs with one task per cell.
@@ -43,14 +43,14 @@ def gather_kernel(scalar, of: Kind):
     dims, last = of.dimensions, of.dimensions - 1
     t = mps_types(scalar, dims)
     whole = t.whole
-    Cells = cells_struct(scalar, dims)
+    Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
-    Particles, Mesh, Geometry, Walls = structs.Particles, structs.Mesh, structs.Geometry, structs.Walls
+    Particles, Fields, Geometry, Walls = structs.Particles, structs.Fields, structs.Geometry, structs.Walls
     f = grid_functions(scalar, of)
     around = 2 * 3**last
 
     @wp.func
-    def kind_of(g: Cells, mesh: Mesh, geometry: Geometry, a: wp.int32, b: wp.int32, r: wp.int32, axis: wp.int32):
+    def kind_of(g: Grid, mesh: Fields, geometry: Geometry, a: wp.int32, b: wp.int32, r: wp.int32, axis: wp.int32):
         """Return the kind of the face between two cells."""
         wet = mesh.liquid[a] != 0 or mesh.liquid[b] != 0
         if wp.static(of.cut):
@@ -64,7 +64,7 @@ def gather_kernel(scalar, of: Kind):
         return wp.where(wet, LIQUID, AIR)
 
     @wp.func
-    def needed(g: Cells, mesh: Mesh, geometry: Geometry, c: whole, axis: wp.int32) -> wp.bool:
+    def needed(g: Grid, mesh: Fields, geometry: Geometry, c: whole, axis: wp.int32) -> wp.bool:
         """Return whether there is concrete in a cell on either side of a face, or at one of its edges."""
         low = f.at(g, f.moved(c, axis, -1))
         if mesh.solid[f.at(g, c)] == SMOOTH or mesh.solid[low] == SMOOTH:
@@ -79,7 +79,7 @@ def gather_kernel(scalar, of: Kind):
         return found
 
     @wp.func
-    def brought(g: Cells, particles: Particles, mesh: Mesh, c: whole, axis: wp.int32, before: scalar) -> scalar:
+    def from_particles(g: Grid, particles: Particles, mesh: Fields, c: whole, axis: wp.int32, before: scalar) -> scalar:
         """Return the velocity that the particles around a face bring to it, or `before` if there are none."""
         place = f.face_middle(g, c, axis)
         total = scalar(0.0)
@@ -102,7 +102,7 @@ def gather_kernel(scalar, of: Kind):
             if there:
                 other = f.at(g, o)
                 for k in range(mesh.count[other]):
-                    p = mesh.bin[mesh.begin[other] + k]
+                    p = mesh.sorted_particles[mesh.begin[other] + k]
                     d = place - particles.position[p]
                     if wp.static(of.periodic):
                         length = scalar(g.n[last]) * g.width[last]
@@ -120,7 +120,7 @@ def gather_kernel(scalar, of: Kind):
 
     @wp.kernel(enable_backward=False, module="unique")
     def gather(
-        g: Cells, flags: wp.array(dtype=wp.int32), particles: Particles, geometry: Geometry, walls: Walls, mesh: Mesh
+        g: Grid, flags: wp.array(dtype=wp.int32), particles: Particles, geometry: Geometry, walls: Walls, mesh: Fields
     ):
         if flags[HALTED] != 0:
             return
@@ -140,7 +140,7 @@ def gather_kernel(scalar, of: Kind):
                     if kind == INSIDE and needed(g, mesh, geometry, c, axis):
                         kind = GHOST
                         volume = scalar(LIGHT) * f.face_area(g, c, axis) * g.width[axis]
-                        mesh.velocity[r] = brought(g, particles, mesh, c, axis, mesh.velocity[r])
+                        mesh.velocity[r] = from_particles(g, particles, mesh, c, axis, mesh.velocity[r])
                 if kind == FIXED:
                     if wp.static(of.cut):
                         wall = geometry.surface[r]
@@ -150,7 +150,7 @@ def gather_kernel(scalar, of: Kind):
                 if kind == LIQUID:
                     wet = scalar(0.5) * (mesh.fill[low] + mesh.fill[number])
                     volume = wet * f.open_area(g, geometry, c, axis) * g.width[axis]
-                    mesh.velocity[r] = brought(g, particles, mesh, c, axis, mesh.velocity[r])
+                    mesh.velocity[r] = from_particles(g, particles, mesh, c, axis, mesh.velocity[r])
             mesh.kind[r] = kind
             mesh.volume[r] = volume
 
@@ -158,7 +158,7 @@ def gather_kernel(scalar, of: Kind):
 
 
 @functools.cache
-def extend_kernel(scalar, of: Kind):
+def extend_kernel(scalar, of: GridKind):
     """Build the kernel that extends velocities to faces in the air and inside walls, from the faces beside them.
 
     Particles near a free surface or a wall interpolate between these faces. Behind a pipe's wall the velocity is
@@ -166,14 +166,14 @@ def extend_kernel(scalar, of: Kind):
     runs with one task per cell and extends the velocities by one cell per launch.
     """
     dims = of.dimensions
-    Cells = cells_struct(scalar, dims)
+    Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
-    Mesh, Geometry = structs.Mesh, structs.Geometry
+    Fields, Geometry = structs.Fields, structs.Geometry
     f = grid_functions(scalar, of)
 
     @wp.kernel(enable_backward=False, module="unique")
     def extend(
-        g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh, again: wp.int32, final: wp.int32,
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, again: wp.int32, final: wp.int32,
         before: wp.array(dtype=scalar), known_before: wp.array(dtype=wp.int32), after: wp.array(dtype=scalar),
         known_after: wp.array(dtype=wp.int32),
     ):  # fmt: skip
@@ -184,7 +184,7 @@ def extend_kernel(scalar, of: Kind):
         for axis in range(dims):
             r = number + axis * g.slots
             value = mesh.velocity[r]
-            good = wp.where(f.sheared(mesh.kind[r]), 1, 0)
+            good = wp.where(f.has_velocity(mesh.kind[r]), 1, 0)
             if again != 0:
                 value = before[r]
                 good = known_before[r]
@@ -219,7 +219,7 @@ def extend_kernel(scalar, of: Kind):
 
 
 @functools.cache
-def sampling_functions(scalar, of: Kind) -> SimpleNamespace:
+def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
     """Build functions that interpolate fields of the grid linearly at a position.
 
     `carry` interpolates velocities, and `clearance` interpolates the distance from the nearest wall.
@@ -227,13 +227,13 @@ def sampling_functions(scalar, of: Kind) -> SimpleNamespace:
     dims, last = of.dimensions, of.dimensions - 1
     t = mps_types(scalar, dims)
     vec, mat, whole = t.vec, t.mat, t.whole
-    Cells = cells_struct(scalar, dims)
+    Grid = grid_parameters_struct(scalar, dims)
     Geometry = grid_structs(scalar, dims).Geometry
     f = grid_functions(scalar, of)
     corners = 2**dims
 
     @wp.func
-    def corner(g: Cells, base: whole, s: vec, n: wp.int32):
+    def corner(g: Grid, base: whole, s: vec, n: wp.int32):
         """Return the indices of one grid point around a position, its weight, and the gradient of the weight."""
         c = whole()
         part = vec()
@@ -256,7 +256,7 @@ def sampling_functions(scalar, of: Kind) -> SimpleNamespace:
 
     @wp.func
     def sample(
-        g: Cells, velocity: wp.array(dtype=scalar), good: wp.array(dtype=wp.int32), x: vec, axis: wp.int32
+        g: Grid, velocity: wp.array(dtype=scalar), good: wp.array(dtype=wp.int32), x: vec, axis: wp.int32
     ):  # fmt: skip
         """Return a velocity component at a position, its gradient, and the total weight of faces with a velocity."""
         base = whole()
@@ -288,7 +288,7 @@ def sampling_functions(scalar, of: Kind) -> SimpleNamespace:
         return value, slope - value * total_slope, total
 
     @wp.func
-    def carry(g: Cells, velocity: wp.array(dtype=scalar), good: wp.array(dtype=wp.int32), x: vec):
+    def carry(g: Grid, velocity: wp.array(dtype=scalar), good: wp.array(dtype=wp.int32), x: vec):
         """Return the velocity at a position, its gradient, and the total weight of faces with a velocity (0 in air)."""
         here = vec()
         slopes = mat()
@@ -301,7 +301,7 @@ def sampling_functions(scalar, of: Kind) -> SimpleNamespace:
         return here, slopes, total
 
     @wp.func
-    def clearance(g: Cells, geometry: Geometry, x: vec):
+    def clearance(g: Grid, geometry: Geometry, x: vec):
         """Return the distance of a position from the nearest wall [m] and the gradient of this distance.
 
         The distances are stored at points half a cell apart, to resolve walls that are hardly thicker than that.
@@ -331,7 +331,7 @@ def sampling_functions(scalar, of: Kind) -> SimpleNamespace:
 
 
 @functools.cache
-def advect_kernel(scalar, of: Kind):
+def advect_kernel(scalar, of: GridKind):
     """Build the kernel that gives particles the velocity of the grid and moves them, with one task per particle.
 
     A particle moves with the velocity at its position half a step later (midpoint rule).
@@ -339,15 +339,15 @@ def advect_kernel(scalar, of: Kind):
     dims, last = of.dimensions, of.dimensions - 1
     t = mps_types(scalar, dims)
     vec, mat, whole = t.vec, t.mat, t.whole
-    Cells = cells_struct(scalar, dims)
+    Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
-    Particles, Mesh, Geometry = structs.Particles, structs.Mesh, structs.Geometry
+    Particles, Fields, Geometry = structs.Particles, structs.Fields, structs.Geometry
     f = grid_functions(scalar, of)
     at_place = sampling_functions(scalar, of)
     carry, clearance = at_place.carry, at_place.clearance
 
     @wp.func
-    def leaves(g: Cells, mesh: Mesh, x: vec) -> wp.bool:
+    def leaves(g: Grid, mesh: Fields, x: vec) -> wp.bool:
         """Return whether a position lies outside the grid, beyond an open side."""
         c = whole()
         outside = wp.bool(False)
@@ -361,8 +361,8 @@ def advect_kernel(scalar, of: Kind):
 
     @wp.kernel(enable_backward=False, module="unique")
     def advect(
-        g: Cells, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Mesh, velocity: wp.array(dtype=scalar),
-        good: wp.array(dtype=wp.int32), particles: Particles, late: wp.array(dtype=wp.int32),
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, velocity: wp.array(dtype=scalar),
+        good: wp.array(dtype=wp.int32), particles: Particles, event_flags: wp.array(dtype=wp.int32),
     ):  # fmt: skip
         if flags[HALTED] != 0:
             return
@@ -426,7 +426,7 @@ def advect_kernel(scalar, of: Kind):
         for b in range(dims):
             speed += wp.abs(here[b])
         if not (speed < scalar(1.0e6)):
-            late[1] = 1
+            event_flags[1] = 1
         particles.position[p] = after
 
     return advect

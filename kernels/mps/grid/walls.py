@@ -11,12 +11,12 @@ from .cells import (
     INSIDE,
     LIQUID,
     OPEN,
-    Kind,
-    cells_struct,
+    GridKind,
     grid_functions,
+    grid_parameters_struct,
     grid_structs,
 )
-from .structure import grown_function
+from .structure import with_gain_function
 
 STICKY = wp.constant(20.0)
 """Maximum stiffness of a slip layer on which concrete sticks, over the stiffness of the concrete's shear across a
@@ -24,17 +24,17 @@ cell."""
 
 
 @functools.cache
-def side_kernel(scalar, of: Kind):
+def side_kernel(scalar, of: GridKind):
     """Build the kernel that computes the stress of a pipe's walls (sides of cells) on the faces along them."""
-    Cells = cells_struct(scalar, 2)
+    Grid = grid_parameters_struct(scalar, 2)
     structs = grid_structs(scalar, 2)
-    Mesh, Walls = structs.Mesh, structs.Walls
+    Fields, Walls = structs.Fields, structs.Walls
     f = grid_functions(scalar, of)
     law = bingham_functions(scalar, 2)
-    grown = grown_function(scalar, 2)
+    with_gain = with_gain_function(scalar, 2)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def wall_stress(g: Cells, flags: wp.array(dtype=wp.int32), walls: Walls, mesh: Mesh):
+    def wall_stress(g: Grid, flags: wp.array(dtype=wp.int32), walls: Walls, mesh: Fields):
         if flags[HALTED] != 0:
             return
         number = wp.tid()
@@ -43,9 +43,9 @@ def side_kernel(scalar, of: Kind):
             return
         for axis in range(2):
             r = number + axis * g.slots
-            mesh.rubbed[r] = scalar(0.0)
+            mesh.wall_area[r] = scalar(0.0)
             mesh.traction[r] = scalar(0.0)
-            mesh.growth[r] = scalar(0.0)
+            mesh.traction_slope[r] = scalar(0.0)
             mesh.slip[r] = mesh.velocity[r]
             if mesh.kind[r] == LIQUID:
                 for side in range(2):
@@ -77,14 +77,14 @@ def side_kernel(scalar, of: Kind):
                             own = g
                             slip_yield = walls.slip_yield[wall]
                             if wp.static(of.thixotropic):
-                                own = grown(g, mesh.gained[number])
+                                own = with_gain(g, mesh.gained[number])
                                 slip_yield += mesh.layer[r]
-                            stress, growth, slip = law.at_wall(
+                            stress, traction_slope, slip = law.at_wall(
                                 own, wp.abs(relative), inner, width, ring, walls.slip_viscosity[wall], slip_yield
                             )
-                            mesh.rubbed[r] = g.width[axis] * f.side_weight(g, at_wall)
+                            mesh.wall_area[r] = g.width[axis] * f.side_weight(g, at_wall)
                             mesh.traction[r] = way * stress
-                            mesh.growth[r] = growth
+                            mesh.traction_slope[r] = traction_slope
                             mesh.slip[r] = still + way * slip
                             mesh.stress[f.at(g, at_wall)] = turn * stress
 
@@ -92,20 +92,20 @@ def side_kernel(scalar, of: Kind):
 
 
 @functools.cache
-def wall_kernel(scalar, of: Kind):
+def wall_kernel(scalar, of: GridKind):
     """Build the kernel that computes the friction of walls which pass through cells (cut cells).
 
     The friction acts on the velocity at the wall, interpolated between a face outside the wall and one inside it.
     """
     dims, last = of.dimensions, of.dimensions - 1
-    Cells = cells_struct(scalar, dims)
+    Grid = grid_parameters_struct(scalar, dims)
     structs = grid_structs(scalar, dims)
-    Mesh, Walls, Geometry = structs.Mesh, structs.Walls, structs.Geometry
+    Fields, Walls, Geometry = structs.Fields, structs.Walls, structs.Geometry
     whole = mps_types(scalar, dims).whole
     f = grid_functions(scalar, of)
 
     @wp.func
-    def aside(g: Cells, mesh: Mesh, c: whole, axis: wp.int32, other: wp.int32) -> scalar:
+    def aside(g: Grid, mesh: Fields, c: whole, axis: wp.int32, other: wp.int32) -> scalar:
         """Return the velocity along another axis at a face's centre, the mean of the surrounding faces in concrete."""
         sum = scalar(0.0)
         count = scalar(0.0)
@@ -119,7 +119,7 @@ def wall_kernel(scalar, of: Kind):
         return sum / wp.max(count, scalar(1.0))
 
     @wp.func
-    def weight(g: Cells, c: whole, axis: wp.int32, b: wp.int32) -> scalar:
+    def weight(g: Grid, c: whole, axis: wp.int32, b: wp.int32) -> scalar:
         """Return the radius of the point between a face and the next face [m], or 1 without an axis of symmetry."""
         if axis == b:
             return f.cell_weight(g, c)
@@ -128,7 +128,7 @@ def wall_kernel(scalar, of: Kind):
         return f.side_weight(g, f.moved(c, 0, 1))
 
     @wp.func
-    def thickest(mesh: Mesh, a: wp.int32, b: wp.int32) -> scalar:
+    def larger_viscosity(mesh: Fields, a: wp.int32, b: wp.int32) -> scalar:
         """Return the larger viscosity of two cells, ignoring cells without concrete [Pa s]."""
         most = scalar(0.0)
         if mesh.liquid[a] != 0:
@@ -138,7 +138,7 @@ def wall_kernel(scalar, of: Kind):
         return most
 
     @wp.kernel(enable_backward=False, module="unique")
-    def wall_stress(g: Cells, flags: wp.array(dtype=wp.int32), walls: Walls, geometry: Geometry, mesh: Mesh):
+    def wall_stress(g: Grid, flags: wp.array(dtype=wp.int32), walls: Walls, geometry: Geometry, mesh: Fields):
         if flags[HALTED] != 0:
             return
         number = wp.tid()
@@ -146,14 +146,14 @@ def wall_kernel(scalar, of: Kind):
         for axis in range(dims):
             for b in range(dims):
                 k = (axis * dims + b) * g.slots + number
-                mesh.grip[k] = scalar(0.0)
+                mesh.wall_stiffness[k] = scalar(0.0)
                 upper = f.moved(c, b, 1)
                 there = c[axis] >= 0 and c[axis] <= g.n[axis] and upper[b] <= g.n[b]
                 if wp.static(of.periodic):
                     there = there and c[last] >= 0 and c[last] < g.n[last]
                 if there:
                     r, o = number + axis * g.slots, f.at(g, upper) + axis * g.slots
-                    if f.unknown(mesh.kind[r]) and f.unknown(mesh.kind[o]):
+                    if f.is_unknown(mesh.kind[r]) and f.is_unknown(mesh.kind[o]):
                         near = geometry.gap[r]
                         far = geometry.gap[o]
                         if (near > scalar(0.0)) != (far > scalar(0.0)):
@@ -179,7 +179,7 @@ def wall_kernel(scalar, of: Kind):
                                         other = aside(g, mesh, out, axis, d) - f.wall_speed(walls, wall, x, d)
                                         square += other * other
                                 speed = wp.sqrt(square)
-                                stiff = scalar(STICKY) * thickest(mesh, own, low) / g.width[b]
+                                stiff = scalar(STICKY) * larger_viscosity(mesh, own, low) / g.width[b]
                                 hold = walls.slip_yield[wall] / wp.max(speed, scalar(1.0e-12))
                                 hold += walls.slip_viscosity[wall]
                                 if hold > stiff:
@@ -191,8 +191,8 @@ def wall_kernel(scalar, of: Kind):
                                     spring = wp.min(spring, scalar(0.5) * wp.max(near, far))
                                     on += wp.where(near > far, -spring, spring) / (wp.abs(near) + wp.abs(far))
                                     relative = (scalar(1.0) - on) * mesh.velocity[r] + on * mesh.velocity[o] - still
-                                mesh.lean[k] = on
-                                mesh.grip[k] = area * hold
-                                mesh.pull[k] = area * hold * relative
+                                mesh.wall_weight[k] = on
+                                mesh.wall_stiffness[k] = area * hold
+                                mesh.wall_force[k] = area * hold * relative
 
     return wall_stress

@@ -17,13 +17,13 @@ from pathlib import Path
 
 WINDOW = 0.01
 """Stepping time between two checks for core contention [s]."""
-LATE = 0.4
+CONTENTION_FRACTION = 0.4
 """Fraction of the stepping time that the threads together may wait for a core; more counts as contention."""
-HOLD = 0.5, 8.0
+BACKOFF_TIMES = 0.5, 8.0
 """Shortest and longest time for which one thread does all work before several threads are tried again [s]."""
 
 
-def own_cores(threads: int) -> Callable[[], None]:
+def thread_pinner(threads: int) -> Callable[[], None]:
     """Return a function that pins the calling thread to a core, if there are as many cores as threads.
 
     Each thread calls this function once when it starts. Without pinning, the system may wake two threads on one core
@@ -33,15 +33,15 @@ def own_cores(threads: int) -> Callable[[], None]:
     cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
     places = iter(cores)
 
-    def take() -> None:
+    def pin_to_core() -> None:
         if len(cores) == threads:
             with contextlib.suppress(OSError):  # The process may have lost this core in the meantime.
                 os.sched_setaffinity(0, {next(places)})  # The number 0 means the calling thread.
 
-    return take
+    return pin_to_core
 
 
-def waited(thread: int) -> float:
+def core_waiting_time(thread: int) -> float:
     """Return the time that a thread of this process was ready to run but had no core [s]; 0 if unknown.
 
     Linux reports this time in `/proc/self/task/THREAD/schedstat`.
@@ -52,52 +52,52 @@ def waited(thread: int) -> float:
         return 0.0
 
 
-class Crowding:
+class CoreContention:
     """Monitor of core contention, which decides whether one thread should do the work of all threads.
 
-    Two late windows in a row count as contention. One thread then does all work for a time `HOLD`, which doubles after
-    each new attempt with several threads that fails.
+    Two late windows in a row count as contention. One thread then does all work for a time `BACKOFF_TIMES`, which
+    doubles after each new attempt with several threads that fails.
     """
 
     def __init__(self) -> None:
-        self.crowded = False
+        self.contended = False
         self._threads: set[int] = set()
-        self._stepped = self._late = 0.0
-        self._until = 0.0
-        self._hold = HOLD[0]
-        self._sure = self._suspected = False
+        self._window_time = self._waited_before = 0.0
+        self._backoff_end = 0.0
+        self._backoff_time = BACKOFF_TIMES[0]
+        self._cores_suffice = self._suspected = False
 
-    def enter(self) -> None:
+    def register_thread(self) -> None:
         """Register the calling thread, so that its waiting time is monitored."""
         self._threads.add(threading.get_native_id())
 
     @property
-    def on_trial(self) -> bool:
+    def is_uncertain(self) -> bool:
         """Whether it is still unknown if there are enough cores; the caller should then take few steps at a time."""
-        return not self.crowded and not self._sure
+        return not self.contended and not self._cores_suffice
 
-    def look(self) -> bool:
+    def use_one_thread(self) -> bool:
         """Return whether one thread should do the next steps for all threads."""
-        if self.crowded and time.monotonic() > self._until:
-            self.crowded = self._sure = False
-            self._stepped, self._late = 0.0, sum(map(waited, self._threads))
-        return self.crowded
+        if self.contended and time.monotonic() > self._backoff_end:
+            self.contended = self._cores_suffice = False
+            self._window_time, self._waited_before = 0.0, sum(map(core_waiting_time, self._threads))
+        return self.contended
 
-    def stepped(self, seconds: float) -> None:
+    def add_step_time(self, seconds: float) -> None:
         """Add the wall time [s] that all threads spent on steps, and check for contention at the end of a window.
 
         None of the threads may be running during this call.
         """
-        self._stepped += seconds
-        if self._stepped < WINDOW:
+        self._window_time += seconds
+        if self._window_time < WINDOW:
             return
-        late = sum(map(waited, self._threads))
-        if late - self._late <= LATE * self._stepped:
-            self._sure, self._suspected, self._hold = True, False, HOLD[0]
+        waited_time = sum(map(core_waiting_time, self._threads))
+        if waited_time - self._waited_before <= CONTENTION_FRACTION * self._window_time:
+            self._cores_suffice, self._suspected, self._backoff_time = True, False, BACKOFF_TIMES[0]
         elif not self._suspected:
-            self._sure, self._suspected = False, True  # A single late window may be a coincidence.
+            self._cores_suffice, self._suspected = False, True  # A single late window may be a coincidence.
         else:
-            self.crowded, self._suspected = True, False
-            self._until = time.monotonic() + self._hold
-            self._hold = min(2 * self._hold, HOLD[1])  # Each failed attempt doubles the wait.
-        self._stepped, self._late = 0.0, late
+            self.contended, self._suspected = True, False
+            self._backoff_end = time.monotonic() + self._backoff_time
+            self._backoff_time = min(2 * self._backoff_time, BACKOFF_TIMES[1])  # Each failed attempt doubles the wait.
+        self._window_time, self._waited_before = 0.0, waited_time

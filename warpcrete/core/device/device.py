@@ -32,7 +32,7 @@ def parallel(device: Any) -> bool:
 
 
 @contextmanager
-def share_out_like_a_gpu() -> Iterator[None]:
+def divide_work_like_gpu() -> Iterator[None]:
     """Make the CPU divide work as a GPU does, as far as it can, while the block runs.
 
     This is slow. It lets tests run the GPU's code paths on a machine without a GPU.
@@ -75,13 +75,13 @@ def quiet_init() -> None:
     # Warp's native code writes its driver warning directly to the process's standard error, regardless of settings, so
     # redirect standard error for a moment.
     sys.stderr.flush()
-    kept, sink = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    saved_stderr, sink = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(sink, 2)
         wp.init()
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(saved_stderr, 2)
+        os.close(saved_stderr)
         os.close(sink)
 
 

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from .graphs import AtOnce, captured
-from .interpreter_priority import waiting
+from .graphs import GraphLaunch, captured
+from .interpreter_priority import run_is_waiting
 
-KEPT = 2048
+MAXIMUM_BUFFERS = 2048
 """Maximum number of array sets for which page-locked memory is kept; a batch of 128 runs reads about 600 sets."""
 
 
-class Beside:
+class PinnedBuffers:
     """Page-locked memory for a set of GPU arrays, and copies of the whole set in either direction as one launch.
 
     From the second time on, the copies are a CUDA graph, which the host launches in less time than a single copy. The
@@ -30,11 +30,11 @@ class Beside:
         self._memory = [wp.empty(a.shape, dtype=a.dtype, device="cpu", pinned=True) for a in arrays]
         self.views = [memory.numpy() for memory in self._memory]
         """Page-locked memory as NumPy arrays: the data copied from the device, or the data to copy to the device."""
-        self.written = 0
+        self.last_write = 0
         """Serial number of the last write that used this page-locked memory; :class:`Exchange` counts the writes."""
-        self._copied, self._graph = False, None
+        self._copied_once, self._graph = False, None
 
-    def take(self, arrays: Sequence[wp.array]) -> None:
+    def gather(self, arrays: Sequence[wp.array]) -> None:
         """Copy the arrays into this page-locked memory, in stream order.
 
         Pass the same arrays each time, because a graph of the copies is reused.
@@ -46,7 +46,7 @@ class Beside:
         for memory, array in zip(self._memory, arrays):
             wp.copy(memory, array)
 
-    def give(self, arrays: Sequence[wp.array]) -> None:
+    def scatter(self, arrays: Sequence[wp.array]) -> None:
         """Copy this page-locked memory to the arrays, in stream order.
 
         Pass the same arrays each time, because a graph of the copies is reused.
@@ -59,9 +59,9 @@ class Beside:
         self._launch(copy)
 
     def _launch(self, copy: Callable[[], None]) -> None:
-        if not self._copied or not any(array.size for array in self._memory):
+        if not self._copied_once or not any(array.size for array in self._memory):
             copy()
-            self._copied = True
+            self._copied_once = True
             return
         if self._graph is None:
             self._graph = captured(self._device, copy)
@@ -71,33 +71,33 @@ class Beside:
 class _Copying:
     """Stage that copies arrays into page-locked memory."""
 
-    def __init__(self, beside: Beside, arrays: Sequence[wp.array]) -> None:
-        self._beside, self._arrays = beside, arrays
+    def __init__(self, buffers: PinnedBuffers, arrays: Sequence[wp.array]) -> None:
+        self._buffers, self._arrays = buffers, arrays
 
     def record(self) -> None:
         """Do nothing, because copies need no preparation."""
 
     def __call__(self) -> None:
-        self._beside.copy(self._arrays)
+        self._buffers.copy(self._arrays)
 
 
-class Reading:
+class LaunchAndRead:
     """Launch of several stages, followed by copies of the arrays that they write to the host."""
 
     def __init__(self, stages: Sequence[Any], arrays: Sequence[wp.array], device: Any) -> None:
         self._device, self._arrays = device, tuple(arrays)
-        self._beside = Beside(arrays, device) if device.is_cuda else None
-        copies = [] if self._beside is None else [_Copying(self._beside, self._arrays)]
-        self._launch = AtOnce([*stages, *copies], device)
+        self._buffers = PinnedBuffers(arrays, device) if device.is_cuda else None
+        copies = [] if self._buffers is None else [_Copying(self._buffers, self._arrays)]
+        self._launch = GraphLaunch([*stages, *copies], device)
 
     def __call__(self) -> list[np.ndarray]:
         """Launch the stages and copies; return the copied arrays."""
         self._launch()
-        if self._beside is None:
+        if self._buffers is None:
             return [array.numpy().copy() for array in self._arrays]
-        with waiting():
+        with run_is_waiting():
             wp.synchronize_stream(self._device.stream)
-        return [view.copy() for view in self._beside.views]
+        return [view.copy() for view in self._buffers.views]
 
 
 class Exchange:
@@ -105,51 +105,52 @@ class Exchange:
 
     def __init__(self, device: Any) -> None:
         self.device = device
-        self._kept: dict[Any, Beside] = {}
-        self._asked: tuple[wp.array, ...] = ()
-        self._beside_asked: Beside | None = None
-        self._answered: Any = wp.Event(device) if device.is_cuda else None
-        # Writes have serial numbers. `_written` is the number of the last write, `_before_asked` that of the last write
-        # before the pending read, and `_arrived` that of the last write that is known to be complete.
-        self._written = self._before_asked = self._arrived = 0
+        self._buffers_by_use: dict[Any, PinnedBuffers] = {}
+        self._pending_arrays: tuple[wp.array, ...] = ()
+        self._pending_buffers: PinnedBuffers | None = None
+        self._read_event: Any = wp.Event(device) if device.is_cuda else None
+        # Writes have serial numbers. `_last_write` is the number of the last write, `_last_write_before_read` that of
+        # the last write before the pending read, and `_last_completed_write` that of the last write that is known to be
+        # complete.
+        self._last_write = self._last_write_before_read = self._last_completed_write = 0
 
     def read(self, *arrays: wp.array) -> list[np.ndarray]:
         """Return copies of arrays after all work launched so far; the host waits once for all of them."""
         if not self.device.is_cuda:
             return [array.numpy().copy() for array in arrays]
-        beside = self._beside("read", arrays)
-        beside.take(arrays)
+        buffers = self._buffers("read", arrays)
+        buffers.gather(arrays)
         self._wait()
-        return [view.copy() for view in beside.views]
+        return [view.copy() for view in buffers.views]
 
-    def ask(self, *arrays: wp.array) -> None:
-        """Start an asynchronous read, whose values :meth:`answer` returns; only one may be in flight."""
-        self._asked = arrays
+    def begin_read(self, *arrays: wp.array) -> None:
+        """Start an asynchronous read, whose values :meth:`finish_read` returns; only one may be in flight."""
+        self._pending_arrays = arrays
         if self.device.is_cuda:
-            before = self._written
+            before = self._last_write
             # Keep a reference to this memory: the cache may drop it when it needs room for another set of arrays.
-            self._beside_asked = self._beside("asked", arrays)
-            self._beside_asked.take(arrays)
-            self._answered = self.device.stream.record_event(self._answered)
-            self._before_asked = before
+            self._pending_buffers = self._buffers("asked", arrays)
+            self._pending_buffers.gather(arrays)
+            self._read_event = self.device.stream.record_event(self._read_event)
+            self._last_write_before_read = before
 
     @property
-    def answered(self) -> bool:
+    def read_is_done(self) -> bool:
         """Whether the values of the asynchronous read have arrived."""
-        return not self.device.is_cuda or self._answered.is_complete
+        return not self.device.is_cuda or self._read_event.is_complete
 
-    def answer(self) -> list[np.ndarray]:
-        """Wait for the asynchronous read that :meth:`ask` started, and return copies of its arrays.
+    def finish_read(self) -> list[np.ndarray]:
+        """Wait for the asynchronous read that :meth:`begin_read` started, and return copies of its arrays.
 
-        On a GPU, the copies hold the values at the time of `ask`.
+        On a GPU, the copies hold the values at the time of `begin_read`.
         """
         if not self.device.is_cuda:
-            return [array.numpy().copy() for array in self._asked]
-        assert self._beside_asked is not None
-        with waiting():
-            wp.synchronize_event(self._answered)
-        self._arrived = max(self._arrived, self._before_asked)
-        return [view.copy() for view in self._beside_asked.views]
+            return [array.numpy().copy() for array in self._pending_arrays]
+        assert self._pending_buffers is not None
+        with run_is_waiting():
+            wp.synchronize_event(self._read_event)
+        self._last_completed_write = max(self._last_completed_write, self._last_write_before_read)
+        return [view.copy() for view in self._pending_buffers.views]
 
     def write(self, *pairs: tuple[wp.array, np.ndarray]) -> None:
         """Set arrays to values, after all work launched so far."""
@@ -158,26 +159,26 @@ class Exchange:
                 array.assign(values)
             return
         arrays = [array for array, _ in pairs]
-        beside = self._beside("written", arrays)
-        if beside.written > self._arrived:  # A copy from this memory may still be in flight.
+        buffers = self._buffers("written", arrays)
+        if buffers.last_write > self._last_completed_write:  # A copy from this memory may still be in flight.
             self._wait()
-        for view, (_, values) in zip(beside.views, pairs):
+        for view, (_, values) in zip(buffers.views, pairs):
             view[...] = values
         # Number the write before its launch, so that a copy in flight has a number even if the launch is interrupted.
-        self._written += 1
-        beside.written = self._written
-        beside.give(arrays)
+        self._last_write += 1
+        buffers.last_write = self._last_write
+        buffers.scatter(arrays)
 
     def _wait(self) -> None:
-        with waiting():
+        with run_is_waiting():
             wp.synchronize_stream(self.device.stream)
-        self._arrived = self._written
+        self._last_completed_write = self._last_write
 
-    def _beside(self, use: str, arrays: Sequence[wp.array]) -> Beside:
+    def _buffers(self, use: str, arrays: Sequence[wp.array]) -> PinnedBuffers:
         key = use, *((array.ptr, array.shape, array.dtype) for array in arrays)
-        if key not in self._kept:
-            if len(self._kept) == KEPT:
+        if key not in self._buffers_by_use:
+            if len(self._buffers_by_use) == MAXIMUM_BUFFERS:
                 self._wait()
-                self._kept.clear()
-            self._kept[key] = Beside(arrays, self.device)
-        return self._kept[key]
+                self._buffers_by_use.clear()
+            self._buffers_by_use[key] = PinnedBuffers(arrays, self.device)
+        return self._buffers_by_use[key]

@@ -10,33 +10,33 @@ from typing import Any, Protocol
 
 import warp as wp
 
-from .interrupts import put_off
+from .interrupts import defer_interrupts
 
-_counting = threading.Lock()
-_capturing, _collected = 0, False
+_capture_lock = threading.Lock()
+_capturing, _collector_was_on = 0, False
 """Number of graph captures in progress, and whether Python's garbage collector was enabled before the first one."""
 
 
 @contextmanager
-def _uncollected() -> Iterator[None]:
+def _garbage_collection_off() -> Iterator[None]:
     """Disable Python's cyclic garbage collector while a graph is captured.
 
     In a recorder thread, the collector might free arrays of a run that has ended while another thread captures a graph.
     Warp defers such frees during a capture, but checks without a lock whether it must. Of forty runs with recorders,
     one after the other, two failed with CUDA error 906 (legacy stream operation during a capture).
     """
-    global _capturing, _collected
-    with _counting:
+    global _capturing, _collector_was_on
+    with _capture_lock:
         if _capturing == 0:
-            _collected = gc.isenabled()
+            _collector_was_on = gc.isenabled()
             gc.disable()
         _capturing += 1
     try:
         yield
     finally:
-        with _counting:
+        with _capture_lock:
             _capturing -= 1
-            if _capturing == 0 and _collected:
+            if _capturing == 0 and _collector_was_on:
                 gc.enable()
 
 
@@ -46,7 +46,7 @@ def captured(device: Any, launch: Callable[[], None]) -> Any:
     Ctrl-C is deferred until the capture has ended, because an exception inside nested captures would leave Warp in an
     inconsistent state.
     """
-    with put_off(), _uncollected(), wp.ScopedCapture(device=device) as capture:
+    with defer_interrupts(), _garbage_collection_off(), wp.ScopedCapture(device=device) as capture:
         launch()
     return capture.graph
 
@@ -87,7 +87,7 @@ class Zero:
         self.array.zero_()
 
 
-class AtOnce:
+class GraphLaunch:
     """Several stages that run with a single launch.
 
     On a GPU they are captured as a graph, because the launch of a short kernel takes longer than the kernel itself. Any

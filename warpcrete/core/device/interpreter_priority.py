@@ -11,31 +11,31 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-PATIENCE = 5e-3
+LONGEST_YIELD = 5e-3
 """Longest time for which a recorder gives way at once [s]; a run that never waits must not block the recorder."""
 
-_waits = threading.Event()
-_counting, _waiting = threading.Lock(), 0
+_run_waits = threading.Event()
+_count_lock, _waiting_runs = threading.Lock(), 0
 """Lock, and number of runs of this process that are waiting. If one run waits, all recorders may work: a busy run must
 not block the recorders of another run."""
 
 
 @contextmanager
-def waiting() -> Iterator[None]:
+def run_is_waiting() -> Iterator[None]:
     """Mark a run as waiting for its device or its recorders, while the block runs."""
-    global _waiting
-    with _counting:
-        _waiting += 1
-        _waits.set()
+    global _waiting_runs
+    with _count_lock:
+        _waiting_runs += 1
+        _run_waits.set()
     try:
         yield
     finally:
-        with _counting:
-            _waiting -= 1
-            if _waiting == 0:
-                _waits.clear()
+        with _count_lock:
+            _waiting_runs -= 1
+            if _waiting_runs == 0:
+                _run_waits.clear()
 
 
-def give_way() -> None:
-    """Wait until a run waits for its device, but not longer than the time `PATIENCE`."""
-    _waits.wait(PATIENCE)
+def yield_to_run() -> None:
+    """Wait until a run waits for its device, but not longer than the time `LONGEST_YIELD`."""
+    _run_waits.wait(LONGEST_YIELD)

@@ -13,7 +13,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 def _handled() -> list[tuple[int, Any]]:
     """Return the interrupt signals that have a handler in Python, each with its handler."""
-    return [(number, found) for number in SIGNALS if callable(found := signal.getsignal(number))]
+    return [(number, handler) for number in SIGNALS if callable(handler := signal.getsignal(number))]
 
 
 def _in_main_thread() -> bool:
@@ -22,7 +22,7 @@ def _in_main_thread() -> bool:
 
 
 @contextmanager
-def put_off() -> Iterator[None]:
+def defer_interrupts() -> Iterator[None]:
     """Defer Ctrl-C and SIGTERM until the block has ended; outside the main thread, do nothing."""
     if not _in_main_thread():
         yield
@@ -49,7 +49,7 @@ class StopAtSample:
     """
 
     def __init__(self, simulations: Sequence[Any]) -> None:
-        self.simulations, self.asked = simulations, False
+        self.simulations, self.requested = simulations, False
         self._previous: list[tuple[int, Any]] = []
 
     def __enter__(self) -> StopAtSample:
@@ -61,9 +61,9 @@ class StopAtSample:
 
     def _stop(self, signum: int, frame: Any) -> None:
         writing = bool(self.simulations) and all(simulation.finishing for simulation in self.simulations)
-        if self.asked and not writing:
+        if self.requested and not writing:
             raise KeyboardInterrupt
-        self.asked = True
+        self.requested = True
         if writing:
             return
         for simulation in self.simulations:
@@ -75,6 +75,6 @@ class StopAtSample:
                 signal.signal(number, handler)
 
 
-def leave_to_parent() -> None:
+def ignore_interrupts() -> None:
     """Ignore Ctrl-C in a worker process, because its parent process also gets the signal and handles it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

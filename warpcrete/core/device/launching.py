@@ -19,14 +19,14 @@ from typing import Any
 import warp as wp
 
 from ...kernels.common.barrier import GATE, barrier
-from .cores import Crowding, own_cores
+from .cores import CoreContention, thread_pinner
 from .device import default_threads, parallel
-from .graphs import AtOnce, captured
-from .interrupts import put_off
+from .graphs import GraphLaunch, captured
+from .interrupts import defer_interrupts
 
-COMPILING = 16
+PARALLEL_COMPILATIONS = 16
 """Maximum number of kernels compiled in parallel."""
-PATIENCE = 0.5
+COMPILE_PROGRESS_DELAY = 0.5
 """Compile time below which no progress is shown [s]."""
 DEFAULT_BLOCK = 256
 """Threads per CUDA block in a Warp launch that does not specify a number."""
@@ -66,15 +66,15 @@ def completed(kernel: Any, named: Mapping[str, Any], common: Mapping[str, Any]) 
     return {**{name: common[name] for name in parameter_names(kernel) if name in common}, **named}
 
 
-def members(kernel: Any, **structs: Any) -> dict[str, Any]:
+def struct_arguments(kernel: Any, **structs: Any) -> dict[str, Any]:
     """Return struct members for a kernel's parameters that are named ``STRUCT_member``, by parameter name."""
-    found = {}
+    arguments = {}
     for name in parameter_names(kernel):
         for prefix, struct in structs.items():
             member = name.removeprefix(f"{prefix}_")
             if member != name and hasattr(struct, member):
-                found[name] = getattr(struct, member)
-    return found
+                arguments[name] = getattr(struct, member)
+    return arguments
 
 
 def launch(kernel: Any, dim: Size, device: Any, **named: Any) -> None:
@@ -86,10 +86,10 @@ def launch(kernel: Any, dim: Size, device: Any, **named: Any) -> None:
 class Stage:
     """One kernel launch, which is recorded once and replayed until one of its arrays changes.
 
-    On a GPU, stages with `beside` run on a side stream, at the same time as the stages that follow, until a stage with
-    `meets` waits for them. All `beside` stages of a step run one after the other. A stage with `every` = n runs once in
-    n steps: before the first of every n steps of a graph, or after some of the graphs if a graph has fewer than n / 2
-    steps (see :class:`Launcher`).
+    On a GPU, stages with `on_side_stream` run on a side stream, at the same time as the stages that follow, until a
+    stage with `joins_side_stream` waits for them. All `on_side_stream` stages of a step run one after the other. A
+    stage with `every` = n runs once in n steps: before the first of every n steps of a graph, or after some of the
+    graphs if a graph has fewer than n / 2 steps (see :class:`Launcher`).
     """
 
     def __init__(
@@ -100,12 +100,12 @@ class Stage:
         device: Any,
         *,
         block: int | None = None,
-        beside: bool = False,
-        meets: bool = False,
+        on_side_stream: bool = False,
+        joins_side_stream: bool = False,
         every: int = 1,
     ) -> None:
         self.kernel, self.dim, self.device = kernel, dim, device
-        self.beside, self.meets, self.every = beside, meets, every
+        self.on_side_stream, self.joins_side_stream, self.every = on_side_stream, joins_side_stream, every
         self.arguments = bound(kernel, named)
         self.block = (block or BLOCK) if parallel(device) else 1
         self._command: Any = None
@@ -133,20 +133,20 @@ class Stage:
             self._command.launch(stream)
 
 
-_told: ContextVar[Callable[[str, float], None] | None] = ContextVar("told", default=None)
+_compile_callback: ContextVar[Callable[[str, float], None] | None] = ContextVar("compile_callback", default=None)
 
 
 @contextmanager
-def telling(tell: Callable[[str, float], None]) -> Iterator[None]:
+def report_compiling(tell: Callable[[str, float], None]) -> Iterator[None]:
     """Report the progress of compiling while the block runs.
 
     The function `tell` is called with "compiling" and the fraction done, if compiling takes a while.
     """
-    token = _told.set(tell)
+    token = _compile_callback.set(tell)
     try:
         yield
     finally:
-        _told.reset(token)
+        _compile_callback.reset(token)
 
 
 def load(stages: Iterable[Any], device: Any) -> None:
@@ -161,21 +161,21 @@ def load(stages: Iterable[Any], device: Any) -> None:
         block = block if parallel(device) else 1
         wanted[id(kernel.module), block] = kernel.module, block
     left = deque(_in_order(wanted.values()))
-    begun, count, told = time.monotonic(), len(left), False
+    start, count, reported = time.monotonic(), len(left), False
 
     def work() -> None:
-        nonlocal told
+        nonlocal reported
         while True:
             try:
                 module, block = left.popleft()
             except IndexError:
                 return
             wp.load_module(module, device=device, block_dim=block)
-            if (tell := _told.get()) is not None and time.monotonic() - begun > PATIENCE:
-                told = True
+            if (tell := _compile_callback.get()) is not None and time.monotonic() - start > COMPILE_PROGRESS_DELAY:
+                reported = True
                 tell("compiling", 1.0 - len(left) / count)
 
-    others = [_compilers().submit(work) for _ in range(min(COMPILING, default_threads(), len(left)) - 1)]
+    others = [_compilers().submit(work) for _ in range(min(PARALLEL_COMPILATIONS, default_threads(), len(left)) - 1)]
     try:
         work()
     finally:
@@ -183,14 +183,14 @@ def load(stages: Iterable[Any], device: Any) -> None:
         wait(others)
     for other in others:
         other.result()
-    if told and (tell := _told.get()) is not None:
+    if reported and (tell := _compile_callback.get()) is not None:
         tell("compiling", 1.0)
 
 
 @functools.cache
 def _compilers() -> ThreadPoolExecutor:
     """Return the thread pool that compiles kernels; its threads stay alive between calls."""
-    return ThreadPoolExecutor(COMPILING)
+    return ThreadPoolExecutor(PARALLEL_COMPILATIONS)
 
 
 def _in_order(wanted: Iterable[tuple[Any, int]]) -> list[tuple[Any, int]]:
@@ -208,7 +208,7 @@ def graph_sizes(count: int, largest: int) -> list[int]:
     return [largest] * (count // largest) + rest
 
 
-def by_one_thread(step: Step) -> Step:
+def merge_thread_stages(step: Step) -> Step:
     """Merge the threads' stage lists into a list for one thread, barrier by barrier.
 
     The single thread runs the stages of all threads up to a barrier, then those up to the next barrier.
@@ -233,13 +233,13 @@ class Launcher:
 
     def __init__(self, threads: int, device: Any) -> None:
         self.threads, self.device = threads, device
-        self._graphs: dict[tuple[int, bool, AtOnce | None], list[Any]] = {}
-        self._now_and_then: Callable[[], None] | None = None
-        self._without = 0  # number of steps since the stages last ran that are not part of every step
+        self._graphs: dict[tuple[int, bool, GraphLaunch | None], list[Any]] = {}
+        self._periodic_launch: Callable[[], None] | None = None
+        self._steps_without_periodic = 0  # number of steps since the stages last ran that are not part of every step
         self.gate = wp.zeros(GATE, dtype=wp.int32, device=device)
         """Counters of the barrier at which the threads wait for one another, shape (GATE,)."""
-        self.crowding = Crowding()
-        self._pool = ThreadPoolExecutor(threads, initializer=own_cores(threads)) if threads > 1 else None
+        self.contention = CoreContention()
+        self._pool = ThreadPoolExecutor(threads, initializer=thread_pinner(threads)) if threads > 1 else None
         if self._pool is not None:
             weakref.finalize(self, self._pool.shutdown, wait=False)
 
@@ -252,59 +252,61 @@ class Launcher:
     def invalidate_graphs(self) -> None:
         """Discard all graphs, because arrays or chunks that they contain have changed."""
         self._graphs.clear()
-        self._now_and_then = None
+        self._periodic_launch = None
 
     def replay(
         self,
         step: Step,
-        alone: Callable[[], Step],
+        single_thread_step: Callable[[], Step],
         sizes: list[int],
         ended: Callable[[], bool],
-        behind: AtOnce | None = None,
+        appended: GraphLaunch | None = None,
     ) -> None:
         """Replay one graph for each entry of `sizes`, which is the number of steps in the graph.
 
-        `step` has the stages of each thread. `alone` returns the same step for one thread that does all the work, and
-        the stages of `behind` become the end of each graph on a GPU. On a CPU, `ended` is called after each graph; if
-        it returns True, the remaining steps would do nothing and are left out.
+        `step` has the stages of each thread. `single_thread_step` returns the same step for one thread that does all
+        the work, and the stages of `appended` become the end of each graph on a GPU. On a CPU, `ended` is called after
+        each graph; if it returns True, the remaining steps would do nothing and are left out.
         """
         left = list(sizes)
         while left:
             # During core contention, or while contention is still unknown, check again after each graph.
-            crowded = self._pool is not None and self.crowding.look()
-            count = 1 if self._pool is not None and (crowded or self.crowding.on_trial) else len(left)
+            contended = self._pool is not None and self.contention.use_one_thread()
+            count = 1 if self._pool is not None and (contended or self.contention.is_uncertain) else len(left)
             now, left = left[:count], left[count:]
             for size in set(now):
-                if (size, crowded, behind) not in self._graphs:
-                    self._graphs[size, crowded, behind] = self._capture(alone() if crowded else step, size, behind)
-            begun = time.perf_counter()
-            parts = range(1 if crowded else self.threads)
-            self._together([functools.partial(self._run, part, now, crowded, ended, behind) for part in parts])
-            if self._pool is not None and not crowded:
-                self.crowding.stepped(time.perf_counter() - begun)
+                if (size, contended, appended) not in self._graphs:
+                    self._graphs[size, contended, appended] = self._capture(
+                        single_thread_step() if contended else step, size, appended
+                    )
+            start = time.perf_counter()
+            parts = range(1 if contended else self.threads)
+            self._together([functools.partial(self._run, part, now, contended, ended, appended) for part in parts])
+            if self._pool is not None and not contended:
+                self.contention.add_step_time(time.perf_counter() - start)
             self._catch_up(step[0], now)
             if left and not parallel(self.device) and ended():
                 return
 
     def _catch_up(self, stages: list[Any], sizes: list[int]) -> None:
         """Launch stages that run once in several steps, if graphs of these sizes are too short to contain them."""
-        seldom = [stage for stage in stages if stage.every > 1]
-        if not seldom:
+        periodic = [stage for stage in stages if stage.every > 1]
+        if not periodic:
             return
-        held = any(stage.is_due(0, size) for stage in seldom for size in sizes)
-        self._without = 0 if held else self._without + sum(sizes)
-        if self._without >= seldom[0].every:
-            self._now_and_then = self._now_and_then or AtOnce(seldom, self.device)
-            self._now_and_then()
-            self._without = 0
+        contained = any(stage.is_due(0, size) for stage in periodic for size in sizes)
+        self._steps_without_periodic = 0 if contained else self._steps_without_periodic + sum(sizes)
+        if self._steps_without_periodic >= periodic[0].every:
+            self._periodic_launch = self._periodic_launch or GraphLaunch(periodic, self.device)
+            self._periodic_launch()
+            self._steps_without_periodic = 0
 
     def _run(
-        self, part: int, sizes: list[int], crowded: bool, ended: Callable[[], bool], behind: AtOnce | None
+        self, part: int, sizes: list[int], contended: bool, ended: Callable[[], bool], appended: GraphLaunch | None
     ) -> None:
-        if not crowded:
-            self.crowding.enter()
+        if not contended:
+            self.contention.register_thread()
         for size in sizes:
-            wp.capture_launch(self._graphs[size, crowded, behind][part])
+            wp.capture_launch(self._graphs[size, contended, appended][part])
             # `ended` gives all threads the same answer: a thread that goes on waits for the others at the next barrier,
             # and the flags that `ended` reads change only after that barrier.
             if not parallel(self.device) and ended():
@@ -317,7 +319,7 @@ class Launcher:
         """
         for stage in stages:
             stage.record()
-        if self.crowding.crowded:  # During core contention, one thread does all work.
+        if self.contention.contended:  # During core contention, one thread does all work.
             self._together([lambda: [stage() for stage in stages]])
         else:
             self._together(stages)
@@ -328,49 +330,49 @@ class Launcher:
                 call()
             return
         if len(calls) == 1:  # Use the calling thread, because it is not pinned to a core.
-            with put_off():
+            with defer_interrupts():
                 calls[0]()
             return
         # Defer interruptions. If only some threads started, they would wait for the others at the barrier forever, and
         # all threads must have finished before Python reads their arrays.
-        with put_off():
+        with defer_interrupts():
             running = [self._pool.submit(call) for call in calls]
             wait(running)
         for one in running:
             one.result()
 
-    def _capture(self, step: Step, size: int, behind: AtOnce | None) -> list[Any]:
+    def _capture(self, step: Step, size: int, appended: GraphLaunch | None) -> list[Any]:
         load((stage for part in step for stage in part), self.device)
 
         def launch(part: list[Any]) -> None:
             for turn in range(size):
                 due = [stage for stage in part if stage.is_due(turn, size)]
                 if parallel(self.device) and self.device.is_cuda:
-                    _launch_beside(due, self.device)
+                    _launch_on_side_stream(due, self.device)
                 else:
                     for stage in due:
                         stage()
-            for stage in behind.stages if behind is not None else ():
+            for stage in appended.stages if appended is not None else ():
                 stage()
 
         return [captured(self.device, functools.partial(launch, part)) for part in step]
 
 
-def _launch_beside(stages: list[Any], device: Any) -> None:
-    """Launch a GPU's stages during a graph capture, those with `beside` on a side stream.
+def _launch_on_side_stream(stages: list[Any], device: Any) -> None:
+    """Launch a GPU's stages during a graph capture, those with `on_side_stream` on a side stream.
 
-    The main stream waits for the side stream before a stage with `meets`, and at the end.
+    The main stream waits for the side stream before a stage with `joins_side_stream`, and at the end.
     """
     main, side, apart = device.stream, None, False
     for stage in stages:
-        if stage.beside:
+        if stage.on_side_stream:
             if side is None:
                 side = wp.Stream(device, priority=main.priority)
                 side.wait_event(main.record_event())
             stage(side)
             apart = True
             continue
-        if stage.meets and side is not None and apart:
+        if stage.joins_side_stream and side is not None and apart:
             main.wait_event(side.record_event())
             apart = False
         stage()

@@ -8,28 +8,29 @@ from collections.abc import Callable
 from typing import Any
 
 from .device import default_threads, parallel
-from .interpreter_priority import give_way, waiting
+from .interpreter_priority import run_is_waiting, yield_to_run
 
-MOST = 8
+MAXIMUM_JOBS = 8
 """Maximum number of waiting jobs. If more are added, the run waits, so that no job is lost and memory stays bounded."""
 
 
-class Later:
-    """Queue that runs jobs of recorders one after the other, in a thread of its own if `beside` is set.
+class RecorderThread:
+    """Queue that runs jobs of recorders one after the other, in a thread of its own if `in_thread` is set.
 
-    Without `beside`, the caller runs each job at once. After a job fails, every call raises its error, and no other job
-    runs. With `gives_way`, the thread lets the run use Python's interpreter first: see :mod:`.interpreter_priority`.
+    Without `in_thread`, the caller runs each job at once. After a job fails, every call raises its error, and no other
+    job runs. With `yields_to_run`, the thread lets the run use Python's interpreter first: see
+    :mod:`.interpreter_priority`.
     """
 
-    def __init__(self, beside: bool, gives_way: bool = False) -> None:
-        self.beside = beside
-        self._gives_way = gives_way
-        self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue(MOST)
+    def __init__(self, in_thread: bool, yields_to_run: bool = False) -> None:
+        self.in_thread = in_thread
+        self._yields_to_run = yields_to_run
+        self._jobs: queue.Queue[Callable[[], None] | None] = queue.Queue(MAXIMUM_JOBS)
         self._thread: threading.Thread | None = None
         self._error: BaseException | None = None
 
     @classmethod
-    def of(cls, simulation: Any) -> Later:
+    def for_simulation(cls, simulation: Any) -> RecorderThread:
         """Return the queue for a simulation, with a thread of its own on a GPU or if a CPU core is free.
 
         Threads of a run that wait for one another at barriers need a core each, so the recorder thread must not share
@@ -38,39 +39,39 @@ class Later:
         spare = not simulation.shares_cores and simulation.threads < default_threads()
         return cls(parallel(simulation.device) or spare, simulation.device.is_cuda)
 
-    def do(self, job: Callable[[], None]) -> None:
+    def submit(self, job: Callable[[], None]) -> None:
         """Run a job, or append it to the queue."""
-        self._look()
-        if not self.beside:
+        self._raise_error()
+        if not self.in_thread:
             job()
             return
         if self._thread is None:
             self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
             self._thread.start()
-        with waiting():
+        with run_is_waiting():
             self._jobs.put(job)
 
     def wait(self) -> None:
         """Wait until all jobs in the queue are done."""
-        with waiting():
+        with run_is_waiting():
             self._jobs.join()
-        self._look()
+        self._raise_error()
 
-    def give_way(self) -> None:
+    def yield_to_run(self) -> None:
         """Let the run use Python's interpreter first, between two parts of a recorder's job."""
-        if self._gives_way and threading.current_thread() is self._thread:
-            give_way()
+        if self._yields_to_run and threading.current_thread() is self._thread:
+            yield_to_run()
 
     def close(self) -> None:
         """Wait until all jobs are done, and end the thread."""
         if self._thread is not None:
-            with waiting():
+            with run_is_waiting():
                 self._jobs.put(None)
                 self._thread.join()
             self._thread = None
-        self._look()
+        self._raise_error()
 
-    def _look(self) -> None:
+    def _raise_error(self) -> None:
         if self._error is not None:
             raise self._error
 
@@ -81,7 +82,7 @@ class Later:
                 if job is None:
                     return
                 if self._error is None:
-                    self.give_way()
+                    self.yield_to_run()
                     job()
             except BaseException as error:
                 self._error = error

@@ -10,7 +10,7 @@ from typing import Any
 import warp as wp
 
 from ...kernels.common.reductions import BLOCK
-from ...kernels.common.scanning import EACH, scanning_kernels
+from ...kernels.common.scanning import VALUES_PER_THREAD, scanning_kernels
 from .device import parallel
 from .launching import Stage
 
@@ -28,7 +28,7 @@ def scan_stages(values: wp.array, before: wp.array) -> list[Stage]:
         return [Stage(kernels.spread, 1, named, device)]
     # The first stage stores the sum of each block of values. The second stage adds the sums of all previous blocks to
     # the sum of the previous values in the same block.
-    blocks = -(-count // (EACH * BLOCK))
+    blocks = -(-count // (VALUES_PER_THREAD * BLOCK))
     partial = wp.zeros(blocks, dtype=wp.float64, device=device)
     added = {"count": count, "values": values, "partial": partial}
     return [

@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..device.recorder_thread import Later
+from ..device.recorder_thread import RecorderThread
 from ..errors import one_of
 from .paint import Paint, packed
-from .snapshots import Moment, moment_of, on_host
+from .snapshots import Snapshot, on_host, snapshot_of
 
 Colour = tuple[int, int, int, int]
 """Colour as red, green, blue and opacity, each from 0 to 255."""
@@ -146,66 +146,66 @@ class Display(ABC):
         self.colouring = self.preferred if colouring is None else colouring
         one_of("colour", self.colouring, self.colourings)
         self._sources: dict[str, Callable[[], Any]] = {}
-        self._taken: Moment | None = None
-        self._give_way: Callable[[], None] = lambda: None
+        self._current_snapshot: Snapshot | None = None
+        self._yield_to_run: Callable[[], None] = lambda: None
         self._complete = False
 
     def read(self, path: str) -> np.ndarray:
         """Return an array of the state by its path, such as "bodies.velocity", at the time that is drawn."""
-        return self.once(path, lambda: attrgetter(path)(self.simulation.state))
+        return self.snapshot_value(path, lambda: attrgetter(path)(self.simulation.state))
 
-    def once(self, name: str, source: Callable[[], Any]) -> Any:
+    def snapshot_value(self, name: str, source: Callable[[], Any]) -> Any:
         """Return the result of `source`, which depends on the state at the time that is drawn.
 
         While a snapshot is drawn, the value stored under `name` in the snapshot is returned instead. All displays of a
         simulation share the values of a snapshot, so do not write to them. A Warp array is returned as a NumPy array.
         """
-        if self._taken is not None:
-            self._give_way()
-            return self._taken.read(name)
+        if self._current_snapshot is not None:
+            self._yield_to_run()
+            return self._current_snapshot.read(name)
         self._sources[name] = source
         return on_host(source())
 
-    def worked_out(self, name: Hashable, work: Callable[[], Any]) -> Any:
+    def derived(self, name: Hashable, work: Callable[[], Any]) -> Any:
         """Return the result of `work`, which processes values of the snapshot that is drawn.
 
         The result is stored under `name`, so that it is computed once for all displays of the simulation. Do not write
         to the result.
         """
-        if self._taken is None:
+        if self._current_snapshot is None:
             return work()
-        known = self._taken.worked_out
-        if name not in known:  # Two threads may both compute the value; their results are equal.
-            known[name] = work()
-        return known[name]
+        results = self._current_snapshot.derived
+        if name not in results:  # Two threads may both compute the value; their results are equal.
+            results[name] = work()
+        return results[name]
 
     @property
     def time(self) -> float:
         """Simulated time that is drawn [s]."""
-        return self.simulation.stepper.time if self._taken is None else self._taken.time
+        return self.simulation.stepper.time if self._current_snapshot is None else self._current_snapshot.time
 
-    def draw(self, later: Later, job: Callable[[float, int], None]) -> None:
+    def draw(self, later: RecorderThread, job: Callable[[float, int], None]) -> None:
         """Let `job` draw the present state; its arguments are the simulated time [s] and the number of steps.
 
         The first job runs at once and shows which values it reads. For a later job, these values are read now into a
         snapshot, and the recorder thread `later` runs the job.
         """
         time, steps = self.simulation.stepper.time, self.simulation.stepper.steps
-        if not later.beside or not self._complete:
+        if not later.in_thread or not self._complete:
             later.wait()
             job(time, steps)
             self._complete = True
             return
-        moment, self._give_way = moment_of(self.simulation, self._sources), later.give_way
+        snapshot, self._yield_to_run = snapshot_of(self.simulation, self._sources), later.yield_to_run
 
         def drawn() -> None:
-            self._taken = moment
+            self._current_snapshot = snapshot
             try:
                 job(time, steps)
             finally:
-                self._taken = None
+                self._current_snapshot = None
 
-        later.do(drawn)
+        later.submit(drawn)
 
     @property
     def preferred(self) -> str:
@@ -247,7 +247,7 @@ class Display(ABC):
         """
         return None
 
-    def things(self) -> dict[str, np.ndarray]:
+    def categories(self) -> dict[str, np.ndarray]:
         """Return the colour of each category as RGB bytes (3,), by name; empty if colours show a quantity."""
         return {}
 

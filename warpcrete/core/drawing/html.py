@@ -11,12 +11,12 @@ from ..inputs.origin import changed_fields
 
 def html_table(rows: Iterable[Sequence[Any]], head: Sequence[Any] = (), caption: str = "") -> str:
     """Return rows of cells as an HTML table, with an optional header row and caption."""
-    found = [f'<caption style="text-align: left">{escape(caption)}</caption>'] if caption else []
+    lines = [f'<caption style="text-align: left">{escape(caption)}</caption>'] if caption else []
     if head:
-        found.append("<tr>" + "".join(f"<th>{escape(str(cell))}</th>" for cell in head) + "</tr>")
+        lines.append("<tr>" + "".join(f"<th>{escape(str(cell))}</th>" for cell in head) + "</tr>")
     for row in rows:
-        found.append("<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>")
-    return f"<table>{''.join(found)}</table>"
+        lines.append("<tr>" + "".join(f"<td>{escape(str(cell))}</td>" for cell in row) + "</tr>")
+    return f"<table>{''.join(lines)}</table>"
 
 
 class Parametrised:

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-STEPS, A_DECADE = 2048, 128
+COLOUR_STEPS, STEPS_PER_DECADE = 2048, 128
 """Number of steps into which painted values are rounded: in total, and from a value to ten times that value."""
-LEAST = 1e-6
+SMALLEST_VALUE = 1e-6
 """Smallest painted value, in the displayed unit; smaller values are shown as zero."""
 COLOURS = 256
 """Number of colours in a palette."""
 
 
-def on_palette(values: np.ndarray, upper: float, lower: float = 0.0, name: str = "viridis") -> np.ndarray:
+def palette_colours(values: np.ndarray, upper: float, lower: float = 0.0, name: str = "viridis") -> np.ndarray:
     """Return RGB bytes (n, 3) of values from `lower` to `upper` on a Matplotlib colour map.
 
     The default colour map, viridis, is perceptually uniform.
@@ -64,9 +64,9 @@ class Paint:
 
     def colours(self) -> np.ndarray:
         """Return the RGB bytes of all steps, shape (STEPS, 3)."""
-        values = LEAST * 10 ** (np.arange(STEPS) / A_DECADE)
+        values = SMALLEST_VALUE * 10 ** (np.arange(COLOUR_STEPS) / STEPS_PER_DECADE)
         values[0] = 0.0
-        return on_palette(values, self.upper if self.upper > 0 else np.inf, name=self.palette)
+        return palette_colours(values, self.upper if self.upper > 0 else np.inf, name=self.palette)
 
     def steps(self, values: np.ndarray) -> np.ndarray:
         """Return the nearest step of each value in the displayed unit, with the shape of `values`.
@@ -74,9 +74,9 @@ class Paint:
         All values that have the scale's first colour get the same step. The viewer interpolates steps between vertices,
         and distant steps would give colours between the vertices that neither vertex has.
         """
-        least = max(LEAST, self.upper / COLOURS)
-        place = A_DECADE * np.log10(np.maximum(values, least) / LEAST)
-        return np.clip(np.rint(place), 0, STEPS - 1).astype(np.int32)
+        least = max(SMALLEST_VALUE, self.upper / COLOURS)
+        place = STEPS_PER_DECADE * np.log10(np.maximum(values, least) / SMALLEST_VALUE)
+        return np.clip(np.rint(place), 0, COLOUR_STEPS - 1).astype(np.int32)
 
 
 def rounded_up(value: float) -> float:

@@ -12,11 +12,11 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import warp as wp
 
-from ..device.exchange import Beside
+from ..device.exchange import PinnedBuffers
 
-LONGEST = 60.0
+COPY_TIMEOUT = 60.0
 """Maximum time that copies from a device may take to arrive before an error is raised [s]."""
-GLANCE = 1e-3
+POLL_INTERVAL = 1e-3
 """Time between two checks whether copies have arrived [s]; each check takes Python's interpreter lock from the run."""
 
 
@@ -32,21 +32,21 @@ def _is_on_gpu(array: wp.array) -> bool:
     return bool(wp.get_device(array.device).is_cuda)
 
 
-class Pool:
+class PinnedPool:
     """Pool of page-locked memory for asynchronous copies from a GPU; it is reused because its allocation is slow."""
 
     def __init__(self) -> None:
-        self._free: dict[tuple[str, ...], tuple[Any, deque[Beside]]] = {}
-        self._outdated: list[deque[Beside]] = []
-        self._one: wp.array | None = None
+        self._free: dict[tuple[str, ...], tuple[Any, deque[PinnedBuffers]]] = {}
+        self._outdated_queues: list[deque[PinnedBuffers]] = []
+        self._arrival_flag: wp.array | None = None
 
-    def one(self, device: Any) -> wp.array:
+    def arrival_flag(self, device: Any) -> wp.array:
         """Return an array on a device, shape (1,), that holds 1; a copy of it is a flag of arrival."""
-        if self._one is None:
-            self._one = wp.ones(1, dtype=wp.int32, device=device)
-        return self._one
+        if self._arrival_flag is None:
+            self._arrival_flag = wp.ones(1, dtype=wp.int32, device=device)
+        return self._arrival_flag
 
-    def take(self, arrays: Mapping[str, wp.array], device: Any) -> tuple[Beside, deque[Beside]]:
+    def take(self, arrays: Mapping[str, wp.array], device: Any) -> tuple[PinnedBuffers, deque[PinnedBuffers]]:
         """Return page-locked memory for copies of arrays, and the queue to which this memory returns later.
 
         Memory for arrays with the same names but other sizes or addresses is discarded.
@@ -54,16 +54,16 @@ class Pool:
         names, where = tuple(arrays), [(array.ptr, array.shape, array.dtype) for array in arrays.values()]
         if names not in self._free or self._free[names][0] != where:
             if names in self._free:
-                self._outdated.append(self._free[names][1])
+                self._outdated_queues.append(self._free[names][1])
             self._free[names] = where, deque()
-        for outdated in self._outdated:  # Free memory here: a recorder's thread must not call the driver.
-            outdated.clear()
+        for queue in self._outdated_queues:  # Free memory here: a recorder's thread must not call the driver.
+            queue.clear()
         free = self._free[names][1]
         # No lock is needed: several threads return memory to this queue, but only one thread takes memory from it.
-        return free.pop() if free else Beside([*arrays.values()], device), free
+        return free.pop() if free else PinnedBuffers([*arrays.values()], device), free
 
 
-class Arriving:
+class PendingCopies:
     """Copies of GPU arrays, made in stream order: after the work launched before, and before the work launched later.
 
     The last copy is a flag, and a reader polls this flag in page-locked memory. The reader therefore makes no call to
@@ -71,76 +71,78 @@ class Arriving:
     deleted.
     """
 
-    def __init__(self, arrays: Mapping[str, wp.array], pool: Pool) -> None:
+    def __init__(self, arrays: Mapping[str, wp.array], pool: PinnedPool) -> None:
         device = next(iter(arrays.values())).device
-        wanted = {**arrays, "": pool.one(device)}
-        self._beside, self._back = pool.take(wanted, device)
-        self._views = dict(zip(wanted, self._beside.views))
+        sources_and_flag = {**arrays, "": pool.arrival_flag(device)}
+        self._buffers, self._return_queue = pool.take(sources_and_flag, device)
+        self._views = dict(zip(sources_and_flag, self._buffers.views))
         self._views[""][0] = 0
-        self._beside.take([*wanted.values()])
+        self._buffers.gather([*sources_and_flag.values()])
 
     def __del__(self) -> None:
         # The memory must not be reused while the device may still write to it.
         if hasattr(self, "_views") and self._views[""][0] == 1:
-            self._back.append(self._beside)
+            self._return_queue.append(self._buffers)
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return a copy by name after it has arrived; the copy is valid while this object exists.
 
-        Raises RuntimeError if the copies do not arrive within the time `LONGEST`.
+        Raises RuntimeError if the copies do not arrive within the time `COPY_TIMEOUT`.
         """
-        flag, begun = self._views[""], time.monotonic()
+        flag, start = self._views[""], time.monotonic()
         while flag[0] == 0:
-            if time.monotonic() - begun > LONGEST:
-                raise RuntimeError(f"copying the arrays for drawing from the device took longer than {LONGEST:g} s")
-            time.sleep(GLANCE)
+            if time.monotonic() - start > COPY_TIMEOUT:
+                raise RuntimeError(
+                    f"copying the arrays for drawing from the device took longer than {COPY_TIMEOUT:g} s"
+                )
+            time.sleep(POLL_INTERVAL)
         return self._views[name]
 
 
 @dataclass(frozen=True)
-class Moment:
+class Snapshot:
     """Snapshot of a run for drawing."""
 
     time: float
     """Simulated time of the snapshot [s]."""
     steps: int
     found: dict[str, Any]
-    """Values by name; for a copy that is still in flight, the :class:`Arriving` object that contains it."""
-    worked_out: dict[Hashable, Any] = field(default_factory=dict)
+    """Values by name; for a copy that is still in flight, the :class:`PendingCopies` object that contains it."""
+    derived: dict[Hashable, Any] = field(default_factory=dict)
     """Results computed from the values, by name, shared by all displays of this snapshot."""
 
     def read(self, name: str) -> Any:
         """Return the value with a name, after its copy has arrived."""
         found = self.found[name]
-        return found[name] if isinstance(found, Arriving) else found
+        return found[name] if isinstance(found, PendingCopies) else found
 
 
 class _Latest:
     """Latest snapshot of a simulation, and the memory pool for its next snapshots."""
 
     def __init__(self) -> None:
-        self.moment = Moment(float("nan"), -1, {})
-        self.pool = Pool()
+        self.snapshot = Snapshot(float("nan"), -1, {})
+        self.pool = PinnedPool()
 
 
 _latest: WeakKeyDictionary[Any, _Latest] = WeakKeyDictionary()
 
 
-def moment_of(simulation: Any, sources: Mapping[str, Callable[[], Any]]) -> Moment:
+def snapshot_of(simulation: Any, sources: Mapping[str, Callable[[], Any]]) -> Snapshot:
     """Return a snapshot of the present values of `sources`, by name.
 
     Several displays that request a name at the same step share one read.
     """
     latest = _latest.setdefault(simulation, _Latest())
     time, steps = simulation.stepper.time, simulation.stepper.steps
-    if (latest.moment.time, latest.moment.steps) != (time, steps):
-        latest.moment = Moment(time, steps, {})
-    found = latest.moment.found
+    if (latest.snapshot.time, latest.snapshot.steps) != (time, steps):
+        latest.snapshot = Snapshot(time, steps, {})
+    found = latest.snapshot.found
     new = {name: source() for name, source in sources.items() if name not in found}
     arrays = {name: value for name, value in new.items()
               if isinstance(value, wp.array) and value.size and _is_on_gpu(value)}  # fmt: skip
     found |= {name: on_host(value) for name, value in new.items() if name not in arrays}
     if arrays:
-        found |= dict.fromkeys(arrays, Arriving(arrays, latest.pool))
+        found |= dict.fromkeys(arrays, PendingCopies(arrays, latest.pool))
     # Copy the dictionary, because other displays may add values to it while this snapshot is drawn.
-    return Moment(time, steps, {name: found[name] for name in sources}, latest.moment.worked_out)
+    return Snapshot(time, steps, {name: found[name] for name in sources}, latest.snapshot.derived)

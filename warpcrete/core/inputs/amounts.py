@@ -45,40 +45,40 @@ LONGEST = 100
 """Maximum length of the text of an amount, in characters."""
 
 
-def _split(given: str) -> re.Match[str] | None:
+def _split(value: str) -> re.Match[str] | None:
     """Return the match of the pattern `NUMBER` with a text, or None if the text is not an amount."""
-    return NUMBER.fullmatch(given.strip()) if len(given) <= LONGEST else None
+    return NUMBER.fullmatch(value.strip()) if len(value) <= LONGEST else None
 
 
-def bare_number(given: Any) -> bool:
-    """Return whether `given` is a number, or a text that holds a number without a unit."""
-    if not isinstance(given, str):
-        return isinstance(given, NUMBERS)
-    text = _split(given)
+def bare_number(value: Any) -> bool:
+    """Return whether `value` is a number, or a text that holds a number without a unit."""
+    if not isinstance(value, str):
+        return isinstance(value, NUMBERS)
+    text = _split(value)
     return text is not None and not text[2]
 
 
-def amount(field: str, given: Any, unit: str) -> float:
+def amount(field: str, value: Any, unit: str) -> float:
     """Return a number or a text such as "125 mm" as a number in `unit`.
 
     `unit` is a key of :data:`UNITS`, and `field` names the parameter in error messages. A number without a unit counts
-    as a number in `unit`. Raises :class:`SceneError` for an unknown unit, or if `given` is not a finite number.
+    as a number in `unit`. Raises :class:`SceneError` for an unknown unit, or if `value` is not a finite number.
     """
     known = UNITS[unit]
-    found, more = math.nan, ""
-    if isinstance(given, str):
-        text = _split(given)
+    number, more = math.nan, ""
+    if isinstance(value, str):
+        text = _split(value)
         if text is not None and (not text[2] or text[2] in known):
-            found = float(text[1]) * known[text[2] or unit]
-        elif re.match(r"\s*[-+]?\d+,\d", given):
+            number = float(text[1]) * known[text[2] or unit]
+        elif re.match(r"\s*[-+]?\d+,\d", value):
             more = "; write a decimal point instead of a decimal comma, as in 10.3"
         elif text is not None and (meant := suggested(text[2], known)):
             more = f"; {meant}"
-    elif isinstance(given, NUMBERS) and not isinstance(given, bool):
+    elif isinstance(value, NUMBERS) and not isinstance(value, bool):
         with suppress(OverflowError):
-            found = float(given)
-    if not math.isfinite(found):
+            number = float(value)
+    if not math.isfinite(number):
         units = f"with one of {', '.join(known)}" if unit != "1" else "without a unit, or with %"
-        refuse(field, given, f"must be a number {units}{more}",
+        refuse(field, value, f"must be a number {units}{more}",
                f"a number without a unit is in {unit}" if unit != "1" else "")  # fmt: skip
-    return found
+    return number

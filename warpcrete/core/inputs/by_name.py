@@ -24,7 +24,7 @@ from typing import Any
 from ..errors import SceneError, refuse
 from .fingerprints import fingerprint
 from .origin import note_file
-from .parameters import Field, Spread, declared_fields
+from .parameters import CompositeRule, Field, declared_fields
 
 _from_file: ContextVar[bool] = ContextVar("from_file", default=False)
 _trusted: ContextVar[bool] = ContextVar("trusted", default=False)
@@ -73,7 +73,7 @@ def _folder_on_path() -> Iterator[None]:
 
 
 @dataclass(frozen=True)
-class ByName(Spread):
+class ByName(CompositeRule):
     """Rule for a parameter whose value is an object of a class in `classes` (by short name) or of a user's class."""
 
     classes: Mapping[str, type]
@@ -86,7 +86,7 @@ class ByName(Spread):
         kind = self.class_of(field, value)
         return {} if kind is None else own_fields(field.name, kind)
 
-    def assembled(self, field: Field, values: Mapping[str, Any]) -> dict[str, Any]:
+    def with_objects(self, field: Field, values: Mapping[str, Any]) -> dict[str, Any]:
         """Return parameters with an object in place of its class name and of the object's own parameters.
 
         For example, the entries `contact` and `contact_FIELD` become one entry `contact` that holds the contact law.
@@ -98,7 +98,7 @@ class ByName(Spread):
             found[field.name] = _object(field.name, kind, value if isinstance(value, kind) else None, own)
         return found
 
-    def written(self, field: Field, value: Any) -> tuple[dict[str, Any], bool]:
+    def to_plain(self, field: Field, value: Any) -> tuple[dict[str, Any], bool]:
         """Return an object's class name and field values, and whether these suffice to make an equal object.
 
         They do not suffice if the class cannot be imported by its name, or if it has fields that are not declared.

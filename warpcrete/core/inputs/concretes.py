@@ -22,14 +22,14 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import known_names, one_line, refuse, suggested
-from .text_files import name_of, read_mapping, within
+from .text_files import errors_located_at, name_of, read_mapping
 
 SHIPPED = Path(__file__).parents[2] / "measured" / "concretes"
 FILES = (".yaml", ".yml", ".json")
 SECTIONS = ("elements", "flow")
 TEXTS = ("name", "source", "calibrated", "base")
 KEYS = (*TEXTS, *SECTIONS, "mix")
-LONGEST_CHAIN = 10
+MAXIMUM_CHAIN = 10
 """Maximum number of concretes in a chain in which each one is the base of the next."""
 
 
@@ -88,23 +88,23 @@ def _shipped(name: str) -> NamedConcrete:
 
 def _read(path: Path, depth: int) -> NamedConcrete:
     given = read_mapping(path, "concrete")
-    if depth > LONGEST_CHAIN:
+    if depth > MAXIMUM_CHAIN:
         refuse(
             "concrete base",
             str(path),
-            f"is part of a chain of more than {LONGEST_CHAIN} bases or of a loop",
+            f"is part of a chain of more than {MAXIMUM_CHAIN} bases or of a loop",
             "shorten the chain of bases",
         )
     for key in given:
         if key not in KEYS:
-            with within(given, key):
+            with errors_located_at(given, key):
                 refuse("concrete", str(path), f"has the unknown key {key!r}", known_names(key, KEYS))
     texts = {key: one_line(str(given[key])) for key in TEXTS if given.get(key) is not None}
     sections = {}
     for section in SECTIONS:
         found = given.get(section) or {}
         if not isinstance(found, Mapping):
-            with within(given, section):
+            with errors_located_at(given, section):
                 refuse(f"concrete {section}", found, "must hold 'name: value' lines",
                        "indent them below the name of the section")  # fmt: skip
         sections[section] = dict(found)

@@ -74,22 +74,22 @@ class Arguments(dict[str, Any]):
     """Arguments of a scene function by name, with fingerprints of the scene that the function made.
 
     `function` is the name of the scene function, and `fields` has the fingerprint of each field of the scene. `files`
-    has the SHA-256 of each file that the function read. `lost` has the names of arguments whose values cannot be
+    has the SHA-256 of each file that the function read. `unwritable` has the names of arguments whose values cannot be
     written as text.
     """
 
     function: str = ""
     fields: Mapping[str, str] = {}
     files: Mapping[str, str] = {}
-    lost: tuple[str, ...] = ()
+    unwritable: tuple[str, ...] = ()
 
     @classmethod
     def of(
-        cls, scene: Any, function: str, values: Mapping[str, Any], files: Mapping[str, str], lost: tuple[str, ...]
+        cls, scene: Any, function: str, values: Mapping[str, Any], files: Mapping[str, str], unwritable: tuple[str, ...]
     ) -> Arguments:
         """Return the arguments `values` with fingerprints of `scene`, which was just made from them."""
         made = cls(values)
-        made.function, made.files, made.lost = function, dict(files), lost
+        made.function, made.files, made.unwritable = function, dict(files), unwritable
         made.fields = {"parameters": fingerprint(values), **_fingerprints(scene)}
         return made
 
@@ -108,7 +108,9 @@ def changed_fields(scene: Any) -> list[str]:
     if not isinstance(made, Arguments) or not made.function:
         return list(now)
     now["parameters"] = fingerprint(dict(made))
-    return list(dict.fromkeys([*made.lost, *(name for name, value in now.items() if made.fields.get(name) != value)]))
+    return list(
+        dict.fromkeys([*made.unwritable, *(name for name, value in now.items() if made.fields.get(name) != value)])
+    )
 
 
 def arguments_of(scene: Any) -> Mapping[str, Any]:
@@ -120,7 +122,7 @@ def check_named(scene: Any) -> None:
     """Refuse a scene with an object, such as a contact law, that other processes cannot make from its class name."""
     made = scene.parameters
     hidden = [name for name, value in made.items() if isinstance(value, str) and value.startswith("__main__:")]
-    for name in (*made.lost, *hidden):
+    for name in (*made.unwritable, *hidden):
         refuse(name, made[name], "cannot be recreated in another run or process",
                "define its class in a module file, and declare all its fields")  # fmt: skip
 

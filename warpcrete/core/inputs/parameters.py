@@ -104,7 +104,7 @@ class Alias:
     convert: Callable[[Any], Any] | None = None
 
 
-class Spread:
+class CompositeRule:
     """Rule of a parameter, such as `contact`, whose value has parameters of its own, such as `contact_FIELD`.
 
     See :mod:`warpcrete.core.inputs.by_name`.
@@ -114,12 +114,12 @@ class Spread:
         """Return the parameters that belong to a value of `field`, by name."""
         raise NotImplementedError
 
-    def assembled(self, field: Field, values: Mapping[str, Any]) -> dict[str, Any]:
+    def with_objects(self, field: Field, values: Mapping[str, Any]) -> dict[str, Any]:
         """Return parameters in which the value of `field` is built from all parameters that belong to it."""
         raise NotImplementedError
 
-    def written(self, field: Field, value: Any) -> tuple[dict[str, Any], bool]:
-        """Return plain values for a value of `field`, and whether `assembled` makes an equal value from them."""
+    def to_plain(self, field: Field, value: Any) -> tuple[dict[str, Any], bool]:
+        """Return plain values for a value of `field`, and whether `with_objects` makes an equal value from them."""
         raise NotImplementedError
 
 
@@ -300,7 +300,7 @@ class SceneFunction(Generic[P, S]):
         known = declared_fields(self.parameters)
         if args:
             refuse("parameters", args, "must be given by name", f"the names are {', '.join(known)}")
-        values = self.assembled(self.completed(given))
+        values = self.with_objects(self.completed(given))
         for name in values:
             if name not in known:
                 refuse("parameter", name, f"is not a parameter of scene {self.name}",
@@ -314,8 +314,8 @@ class SceneFunction(Generic[P, S]):
             parameters.check_needed()
             with files_read() as files:
                 scene = self._build(parameters)
-                values, lost = self._written(parameters)
-            object.__setattr__(scene, "parameters", Arguments.of(scene, self.name, values, files, lost))
+                values, unwritable = self._plain_values(parameters)
+            object.__setattr__(scene, "parameters", Arguments.of(scene, self.name, values, files, unwritable))
             return scene
         except MemoryError as error:
             raise SceneError(
@@ -335,35 +335,35 @@ class SceneFunction(Generic[P, S]):
         """Name of the scene in the command."""
         return self._build.__module__.rpartition(".")[2].replace("_", "-")
 
-    def _written(self, parameters: Any) -> tuple[dict[str, Any], tuple[str, ...]]:
+    def _plain_values(self, parameters: Any) -> tuple[dict[str, Any], tuple[str, ...]]:
         """Return parameters as plain values, and the names of parameters that these values cannot reproduce."""
         values: dict[str, Any] = {}
-        lost = []
+        unwritable = []
         for name, field in declared_fields(self.parameters).items():
             values[name] = getattr(parameters, name)
-            for rule in field.of_kind(Spread):
-                plain, same = rule.written(field, values[name])
+            for rule in field.of_kind(CompositeRule):
+                plain, same = rule.to_plain(field, values[name])
                 values |= plain
-                lost += [] if same else [name]
-        return values, tuple(lost)
+                unwritable += [] if same else [name]
+        return values, tuple(unwritable)
 
     def fields(self, given: Mapping[str, Any]) -> dict[str, Field]:
         """Return the declared fields, and the fields that belong to given values, such as those of a contact law."""
         known = dict(declared_fields(self.parameters))
         for name, field in list(known.items()):
-            for rule in field.of_kind(Spread):
+            for rule in field.of_kind(CompositeRule):
                 known |= {key: each for key, each in rule.fields(field, given.get(name)).items() if key not in known}
         return known
 
-    def assembled(self, values: Mapping[str, Any]) -> dict[str, Any]:
+    def with_objects(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Return parameters in which each object is built from the parameters that belong to it.
 
         Raises :class:`SceneError` for a parameter that belongs to no object.
         """
         found = dict(values)
         for field in declared_fields(self.parameters).values():
-            for rule in field.of_kind(Spread):
-                found = rule.assembled(field, found)
+            for rule in field.of_kind(CompositeRule):
+                found = rule.with_objects(field, found)
                 for name in found:
                     if name.startswith(f"{field.name}_") and name not in declared_fields(self.parameters):
                         value = values.get(field.name)
@@ -380,7 +380,7 @@ class SceneFunction(Generic[P, S]):
 
     def declared(self, given: Mapping[str, Any]) -> Any:
         """Return the dataclass of parameters: the given values, values that follow from these, and defaults."""
-        return self.parameters(**self.assembled(self.completed(given)))
+        return self.parameters(**self.with_objects(self.completed(given)))
 
     def completed(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Return parameters by their own names, together with parameters that follow from the given ones.
@@ -391,28 +391,28 @@ class SceneFunction(Generic[P, S]):
         implied = {name: value for name, value in self.parameters.implied(values).items() if name not in values}
         if not implied:
             return values
-        meant = self._meant(implied | values)
+        meant = self._effective(implied | values)
         return values | {name: value for name, value in implied.items() if name in meant}
 
-    def meaningful(self, given: Mapping[str, Any]) -> dict[str, Any]:
+    def effective_values(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Return the given parameters by their own names, without those that have no effect."""
         values = self.resolved(given)
-        meant = self._meant({**self.parameters.implied(values), **values})
+        meant = self._effective({**self.parameters.implied(values), **values})
         return {name: value for name, value in values.items() if name in meant}
 
-    def _meant(self, values: dict[str, Any]) -> dict[str, Any]:
+    def _effective(self, values: dict[str, Any]) -> dict[str, Any]:
         """Return those of `values` that have an effect in combination with each other."""
         known = declared_fields(self.parameters)
-        spread = {name: field for name, field in known.items() if any(field.of_kind(Spread))}
+        composite = {name: field for name, field in known.items() if any(field.of_kind(CompositeRule))}
 
         def meant(name: str) -> bool:
-            if name not in known and any(name.startswith(f"{each}_") for each in spread):
-                return name in self.fields({each: values[each] for each in spread if each in values})
+            if name not in known and any(name.startswith(f"{each}_") for each in composite):
+                return name in self.fields({each: values[each] for each in composite if each in values})
             rules = known[name].of_kind(Needs) if name in known else iter(())
             return all(rule.test(converted(rule.field)) for rule in rules)
 
         def converted(name: str) -> Any:
-            return held(name) if name in spread else known[name].converted(held(name), name)
+            return held(name) if name in composite else known[name].converted(held(name), name)
 
         def held(name: str) -> Any:
             return values.get(name, known[name].default)

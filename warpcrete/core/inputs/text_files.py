@@ -21,18 +21,18 @@ from ..errors import RunFolderError, SceneError, refuse
 from .origin import note_file
 from .yaml_files import LONGEST_NUMBER, FileList, Unreadable, parsed_yaml
 
-MOST_SETTINGS = 200_000
+MAXIMUM_SETTINGS_SIZE = 200_000
 """Maximum size of a YAML or JSON file that a user writes [B]; the YAML parser reads about 80 kB per second."""
-MOST_TEXT = 500_000_000
+MAXIMUM_TEXT_SIZE = 500_000_000
 """Maximum size of a table, or of a text file in a run folder [B]."""
-MOST_MESH = 2_000_000_000
+MAXIMUM_MESH_SIZE = 2_000_000_000
 """Maximum size of a mesh file [B]; a binary STL file of this size has 40 million triangles."""
 KINDS = ((stat.S_ISDIR, "a directory"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISCHR, "a device"),
          (stat.S_ISBLK, "a device"), (stat.S_ISSOCK, "a socket"))  # fmt: skip
 
 
 @contextmanager
-def within(container: Any, key: Any) -> Iterator[None]:
+def errors_located_at(container: Any, key: Any) -> Iterator[None]:
     """Add file name and line number of an entry to each :class:`SceneError` that is raised inside the block.
 
     The entry is `container[key]`, and the container is a :class:`FileMapping` or a :class:`FileList`.
@@ -49,7 +49,7 @@ def within(container: Any, key: Any) -> Iterator[None]:
         raise located from error
 
 
-def check_file(path: Path | str, field: str, most: int = MOST_MESH, hint: str = "") -> Path:
+def check_file(path: Path | str, field: str, most: int = MAXIMUM_MESH_SIZE, hint: str = "") -> Path:
     """Return `path` if it is a regular file of at most `most` bytes.
 
     For any other path, raise :class:`SceneError` about the parameter `field`.
@@ -77,7 +77,7 @@ def read_mapping(path: Path, field: str) -> dict[str, Any]:
     If that is impossible, raise :class:`SceneError` about the parameter `field` that named the file.
     """
     try:
-        text = _text(path, MOST_SETTINGS)
+        text = _text(path, MAXIMUM_SETTINGS_SIZE)
         found = parsed_json(text) if path.suffix.lower() == ".json" else parsed_yaml(text, path)
         if not isinstance(found, dict):
             raise Unreadable(
@@ -96,7 +96,7 @@ def read_rows(path: Path, field: str) -> tuple[list[str], list[tuple[int, list[s
     twice.
     """
     try:
-        rows = _rows(_text(path, MOST_TEXT))
+        rows = _rows(_text(path, MAXIMUM_TEXT_SIZE))
     except Unreadable as error:
         refuse(field, str(path), error.reason, error.hint)
     note_file(path)
@@ -106,7 +106,7 @@ def read_rows(path: Path, field: str) -> tuple[list[str], list[tuple[int, list[s
 def saved_text(path: Path) -> str:
     """Return the text of a file that the program wrote; raises :class:`RunFolderError` if that is impossible."""
     try:
-        return _text(path, MOST_TEXT)
+        return _text(path, MAXIMUM_TEXT_SIZE)
     except Unreadable as error:
         raise RunFolderError(f"'{path}': cannot be read ({error.reason})") from error
 
@@ -114,7 +114,7 @@ def saved_text(path: Path) -> str:
 def saved_json(path: Path) -> dict[str, Any]:
     """Return the object in a JSON file of the program; raises :class:`RunFolderError` if that is impossible."""
     try:
-        found = parsed_json(_text(path, MOST_TEXT))
+        found = parsed_json(_text(path, MAXIMUM_TEXT_SIZE))
     except Unreadable as error:
         raise RunFolderError(f"'{path}': cannot be read ({error.reason})") from error
     if not isinstance(found, dict):

@@ -17,18 +17,18 @@ from ruamel.yaml.tag import Tag
 
 from ..errors import one_line
 
-MOST_VALUES = 50_000
+MAXIMUM_VALUES = 50_000
 """Maximum number of values in a YAML file; a value counts once more for each alias that repeats it."""
-DEEPEST = 100
+MAXIMUM_DEPTH = 100
 """Maximum nesting depth of lists and mappings."""
 LONGEST_NUMBER = 400
 """Maximum number of characters of a number."""
-WHOLE = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
-DECIMAL = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
-NO_NUMBER = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+INTEGER_PATTERN = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
+DECIMAL_PATTERN = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+NOT_A_NUMBER = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 WORDS = dict.fromkeys(("", "~", "null", "Null", "NULL"), None) | dict.fromkeys(("true", "True", "TRUE"), True)
 WORDS |= dict.fromkeys(("false", "False", "FALSE"), False)
-PLAIN = "plain"
+PLAIN_TAG = "plain"
 """Tag for scalars that have no quotes and no tag."""
 
 
@@ -55,22 +55,22 @@ class Unreadable(Exception):
         self.hint = hint
 
 
-class Untagged(VersionedResolver):
+class UntaggedResolver(VersionedResolver):
     """YAML resolver that leaves the type of plain scalars to this module, whatever YAML version a file states."""
 
     def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
         """Return the tag of a node that has no tag in the file."""
         if kind is ScalarNode and implicit[0]:
-            return Tag(suffix=PLAIN)
+            return Tag(suffix=PLAIN_TAG)
         return super().resolve(kind, value, implicit)
 
 
-class Shallow(Scanner):
+class DepthLimitedScanner(Scanner):
     """YAML scanner that refuses deep nesting, because its time would grow with the square of the depth."""
 
     def fetch_flow_collection_start(self, *arguments: Any, **named: Any) -> None:
         """Begin a list or mapping in brackets; raises :class:`Unreadable` if it is nested too deeply."""
-        if len(self.flow_context) >= DEEPEST:
+        if len(self.flow_context) >= MAXIMUM_DEPTH:
             raise Unreadable("is nested too deeply", "write plain lists and mappings")
         super().fetch_flow_collection_start(*arguments, **named)
 
@@ -82,7 +82,7 @@ def parsed_yaml(text: str, path: Path) -> Any:
     other content.
     """
     parser = YAML(typ="safe", pure=True)
-    parser.Resolver, parser.Scanner = Untagged, Shallow
+    parser.Resolver, parser.Scanner = UntaggedResolver, DepthLimitedScanner
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Ignore warnings about anchors that are defined twice.
@@ -114,8 +114,8 @@ class _Values:
     def value(self, node: Any) -> Any:
         line = node.start_mark.line + 1
         self.values += 1
-        if self.values > MOST_VALUES:
-            raise Unreadable(f"contains more than {MOST_VALUES:,} values", "check that it is the right file")
+        if self.values > MAXIMUM_VALUES:
+            raise Unreadable(f"contains more than {MAXIMUM_VALUES:,} values", "check that it is the right file")
         if isinstance(node.value, str):
             return self._scalar(node, line)
         if not str(node.tag).endswith((":map", ":seq")):
@@ -144,7 +144,7 @@ class _Values:
         found.path, found.lines = self.path, {}
         for key, value in node.value:
             line = key.start_mark.line + 1
-            if not isinstance(key.value, str) or not str(key.tag).endswith((PLAIN, ":str")):
+            if not isinstance(key.value, str) or not str(key.tag).endswith((PLAIN_TAG, ":str")):
                 raise Unreadable("has a key that is not text", "write 'key: value' lines", line)
             if key.value in found:
                 raise Unreadable(f"has the key {one_line(key.value, 100)!r} twice, first in line "
@@ -157,20 +157,20 @@ class _Values:
         text = node.value
         if str(node.tag).endswith(":str"):
             return text
-        if node.tag != PLAIN:
+        if node.tag != PLAIN_TAG:
             tag = str(node.tag).replace("tag:yaml.org,2002:", "!!")
             raise Unreadable(f"has the tag {tag} before {one_line(text, 60)!r}", "remove it", line)
         if text in WORDS:
             return WORDS[text]
-        if NO_NUMBER.fullmatch(text):
+        if NOT_A_NUMBER.fullmatch(text):
             raise Unreadable(f"has {text}, which is not a finite number", "write a finite number", line)
         if not text[:1].isdigit() and text[:1] not in ("+", "-", "."):
             return text
-        if not (DECIMAL.fullmatch(text) or WHOLE.fullmatch(text)):
+        if not (DECIMAL_PATTERN.fullmatch(text) or INTEGER_PATTERN.fullmatch(text)):
             return text
         if len(text) > LONGEST_NUMBER:
             raise Unreadable(f"has a number of {len(text)} digits", "write it in the form 1e30", line)
-        if WHOLE.fullmatch(text):
+        if INTEGER_PATTERN.fullmatch(text):
             return int(text, {"0o": 8, "0x": 16}.get(text[:2], 10))
         value = float(text)
         if value in (float("inf"), float("-inf")):

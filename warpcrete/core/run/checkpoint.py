@@ -21,7 +21,7 @@ from .provenance import processor, versions
 FORMAT = 7
 
 
-def write_beside(path: Path, scene: Any, device: Any, precision: str, contents: dict[str, Any]) -> None:
+def write_partial(path: Path, scene: Any, device: Any, precision: str, contents: dict[str, Any]) -> None:
     """Write a checkpoint of a run of `scene` to a partial file next to `path`; :func:`commit` puts it in place.
 
     `contents` holds numbers, texts, arrays and dictionaries of these. The file is a NumPy archive (npz) with a SHA-256
@@ -54,7 +54,7 @@ def write_beside(path: Path, scene: Any, device: Any, precision: str, contents: 
 
 
 def commit(path: Path) -> None:
-    """Replace the checkpoint at `path` by the partial file that :func:`write_beside` wrote.
+    """Replace the checkpoint at `path` by the partial file that :func:`write_partial` wrote.
 
     Raises :class:`RunFolderError` if the system refuses this.
     """
@@ -65,7 +65,7 @@ def commit(path: Path) -> None:
 
 
 def discard(path: Path) -> None:
-    """Remove the partial file that :func:`write_beside` wrote; keep the checkpoint at `path`."""
+    """Remove the partial file that :func:`write_partial` wrote; keep the checkpoint at `path`."""
     with suppress(OSError):
         partial_of(path).unlink(missing_ok=True)
 
@@ -90,22 +90,22 @@ def read(path: Path, scene: Any, device: Any, precision: str) -> dict[str, Any]:
         raise RunFolderError(f"'{path}': is damaged (its contents do not match its digest); start the run again")
     text = json.loads(arrays.pop("text").tobytes())
     if text.get("warpcrete checkpoint") != FORMAT:
-        found = text.get("warpcrete checkpoint")
+        stored = text.get("warpcrete checkpoint")
         raise RunFolderError(
-            f"'{path}': has checkpoint format {found!r}, but this version reads {FORMAT}; start the run again"
+            f"'{path}': has checkpoint format {stored!r}, but this version reads {FORMAT}; start the run again"
         )
     if text["versions"] != versions():
         raise RunFolderError(
             f"'{path}': was written by {_shown(text['versions'])}, but {_shown(versions())} is installed; resume with "
             "the old versions, or start the run again"
         )
-    for what, found, here in (
+    for what, stored, here in (
         ("precision", text["precision"], precision),
         ("device", text["device"], _kind(device)),
         ("scene", text["scene"], fingerprint(scene)),
     ):
-        if found != here:
-            shown = "another scene" if what == "scene" else f"{what} {found!r}, not {here!r}"
+        if stored != here:
+            shown = "another scene" if what == "scene" else f"{what} {stored!r}, not {here!r}"
             raise RunFolderError(
                 f"'{path}': belongs to {shown}; resume with the settings with which the run was started"
             )
@@ -128,8 +128,8 @@ def _kind(device: Any) -> str:
     return "cuda" if device.is_cuda else "cpu"
 
 
-def _shown(found: dict[str, str]) -> str:
-    return ", ".join(f"{name} {number}" for name, number in found.items())
+def _shown(stored: dict[str, str]) -> str:
+    return ", ".join(f"{name} {number}" for name, number in stored.items())
 
 
 def _digest(arrays: dict[str, np.ndarray]) -> bytes:

@@ -20,14 +20,14 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Error numbers of a disk, a quota or a process limit that leaves no space for a file."""
 PARTIAL = ".warpcrete-partial-"
 """Prefix of the name of a file that is not complete yet; no other program uses this prefix."""
-PROBE = 1 << 16
+PROBE_SIZE = 1 << 16
 """Size of the test file that must fit into a folder with free space [B]."""
-MARGIN = 1 << 20
+SPACE_MARGIN = 1 << 20
 """Free space that must remain in addition to the expected size of a file [B]."""
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
+def atomic_file(path: Path) -> Iterator[Path]:
     """Yield a temporary path next to `path`, whose file replaces `path` at the end of the block.
 
     If the block fails, the temporary file is removed. An error of the operating system becomes a
@@ -56,8 +56,8 @@ def cannot_write(path: Path, error: Exception) -> RunFolderError:
     free space.
     """
     known = isinstance(error, OSError) and error.errno is not None
-    needed = MARGIN + (2 * path.stat().st_size if path.exists() else 0)
-    cause = error if known else room_in(path.parent, needed) or error
+    needed = SPACE_MARGIN + (2 * path.stat().st_size if path.exists() else 0)
+    cause = error if known else space_error(path.parent, needed) or error
     reason = getattr(cause, "strerror", None) or " ".join(str(cause).split()) or type(cause).__name__
     kind = DiskFullError if is_full(cause) else RunFolderError
     return kind(f"'{path}': cannot be written ({reason}); files written so far are kept")
@@ -68,12 +68,12 @@ def is_full(error: BaseException) -> bool:
     return isinstance(error, DiskFullError) or (isinstance(error, OSError) and error.errno in FULL)
 
 
-def room_in(folder: Path, needed: int = 0) -> OSError | None:
+def space_error(folder: Path, needed: int = 0) -> OSError | None:
     """Return the system's error if a small file, or one of `needed` bytes, does not fit into a folder, else None."""
     probe = partial_of(folder / "probe")
     try:
         with probe.open("wb") as file:
-            file.write(bytes(PROBE))
+            file.write(bytes(PROBE_SIZE))
             if shutil.disk_usage(folder).free < needed:
                 return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     except OSError as error:
@@ -89,7 +89,7 @@ def write_json(path: Path, data: Any) -> None:
 
     NaN and infinity become null.
     """
-    with whole_file(path) as partial:
+    with atomic_file(path) as partial:
         partial.write_text(json.dumps(_finite(data), indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
@@ -119,7 +119,7 @@ RECORD_KINDS: dict[str, type] = {
 trade-off, calibration or reproduction."""
 
 
-LEFT_OUT = {"device", "precision", "threads", "columns", "rows"}
+NULLABLE_ENTRIES = {"device", "precision", "threads", "columns", "rows"}
 """Entries of a record that may be null, because the user left them at their defaults."""
 
 
@@ -137,7 +137,11 @@ def read_record(path: Path) -> dict[str, Any]:
                 continue
             _refuse_entry(path, "command" if place == 1 else "cases", part)
         for name, kind in RECORD_KINDS.items():
-            if name in part and not isinstance(part[name], kind) and not (part[name] is None and name in LEFT_OUT):
+            if (
+                name in part
+                and not isinstance(part[name], kind)
+                and not (part[name] is None and name in NULLABLE_ENTRIES)
+            ):
                 _refuse_entry(path, name, part[name])
     return record
 
@@ -153,27 +157,27 @@ def check_new(folder: Path) -> None:
     The check creates the folder for a moment and leaves nothing behind. Raises :class:`RunFolderError`.
     """
     try:
-        there = folder.exists() or folder.is_symlink()
+        existing = folder.exists() or folder.is_symlink()
     except OSError as error:
         raise RunFolderError(
             f"out = '{folder}': cannot be used as a folder ({error.strerror}); choose another path"
         ) from error
-    if there and not is_empty(folder):
+    if existing and not is_empty(folder):
         raise RunFolderError(f"out = '{folder}': exists already; choose a new folder (runs are never overwritten)")
-    made: list[Path] = []
+    created: list[Path] = []
     probe = folder / "probe"
     try:
         for parent in reversed([folder, *folder.absolute().parents]):
             if not parent.exists():
                 parent.mkdir()
-                made.append(parent)
+                created.append(parent)
         probe.touch()
     except OSError as error:
         raise RunFolderError(f"out = '{folder}': cannot be created ({error.strerror}); choose another path") from error
     finally:
         with suppress(OSError):
             probe.unlink(missing_ok=True)
-        for path in reversed(made):
+        for path in reversed(created):
             with suppress(OSError):
                 path.rmdir()
 

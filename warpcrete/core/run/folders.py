@@ -19,11 +19,11 @@ try:
 except ImportError:  # Folders are not locked on systems other than POSIX.
     fcntl = None
 
-GRACE = 2.0
+KILL_GRACE = 2.0
 """Time that the processes of a run that was just killed get to end [s]."""
 
 
-class Hold:
+class FolderLock:
     """Exclusive right to write into a folder, until it is released or the process ends.
 
     Readers need no lock. The lock belongs to the open lock file: a copy of the folder is not locked, and the lock file
@@ -33,7 +33,7 @@ class Hold:
     def __init__(self, folder: Path) -> None:
         """Lock the folder; raises :class:`RunFolderError` with the owner's name if another process holds the lock."""
         self.folder = folder
-        self.made: list[Path] = []
+        self.created: list[Path] = []
         """Folders that were created for this lock: new parents, the outermost first, and the locked folder itself."""
         self._path = folder / LOCK
         self._file = self._locked()
@@ -44,7 +44,7 @@ class Hold:
         remove_partial(folder)
 
     def _locked(self) -> int:
-        end = time.monotonic() + GRACE
+        end = time.monotonic() + KILL_GRACE
         while True:
             try:
                 file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
@@ -72,7 +72,7 @@ class Hold:
     def remove(self) -> None:
         """Release the folder, then remove those folders that were created for it and are empty."""
         self.release()
-        for path in reversed(self.made):
+        for path in reversed(self.created):
             with suppress(OSError):
                 path.rmdir()
 
@@ -103,7 +103,7 @@ def _is_at(file: int, path: Path) -> bool:
 
 
 @contextmanager
-def held(folder: Path, record: str) -> Iterator[None]:
+def locked_folder(folder: Path, record: str) -> Iterator[None]:
     """Lock an existing folder while the block runs, then clean up what killed processes left in the folders inside it.
 
     Raises :class:`RunFolderError` if the folder does not contain the file `record`, or if another process holds the
@@ -112,32 +112,32 @@ def held(folder: Path, record: str) -> Iterator[None]:
     if not (folder / record).is_file():
         missing = f"holds no {record}" if folder.is_dir() else "is not a folder"
         raise RunFolderError(f"'{folder}': {missing}; give the folder of an interrupted run")
-    hold = Hold(folder)
+    hold = FolderLock(folder)
     try:
         yield
     finally:
         for lock in folder.rglob(f"*/{LOCK}"):
             with suppress(RunFolderError):  # A folder that another process still holds is in use.
-                Hold(lock.parent).release()
+                FolderLock(lock.parent).release()
         hold.release()
 
 
-def make_folder(folder: Path) -> Hold:
+def make_folder(folder: Path) -> FolderLock:
     """Create a new folder with its parents, and return the lock on the folder.
 
     Raises :class:`RunFolderError` if the folder contains files or cannot be created.
     """
     check_new(folder)
-    made = [path for path in (*reversed(folder.absolute().parents), folder) if not path.exists()]
+    created = [path for path in (*reversed(folder.absolute().parents), folder) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RunFolderError(f"out = '{folder}': cannot be created ({error.strerror}); choose another path") from error
-    hold = Hold(folder)
+    hold = FolderLock(folder)
     if not is_empty(folder):  # Another run has used the folder first.
         hold.release()
         check_new(folder)
-    hold.made = made
+    hold.created = created
     return hold
 
 

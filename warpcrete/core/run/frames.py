@@ -6,7 +6,7 @@ import numpy as np
 
 from ..errors import positive
 
-LEAST, SLOWEST = 30, 0.04
+MINIMUM_FRAMES, LONGEST_FRAME_INTERVAL = 30, 0.04
 """Minimum number of frames of a run, and longest simulated time between two frames [s]; both are defaults."""
 
 
@@ -21,27 +21,29 @@ class Frames:
     def __init__(self, interval: float | None, expected: float, step: float = np.inf) -> None:
         if interval is not None:
             positive("frame_interval", interval, "s")
-        self._given, self._expected, self._step = interval, expected, step
-        own = min(SLOWEST, expected / LEAST) if expected > 0 else SLOWEST
-        self.interval = own if interval is None else interval
+        self._requested_interval, self._expected_duration, self._time_step = interval, expected, step
+        default_interval = (
+            min(LONGEST_FRAME_INTERVAL, expected / MINIMUM_FRAMES) if expected > 0 else LONGEST_FRAME_INTERVAL
+        )
+        self.interval = default_interval if interval is None else interval
         """Simulated time between two frames at the start of the run [s]."""
         self.next = 0.0
         """Simulated time at which the next frame is due [s]."""
-        self.taken(0.0)
+        self.schedule_next(0.0)
 
     def due(self, time: float) -> bool:
         """Return whether a frame is due at the sample at `time` [s]."""
         return time >= self.next - 1e-9
 
-    def before(self, sample: float) -> bool:
+    def due_before(self, sample: float) -> bool:
         """Return whether a frame is due before the sample at time `sample` [s], and the run can stop for it."""
-        return self.next < sample - self._step
+        return self.next < sample - self._time_step
 
-    def taken(self, time: float) -> None:
+    def schedule_next(self, time: float) -> None:
         """Set the time of the next frame, after a frame was taken at `time` [s]."""
-        if self._given is None and time > self._expected:
-            self.next = time + min(SLOWEST, time / LEAST)
+        if self._requested_interval is None and time > self._expected_duration:
+            self.next = time + min(LONGEST_FRAME_INTERVAL, time / MINIMUM_FRAMES)
         else:
             self.next = self.interval * (np.floor(time / self.interval + 1e-9) + 1)
-        if np.isfinite(self._step):
-            self.next = max(self.next, time + self._step)
+        if np.isfinite(self._time_step):
+            self.next = max(self.next, time + self._time_step)

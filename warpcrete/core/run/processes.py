@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 
-TIED = """
+KILL_WITH_PARENT = """
 import ctypes, os, signal, sys
 ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG, which stays with the program that follows
 if os.getppid() == int(sys.argv[1]):
@@ -14,11 +14,11 @@ if os.getppid() == int(sys.argv[1]):
 """Python program that turns itself into another program, which Linux kills when the parent process ends."""
 
 
-def tied(command: list[str]) -> list[str]:
+def killed_with_parent(command: list[str]) -> list[str]:
     """Return a command that runs `command` and is killed when this process ends for any reason.
 
     This works on Linux; on other systems, return `command` unchanged.
     """
     if sys.platform != "linux":
         return command
-    return [sys.executable, "-IS", "-c", TIED, str(os.getpid()), *command]
+    return [sys.executable, "-IS", "-c", KILL_WITH_PARENT, str(os.getpid()), *command]

@@ -30,7 +30,7 @@ class Recording:
         self._states = dict(states)
         for recorder in self.recorders:
             self.active.append(recorder)
-            state = states.get(kind_of(recorder))
+            state = states.get(class_name_of(recorder))
             if state is None:
                 self._call(recorder, "start")
             else:
@@ -47,7 +47,7 @@ class Recording:
         A recorder that was dropped keeps its data from an earlier checkpoint.
         """
         for recorder in list(self.active):
-            self._states[kind_of(recorder)] = self._call(recorder, "checkpoint")
+            self._states[class_name_of(recorder)] = self._call(recorder, "checkpoint")
         return {kind: state for kind, state in self._states.items() if state is not None}
 
     def _call(self, recorder: Recorder, method: str, *arguments: Any) -> Any:
@@ -60,7 +60,7 @@ class Recording:
             self._warn(recorder, error)
             with suppress(Exception):  # Keep what the failed recorder has recorded so far.
                 recorder.finish(self.simulation, None)  # type: ignore[arg-type]
-            return self._states.get(kind_of(recorder))
+            return self._states.get(class_name_of(recorder))
 
     def finish(self, run: Run) -> None:
         """Let every recorder write its data to disk, and add errors that matter for the run to `failures`."""
@@ -83,7 +83,7 @@ class Recording:
             self.failures.append(error)
             run.finished = run.result["finished"] = False
 
-    def call_off(self) -> None:
+    def mark_incomplete(self) -> None:
         """Let essential recorders note on disk that the run is not complete, if no checkpoint shows this."""
         for recorder in self.active:
             if not recorder.expendable:
@@ -98,15 +98,15 @@ class Recording:
     @staticmethod
     def _warn(recorder: Recorder, error: Exception) -> None:
         reason = " ".join(str(error).split()) or type(error).__name__
-        warnings.warn(f"{kind_of(recorder)} failed, and the run continues without it: {reason}", stacklevel=2)
+        warnings.warn(f"{class_name_of(recorder)} failed, and the run continues without it: {reason}", stacklevel=2)
 
 
-def kind_of(recorder: Recorder) -> str:
+def class_name_of(recorder: Recorder) -> str:
     """Return the class name of a recorder, by which a checkpoint identifies it."""
     return type(recorder).__name__
 
 
-def full_disk(errors: Sequence[Exception], kept: float | None) -> DiskFullError:
+def disk_full_error(errors: Sequence[Exception], kept: float | None) -> DiskFullError:
     """Return the error for a run that a full disk ended, from the recorders' `errors`.
 
     `kept` is the simulated time of the state on disk [s], or None if there is no state on disk.

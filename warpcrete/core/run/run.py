@@ -16,7 +16,7 @@ from ..errors import RunFolderError, WarpcreteError, refuse
 from ..units import number, shown
 from .viewer import LOOPBACK, Viewer, has_screen, screen_viewer, web_viewer
 
-COURSES = ("pressure", "spread", "front", "inside")
+DEFAULT_PLOT_COLUMNS = ("pressure", "spread", "front", "inside")
 """Columns that a plot shows by default: the first of these names that the series contains."""
 
 
@@ -62,8 +62,8 @@ class Run:
         Raises :class:`KeyError`, with similar names, if the run does not have the quantity.
         """
         if name not in self._numbers():
-            alike = difflib.get_close_matches(name, self._numbers(), 3)
-            what = f"; similar names are {', '.join(alike)}" if alike else f"; it has {', '.join(self._numbers())}"
+            similar = difflib.get_close_matches(name, self._numbers(), 3)
+            what = f"; similar names are {', '.join(similar)}" if similar else f"; it has {', '.join(self._numbers())}"
             raise KeyError(f"the run has no quantity {name!r}{what}")
         return self._numbers()[name]
 
@@ -96,7 +96,7 @@ class Run:
         from matplotlib.figure import Figure
 
         if not columns:
-            columns = tuple(name for name in COURSES if name in self.series)[:1] or tuple(self.series)[1:2]
+            columns = tuple(name for name in DEFAULT_PLOT_COLUMNS if name in self.series)[:1] or tuple(self.series)[1:2]
         for name in (*columns, against):
             if name not in self.series:
                 refuse("column", name, f"must be one of {', '.join(self.series)}")
@@ -105,16 +105,20 @@ class Run:
         every = np.atleast_1d(figure.subplots(len(units), 1, sharex=True))
         scale, along = shown(self.units[against]) if against != "time" else (1.0, "s")
         for axes, unit in zip(every, units, strict=True):
-            factor, people = shown(unit)
-            here = [name for name in columns if self.units[name] == unit]
-            for name in here:
-                axes.plot(scale * self.series[against], factor * self.series[name], label=_words(name), linewidth=1.6)
-            axes.set_ylabel(f"{_words(here[0])} [{people}]" if len(here) == 1 else f"[{people}]")
-            if len(here) > 1:
+            factor, shown_unit = shown(unit)
+            same_unit = [name for name in columns if self.units[name] == unit]
+            for name in same_unit:
+                axes.plot(
+                    scale * self.series[against], factor * self.series[name], label=_column_title(name), linewidth=1.6
+                )
+            axes.set_ylabel(
+                f"{_column_title(same_unit[0])} [{shown_unit}]" if len(same_unit) == 1 else f"[{shown_unit}]"
+            )
+            if len(same_unit) > 1:
                 axes.legend(frameon=False, fontsize=9)
             axes.spines[["top", "right"]].set_visible(False)
-        every[-1].set_xlabel(f"{_words(against)} [{along}]")
-        figure.suptitle(f"{self.scene.name}: {', '.join(map(_words, columns))}", fontsize=10)
+        every[-1].set_xlabel(f"{_column_title(against)} [{along}]")
+        figure.suptitle(f"{self.scene.name}: {', '.join(map(_column_title, columns))}", fontsize=10)
         return figure
 
     def view(self, web: bool = False, bind: str = LOOPBACK) -> subprocess.Popen[bytes]:
@@ -180,5 +184,5 @@ def viewer(run: Path, web: bool = False, bind: str = LOOPBACK) -> Viewer:
     return (web_viewer if web else screen_viewer)([recording, *parts], bind)
 
 
-def _words(column: str) -> str:
+def _column_title(column: str) -> str:
     return column.replace("_", " ")

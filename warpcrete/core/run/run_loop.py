@@ -17,7 +17,7 @@ from typing import Any, ClassVar, TypeVar
 import numpy as np
 
 from ..device.device import checked_threads, find_device, scalar_of
-from ..device.launching import telling
+from ..device.launching import report_compiling
 from ..drawing.display import Display
 from ..errors import RunFolderError, SceneError, WarpcreteError, between, refuse
 from . import checkpoint
@@ -25,7 +25,7 @@ from .files import is_full
 from .frames import Frames
 from .progress import ProgressBar
 from .recorder import Recorder
-from .recording import Recording, full_disk
+from .recording import Recording, disk_full_error
 from .run import Run
 
 Progress = Callable[[str, float, dict[str, Any]], None]
@@ -125,16 +125,18 @@ class Simulation:
         self._progress: Progress = (
             ProgressBar() if progress is True else progress or (lambda phase, fraction, figures: None)
         )
-        self._spent: dict[str, float] = {}
-        self._ran = False
-        self.over = False
+        self._wall_times: dict[str, float] = {}
+        self._has_run = False
+        self.at_end = False
         """Whether the last step has been taken, so that only recordings may still be incomplete."""
-        self._saved = wall_clock.perf_counter()  # wall-clock time at which the last checkpoint was written or read [s]
-        self.goes_on = False
+        self._saved_at = (
+            wall_clock.perf_counter()
+        )  # wall-clock time at which the last checkpoint was written or read [s]
+        self.resumes = False
         """Whether the run goes on from a checkpoint, in an existing folder."""
-        self._kept: float | None = None  # simulated time of the state in the checkpoint [s]
-        self._ran_before = 0.0  # wall time until the checkpoint from which this run goes on [s]
-        self._samples = 0  # number of rows after the row at t = 0
+        self._checkpoint_time: float | None = None  # simulated time of the state in the checkpoint [s]
+        self._time_before_resume = 0.0  # wall time until the checkpoint from which this run goes on [s]
+        self._samples_taken = 0  # number of rows after the row at t = 0
         self._resumed: dict[str, Any] | None = None
         self.frames = Frames(frame_interval, self.expected_duration, self.frame_step)
         self.set_up()
@@ -230,7 +232,7 @@ class Simulation:
         """
         try:
             self._write_state(path)
-            if self._ran:
+            if self._has_run:
                 self._recording.call("write")
             self._commit_state(path)
         except BaseException:
@@ -241,18 +243,18 @@ class Simulation:
         """Write the state to a partial file next to the checkpoint at `path`."""
         contents = self.state_dict()
         contents["run"] = {
-            "recorders": self._recording.states() if self._ran else {},
-            "samples": self._samples,
+            "recorders": self._recording.states() if self._has_run else {},
+            "samples": self._samples_taken,
             "next_frame": self.frames.next,
-            "spent": self._spent | {"running": self._running()},
-            "over": self.over,
+            "spent": self._wall_times | {"running": self._running()},
+            "over": self.at_end,
         }
-        checkpoint.write_beside(path, self.scene, self.device, self.precision, contents)
+        checkpoint.write_partial(path, self.scene, self.device, self.precision, contents)
 
     def _commit_state(self, path: Path) -> None:
         checkpoint.commit(path)
-        self._kept = self.stepper.time if self._ran else 0.0
-        self._saved = wall_clock.perf_counter()
+        self._checkpoint_time = self.stepper.time if self._has_run else 0.0
+        self._saved_at = wall_clock.perf_counter()
 
     def resume(self, path: Path) -> None:
         """Restore the state from a checkpoint of the same scene, device and precision, instead of calling `prepare`.
@@ -266,11 +268,11 @@ class Simulation:
         """Return the `state_dict` in a checkpoint; restore the clocks and the counters of samples and frames."""
         contents = checkpoint.read(path, self.scene, self.device, self.precision)
         self._resumed = run = contents["run"]
-        self._samples, self.frames.next = run["samples"], run["next_frame"]
-        self._spent = run["spent"]
-        self._ran_before = self._spent["running"]
-        self.over = run["over"]
-        self.goes_on, self._saved = True, wall_clock.perf_counter()
+        self._samples_taken, self.frames.next = run["samples"], run["next_frame"]
+        self._wall_times = run["spent"]
+        self._time_before_resume = self._wall_times["running"]
+        self.at_end = run["over"]
+        self.resumes, self._saved_at = True, wall_clock.perf_counter()
         return contents
 
     # Course of a run, from its preparation to its end.
@@ -280,11 +282,11 @@ class Simulation:
 
         Recorders claim their folders first, so that no other run can write or remove the checkpoint at the same time.
         """
-        self.goes_on = path is not None and path.is_file()
+        self.resumes = path is not None and path.is_file()
         try:
             self.claim()
-            self.goes_on = path is not None and path.is_file()
-            if path is not None and self.goes_on:
+            self.resumes = path is not None and path.is_file()
+            if path is not None and self.resumes:
                 self.resume(path)
             else:
                 self.prepare()
@@ -292,7 +294,7 @@ class Simulation:
             self.abandon(refused=isinstance(error, SceneError))
             if isinstance(error, Exception) and is_full(error):
                 saved = self.checkpoint_path is not None and self.checkpoint_path.is_file()
-                raise full_disk([error], 0.0 if saved else None) from error
+                raise disk_full_error([error], 0.0 if saved else None) from error
             raise
 
     def claim(self) -> None:
@@ -305,8 +307,8 @@ class Simulation:
 
         For a scene that is `refused`, remove the checkpoint too.
         """
-        if not self._ran:
-            if refused and not self.goes_on and self.checkpoint_path is not None:
+        if not self._has_run:
+            if refused and not self.resumes and self.checkpoint_path is not None:
                 with suppress(OSError):
                     self.checkpoint_path.unlink(missing_ok=True)
             for recorder in self.recorders:
@@ -317,20 +319,20 @@ class Simulation:
 
         Raises :class:`WarpcreteError` if this simulation has run before.
         """
-        if self._ran:
+        if self._has_run:
             raise WarpcreteError("this simulation has already run; create a new Simulation for another run")
-        with telling(self.tell):
+        with report_compiling(self.tell):
             if not self.prepared:
                 self.begin()
-            return drive_alone(self.running(), self.stepper.advance)
+            return run_coroutine(self.running(), self.stepper.advance)
 
     def running(self) -> Coroutine:
         """Run from t = 0 or from a checkpoint to the end, as a generator that returns the :class:`Run`."""
-        self._ran = True
+        self._has_run = True
         self._recording = Recording(self, self.recorders)
         self._started = wall_clock.perf_counter()
         if self._resumed is not None:
-            self._kept = self.stepper.time
+            self._checkpoint_time = self.stepper.time
         finished = interrupted = False
         full: list[Exception] = []  # errors that a full disk caused
         try:
@@ -348,11 +350,11 @@ class Simulation:
         finally:
             # Whatever ended the run, write all results.
             failures = self._recording.failures
-            self._spent["running"] = self._running()
+            self._wall_times["running"] = self._running()
             self.finishing = True
             run = self._end(finished, interrupted)
         if full := [*full, *filter(is_full, failures)]:
-            raise full_disk(full, self._kept) from full[0]
+            raise disk_full_error(full, self._checkpoint_time) from full[0]
         if failures:
             raise failures[0]
         return run
@@ -367,7 +369,7 @@ class Simulation:
         recording, path = self._recording, self.checkpoint_path
         written = False
         if finished and path is not None:
-            self.over = True
+            self.at_end = True
             with suppress(OSError, RunFolderError):
                 self._write_state(path)
                 written = True
@@ -382,8 +384,8 @@ class Simulation:
             checkpoint.discard(path)
         if run.finished:
             recording.tidy(run)
-        if finished and not run.finished and self._kept is None:
-            recording.call_off()
+        if finished and not run.finished and self._checkpoint_time is None:
+            recording.mark_incomplete()
         if run.finished and path is not None:
             checkpoint.remove(path)
         recording.close()
@@ -393,23 +395,23 @@ class Simulation:
 
     def _loop(self) -> Coroutine:
         interval, duration, stepper = self.scene.sample_interval, self.duration, self.stepper
-        if self.over:
+        if self.at_end:
             self.ended_early()  # This call sets the reason for the end of the run.
             return True
         if not self.rows:
             self._sample()
             self._frame()
         samples = max(1, int(np.ceil(duration / interval - 1e-9)))
-        for number in range(self._samples + 1, samples + 1):
+        for number in range(self._samples_taken + 1, samples + 1):
             if self.stop_requested:
                 self._checkpoint()
                 return False
             goal = min(number * interval, duration)
-            while self.recorders and self.frames.before(goal):
+            while self.recorders and self.frames.due_before(goal):
                 yield from self.reaching(self.frames.next)
                 self._frame()
             yield from self.reaching(goal)
-            self._samples = number
+            self._samples_taken = number
             row = self._sample()
             ended = self.ended_early()
             if self.frames.due(stepper.time) or number == samples or ended:
@@ -431,7 +433,7 @@ class Simulation:
 
     def _frame(self) -> None:
         self._recording.call("frame")
-        self.frames.taken(self.stepper.time)
+        self.frames.schedule_next(self.stepper.time)
 
     def _checkpoint(self) -> None:
         if self.checkpoint_path is not None:
@@ -441,21 +443,21 @@ class Simulation:
                 if is_full(error):
                     raise
                 warnings.warn(f"the checkpoint could not be written: {error}", stacklevel=2)
-        self._saved = wall_clock.perf_counter()
+        self._saved_at = wall_clock.perf_counter()
 
     def _checkpoint_if_due(self) -> None:
-        if wall_clock.perf_counter() - self._saved >= self.checkpoint_every:
+        if wall_clock.perf_counter() - self._saved_at >= self.checkpoint_every:
             self._checkpoint()
 
     def _running(self) -> float:
-        return self._ran_before + (wall_clock.perf_counter() - self._started if self._ran else 0.0)
+        return self._time_before_resume + (wall_clock.perf_counter() - self._started if self._has_run else 0.0)
 
     def tell(self, phase: str, fraction: float, **figures: Any) -> None:
         """Report progress to the callback."""
         self._progress(phase, fraction, figures)
 
 
-def drive_alone(coroutine: Coroutine, advance: Callable[[float], None]) -> Any:
+def run_coroutine(coroutine: Coroutine, advance: Callable[[float], None]) -> Any:
     """Run a generator that yields :class:`Until` requests, and return its result.
 
     The function `advance` steps the state to a time [s]. Its errors are raised inside the generator.

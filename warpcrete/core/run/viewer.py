@@ -16,12 +16,12 @@ from pathlib import Path
 import rerun_cli
 
 from ..errors import RunFolderError, refuse
-from .processes import tied
+from .processes import killed_with_parent
 
 LOOPBACK = "127.0.0.1"
-WEB, DATA = 9090, 9876
+WEB_PORT, DATA_PORT = 9090, 9876
 """Preferred ports of the web page and of the data; other ports are used if these are occupied."""
-READY = 20.0
+START_TIMEOUT = 20.0
 """Longest time to wait until a server accepts connections [s]."""
 
 
@@ -37,7 +37,7 @@ class Viewer:
     command: list[str]
     address: str
     """URL that a browser opens, or that a run sends its recording to."""
-    listens: tuple[tuple[str, int], ...] = field(default=())
+    endpoints: tuple[tuple[str, int], ...] = field(default=())
     """Host and port of each socket on which the viewer listens."""
 
     def start(self) -> subprocess.Popen[bytes]:
@@ -49,8 +49,8 @@ class Viewer:
             self.command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             env=os.environ | {"RUST_LOG": "off"},
         )  # fmt: skip
-        end = time.monotonic() + READY
-        while not all(map(_answers, self.listens)):
+        end = time.monotonic() + START_TIMEOUT
+        while not all(map(_accepts_connections, self.endpoints)):
             if process.poll() is not None or time.monotonic() > end:
                 process.kill()
                 raise RunFolderError(
@@ -62,16 +62,16 @@ class Viewer:
 
 def web_viewer(recordings: Sequence[Path], bind: str = LOOPBACK) -> Viewer:
     """Return a server for recordings and for the web page that shows them; the server ends with this process."""
-    web, data = _free_port(bind, WEB), _free_port(bind, DATA)
+    web, data = _free_port(bind, WEB_PORT), _free_port(bind, DATA_PORT)
     host = _host(bind)
     source = urllib.parse.quote(f"rerun+http://{host}:{data}/proxy", safe="")
     command = [rerun_tool(), *map(str, recordings), "--serve-web", *_ports(bind, data), "--web-viewer-port", str(web)]
-    return Viewer(tied(command), f"http://{host}:{web}?url={source}", ((bind, web), (bind, data)))
+    return Viewer(killed_with_parent(command), f"http://{host}:{web}?url={source}", ((bind, web), (bind, data)))
 
 
 def screen_viewer(recordings: Sequence[Path] = (), bind: str = LOOPBACK) -> Viewer:
     """Return a viewer in a window, which also receives data from runs and stays open after this process ends."""
-    data = _free_port(bind, DATA)
+    data = _free_port(bind, DATA_PORT)
     command = [rerun_tool(), *map(str, recordings), *_ports(bind, data), "--expect-data-soon"]
     return Viewer(command, f"rerun+http://{_host(bind)}:{data}/proxy", ((bind, data),))
 
@@ -116,7 +116,7 @@ def _free_port(bind: str, wanted: int) -> int:
     raise AssertionError
 
 
-def _answers(place: tuple[str, int]) -> bool:
+def _accepts_connections(place: tuple[str, int]) -> bool:
     host, port = place
     if ipaddress.ip_address(host).is_unspecified:
         host = "::1" if ":" in host else LOOPBACK

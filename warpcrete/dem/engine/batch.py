@@ -19,29 +19,29 @@ import warp as wp
 
 from ...core.device.device import parallel
 from ...core.device.exchange import Exchange
-from ...core.device.graphs import AtOnce
+from ...core.device.graphs import GraphLaunch
 from ...core.device.launching import (
     DEFAULT_BLOCK,
     Launcher,
     Size,
     Stage,
     Step,
-    by_one_thread,
     completed,
     graph_sizes,
+    merge_thread_stages,
 )
 from ...core.errors import refuse
 from ...kernels.common.control import ESTIMATED, FAILED, GOAL, HALTED, STALE, WAITS
 from ...kernels.dem.motion import sync_kernel
 from ...kernels.dem.probes import WALL_COLUMNS, wall_probe
 from .batch_arrays import JointArrays
-from .launch_planner import NEVER, WAIT, Ahead
+from .launch_planner import DEVICE_CHECK_INTERVAL, NEVER, LaunchPlanner
 from .model import Model
 from .rest import Structure
 from .state import State
 from .subcycling import Subcycles
 
-PER_THREAD = 500
+SPHERES_PER_THREAD = 500
 """Minimum number of spheres for each CPU thread; with fewer, waiting at barriers costs more than a thread gains.
 
 In a small pipe, two threads took 0.67 to 1.0 of one thread's time for 1000 spheres, and 1.25 to 2 times as long for
@@ -72,11 +72,11 @@ class Batch(JointArrays):
                 "must contain only scenes that need the same features; run the others in a batch of their own",
             )
         for s, state in enumerate(states):
-            state.taken_into(self, s)
+            state.attach_to(self, s)
         if parallel(model.device) or len(models) > 1:
             threads = 1
         spheres = sum(s.sphere_count for s in states)
-        super().__init__(models, states, max(1, min(threads, spheres // PER_THREAD)))
+        super().__init__(models, states, max(1, min(threads, spheres // SPHERES_PER_THREAD)))
         self.subcycles = Subcycles(self)
         self.structure = Structure(self) if self.features.structure else None
         self.exchange = Exchange(self.device)
@@ -85,17 +85,17 @@ class Batch(JointArrays):
         self.version = 0
         """Version of the recorded launches, incremented whenever arrays or chunks change."""
         self._chunks: tuple[int, ...] = ()
-        self.rechunked: set[int] = set()
+        self.scenes_with_new_chunks: set[int] = set()
         """Numbers of the scenes whose division into CPU chunks no longer matches their neighbour lists."""
-        self.ahead = Ahead(self.parallel, self.count)
+        self.planner = LaunchPlanner(self.parallel, self.count)
         self._flags: np.ndarray | None = None
         self._clock: np.ndarray | None = None
         self._walls: np.ndarray | None = None
-        self._wall_reading: AtOnce | None = None
-        self._unsent = self._row_unsent = False
+        self._wall_launch: GraphLaunch | None = None
+        self._flags_pending = self._row_pending = False
         self._step: list[list[Any]] | None = None
-        self._rebuild: AtOnce | None = None
-        self._between: AtOnce | None = None
+        self._rebuild: GraphLaunch | None = None
+        self._between_pieces: GraphLaunch | None = None
         self._sync: Stage | None = None
         self.split()
 
@@ -114,40 +114,49 @@ class Batch(JointArrays):
         for s, state in enumerate(self.states):
             own = chunks if self.count == 1 else [0, state.sphere_count]
             if state.chunks != own:
-                self.rechunked.add(s)
+                self.scenes_with_new_chunks.add(s)
             state.chunks = own
         self._chunks = (*self.body_chunks.tolist(), *self.sphere_chunks.tolist())
         if self._chunks != before:
             self.invalidate_graphs()
 
     def stage(
-        self, kernel: Any, dim: Size, *, beside: bool = False, meets: bool = False, every: int = 1,
+        self, kernel: Any, dim: Size, *, on_side_stream: bool = False, joins_side_stream: bool = False, every: int = 1,
         block: int | None = None, **named: Any,
     ) -> Stage:  # fmt: skip
         """Return a recorded launch of `kernel` over `dim` tasks.
 
-        `named` gives arguments by the kernel's parameter names; missing ones come from `kernel_arrays`. `beside`,
-        `meets`, `every` and `block` have the meaning described in :class:`Stage`.
+        `named` gives arguments by the kernel's parameter names; missing ones come from `kernel_arrays`.
+        `on_side_stream`, `joins_side_stream`, `every` and `block` have the meaning described in :class:`Stage`.
         """
         arguments = completed(kernel, named, self.kernel_arrays)
-        return Stage(kernel, dim, arguments, self.device, beside=beside, meets=meets, every=every, block=block)
+        return Stage(
+            kernel,
+            dim,
+            arguments,
+            self.device,
+            on_side_stream=on_side_stream,
+            joins_side_stream=joins_side_stream,
+            every=every,
+            block=block,
+        )
 
     def invalidate_graphs(self) -> None:
         """Discard recorded launches, because they refer to arrays or chunks that have been replaced."""
         self._launcher.invalidate_graphs()
-        self.ahead.captured()
+        self.planner.reset_step_count()
         self.version += 1
-        self._step = self._rebuild = self._between = None
+        self._step = self._rebuild = self._between_pieces = None
         self._sync = None
-        self._wall_reading = None
+        self._wall_launch = None
 
-    def use_step(self, step: list[list[Any]], rebuild: AtOnce | None, between: AtOnce | None) -> None:
+    def use_step(self, step: list[list[Any]], rebuild: GraphLaunch | None, between_pieces: GraphLaunch | None) -> None:
         """Set the stages of one step, one list for each thread; they stay valid while `has_step` is True.
 
-        A GPU launches `between` after each piece of steps: it rebuilds lists and estimates stable steps. It launches
-        `rebuild` instead, which rebuilds lists only, when no scene needs estimates.
+        A GPU launches `between_pieces` after each piece of steps: it rebuilds lists and estimates stable steps. It
+        launches `rebuild` instead, which rebuilds lists only, when no scene needs estimates.
         """
-        self._step, self._rebuild, self._between = step, rebuild, between
+        self._step, self._rebuild, self._between_pieces = step, rebuild, between_pieces
 
     @property
     def has_step(self) -> bool:
@@ -155,7 +164,7 @@ class Batch(JointArrays):
 
         return self._step is not None
 
-    def goal(self, s: int, *, steps: int = NEVER, until: float = np.inf, interval: int = NEVER) -> None:
+    def set_goal(self, s: int, *, steps: int = NEVER, until: float = np.inf, interval: int = NEVER) -> None:
         """Let scene `s` continue until it has completed `steps` steps or has reached the time `until` [s].
 
         The stable step is estimated every `interval` steps. The scene must not have reached either goal yet.
@@ -163,40 +172,40 @@ class Batch(JointArrays):
         goal = until, min(interval, NEVER)
         if goal != (self.rows["until"][s], self.rows["interval"][s]):
             self.rows["until"][s], self.rows["interval"][s] = goal
-            self._row_unsent = True
+            self._row_pending = True
         row = self.host_flags()[s]
         row[int(GOAL)] = steps
         row[int(HALTED)] = int(WAITS) if row[int(STALE)] != 0 or row[int(FAILED)] != 0 else 0
-        self._unsent = True
+        self._flags_pending = True
 
-    def outdate(self, scenes: Sequence[int] | np.ndarray) -> None:
+    def mark_stale(self, scenes: Sequence[int] | np.ndarray) -> None:
         """Mark the neighbour lists of `scenes` as stale, so that the scenes halt until their lists are rebuilt."""
         flags = self.host_flags()
         for s in scenes:
             flags[s, int(STALE)] = 1
             flags[s, int(HALTED)] = flags[s, int(HALTED)] or int(WAITS)
-        self._unsent = True
+        self._flags_pending = True
 
     def estimated(self, s: int, steps: int) -> None:
         """Note that the stable step of scene `s` was estimated after `steps` completed steps."""
         self.host_flags()[s, int(ESTIMATED)] = steps
-        self._unsent = True
+        self._flags_pending = True
 
     def host_flags(self) -> np.ndarray:
         """Return the control flags of all scenes; changes to this array are sent to the device with the next launch."""
         if self._flags is None:
-            self._look()
+            self._read_flags()
         assert self._flags is not None
         return self._flags
 
     def host_clock(self) -> np.ndarray:
         """Return the present clocks of all scenes for reading, shape (scenes, CLOCK)."""
         if self._clock is None:
-            self._look()
+            self._read_flags()
         assert self._clock is not None
         return self._clock
 
-    def _look(self) -> None:
+    def _read_flags(self) -> None:
         """Read flags and clocks from the device; on a CPU, use views of the arrays, which are always up to date."""
         if self.parallel:
             flags, self._clock = self.exchange.read(self.flags, self.scenes.clock)
@@ -213,9 +222,9 @@ class Batch(JointArrays):
 
     def wall_values(self) -> wp.array:
         """Write the values of all walls to `wall_array` on the device; they are valid until the next call."""
-        if self._wall_reading is None:
-            self._wall_reading = AtOnce([self.wall_stage()], self.device)
-        self._wall_reading()
+        if self._wall_launch is None:
+            self._wall_launch = GraphLaunch([self.wall_stage()], self.device)
+        self._wall_launch()
         return self.wall_array
 
     @cached_property
@@ -247,48 +256,48 @@ class Batch(JointArrays):
 
     def flush(self) -> None:
         """Send pending host changes to the device, so that its arrays are complete, and discard the host's copies."""
-        unsent = [(self.scenes.row, self.rows)] if self._row_unsent else []
-        if self.parallel and self._unsent:
+        pending = [(self.scenes.row, self.rows)] if self._row_pending else []
+        if self.parallel and self._flags_pending:
             assert self._flags is not None
-            unsent.append((self.flags, self._flags))
-        if unsent:
-            self.exchange.write(*unsent)
+            pending.append((self.flags, self._flags))
+        if pending:
+            self.exchange.write(*pending)
         # The copies are discarded after the write, so that an interrupted write loses no pending changes.
         if self.parallel:
             self._flags = self._clock = None
         self._walls = None
-        self._unsent = self._row_unsent = False
+        self._flags_pending = self._row_pending = False
 
     def launch(self) -> None:
         """Launch steps until some scene needs attention; on a GPU the steps run while Python continues."""
-        pieces = self.ahead.pieces(self.host_flags(), self.host_clock(), self.rows)
+        launch_sizes = self.planner.launch_sizes(self.host_flags(), self.host_clock(), self.rows)
         interval = self.rows["interval"][self.host_flags()[:, int(HALTED)] == 0].min(initial=NEVER)
         with self.changing():
-            self._launch(pieces, interval)
-        self.ahead.stepped(sum(pieces))
-        self.exchange.ask(self.flags, self.scenes.clock)
+            self._launch(launch_sizes, interval)
+        self.planner.count_steps(sum(launch_sizes))
+        self.exchange.begin_read(self.flags, self.scenes.clock)
 
-    def _launch(self, pieces: list[int], interval: int) -> None:
-        """Launch `pieces` of steps, each followed by what a GPU does between steps; see :meth:`use_step`."""
+    def _launch(self, launch_sizes: list[int], interval: int) -> None:
+        """Launch `launch_sizes` of steps, each followed by what a GPU does between steps; see :meth:`use_step`."""
         rounds = 0 if self.parallel else self.subcycles.rounds  # a GPU runs all rounds of a step in one kernel
-        largest = self.ahead.largest_graph(self.threads, rounds)
+        largest = self.planner.largest_graph(self.threads, rounds)
         flags = np.empty((0, 0)) if self.parallel else self.host_flags()
         assert self._step is not None
-        between = self._rebuild if interval == NEVER else self._between
+        between_pieces = self._rebuild if interval == NEVER else self._between_pieces
 
         def ended() -> bool:
             return bool(flags[:, int(HALTED)].all())
 
         try:
-            for count in pieces:
+            for count in launch_sizes:
                 # On a GPU, the steps up to the next estimate and the estimate itself form one graph, which saves
                 # launches.
-                whole = self.parallel and count in (interval, WAIT) and count <= largest
+                whole = self.parallel and count in (interval, DEVICE_CHECK_INTERVAL) and count <= largest
                 sizes = [count] if whole else graph_sizes(count, largest)
-                behind = between if whole and self.device.is_cuda else None
-                self._launcher.replay(self._step, self._alone, sizes, ended, behind)
-                if between is not None and behind is None:
-                    between()
+                appended = between_pieces if whole and self.device.is_cuda else None
+                self._launcher.replay(self._step, self._single_thread_step, sizes, ended, appended)
+                if between_pieces is not None and appended is None:
+                    between_pieces()
         finally:  # the bodies must match their spheres even after an interruption
             for stage in self.sync_stages():
                 stage()
@@ -296,26 +305,26 @@ class Batch(JointArrays):
     def rebuild(self) -> None:
         """Rebuild the neighbour lists now, with the recorded launch that a GPU otherwise uses between steps."""
         assert self._rebuild is not None
-        self.outdate(range(self.count))
+        self.mark_stale(range(self.count))
         with self.changing():
             self._rebuild()
 
     @property
     def settled(self) -> bool:
         """Whether the device has finished everything that was launched."""
-        return self.exchange.answered
+        return self.exchange.read_is_done
 
     def settle(self) -> np.ndarray:
         """Wait for the launched steps to finish and return a copy of all flags."""
         if self.parallel:
-            self._flags, self._clock = self.exchange.answer()
+            self._flags, self._clock = self.exchange.finish_read()
         return self.host_flags().copy()
 
-    def _alone(self) -> Step:
+    def _single_thread_step(self) -> Step:
         assert self._step is not None
-        return by_one_thread(self._step)
+        return merge_thread_stages(self._step)
 
-    def in_parts(self, stages: list[Stage]) -> None:
+    def launch_chunks(self, stages: list[Stage]) -> None:
         """Launch one stage for each chunk, each on its own CPU thread."""
         self._launcher.apart(stages)
 

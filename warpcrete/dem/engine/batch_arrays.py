@@ -17,7 +17,7 @@ from ...kernels.common.walls import FIXED, MESH
 from ...kernels.dem.bond_parallel import MOST_ROWS
 from ...kernels.dem.structs import array_structs, scene_struct
 from .launch_planner import NEVER
-from .links import carry_links, even_pairs, make_links
+from .links import copy_links, make_even, make_links
 from .model import Model
 from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
 
@@ -85,7 +85,7 @@ class JointArrays:
         self.wall_count = sum(len(m.walls) for m in models)
         self.structs = array_structs(self.scalar)
         if self.parallel:
-            even_pairs(states)
+            make_even(states)
         self.capacity = np.array([len(s.pairs.other) for s in states])
         """Allocated number of entries of each scene's pair arrays, shape (scenes,)."""
         self.face_capacity = np.array([len(s.candidates.face) for s in states])
@@ -163,7 +163,7 @@ class JointArrays:
 
     def _join_models(self) -> None:
         models = self.models
-        self._given: list[dict[str, Any]] = [{} for _ in models]
+        self._settings: list[dict[str, Any]] = [{} for _ in models]
         self.rows = np.zeros(self.count, dtype=scene_struct(self.scalar).numpy_dtype())
         segments = [m.segments.numpy() for m in models]
         first_segment = np.concatenate([[0], np.cumsum([len(s) for s in segments])])
@@ -183,7 +183,9 @@ class JointArrays:
                     table["first_face"][w] = surfaces.add(vertices, faces, first["walls"] + w)
             tables.append(table)
             drives.append(model.drive_axis.numpy() + first_segment[s])
-            self._describe(s, model, state, still=bool(np.all(table["motion"][: model.analytic_walls] == int(FIXED))))
+            self._set_constants(
+                s, model, state, walls_fixed=bool(np.all(table["motion"][: model.analytic_walls] == int(FIXED)))
+            )
             first["bodies"] += state.body_count
             first["spheres"] += state.sphere_count
             first["walls"] += len(model.walls)
@@ -191,12 +193,12 @@ class JointArrays:
             first["bonds"] += len(model.bond_parameters)
             first["groups"] += len(model.groups)
         for name in ("pair_parameters", "wall_parameters", "bond_parameters", "drive_force", "segments"):
-            setattr(self, name, self._chained([getattr(model, name) for model in models]))
+            setattr(self, name, self._concatenate([getattr(model, name) for model in models]))
         self.drive_axis = self._array(np.concatenate(drives), wp.int32)
         self.scenes.row = self._array(self.rows, scene_struct(self.scalar))
         self.walls.scene = self._numbers([len(m.walls) for m in models])
         self.walls.table = self._array(np.concatenate(tables), models[0].wall_table.dtype)
-        self.walls.rest_position = self._chained([m.rest_position for m in models])
+        self.walls.rest_position = self._concatenate([m.rest_position for m in models])
         self.walls.step_force = wp.zeros((self.threads, self.wall_count, 6), dtype=wp.int64, device=self.device)
         self.corners = self._array(surfaces.corners(), types(self.scalar).vec3)
         self.faces = self._array(surfaces.faces(), wp.int32, 2)
@@ -205,12 +207,12 @@ class JointArrays:
         self.ring = self._array(surfaces.ring(), wp.int32)
         self.face_wall = self._array(surfaces.owner(), wp.int32)
 
-    def _describe(self, s: int, model: Model, state: State, *, still: bool) -> None:
-        """Set the constants in the parameter row of scene `s`; `still` says that no plane or pipe ever moves."""
+    def _set_constants(self, s: int, model: Model, state: State, *, walls_fixed: bool) -> None:
+        """Set the constants in the parameter row of scene `s`; `walls_fixed` says that no plane or pipe ever moves."""
         row = self.rows
         row["body_count"][s], row["sphere_count"][s] = state.body_count, state.sphere_count
         row["wall_count"][s], row["analytic"][s] = len(model.walls), model.analytic_walls
-        row["still"][s] = still
+        row["walls_fixed"][s] = walls_fixed
         row["materials"][s] = len(model.materials)
         row["gravity"][s] = model.scene.gravity
         row["speed_limit"][s] = model.scene.watch.speed
@@ -219,7 +221,7 @@ class JointArrays:
         row["until"][s], row["interval"][s] = np.inf, NEVER
         row["wall_stiffness"][s] = np.pi * model.stress_scale * state.largest_radius
 
-    def _chained(self, arrays: list[wp.array]) -> wp.array:
+    def _concatenate(self, arrays: list[wp.array]) -> wp.array:
         """Return the arrays joined end to end; they are constants, so a single one is shared, not copied."""
         if len(arrays) == 1:
             return arrays[0]
@@ -241,13 +243,13 @@ class JointArrays:
 
     def set(self, s: int, **numbers: Any) -> None:
         """Change parameters in the row of scene `s`, by the names of `SceneRow`."""
-        if numbers.items() <= self._given[s].items():  # scenes often repeat the same settings
+        if numbers.items() <= self._settings[s].items():  # scenes often repeat the same settings
             return
         if any(np.any(self.rows[name][s] != self.rows.dtype[name].type(value)) for name, value in numbers.items()):
             for name, value in numbers.items():
                 self.rows[name][s] = value
             self.scenes.row.assign(self.rows)
-        self._given[s] |= numbers
+        self._settings[s] |= numbers
 
     def _place_pairs(self) -> None:
         self.rows["pairs"] = np.concatenate([[0], np.cumsum(self.capacity)[:-1]])
@@ -271,11 +273,11 @@ class JointArrays:
             )
         before, old = self.links, self.capacity.copy()
         # The results of links take most of the memory. They are rewritten before they are read, so the old ones can go.
-        before.pull = None
+        before.result = None
         self._regrow("pairs", used, self.capacity, wanted)
         self.links = make_links(self)
         if self.parallel:
-            carry_links(before, old, self.links, self.capacity)
+            copy_links(before, old, self.links, self.capacity)
 
     def reserve_loads(self, s: int, wanted: int) -> None:
         """Enlarge the bond loads to at least `wanted` rows for scene `s`.

@@ -13,11 +13,11 @@ from ...kernels.common.types import types
 from ...kernels.dem.grid import grid_kernels, grid_struct
 from .batch import Batch
 
-LOOKED_AT = 4_000
+SAMPLED_SPHERES = 4_000
 """Approximate number of spheres sampled to estimate the extent of a scene."""
-FARTHEST = 1e6
+FARTHEST_CELL = 1e6
 """Maximum distance of a sphere from the middle of its scene, in cell widths; larger distances are clipped to this."""
-AMONG = 0.1
+OUTSIDE_PERCENT = 0.1
 """Percentage of a scene's spheres that may lie outside its cells at either end of each axis."""
 CELLS = 8
 """Maximum number of cells per sphere; every rebuild clears all cells, so many empty ones cost time."""
@@ -79,7 +79,7 @@ class Cells:
         if not due.any():
             return
         for s in np.flatnonzero(due):
-            self._bounds[s] = self._reach(s, width)
+            self._bounds[s] = self._extent(s, width)
         self._fitted |= due
         low, high = np.floor(self._bounds / width).astype(int).transpose(1, 0, 2)
         sizes = high - low + 2  # one empty cell separates a block from the next
@@ -103,21 +103,21 @@ class Cells:
         self._dims = grown if np.prod(grown, dtype=float) <= most and np.any(self._dims > 1) else dims
         self._make()
 
-    def _reach(self, s: int, width: float) -> np.ndarray:
+    def _extent(self, s: int, width: float) -> np.ndarray:
         """Return the lowest and highest corner of a box around nearly all spheres of a scene [m], shape (2, 3)."""
         state = self.batch.states[s]
-        stride = max(1, state.sphere_count // LOOKED_AT)
+        stride = max(1, state.sphere_count // SAMPLED_SPHERES)
         some = state.spheres.position[::stride]
-        looked_at = state.scratch("looked_at", some.shape, some.dtype)
-        wp.copy(looked_at, some)
-        (places,) = self.batch.exchange.read(looked_at)
+        sampled = state.scratch("sampled", some.shape, some.dtype)
+        wp.copy(sampled, some)
+        (places,) = self.batch.exchange.read(sampled)
         places = places[:, :3].astype(float)
         places = places[np.isfinite(places).all(axis=1)]
         if not len(places):
             return np.zeros((2, 3))
         middle = np.median(places, axis=0)
-        near = np.clip(places - middle, -FARTHEST * width, FARTHEST * width)
-        return middle + np.percentile(near, [AMONG, 100 - AMONG], axis=0)
+        near = np.clip(places - middle, -FARTHEST_CELL * width, FARTHEST_CELL * width)
+        return middle + np.percentile(near, [OUTSIDE_PERCENT, 100 - OUTSIDE_PERCENT], axis=0)
 
     def use_width(self, width: float) -> None:
         """Set the width of a cell [m] for the next rebuild."""

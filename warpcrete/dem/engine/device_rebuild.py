@@ -25,12 +25,12 @@ class DeviceRebuild:
         b = lists.batch
         self.lists = lists
         self._rebuild = lists.device_rebuild()
-        self._asked, self._fits = (wp.zeros(1, dtype=wp.int32, device=b.device) for _ in range(2))
+        self._rebuild_requested, self._lists_fit = (wp.zeros(1, dtype=wp.int32, device=b.device) for _ in range(2))
         kernels = rebuilding_kernels(b.scalar)
-        self.ask = b.stage(kernels.ask, 1, asked=self._asked)
+        self.needs_rebuild = b.stage(kernels.needs_rebuild, 1, requested=self._rebuild_requested)
         self.fit = b.stage(
             kernels.fit, 1, scanned=lists.scanned, room=self.room(), face_scanned=lists.face_scanned,
-            face_room=int(b.face_capacity[0]), fits=self._fits, built=lists.by_device,
+            face_room=int(b.face_capacity[0]), fits=self._lists_fit, built=lists.by_device,
         )  # fmt: skip
 
     @staticmethod
@@ -45,7 +45,7 @@ class DeviceRebuild:
 
     def stages(self) -> list[Stage]:
         """Return the two stages that make the decisions of a rebuild."""
-        return [self.ask, self.fit]
+        return [self.needs_rebuild, self.fit]
 
     def record(self) -> None:
         """Record all launches, which loads their kernels; nothing runs yet."""
@@ -54,13 +54,13 @@ class DeviceRebuild:
             stage.record()
 
     def __call__(self) -> None:
-        self.ask()
-        wp.capture_if(self._asked, self._search)
+        self.needs_rebuild()
+        wp.capture_if(self._rebuild_requested, self._search)
 
     def _search(self) -> None:
         self._rebuild.launch_singly("bodies", "count")
         self.fit()
-        wp.capture_if(self._fits, self._complete)
+        wp.capture_if(self._lists_fit, self._complete)
 
     def _complete(self) -> None:
         self._rebuild.launch_singly("starts", "near")

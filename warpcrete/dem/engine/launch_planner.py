@@ -26,29 +26,29 @@ LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 64}
 On a CPU, recording a graph costs as much as several steps and replaying a graph costs almost nothing. Several CPU
 threads get longer graphs, because they lose time when they meet again between two graphs.
 """
-OLD = 256
+STABLE_CHUNK_STEPS = 256
 """Steps launched without a change of the chunks, after which several CPU threads may use longer graphs.
 
 The chunks are often changed soon after the start, which would make recorded graphs useless.
 """
 NEVER = 2**31 - 1
 """Step count that no scene ever reaches."""
-SOONER, LATER = 0.95, 1.1
+LIFETIME_DECREASE, LIFETIME_INCREASE = 0.95, 1.1
 """Factors that adapt the expected lifetime of neighbour lists.
 
-Lists that became stale are expected to last `SOONER` times as many steps next time. The expected lifetime grows by the
-factor `LATER` when lists were still valid at its end.
+Lists that became stale are expected to last `LIFETIME_DECREASE` times as many steps next time. The expected lifetime
+grows by the factor `LIFETIME_INCREASE` when lists were still valid at its end.
 """
-ALONG = 0.6
+SHARED_REBUILD_AGE = 0.6
 """Fraction of the expected lifetime of neighbour lists, after which they are rebuilt together with another scene's."""
-NOBODY = np.zeros(0, dtype=np.int64)
-WAIT = 20
+NO_SCENES = np.zeros(0, dtype=np.int64)
+DEVICE_CHECK_INTERVAL = 20
 """Maximum number of steps after which a GPU checks by itself whether its lists are stale."""
-BRIEF = 8
+MINIMUM_LIFETIME = 8
 """Minimum expected lifetime of neighbour lists, in steps."""
 
 
-class Ahead:
+class LaunchPlanner:
     """Planner of the number of steps per launch, and of the time at which neighbour lists are rebuilt.
 
     Its choices affect speed only: a scene halts itself where it must, and the kernels in flight skip a halted scene.
@@ -57,31 +57,37 @@ class Ahead:
     def __init__(self, parallel: bool, scenes: int) -> None:
         self.parallel, self.scenes = parallel, scenes
         # Step count at which the lists of each scene were built, and their expected lifetime in steps.
-        self._built = np.zeros(scenes, dtype=np.int64)
-        self._lasting = np.full(scenes, 64.0 if scenes == 1 else np.inf)
+        self._built_at_step = np.zeros(scenes, dtype=np.int64)
+        self._expected_lifetime = np.full(scenes, 64.0 if scenes == 1 else np.inf)
         # False for scenes whose lists have an unknown age, so that their lifetime cannot be measured.
-        self._whole = np.ones(scenes, dtype=bool)
-        self._since_captured = 0
-        self.rebuilds_itself = False
+        self._age_known = np.ones(scenes, dtype=bool)
+        self._steps_since_capture = 0
+        self.rebuilds_on_device = False
         """Whether a GPU rebuilds the lists of its only scene without the host.
 
         The host still rebuilds lists when bodies must be sorted or when the arrays are too small.
         """
 
-    def stepped(self, launched: int) -> None:
+    def count_steps(self, launched: int) -> None:
         """Add `launched` steps to the count of steps since graphs were last recorded."""
-        self._since_captured += launched
+        self._steps_since_capture += launched
 
-    def captured(self) -> None:
+    def reset_step_count(self) -> None:
         """Reset the count of steps since graphs were last recorded."""
-        self._since_captured = 0
+        self._steps_since_capture = 0
 
     def largest_graph(self, threads: int, rounds: int) -> int:
         """Return the maximum number of steps in one graph if each step has `rounds` sub-cycling rounds."""
-        kind = "cuda" if self.parallel else "threads" if threads > 1 and self._since_captured > OLD else "cpu"
+        kind = (
+            "cuda"
+            if self.parallel
+            else "threads"
+            if threads > 1 and self._steps_since_capture > STABLE_CHUNK_STEPS
+            else "cpu"
+        )
         return max(1, LARGEST_GRAPH[kind] // (1 + rounds // 4))
 
-    def due(self, flags: np.ndarray, sort_every: np.ndarray, among: Sequence[int]) -> np.ndarray:
+    def scenes_to_rebuild(self, flags: np.ndarray, sort_every: np.ndarray, among: Sequence[int]) -> np.ndarray:
         """Return the numbers of the scenes whose neighbour lists should be rebuilt now.
 
         These are the scenes with stale lists. Several scenes on a GPU share the launches of a rebuild, so scenes of
@@ -89,34 +95,36 @@ class Ahead:
         `flags` are the control flags of all scenes; `sort_every` is the number of steps between sortings.
         """
         if not flags[:, int(STALE)].any() and (self.scenes == 1 or not self.parallel):
-            return NOBODY
+            return NO_SCENES
         steps, stale = flags[:, int(STEPS)], flags[:, int(STALE)] != 0
-        age = steps - self._built
+        age = steps - self._built_at_step
         chosen = np.zeros(self.scenes, dtype=bool)
         chosen[list(among)] = True
         chosen &= flags[:, int(FAILED)] == 0
         # A rebuild forced by sorting says nothing about the lifetime of lists.
         early = (sort_every > 0) & (steps % np.maximum(sort_every, 1) == 0)
-        came = chosen & stale & ~early & self._whole
-        self._lasting[came] = np.maximum((1.0 if self.scenes == 1 else SOONER) * age[came], BRIEF)
+        became_stale = chosen & stale & ~early & self._age_known
+        self._expected_lifetime[became_stale] = np.maximum(
+            (1.0 if self.scenes == 1 else LIFETIME_DECREASE) * age[became_stale], MINIMUM_LIFETIME
+        )
         if self.scenes == 1 or not self.parallel:
             return np.flatnonzero(stale)
-        outlived = chosen & ~stale & (age >= self._lasting)
-        self._lasting[outlived] *= LATER
+        outlived = chosen & ~stale & (age >= self._expected_lifetime)
+        self._expected_lifetime[outlived] *= LIFETIME_INCREASE
         if not (stale | outlived).any():
-            return NOBODY
-        return np.flatnonzero(stale | outlived | (chosen & (age >= ALONG * self._lasting)))
+            return NO_SCENES
+        return np.flatnonzero(stale | outlived | (chosen & (age >= SHARED_REBUILD_AGE * self._expected_lifetime)))
 
-    def joined(self, s: int, steps: int) -> None:
+    def note_joined(self, s: int, steps: int) -> None:
         """Note that scene `s` joined the batch after `steps` completed steps, with neighbour lists of unknown age."""
-        self._built[s], self._whole[s] = steps, False
+        self._built_at_step[s], self._age_known[s] = steps, False
 
-    def built(self, flags: np.ndarray) -> None:
+    def note_rebuilt(self, flags: np.ndarray) -> None:
         """Note that the lists of all scenes marked as stale in `flags` have been rebuilt."""
         stale = flags[:, int(STALE)] != 0
-        self._built[stale], self._whole[stale] = flags[stale, int(STEPS)], True
+        self._built_at_step[stale], self._age_known[stale] = flags[stale, int(STEPS)], True
 
-    def pieces(self, flags: np.ndarray, clock: np.ndarray, rows: np.ndarray) -> list[int]:
+    def launch_sizes(self, flags: np.ndarray, clock: np.ndarray, rows: np.ndarray) -> list[int]:
         """Divide the next launch into pieces and return the number of steps of each piece.
 
         After each piece a GPU estimates the stable time step of the scenes that need an estimate, and rebuilds the
@@ -143,26 +151,37 @@ class Ahead:
         if not self.parallel:
             return [min(count, max(estimates))]
         piece = min(intervals[s] for s in running)
-        lists = min(self._lasting[s] - (slots[s][int(STEPS)] - self._built[s]) for s in running)
+        remaining_lifetime = min(
+            self._expected_lifetime[s] - (slots[s][int(STEPS)] - self._built_at_step[s]) for s in running
+        )
         if self.scenes > 1:
             # A scene that waited for new lists is some steps behind the others. The first piece therefore lasts until
             # every scene needs its next estimate; scenes that need their estimate earlier halt and wait.
             piece = min(piece, BATCH_LAUNCH)
             sizes = [min(max(estimates), piece, count)]
-            most = min(BATCH_LAUNCH, lists)
+            most = min(BATCH_LAUNCH, remaining_lifetime)
             while sum(sizes) < count and sum(sizes) + piece <= most:
                 sizes.append(min(piece, count - sum(sizes)))
             return sizes
         # When the lists become stale, the rest of the queued steps is idle. The launch therefore ends where the lists
         # are expected to become stale, judging by their last lifetime.
-        if self.rebuilds_itself:
+        if self.rebuilds_on_device:
             every = max(int(rows["sort_every"][0]), 0) or NEVER
             count = min(count, every - slots[0][int(STEPS)] % every)
         else:
-            count = min(count, int(lists) if lists > 0 else max(16, int(self._lasting[0] - lists) // 4))
+            count = min(
+                count,
+                int(remaining_lifetime)
+                if remaining_lifetime > 0
+                else max(16, int(self._expected_lifetime[0] - remaining_lifetime) // 4),
+            )
         first = min(count, estimates[0])
         whole, rest = divmod(count - first, piece)
         sizes = [first, *[piece] * whole, *([rest] if rest else [])]
-        if not self.rebuilds_itself:
+        if not self.rebuilds_on_device:
             return sizes
-        return [min(WAIT, size - done) for size in sizes for done in range(0, size, WAIT)]
+        return [
+            min(DEVICE_CHECK_INTERVAL, size - offset)
+            for size in sizes
+            for offset in range(0, size, DEVICE_CHECK_INTERVAL)
+        ]

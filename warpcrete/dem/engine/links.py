@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ...kernels.dem.linking import MORE
-from ...kernels.dem.links import pull_rows
+from ...kernels.dem.linking import EXTRA_MASKS
+from ...kernels.dem.links import result_rows
 from ...kernels.dem.structs import links_struct
 from .batch_protocol import BatchArrays
 from .model import Features
 from .state import State, pair_bytes
 
 
-def even_pairs(states: list[State]) -> None:
+def make_even(states: list[State]) -> None:
     """Make the length of all pair arrays even, because two list entries, one for each sphere, share one link."""
     for state in states:
         for name in pair_bytes(state.model):
@@ -32,16 +32,21 @@ def even_pairs(states: list[State]) -> None:
 
 def rows_of(features: Features) -> int:
     """Return the number of result rows of a link, of four numbers each, for these features."""
-    return pull_rows(features.bonds, features.pair_law.rolls, features.dissipation)
+    return result_rows(features.bonds, features.pair_law.rolls, features.dissipation)
 
 
 def make_links(batch: BatchArrays) -> Any:
     """Allocate empty links for all list entries of a :class:`Batch`; on a CPU the arrays have length 0."""
     struct = links_struct(batch.scalar)
     lists = int(batch.capacity.sum()) if batch.parallel else 0
-    few = {"near_count": 2, "outrun": batch.count, "seen_at": batch.count, "seen": batch.sphere_count}
-    few["more"] = int(MORE) * batch.sphere_count
-    sizes = {"pull": rows_of(batch.features) * lists // 2, "end": lists}
+    few = {
+        "near_count": 2,
+        "near_list_exceeded": batch.count,
+        "near_time": batch.count,
+        "near_position": batch.sphere_count,
+    }
+    few["later_touching"] = int(EXTRA_MASKS) * batch.sphere_count
+    sizes = {"result": rows_of(batch.features) * lists // 2, "end": lists}
     sizes |= few if batch.parallel else dict.fromkeys(few, 0)
     links = struct()
     for name, variable in struct.vars.items():
@@ -54,19 +59,19 @@ def make_links(batch: BatchArrays) -> Any:
             if first[s] < first[s + 1]:
                 links.scene[first[s] : first[s + 1]].fill_(s)
         # Mark the near links, the pairs close enough to touch soon, as not selected yet.
-        links.outrun.fill_(1)
+        links.near_list_exceeded.fill_(1)
         links.near_count.assign(np.array([0, 1], dtype=np.int32))
     return links
 
 
-def carry_links(before: Any, old: np.ndarray, links: Any, capacity: np.ndarray) -> None:
+def copy_links(before: Any, old: np.ndarray, links: Any, capacity: np.ndarray) -> None:
     """Copy the links of each scene into enlarged arrays.
 
     `old` and `capacity` are the numbers of list entries of each scene before and after, shape (scenes,).
     """
-    wp.copy(links.more, before.more)
+    wp.copy(links.later_touching, before.later_touching)
     first, behind = (np.append(0, np.cumsum(each // 2)) for each in (capacity, old))
-    for name, entries in (("link", 1), ("touched", 1), ("end", 2)):  # array and its number of elements per link
+    for name, entries in (("link", 1), ("state", 1), ("end", 2)):  # array and its number of elements per link
         target, source = getattr(links, name), getattr(before, name)
         for s in np.flatnonzero(old):
             wp.copy(target, source, entries * int(first[s]), entries * int(behind[s]), entries * int(old[s]) // 2)

@@ -9,7 +9,7 @@ import warp as wp
 
 from ...core.device.device import MEMORY_FRACTION, memory_free
 from ...core.errors import CapacityError
-from ...kernels.dem.linking import MORE
+from ...kernels.dem.linking import EXTRA_MASKS
 from ...kernels.dem.probes import BODY_COLUMNS, CONTACT_COLUMNS, LANES
 from ..scene.bodies import BodyTable
 from .links import rows_of
@@ -17,8 +17,10 @@ from .model import Model
 from .neighbors import MOST_KEPT
 from .state import State, pair_bytes
 
-BONDED = 4  # bonded pairs per sphere in a dense packing, including reserve for growth
-LISTED = 8  # pairs per sphere in a half list of a dense packing, including reserve; twice as many in a full list
+BONDS_PER_SPHERE = 4  # bonded pairs per sphere in a dense packing, including reserve for growth
+PAIRS_PER_SPHERE = (
+    8  # pairs per sphere in a half list of a dense packing, including reserve; twice as many in a full list
+)
 
 
 def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
@@ -37,14 +39,14 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
         arrays = [array for struct, _, array in state.arrays() if struct in structs]
         return sum(a.size * wp.types.type_size_in_bytes(a.dtype) for a in arrays)
 
-    listed = LISTED if model.features.half_list else 2 * LISTED
+    listed = PAIRS_PER_SPHERE if model.features.half_list else 2 * PAIRS_PER_SPHERE
     pair = sum(pair_bytes(model).values())
     scalar = wp.types.type_size_in_bytes(model.scalar)
     # In addition to the state: the previous neighbour list (for contact history), its row starts, and the cell grid.
     listing = 2 * listed * pair + 8 * 4 + 3 * scalar + 24
     # With healing, every list entry has a load, which is counted above. In a half list every bond has two rows of load.
     if model.features.bonds and not model.features.healing:
-        listing += (2 if model.features.half_list else 1) * BONDED * 8 * scalar
+        listing += (2 if model.features.half_list else 1) * BONDS_PER_SPHERE * 8 * scalar
     estimate = 4 * 6 * scalar
     probes = 8 * int(CONTACT_COLUMNS) + listed * scalar
     if model.features.half_list:
@@ -54,7 +56,7 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
         # One link for two list entries: its pair, scene and state, a copy of the pair if the link is near, its index at
         # both entries, and its result rows. Per sphere: the position at the last selection of near links, and the bits
         # that mark touching neighbours.
-        listing += listed * (24 + 2 * rows_of(model.features) * scalar) + 4 * scalar + 4 * int(MORE)
+        listing += listed * (24 + 2 * rows_of(model.features) * scalar) + 4 * scalar + 4 * int(EXTRA_MASKS)
     if model.features.subcycling and model.scene.hydration is not None:
         # Sub-cycled pairs and bodies: a sphere has at most three pairs, of which the hydrated fraction is stiff.
         listing += 3 * model.scene.hydration.fraction * (44 * scalar + 80) + 30 * scalar

@@ -18,7 +18,7 @@ from ...kernels.common.walls import wall_struct
 from ...kernels.dem.bond_parallel import MOST_KINDS, bond_functions
 from ..laws import ContactLaw
 from ..scene.scene import MUCH_STIFFER, Bonds, Scene
-from .rest import grown_bonds, has_layer
+from .rest import bonds_after_rest, has_layer
 
 
 @dataclass(frozen=True)
@@ -258,7 +258,7 @@ def _bond_kinds(scene: Scene) -> tuple[Bonds, ...]:
         kinds.append(scene.bonds)
     if scene.hydration is not None:
         kinds.append(scene.hydration.bonds)
-    grown = grown_bonds(scene)
+    grown = bonds_after_rest(scene)
     kinds += [*scene.group_bonds.values(), *([grown] if grown is not None else ())]
     if len(kinds) > MOST_KINDS:
         refuse(

@@ -29,7 +29,7 @@ from .cells import Cells
 from .links import rows_of
 from .rebuild_phases import Chunks, Phase, Rebuild
 from .sorting import sort_bodies, sorting_kernels
-from .stages import MANY, near_stages, tasks
+from .stages import MANY_SPHERES, near_stages, tasks
 from .state import PAIR_ARRAYS, pair_bytes
 
 DRIFT_LANES = 64
@@ -96,7 +96,7 @@ class NeighborLists:
 
     def _searchers_for(self, spheres: int) -> int:
         """Return how many threads search for one sphere's neighbours when this many spheres are searched."""
-        return OCTANTS if self.batch.parallel and spheres < MANY else 1
+        return OCTANTS if self.batch.parallel and spheres < MANY_SPHERES else 1
 
     def __call__(self) -> None:
         """Rebuild the lists of every scene that is flagged as stale."""
@@ -107,12 +107,12 @@ class NeighborLists:
         b = self.batch
         flags, sort_every = b.host_flags(), b.rows["sort_every"]
         if b.sphere_count == 0:
-            b.ahead.built(flags)
+            b.planner.note_rebuilt(flags)
             self._rebuild(False).launch_singly("fresh", "fresh")
             return
         stale = flags[:, int(STALE)] != 0
         # Re-sort only at fixed step counts: rebuilds come at varying times, which must not change the results.
-        b.ahead.built(flags)
+        b.planner.note_rebuilt(flags)
         due = stale & (sort_every > 0) & (flags[:, int(STEPS)] % np.maximum(sort_every, 1) == 0)
         sort = bool(due.any()) and b.body_count > 1
         if sort:
@@ -124,7 +124,7 @@ class NeighborLists:
         made = self._cells.made
         self._cells.fit(width, due)
         self._cells.use_width(width)
-        if self._cells.made > made and b.ahead.rebuilds_itself:
+        if self._cells.made > made and b.planner.rebuilds_on_device:
             b.invalidate_graphs()
         rebuild = self._search(sort) if b.features.half_list else self._rebuild(sort)
         # A half list has been searched chunk by chunk already.
@@ -143,7 +143,7 @@ class NeighborLists:
         if len(self._finds) < longest <= MOST_KEPT:
             self._finds = wp.empty((MOST_KEPT, b.sphere_count), dtype=wp.int32, device=b.device)
             self._version = ()  # record all launches anew at the next build, with the enlarged array
-            if b.ahead.rebuilds_itself:
+            if b.planner.rebuilds_on_device:
                 b.invalidate_graphs()
 
     def _search(self, sort: bool) -> Rebuild:
@@ -324,7 +324,7 @@ class NeighborLists:
             )
             for part, (first, last) in enumerate(pairwise(b.sphere_chunks.tolist()))
         ]  # fmt: skip
-        return [Chunks(parts, b.in_parts)], []
+        return [Chunks(parts, b.launch_chunks)], []
 
     def _starts(self, scanned: wp.array, start: wp.array, total: wp.array) -> Stage:
         b = self.batch
@@ -343,7 +343,7 @@ class NeighborLists:
             )
             for first, last in pairwise(b.sphere_chunks.tolist())
         ]
-        return Chunks(parts, b.in_parts) if f.half_list else parts[0]
+        return Chunks(parts, b.launch_chunks) if f.half_list else parts[0]
 
     def _link_stages(self, scan: list[Stage]) -> list[Stage]:
         """Return the stages that set up a GPU's links; empty for half lists. `scan` sums the lengths of the rows."""

@@ -24,9 +24,9 @@ class Phase:
 class Chunks:
     """Stages that do the same work on the chunks of several CPU threads, each on its own thread."""
 
-    def __init__(self, stages: list[Stage], in_parts: Callable[[list[Stage]], None]) -> None:
-        """Group one stage for each chunk; `in_parts` launches all of them, as `Batch.in_parts` does."""
-        self.stages, self._in_parts = stages, in_parts
+    def __init__(self, stages: list[Stage], launch_chunks: Callable[[list[Stage]], None]) -> None:
+        """Group one stage for each chunk; `launch_chunks` launches all of them, as `Batch.launch_chunks` does."""
+        self.stages, self._in_parts = stages, launch_chunks
 
     def record(self) -> None:
         """Record the launches of all chunks, without running them."""

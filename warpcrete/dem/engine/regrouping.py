@@ -15,15 +15,15 @@ from .stable_step import StableStep
 from .state import State
 from .stepper_protocol import SceneStepper
 
-PART = 0.5
+LARGEST_SHARE = 0.5
 """Largest share of a batch's spheres that running scenes may hold for the batch to be regrouped."""
-PATIENCE = 20
+LAUNCHES_BEFORE_REGROUPING = 20
 """Number of launches with few running spheres before a batch is regrouped; scenes that end soon do not repay it."""
-ROOM = 0.5
+MEMORY_SHARE = 0.5
 """Share of the free memory that the new batch may take, since the old batch stays in memory and other batches grow."""
 SETTINGS = (
     "local_damping", "skin", "mesh_skin", "sphere_allowance", "growth_rate", "growth_end", "safety", "largest_step",
-    "fixed_step", "until", "interval", "foreseen_speed", "held",
+    "fixed_step", "until", "interval", "expected_speed", "held",
 )  # fmt: skip
 """Settings of a scene's row that may change during a run and must be carried over."""
 
@@ -38,16 +38,16 @@ class Regrouping:
         """Move the running scenes, given by their steppers, to a batch of their own if that is due."""
         batch = steppers[0].batch
         spheres = sum(stepper.state.sphere_count for stepper in steppers)
-        if not batch.parallel or len(steppers) == batch.count or spheres > PART * batch.sphere_count:
+        if not batch.parallel or len(steppers) == batch.count or spheres > LARGEST_SHARE * batch.sphere_count:
             self._few = 0
             return
         self._few += 1
-        if self._few <= PATIENCE:
+        if self._few <= LAUNCHES_BEFORE_REGROUPING:
             return
         self._few = 0
         # Scenes that have ended keep a reference to their old batch, so its memory is not freed.
         needed = footprint(stepper=steppers[0])["stepper"] * spheres / max(batch.sphere_count, 1)
-        if needed < ROOM * memory_free(batch.device):
+        if needed < MEMORY_SHARE * memory_free(batch.device):
             regroup(steppers)
 
 
@@ -58,9 +58,9 @@ def regroup(steppers: Sequence[SceneStepper]) -> None:
     before = [(stepper.index, stepper.state_dict()) for stepper in steppers]
     states: list[State] = [stepper.state for stepper in steppers]
     for state in states:
-        state.leave()
+        state.detach()
     batch = Batch([stepper.model for stepper in steppers], states)
-    batch.subcycles.abreast = old.subcycles.abreast
+    batch.subcycles.concurrent_batches = old.subcycles.concurrent_batches
     lists, estimate = NeighborLists(batch), StableStep(batch)
     for s, (stepper, (index, found)) in enumerate(zip(steppers, before)):
         batch.set(s, **{name: old.rows[name][index] for name in SETTINGS})

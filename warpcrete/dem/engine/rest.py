@@ -9,12 +9,12 @@ import numpy as np
 import warp as wp
 
 from ...core.device.launching import Stage
-from ...kernels.dem.structure import wear_kernel
+from ...kernels.dem.structure import breakdown_kernel
 from ..laws import LubricationLayer
 from ..scene.scene import Bonds, Scene
 
 
-def grown_bonds(scene: Scene) -> Bonds | None:
+def bonds_after_rest(scene: Scene) -> Bonds | None:
     """Return the scene's bonds after its rest; None if it has no bonds, or never rests."""
     if scene.rest is None or scene.bonds is None:
         return None
@@ -47,8 +47,8 @@ class Structure:
         ]
         self._slip_wall = wp.array(walls, dtype=wp.int32, device=batch.device)
         self._breakdown = self._numbers([m.scene.rest.breakdown for m in batch.models])
-        self._gained, self._begun = np.zeros(batch.count), np.zeros(batch.count)
-        self._device_gained, self._device_begun = self._numbers(self._gained), self._numbers(self._begun)
+        self._gained, self._travel_at_rest = np.zeros(batch.count), np.zeros(batch.count)
+        self._device_gained, self._device_begun = self._numbers(self._gained), self._numbers(self._travel_at_rest)
 
     def _numbers(self, values: Any) -> wp.array:
         return wp.array(np.asarray(values, dtype=float), dtype=wp.float64, device=self.batch.device)
@@ -57,7 +57,7 @@ class Structure:
         """Return the stage that computes the layers' yield stresses for the next step, one thread per scene."""
         b = self.batch
         return b.stage(
-            wear_kernel(b.scalar, b.features.wall_law), b.count, own_yield=self._own_yield,
+            breakdown_kernel(b.scalar, b.features.wall_law), b.count, own_yield=self._own_yield,
             gained=self._device_gained, breakdown=self._breakdown, begun=self._device_begun, slip_wall=self._slip_wall,
         )  # fmt: skip
 
@@ -67,10 +67,10 @@ class Structure:
 
     def take(self, s: int, other: Structure, index: int) -> None:
         """Continue with the layer of scene `index` of another batch."""
-        self._set(s, other._gained[index], other._begun[index])
+        self._set(s, other._gained[index], other._travel_at_rest[index])
 
     def _set(self, s: int, gained: float, begun: float) -> None:
-        self._gained[s], self._begun[s] = gained, begun
+        self._gained[s], self._travel_at_rest[s] = gained, begun
         self._device_gained.assign(self._gained)
-        self._device_begun.assign(self._begun)
+        self._device_begun.assign(self._travel_at_rest)
         self.stage()()

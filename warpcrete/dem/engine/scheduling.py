@@ -12,9 +12,9 @@ from typing import Any
 
 import warp as wp
 
-from ...core.device.graphs import AtOnce
-from ...core.device.interpreter_priority import waiting
-from ...core.device.interrupts import put_off
+from ...core.device.graphs import GraphLaunch
+from ...core.device.interpreter_priority import run_is_waiting
+from ...core.device.interrupts import defer_interrupts
 from ...core.errors import CapacityError
 from ...core.run.run_loop import Coroutine
 from .batch import Batch
@@ -23,7 +23,7 @@ from .regrouping import Regrouping
 from .stages import step_stages
 from .stepper_protocol import SceneStepper
 
-BETWEEN_LOOKS = 50e-6
+POLL_INTERVAL = 50e-6
 """Time between two polls of the host while no batch has completed its steps [s]."""
 
 
@@ -32,28 +32,28 @@ class _Scene:
 
     def __init__(self, stepper: SceneStepper, coroutine: Coroutine) -> None:
         self.stepper, self.coroutine = stepper, coroutine
-        self._under_way: Coroutine | None = None
+        self._goal_steps: Coroutine | None = None
         self.waiting = False
         self.result: Any = None
 
-    def go_on(self, error: BaseException | None = None) -> None:
+    def proceed(self, error: BaseException | None = None) -> None:
         """Run the coroutine until it needs steps, or to its end; raise `error` inside it if one is given."""
         self.waiting = False
         try:
             while True:
-                if error is None and self._under_way is not None:
+                if error is None and self._goal_steps is not None:
                     try:
-                        next(self._under_way)
+                        next(self._goal_steps)
                         self.waiting = True
                         return
                     except StopIteration:
-                        self._under_way = None
+                        self._goal_steps = None
                     except (Exception, KeyboardInterrupt) as failure:
                         error = failure
-                self._under_way = None
+                self._goal_steps = None
                 goal = next(self.coroutine) if error is None else self.coroutine.throw(error)
                 error = None
-                self._under_way = self.stepper.reaching(goal)
+                self._goal_steps = self.stepper.reaching(goal)
         except StopIteration as end:
             self.result = end.value
         except (Exception, KeyboardInterrupt) as failure:
@@ -76,7 +76,7 @@ class _Drive:
         return sorted((m for m in self._members.values() if m.waiting), key=lambda member: member.stepper.index)
 
     @property
-    def under_way(self) -> bool:
+    def is_running(self) -> bool:
         """True if any scene has a goal ahead."""
         return any(member.waiting for member in self._members.values())
 
@@ -94,96 +94,96 @@ class _Drive:
     def begin(self, stop: KeyboardInterrupt | None) -> None:
         """Run all coroutines to their first goals, or, after an interruption, to their ends."""
         self.stop = stop
-        with self._on_stream():
+        with self._stream_context():
             for member in self._members.values():
-                self._go_on(member, self.stop)
+                self._proceed(member, self.stop)
 
     def launch(self) -> None:
         """Launch the next steps."""
-        self._do(self._launch)
+        self._guarded(self._launch)
 
-    def look(self) -> None:
+    def collect(self) -> None:
         """Wait for the launched steps, then continue the coroutines whose scenes have reached their goals."""
-        self._do(self._look)
+        self._guarded(self._collect)
 
     def interrupt(self, stop: KeyboardInterrupt) -> None:
         """Raise an interruption inside every coroutine that is waiting."""
         self.stop = stop
-        self._do(lambda: None)
+        self._guarded(lambda: None)
 
-    def _on_stream(self) -> AbstractContextManager:
+    def _stream_context(self) -> AbstractContextManager:
         return nullcontext() if self._stream is None else wp.ScopedStream(self._stream, sync_enter=False)
 
-    def _go_on(self, member: _Scene, error: BaseException | None = None) -> None:
-        member.go_on(error)
+    def _proceed(self, member: _Scene, error: BaseException | None = None) -> None:
+        member.proceed(error)
         if not member.waiting:
             if isinstance(member.result, KeyboardInterrupt):
                 self.stop = member.result
             elif getattr(member.result, "interrupted", False):
                 self.stop = self.stop or KeyboardInterrupt()
 
-    def _do(self, what: Callable[[], None]) -> None:
-        with self._on_stream():
+    def _guarded(self, what: Callable[[], None]) -> None:
+        with self._stream_context():
             try:
-                if self.stop is None and self.under_way:
+                if self.stop is None and self.is_running:
                     what()
             except KeyboardInterrupt as interruption:
                 self.stop = interruption
             except CapacityError as full:  # the neighbour lists are full, which affects all scenes of the batch
                 for member in self.waiting:
-                    self._go_on(member, full)
+                    self._proceed(member, full)
             if self.stop is not None:
                 for member in self.waiting:
-                    self._go_on(member, self.stop)
+                    self._proceed(member, self.stop)
 
     def _launch(self) -> None:
         steppers = [member.stepper for member in self.waiting]
         if self._regroup is not None:
-            with put_off():
+            with defer_interrupts():
                 self._regroup(steppers)
         stepper = steppers[0]
         self._launched = batch = stepper.batch
         if not batch.has_step:
-            batch.use_step(step_stages(batch), *self._by_device(stepper))
+            batch.use_step(step_stages(batch), *self._device_launches(stepper))
         batch.launch()
 
     @staticmethod
-    def _by_device(stepper: SceneStepper) -> tuple[AtOnce | None, AtOnce | None]:
+    def _device_launches(stepper: SceneStepper) -> tuple[GraphLaunch | None, GraphLaunch | None]:
         """Return two launches that a GPU inserts between steps: list rebuilds alone, and with step size estimates.
 
         Only a batch of one scene can rebuild its lists on the device.
         """
         batch = stepper.batch
-        batch.ahead.rebuilds_itself = DeviceRebuild.possible(batch)
+        batch.planner.rebuilds_on_device = DeviceRebuild.possible(batch)
         if not batch.parallel:
             return None, None
         rebuild = []
-        if batch.ahead.rebuilds_itself:
+        if batch.planner.rebuilds_on_device:
             stepper.lists.lay_out_cells()
             rebuild = [DeviceRebuild(stepper.lists)]
-        return AtOnce(rebuild, batch.device) if rebuild else None, stepper.stable_step.by_device(rebuild)
+        return GraphLaunch(rebuild, batch.device) if rebuild else None, stepper.stable_step.by_device(rebuild)
 
-    def _look(self) -> None:
+    def _collect(self) -> None:
         assert self._launched is not None
         waiting, flags = self.waiting, self._launched.settle()
         stepper = waiting[0].stepper
         for member in waiting:
-            error = member.stepper.trouble(flags[member.stepper.index])
+            error = member.stepper.failure(flags[member.stepper.index])
             if error is not None:
-                self._go_on(member, error)
+                self._proceed(member, error)
         batch, running = stepper.batch, [m.stepper.index for m in waiting if m.waiting]
-        if len(outdated := batch.ahead.due(flags, batch.rows["sort_every"], running)):
-            with put_off():
-                batch.outdate(outdated)
+        if len(stale := batch.planner.scenes_to_rebuild(flags, batch.rows["sort_every"], running)):
+            with defer_interrupts():
+                batch.mark_stale(stale)
                 stepper.lists()
         ready = [m for m in waiting if m.waiting and m.stepper.reached(flags[m.stepper.index])]
         estimate = stepper.stable_step
         try:
-            estimate.foresee([m.stepper.index for m in ready if m.stepper.wants_estimate()])
+            estimate.precompute([m.stepper.index for m in ready if m.stepper.wants_estimate()])
             for member in ready:
-                self._go_on(member, self.stop)
+                self._proceed(member, self.stop)
         finally:
-            estimate.forget()
+            estimate.discard_precomputed()
 
 
 def drive(scenes: dict[int, tuple[SceneStepper, Coroutine]]) -> dict[int, Any]:
@@ -192,11 +192,11 @@ def drive(scenes: dict[int, tuple[SceneStepper, Coroutine]]) -> dict[int, Any]:
     Returns by number what each coroutine returned or raised. Steppers may have moved to other batches afterwards, so
     they must not be driven together again. An interruption (Ctrl-C) is raised inside every coroutine that is waiting.
     """
-    (results,) = drive_abreast([(scenes, None)])
+    (results,) = drive_batches([(scenes, None)])
     return results
 
 
-def drive_abreast(
+def drive_batches(
     groups: Sequence[tuple[dict[int, tuple[SceneStepper, Coroutine]], Any]], *, regroups: bool = True
 ) -> list[dict[int, Any]]:
     """Run :func:`drive` for several batches at the same time, each on its own GPU stream (None: the default stream).
@@ -216,19 +216,19 @@ def drive_abreast(
             stop = stop or one.stop
 
     each(lambda one: one.begin(stop), drives)
-    while under_way := [one for one in drives if one.under_way]:
+    while is_running := [one for one in drives if one.is_running]:
         try:
             if stop is not None:
-                for one in under_way:
+                for one in is_running:
                     one.interrupt(stop)
                 continue
-            each(_Drive.launch, [one for one in under_way if one not in launched])
-            launched = [one for one in under_way if one.under_way]
+            each(_Drive.launch, [one for one in is_running if one not in launched])
+            launched = [one for one in is_running if one.is_running]
             ready = [one for one in launched if len(launched) == 1 or one.settled]
             if not ready:
-                with waiting():
-                    time.sleep(BETWEEN_LOOKS)
-            each(_Drive.look, ready)
+                with run_is_waiting():
+                    time.sleep(POLL_INTERVAL)
+            each(_Drive.collect, ready)
             launched = [one for one in launched if one not in ready]
         except KeyboardInterrupt as interruption:
             stop = interruption
@@ -237,7 +237,7 @@ def drive_abreast(
 
 def drive_one(stepper: SceneStepper, coroutine: Coroutine) -> Any:
     """Run one scene's coroutine; return what it returns, raise what it raises."""
-    result = drive_abreast([({0: (stepper, coroutine)}, None)], regroups=False)[0][0]
+    result = drive_batches([({0: (stepper, coroutine)}, None)], regroups=False)[0][0]
     if isinstance(result, BaseException):
         raise result
     return result

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ...core.device.graphs import AtOnce
+from ...core.device.graphs import GraphLaunch
 from ...core.device.launching import Stage
 from ...geometry.walls import Driven
 from ...kernels.dem.gathering import ESTIMATE_LANES, gather_kernel
@@ -17,7 +17,7 @@ from ...kernels.dem.stable_step import (
     begin_kernel,
     keep_kernel,
     reduce_kernel,
-    settle_kernel,
+    step_kernel,
 )
 from ...kernels.dem.stiffness import estimate_struct
 from ..scene.scene import Scene
@@ -43,47 +43,47 @@ class StableStep:
         self._estimate.sums = zeros("sums", (batch.sphere_count, 4))
         self._estimate.wall_load = zeros("wall_load", (batch.threads, batch.wall_count, 2))
         self._estimate.smallest = zeros("smallest", (batch.threads, batch.count))
-        self._estimate.finest = zeros("finest", (batch.threads, batch.count))
+        self._estimate.resolution_step = zeros("resolution_step", (batch.threads, batch.count))
         self._estimate.fastest = zeros("fastest", (batch.threads, batch.count))
-        self._asked = wp.zeros(batch.count, dtype=wp.int32, device=batch.device)
-        self._asked_before = np.zeros(batch.count, dtype=np.int32)
+        self._estimate_wanted = wp.zeros(batch.count, dtype=wp.int32, device=batch.device)
+        self._wanted_before = np.zeros(batch.count, dtype=np.int32)
         self._due = wp.zeros(batch.count, dtype=wp.int32, device=batch.device)
         self._recorded: dict[int, Callable[[], None]] = {}
         self._version = -1
-        self._known: set[int] = set()
+        self._precomputed: set[int] = set()
 
     def __call__(self, s: int) -> None:
-        """Estimate the stable step of scene `s`, unless :meth:`foresee` has just done so."""
-        if s in self._known:
-            self._known.discard(s)
+        """Estimate the stable step of scene `s`, unless :meth:`precompute` has just done so."""
+        if s in self._precomputed:
+            self._precomputed.discard(s)
             return
         self._estimate_for([s])
 
-    def foresee(self, scenes: list[int]) -> None:
+    def precompute(self, scenes: list[int]) -> None:
         """Estimate several scenes that need it before their next step; a GPU does all in the time of one."""
         if len(scenes) > 1 and self.batch.parallel:
             self._estimate_for(scenes)
-            self._known = set(scenes)
+            self._precomputed = set(scenes)
 
-    def forget(self) -> None:
+    def discard_precomputed(self) -> None:
         """Discard precomputed estimates that were not used."""
-        self._known.clear()
+        self._precomputed.clear()
 
     def _estimate_for(self, scenes: list[int]) -> None:
-        asked = np.zeros(self.batch.count, dtype=np.int32)
-        asked[scenes] = 1
-        if not np.array_equal(asked, self._asked_before):
-            self._asked.assign(asked)
-            self._asked_before = asked
+        requested = np.zeros(self.batch.count, dtype=np.int32)
+        requested[scenes] = 1
+        if not np.array_equal(requested, self._wanted_before):
+            self._estimate_wanted.assign(requested)
+            self._wanted_before = requested
         with self.batch.changing():
             self._launch(scenes[0])()
 
-    def by_device(self, first: Sequence[Any] = ()) -> AtOnce:
+    def by_device(self, first: Sequence[Any] = ()) -> GraphLaunch:
         """Return a launch that estimates all scenes in need of it and lets them continue, without the host.
 
         Only a GPU uses this launch. The stages `first` are launched before the estimate.
         """
-        return AtOnce([*first, *(stage for phase in self._phases(-1, True) for stage in phase)], self.batch.device)
+        return GraphLaunch([*first, *(stage for phase in self._phases(-1, True) for stage in phase)], self.batch.device)
 
     def kernels(self) -> list[Stage]:
         """Return all stages of an estimate, so that their kernels can be compiled."""
@@ -102,12 +102,12 @@ class StableStep:
     def _made(self, phases: list[list[Stage]]) -> Callable[[], None]:
         b = self.batch
         if b.threads == 1:
-            return AtOnce([stage for phase in phases for stage in phase], b.device)
+            return GraphLaunch([stage for phase in phases for stage in phase], b.device)
 
         def phase_by_phase() -> None:
             for phase in phases:
                 if len(phase) > 1:
-                    b.in_parts(phase)
+                    b.launch_chunks(phase)
                 else:
                     phase[0]()
 
@@ -117,7 +117,7 @@ class StableStep:
         """Return the stages for one scene, or for all due scenes (-1), in phases whose stages may run in parallel."""
         b, f = self.batch, self.batch.features
         own = {"due": self._due, "estimate": self._estimate}
-        begin = {"asked": self._asked, "by_device": by_device, **own}
+        begin = {"requested": self._estimate_wanted, "by_device": by_device, **own}
         lanes = ESTIMATE_LANES if b.device.is_cuda else 1
         gather = gather_kernel(b.scalar, f.pair_law, f.wall_law, f.half_list, f.bonds, f.subcycling, lanes)
         reduce = reduce_kernel(b.scalar, f.pair_law, f.wall_law, f.half_list)
@@ -141,14 +141,14 @@ class StableStep:
             ]  # fmt: skip
 
         rounds = {"subcycled": b.subcycles.arrays}
-        settle = b.stage(settle_kernel(b.scalar, f.subcycling), b.count, by_device=by_device, **own, **rounds)
+        settle = b.stage(step_kernel(b.scalar, f.subcycling), b.count, by_device=by_device, **own, **rounds)
         phases = [*smallest(False), [settle]]
         if f.subcycling:
             phases = [*smallest(True), [b.stage(keep_kernel(b.scalar), b.count, **own, **rounds)], *phases]
         return [*([stage] for stage in b.sync_stages()), *phases] if by_device else phases
 
 
-def foreseen_speed(scene: Scene, horizon: float) -> float:
+def expected_speed(scene: Scene, horizon: float) -> float:
     """Return the speed that walls may reach, plus the speed that forces can give within `horizon` [s]; in m/s."""
     gained = [float(np.linalg.norm(scene.gravity))]
     gained += [abs(w.motion.force) / w.motion.mass for w in scene.walls if isinstance(w.motion, Driven)]

@@ -6,7 +6,7 @@ import math
 from itertools import pairwise
 from typing import Any
 
-from ...core.device.launching import Stage, members
+from ...core.device.launching import Stage, struct_arguments
 from ...kernels.common.types import SPAN
 from ...kernels.dem.analytic_walls import wall_kernel
 from ...kernels.dem.clock import clock_kernel
@@ -22,11 +22,11 @@ from ...kernels.dem.warps import WARP
 from .batch import Batch
 from .links import rows_of
 
-MANY = 200_000
+MANY_SPHERES = 200_000
 """Number of spheres above which one thread per sphere keeps a GPU busy while lists are built."""
-CHOSEN = 20
+NEAR_LINK_INTERVAL = 20
 """Steps between two selections of the near links, equal to the steps between two estimates of the stable step."""
-CLOSE_LINKS = 0.5
+THREADS_PER_LINK = 0.5
 """Ratio of the link kernel's threads to all links of the lists; if more links are near, a thread takes several."""
 WALL_LANE_BITS = 3
 """Base-2 logarithm of the largest number of GPU threads that share the planes and pipes of one sphere."""
@@ -81,8 +81,8 @@ def near_stages(batch: Batch) -> list[Stage]:
     near = near_kernels(b.scalar)
     whole = -(-len(b.links.link) // CHOICE_BLOCK) * CHOICE_BLOCK
     return [
-        b.stage(near.see_spheres, max(b.sphere_count, b.count, 2), every=CHOSEN),
-        b.stage(near.choose_near, whole, block=CHOICE_BLOCK, every=CHOSEN),
+        b.stage(near.record_positions, max(b.sphere_count, b.count, 2), every=NEAR_LINK_INTERVAL),
+        b.stage(near.choose_near, whole, block=CHOICE_BLOCK, every=NEAR_LINK_INTERVAL),
     ]
 
 
@@ -95,20 +95,20 @@ def _full_step(batch: Batch) -> list[Stage]:
         surfaces = surface_kernel(b.scalar, f.wall_law, f.dissipation, f.wear, width)
         bits = wall_lane_bits(b)
         threads = -(-(n << bits) // width) * width
-        stages.append(b.stage(surfaces, threads, count=n, lane_bits=bits, beside=True))
+        stages.append(b.stage(surfaces, threads, count=n, lane_bits=bits, on_side_stream=True))
     if f.meshes:
-        stages.append(_meshes(b, 0, 0, n, beside=True))
+        stages.append(_meshes(b, 0, 0, n, on_side_stream=True))
     kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
-    threads = -(-math.ceil(CLOSE_LINKS * len(b.links.link)) // width) * width  # rounded up to whole warps
+    threads = -(-math.ceil(THREADS_PER_LINK * len(b.links.link)) // width) * width  # rounded up to whole warps
     stages += [
         b.stage(kernel, threads, threads=threads),
         _motion(b, 0, b.body_count),
     ]
     if f.walls:
-        stages.append(b.stage(advance_kernel(b.scalar, f.strokes), b.wall_count, beside=True))
+        stages.append(b.stage(advance_kernel(b.scalar, f.strokes), b.wall_count, on_side_stream=True))
     stages += [
         *(b.subcycles.stages(0) if f.subcycling else ()),
-        b.stage(clock_kernel(b.scalar, f.growth), b.count, meets=True),
+        b.stage(clock_kernel(b.scalar, f.growth), b.count, joins_side_stream=True),
         *([b.structure.stage()] if b.structure is not None else []),
     ]
     return stages
@@ -136,11 +136,11 @@ def _half_contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage
     return stages
 
 
-def _meshes(batch: Batch, part: int, first: int, last: int, *, beside: bool = False) -> Stage:
+def _meshes(batch: Batch, part: int, first: int, last: int, *, on_side_stream: bool = False) -> Stage:
     b, f = batch, batch.features
     kernel = mesh_kernel(b.scalar, f.wall_law, f.half_list, f.dissipation, f.wear)
-    named = {"first": first, "last": last, "part": part, **members(kernel, wall=b.walls, slot=b.slots)}
-    return b.stage(kernel, tasks(b, last - first), beside=beside, **named)
+    named = {"first": first, "last": last, "part": part, **struct_arguments(kernel, wall=b.walls, slot=b.slots)}
+    return b.stage(kernel, tasks(b, last - first), on_side_stream=on_side_stream, **named)
 
 
 def _motion(batch: Batch, first: int, last: int) -> Stage:
@@ -154,10 +154,10 @@ def _motion(batch: Batch, first: int, last: int) -> Stage:
         kernel = clump_kernel(
             b.scalar, f.drives, f.growth, f.meshes, f.half_list, f.subcycling, f.dissipation, rows, width
         )
-        bits = LANE_BITS if width > 1 and (b.sphere_count < MANY or rows > 2) else 0
+        bits = LANE_BITS if width > 1 and (b.sphere_count < MANY_SPHERES or rows > 2) else 0
         if not f.half_list:
             count = -(-(count << bits) // width) * width
         named |= {"subcycled": b.subcycles.arrays, "lane_bits": bits}
     else:
         kernel = sphere_kernel(b.scalar, f.drives, f.growth, f.meshes, f.rotation, f.half_list, f.dissipation, rows)
-    return b.stage(kernel, count, meets=True, **named)
+    return b.stage(kernel, count, joins_side_stream=True, **named)

@@ -212,12 +212,12 @@ class State:
             self._scratch[name] = wp.empty(shape, dtype=dtype, device=self.model.device)
         return self._scratch[name]
 
-    def taken_into(self, batch: Any, index: int) -> None:
+    def attach_to(self, batch: Any, index: int) -> None:
         """Record that this state is scene `index` of `batch`."""
         self.batch, self.index = batch, index
         self._launches = -1, {}
 
-    def leave(self) -> None:
+    def detach(self) -> None:
         """Replace the slices of the batch's arrays by copies, so that the state can move to another batch."""
         for struct, name, array in list(self.arrays()):
             setattr(getattr(self, struct), name, wp.clone(array))

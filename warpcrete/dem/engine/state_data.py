@@ -20,16 +20,16 @@ EMPTY = {("spheres", "force"), ("spheres", "moment")}
 
 def state_dict(state: State) -> dict[str, Any]:
     """Return everything that the next step depends on: arrays by struct and name, and numbers."""
-    found: dict[str, Any] = {"numbers": {name: getattr(state, name) for name in NUMBERS}, "flags": state.flags.numpy()}
+    stored: dict[str, Any] = {"numbers": {name: getattr(state, name) for name in NUMBERS}, "flags": state.flags.numpy()}
     for struct, name, array in state.arrays():
         if (struct, name) not in EMPTY:
             data = array.numpy()
             listed = struct == "pairs" and name in pair_bytes(state.model)
-            found.setdefault(struct, {})[name] = data[: max(state.pair_total, 1)] if listed else data
-    return found
+            stored.setdefault(struct, {})[name] = data[: max(state.pair_total, 1)] if listed else data
+    return stored
 
 
-def restored(model: Model, found: dict[str, Any]) -> State:
+def restore_state(model: Model, stored: dict[str, Any]) -> State:
     """Return the state that a `state_dict` describes."""
     scene = model.scene
     table = BodyTable.empty()
@@ -37,14 +37,14 @@ def restored(model: Model, found: dict[str, Any]) -> State:
         table.templates = tuple(scene.fill.templates)
     state = State(model, BodyTable.empty())
     state.templates = table.joined(placed_bodies(scene)).templates
-    for name, value in found["numbers"].items():
+    for name, value in stored["numbers"].items():
         setattr(state, name, value)
-    state.flags.assign(found["flags"])
+    state.flags.assign(stored["flags"])
     for struct, name, array in list(state.arrays()):
         if (struct, name) in EMPTY:
             made = wp.zeros(state.sphere_count, dtype=array.dtype, device=model.device)
         else:
-            data = found[struct][name]
+            data = stored[struct][name]
             if data.size == 0:
                 made = wp.zeros(data.shape[: array.ndim], dtype=array.dtype, device=model.device)
             else:

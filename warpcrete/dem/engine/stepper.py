@@ -15,7 +15,7 @@ from ...kernels.dem.clock import CLOSE
 from ...kernels.dem.probes import TRAVEL
 from ...kernels.dem.stable_step import LEAP
 from ...kernels.dem.structs import DT_PREVIOUS, TIME
-from ...kernels.dem.subcycling import PART
+from ...kernels.dem.subcycling import SUBCYCLED_STEP_FRACTION
 from ...kernels.dem.wall_motion import SPEED_LIMIT
 from ..scene.scene import Bonds, TimeStep
 from .batch import Batch
@@ -25,7 +25,7 @@ from .loading import load_kernels
 from .model import Model
 from .neighbors import NeighborLists
 from .scheduling import drive_one
-from .stable_step import StableStep, foreseen_speed
+from .stable_step import StableStep, expected_speed
 from .state import State
 from .stepper_protocol import Steps
 from .subcycling import MARGIN, rounds_for
@@ -34,7 +34,7 @@ from .subcycling import MARGIN, rounds_for
 # so fast that fewer rebuilds pay off if spheres are few: 28,000 spheres take 52, 48, 52 and 65 us per step at skins of
 # 0.7, 1.0, 1.4 and 2.0. From 100,000 spheres on, 1.0 is 2 to 3 % slower than 0.7.
 SKIN = {"cpu": 0.5, "cuda": 0.7, "few": 1.0}
-FEW = 50_000
+FEW_SPHERES = 50_000
 MESH_SKIN = 4  # skin of mesh candidates as a multiple of the skin of pairs
 SORT_EVERY = {"cpu": 1000, "cuda": 4000, "few": 16_000}
 """Steps between two re-sortings of the bodies by the host, which correspond to 13 to 55 builds of the lists. Few bodies
@@ -74,10 +74,12 @@ class Stepper:
             load_kernels(*among[:2])
         self.running = False  # an unstable fixed step is a SceneError before the run and an InstabilityError in it
         self._skin, self._sort_every = skin, sort_every
-        self._estimated = self._counting = False
-        self._foreseen = -1.0, 0.0
-        fastest = self._fastest_wall(model)
-        self._wall_step = LEAP * state.smallest_radius / fastest if fastest and state.sphere_count else math.inf
+        self._estimated = self._goal_is_steps = False
+        self._horizon_speed = -1.0, 0.0
+        top_speed = self._fastest_wall(model)
+        self._longest_wall_step = (
+            LEAP * state.smallest_radius / top_speed if top_speed and state.sphere_count else math.inf
+        )
         """Longest step in which a prescribed wall moves no farther than the smallest sphere may [s]."""
         self.join(*among, resumed=resumed)
 
@@ -92,7 +94,7 @@ class Stepper:
         """Become scene `index` of the batch of `lists`; continue from a `state_dict` if one is given."""
         self.lists, self.stable_step, self.index = lists, stable_step, index
         self.batch, state = lists.batch, self.state
-        kind = "cpu" if not self.batch.parallel else "few" if state.sphere_count < FEW else "cuda"
+        kind = "cpu" if not self.batch.parallel else "few" if state.sphere_count < FEW_SPHERES else "cuda"
         self.skin = SKIN[kind] * state.mean_radius if self._skin is None else self._skin
         if resumed is not None:
             self.skin = resumed["skin"]
@@ -113,17 +115,17 @@ class Stepper:
             self.batch.subcycles.load_state_dict(index, resumed["subcycles"])
         # A run that was not interrupted rebuilds stale lists, and sorts, before the next estimate; do the same here.
         stale = bool(self.batch.host_flags()[index, int(STALE)])
-        if resumed is None or stale or index in self.batch.rechunked:
+        if resumed is None or stale or index in self.batch.scenes_with_new_chunks:
             self.rebuild()
         else:
             self.lists.link(index)
-            self.batch.ahead.joined(index, self.steps)
+            self.batch.planner.note_joined(index, self.steps)
 
     def state_dict(self) -> dict[str, Any]:
         """Return what a stepper needs, in addition to the state, to continue in the same way."""
         return {
             "skin": self.skin,
-            "since_estimate": self._since_estimate(),
+            "since_estimate": self._steps_since_estimate(),
             "subcycles": self.batch.subcycles.state_dict(self.index),
         }
 
@@ -148,7 +150,7 @@ class Stepper:
 
     def rebuild(self) -> None:
         """Rebuild the neighbour lists of this scene."""
-        self.batch.outdate([self.index])
+        self.batch.mark_stale([self.index])
         self.lists()
 
     def bond(self, bonds: Bonds, kind: int, group: int = -1) -> int:
@@ -169,7 +171,7 @@ class Stepper:
             self._choose_rounds()
         return made
 
-    def stand(self) -> float:
+    def apply_rest(self) -> float:
         """Apply the scene's rest to bonds and wall layer; return the travel from which slip counts [m]."""
         scene, model, batch = self.model.scene, self.model, self.batch
         assert scene.rest is not None
@@ -178,21 +180,21 @@ class Stepper:
             reassign_bonds(model, self.state, 1, kind, 1.0, scene.seed)
             self.bond(scene.bonds, kind)
         number = next(k for k, wall in enumerate(model.walls) if wall.name == scene.rest.wall)
-        begun = float(batch.host_walls(self.index)[number, int(TRAVEL)])
-        self.wear_from(begun)
-        return begun
+        travel_at_rest = float(batch.host_walls(self.index)[number, int(TRAVEL)])
+        self.set_layer_gain(travel_at_rest)
+        return travel_at_rest
 
-    def wear_from(self, begun: float) -> None:
-        """Give the wall layer its gain from the rest, minus the wear by slip since a travel of `begun` [m]."""
+    def set_layer_gain(self, travel_at_rest: float) -> None:
+        """Give the wall layer its gain from the rest, minus the wear by slip since a travel of `travel_at_rest` [m]."""
         if self.batch.structure is not None:
-            self.batch.structure.grow(self.index, begun)
+            self.batch.structure.grow(self.index, travel_at_rest)
 
     def _choose_rounds(self) -> None:
         """Choose the number of rounds in which hydrated bonds are sub-cycled within a step."""
         subcycles, step = self.batch.subcycles, self.time_step
         subcycles.collect(self.index)
-        all_else = self.estimate()  # an estimate without hydrated bonds, as long as they have no rounds
-        dt = step.fixed or min(step.safety * PART * all_else, step.largest)
+        unbonded_step = self.estimate()  # an estimate without hydrated bonds, as long as they have no rounds
+        dt = step.fixed or min(step.safety * SUBCYCLED_STEP_FRACTION * unbonded_step, step.largest)
         ratio = MARGIN * dt / (step.safety * subcycles.stable_step(self.index))
         subcycles.set_rounds(self.index, step.rounds or rounds_for(ratio))
 
@@ -230,14 +232,14 @@ class Stepper:
     def _set_step(self) -> None:
         step = self.time_step
         horizon = step.interval * step.largest
-        if self._foreseen[0] != horizon:
-            self._foreseen = horizon, foreseen_speed(self.model.scene, horizon)
+        if self._horizon_speed[0] != horizon:
+            self._horizon_speed = horizon, expected_speed(self.model.scene, horizon)
         self.batch.set(
             self.index,
             safety=step.safety,
-            largest_step=min(step.largest, self._wall_step),
+            largest_step=min(step.largest, self._longest_wall_step),
             fixed_step=step.fixed or 0.0,
-            foreseen_speed=self._foreseen[1],
+            expected_speed=self._horizon_speed[1],
         )
 
     def choose_dt(self) -> float:
@@ -279,7 +281,7 @@ class Stepper:
                        "leave it out for an automatic step, or slow down the wall")  # fmt: skip
         return max(speeds.values(), default=0.0)
 
-    def _since_estimate(self) -> float:
+    def _steps_since_estimate(self) -> float:
         """Return the number of steps since the last estimate; infinite if a new estimate is required."""
         if not self._estimated:
             return math.inf
@@ -293,44 +295,44 @@ class Stepper:
         the goal or because its stable step must be estimated and the device has not done that itself.
         """
         if isinstance(goal, Steps):
-            yield from self._taking(goal.count)
+            yield from self._take_steps(goal.count)
             return
         while True:
             self._set_step()
-            if self._since_estimate() >= self.time_step.interval:
+            if self._steps_since_estimate() >= self.time_step.interval:
                 self.choose_dt()
             if not goal.time - self.time > CLOSE * self.dt:
                 return
-            self._counting = False
-            self.batch.goal(self.index, until=goal.time, interval=self.time_step.interval)
+            self._goal_is_steps = False
+            self.batch.set_goal(self.index, until=goal.time, interval=self.time_step.interval)
             yield
 
-    def _taking(self, count: int) -> Coroutine:
+    def _take_steps(self, count: int) -> Coroutine:
         if not self._estimated:
             self.choose_dt()
         if count > 0:
-            self._counting = True
-            self.batch.goal(self.index, steps=self.steps + count)
+            self._goal_is_steps = True
+            self.batch.set_goal(self.index, steps=self.steps + count)
             yield
 
     def wants_estimate(self) -> bool:
         """Return whether a scene that has taken a number of steps will estimate the stable step before more steps."""
         self._set_step()
-        return self._counting and self._since_estimate() >= self.time_step.interval
+        return self._goal_is_steps and self._steps_since_estimate() >= self.time_step.interval
 
     def advance(self, until: float) -> None:
         """Step until the simulated time reaches `until` [s], to within one step."""
-        drive_one(self, self._wanting(Until(until)))
+        drive_one(self, self._yield_goal(Until(until)))
 
     def take(self, count: int) -> None:
         """Take `count` steps of the current size."""
-        drive_one(self, self._wanting(Steps(count)))
+        drive_one(self, self._yield_goal(Steps(count)))
 
     @staticmethod
-    def _wanting(goal: Until | Steps) -> Coroutine:
+    def _yield_goal(goal: Until | Steps) -> Coroutine:
         yield goal
 
-    def trouble(self, flags: np.ndarray) -> Exception | None:
+    def failure(self, flags: np.ndarray) -> Exception | None:
         """Return the exception that a scene's flags call for, or None."""
         failed = int(flags[int(FAILED)])
         if failed < 0:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -33,8 +32,6 @@ class SceneStepper(Protocol):
     stable_step: StableStep
     index: int
     """Number of the scene in its batch."""
-    meanwhile: Callable[[], None] | None
-    """Deferred work of the run, to be called once while further steps are in flight."""
 
     def reaching(self, goal: Until | Steps) -> Coroutine:
         """Return a coroutine that advances to a goal and yields while the batch must step."""
@@ -44,7 +41,7 @@ class SceneStepper(Protocol):
         """Return whether the stable step must be estimated before the scene takes more steps."""
         ...
 
-    def trouble(self, flags: np.ndarray) -> Exception | None:
+    def failure(self, flags: np.ndarray) -> Exception | None:
         """Return the exception that a scene's flags call for, or None."""
         ...
 

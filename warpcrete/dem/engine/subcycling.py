@@ -18,7 +18,7 @@ from ...kernels.common.types import SPAN
 from ...kernels.dem.bond_parallel import HYDRATED
 from ...kernels.dem.locating import locating_kernels
 from ...kernels.dem.structs import subcycled_struct
-from ...kernels.dem.subcycling import RELAXATION, body_kernel, foreseeing_kernel, pair_kernel, rounds_kernel
+from ...kernels.dem.subcycling import RELAXATION, body_kernel, pair_kernel, prediction_kernel, rounds_kernel
 from .batch_protocol import SceneBatch
 from .bonding import bond_kinds
 from .pairs import listed_pairs
@@ -28,7 +28,7 @@ MARGIN = 1.1
 """Allowed growth of the step, as a factor on its initial size, before sub-cycling rounds limit it."""
 ROUND_BLOCK = 128
 """Threads per block of the GPU kernel that takes all rounds of a step."""
-RESIDENT = 2
+RESIDENT_BLOCKS = 2
 """Number of blocks of that kernel that always fit on one multiprocessor, however many registers a block needs."""
 OF_BODIES = ("position", "orientation")
 """Arrays of the sub-cycled bodies on which the next step depends, in addition to the state."""
@@ -51,12 +51,12 @@ def rounds_for(ratio: float) -> int:
     return max(1, math.ceil(damped + math.hypot(damped, ratio)))
 
 
-def round_blocks(count: int, multiprocessors: int, abreast: int) -> int:
-    """Return the number of GPU blocks for the rounds of `count` pairs or bodies, with `abreast` batches at a time.
+def round_blocks(count: int, multiprocessors: int, concurrent_batches: int) -> int:
+    """Return the number of GPU blocks for rounds of `count` pairs or bodies, for each of `concurrent_batches` batches.
 
     The blocks wait for each other after every round, so the blocks of all these batches must be resident together.
     """
-    return max(1, min(-(-count // ROUND_BLOCK), RESIDENT * multiprocessors // abreast))
+    return max(1, min(-(-count // ROUND_BLOCK), RESIDENT_BLOCKS * multiprocessors // concurrent_batches))
 
 
 class Subcycles:
@@ -68,9 +68,9 @@ class Subcycles:
     def __init__(self, batch: SceneBatch) -> None:
         """Create the sub-cycling of a :class:`Batch`, at first without pairs."""
         self.batch = batch
-        self._of_scene: list[dict[str, np.ndarray]] = [{} for _ in range(batch.count)]
+        self._by_scene: list[dict[str, np.ndarray]] = [{} for _ in range(batch.count)]
         self._rounds = np.zeros(batch.count, dtype=np.int32)
-        self._abreast = 1
+        self._concurrent_batches = 1
         self._gate = wp.zeros(1, dtype=wp.int32, device=batch.device)
         self._join()
 
@@ -80,14 +80,14 @@ class Subcycles:
         return int(self._rounds.max(initial=0))
 
     @property
-    def abreast(self) -> int:
+    def concurrent_batches(self) -> int:
         """Number of batches that may run their rounds on the GPU at the same time."""
-        return self._abreast
+        return self._concurrent_batches
 
-    @abreast.setter
-    def abreast(self, count: int) -> None:
-        if count != self._abreast:
-            self._abreast = count
+    @concurrent_batches.setter
+    def concurrent_batches(self, count: int) -> None:
+        if count != self._concurrent_batches:
+            self._concurrent_batches = count
             self.batch.invalidate_graphs()
 
     def collect(self, s: int) -> None:
@@ -99,7 +99,7 @@ class Subcycles:
         ends = np.stack([number[i[held]], number[j[held]]])
         pairs = np.stack([ends.min(0), ends.max(0)])
         pairs = pairs[:, np.lexsort(pairs[::-1])]
-        self._take(s, {"lower": pairs[0], "higher": pairs[1]})
+        self._restore(s, {"lower": pairs[0], "higher": pairs[1]})
 
     def set_rounds(self, s: int, rounds: int) -> None:
         """Set the number of rounds in which the pairs of scene `s` are stepped."""
@@ -115,33 +115,33 @@ class Subcycles:
 
     def state_dict(self, s: int) -> dict[str, Any]:
         """Return what the next step of scene `s` depends on; empty if the scene has no such pairs."""
-        found = self._values(s)
-        return {**found, "rounds": int(self._rounds[s])} if found else {}
+        stored = self._values(s)
+        return {**stored, "rounds": int(self._rounds[s])} if stored else {}
 
-    def load_state_dict(self, s: int, found: dict[str, Any]) -> None:
+    def load_state_dict(self, s: int, stored: dict[str, Any]) -> None:
         """Continue from a `state_dict`."""
-        if found:
-            self._rounds[s] = found["rounds"]
-            self._take(s, {name: found[name] for name in ("lower", "higher", *OF_BODIES, *OF_ENDS)})
+        if stored:
+            self._rounds[s] = stored["rounds"]
+            self._restore(s, {name: stored[name] for name in ("lower", "higher", *OF_BODIES, *OF_ENDS)})
 
     def _values(self, s: int) -> dict[str, np.ndarray]:
         """Return the current device values of a scene's sub-cycled pairs and bodies."""
-        if not self._of_scene[s]:
+        if not self._by_scene[s]:
             return {}
-        pairs = self._of_scene[s]
-        found = {name: pairs[name] for name in ("lower", "higher")}
+        pairs = self._by_scene[s]
+        stored = {name: pairs[name] for name in ("lower", "higher")}
         bodies, ends = sum(self._bodies[:s]), 2 * sum(self._pairs[:s])
         for name in OF_BODIES:
-            found[name] = getattr(self.arrays, name).numpy()[bodies : bodies + self._bodies[s]].copy()
+            stored[name] = getattr(self.arrays, name).numpy()[bodies : bodies + self._bodies[s]].copy()
         for name in OF_ENDS:
-            found[name] = getattr(self.arrays, name).numpy()[ends : ends + 2 * self._pairs[s]].copy()
-        return found
+            stored[name] = getattr(self.arrays, name).numpy()[ends : ends + 2 * self._pairs[s]].copy()
+        return stored
 
-    def _take(self, s: int, found: dict[str, np.ndarray]) -> None:
-        for other, each in enumerate(self._of_scene):
+    def _restore(self, s: int, stored: dict[str, np.ndarray]) -> None:
+        for other, each in enumerate(self._by_scene):
             if other != s:
                 each.update(self._values(other))
-        self._of_scene[s] = found
+        self._by_scene[s] = stored
         self._join()
         self.locate()
         self.batch.invalidate_graphs()
@@ -151,7 +151,7 @@ class Subcycles:
     def _join(self) -> None:
         """Create the joint arrays of all scenes."""
         b = self.batch
-        self._pairs = [len(each.get("lower", ())) for each in self._of_scene]
+        self._pairs = [len(each.get("lower", ())) for each in self._by_scene]
         rows = [self._rows(s) for s in range(b.count)]
         self._bodies = [len(number) for number, _, _ in rows]
         first_pair = np.concatenate([[0], np.cumsum(self._pairs)])
@@ -174,7 +174,7 @@ class Subcycles:
             if len(number):
                 self._place_bodies(s, number)
         for name in ("lower", "higher", *OF_BODIES, *OF_ENDS):
-            parts = [each[name] for each in self._of_scene if each]
+            parts = [each[name] for each in self._by_scene if each]
             given[name] = np.concatenate(parts) if parts else np.zeros(0)
         self.pair_count, self.body_count = sum(self._pairs), sum(self._bodies)
         self.arrays = subcycled_struct(b.scalar)()
@@ -194,7 +194,7 @@ class Subcycles:
 
     def _rows(self, s: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return a scene's sub-cycled bodies by permanent number, the number of pair ends of each, and these ends."""
-        pairs = self._of_scene[s]
+        pairs = self._by_scene[s]
         if not pairs:
             return np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros(0, dtype=int)
         state = self.batch.states[s]
@@ -207,12 +207,12 @@ class Subcycles:
 
     def _place_bodies(self, s: int, number: np.ndarray) -> None:
         """Set positions of bodies that have just become sub-cycled from the state, and the forces on them to zero."""
-        bodies, found = self.batch.states[s].bodies, self._of_scene[s]
+        bodies, stored = self.batch.states[s].bodies, self._by_scene[s]
         where = np.argsort(bodies.id.numpy())[number]
         for name in OF_BODIES:
-            found.setdefault(name, getattr(bodies, name).numpy()[where])
+            stored.setdefault(name, getattr(bodies, name).numpy()[where])
         for name in OF_ENDS:
-            found.setdefault(name, np.zeros((2 * self._pairs[s], 3)))
+            stored.setdefault(name, np.zeros((2 * self._pairs[s], 3)))
 
     # Launches.
 
@@ -234,8 +234,8 @@ class Subcycles:
             return b.stage(kernel, dim, **{name: own[name] for name in names})
 
         return [
-            stage(kernels.note_spheres, b.sphere_count, "sphere_place"),
-            stage(kernels.note_bodies, b.body_count, "body_place", "subcycled"),
+            stage(kernels.index_spheres, b.sphere_count, "sphere_place"),
+            stage(kernels.index_bodies, b.body_count, "body_place", "subcycled"),
             stage(kernels.locate_bodies, self.body_count, "body_place", "subcycled"),
             stage(kernels.locate_pairs, self.pair_count, "sphere_place", "subcycled"),
         ]
@@ -245,21 +245,21 @@ class Subcycles:
         if not self.batch.features.subcycling:
             return []
         rounds = self._round(0, 0) if self.batch.features.half_list else [self._all_rounds()]
-        return [*self._locating(), *rounds, self._foreseeing(0)]
+        return [*self._locating(), *rounds, self._prediction_stage(0)]
 
     def stages(self, part: int) -> list[Stage]:
         """Return one thread's stages for the rounds of a step."""
         if not self.batch.features.half_list:
-            return [self._all_rounds(), self._foreseeing(part)]
+            return [self._all_rounds(), self._prediction_stage(part)]
         meet = self.batch.barrier()
         rounds = [stage for turn in range(self.rounds) for stage in self._round(part, turn)]
-        return [each for stage in (*rounds, self._foreseeing(part)) for each in (stage, *meet)]
+        return [each for stage in (*rounds, self._prediction_stage(part)) for each in (stage, *meet)]
 
     def _all_rounds(self) -> Stage:
         """Return the GPU's single stage for all rounds of a step; its blocks must all be resident together."""
         b, f = self.batch, self.batch.features
         count = max(self.pair_count, self.body_count)
-        blocks = round_blocks(count, b.device.sm_count, self.abreast) if b.device.is_cuda else 1
+        blocks = round_blocks(count, b.device.sm_count, self.concurrent_batches) if b.device.is_cuda else 1
         threads = blocks * (ROUND_BLOCK if b.device.is_cuda else 1)
         kernel = rounds_kernel(b.scalar, f.pair_law, f.history, f.healing, f.dissipation)
         return b.stage(
@@ -275,9 +275,9 @@ class Subcycles:
             self._stage(pairs, part, self.pair_count, turn=turn),
         ]
 
-    def _foreseeing(self, part: int) -> Stage:
+    def _prediction_stage(self, part: int) -> Stage:
         b, f = self.batch, self.batch.features
-        return self._stage(foreseeing_kernel(b.scalar, f.meshes, f.half_list, f.dissipation), part, self.body_count)
+        return self._stage(prediction_kernel(b.scalar, f.meshes, f.half_list, f.dissipation), part, self.body_count)
 
     def _stage(self, kernel: Any, part: int, count: int, **named: int) -> Stage:
         """Return a launch over one thread's share of `count` pairs or bodies."""

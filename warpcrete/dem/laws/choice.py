@@ -13,7 +13,7 @@ from .mortar import BinghamMortar
 from .plastic import PlasticMortar
 from .rolling import RollingResistance
 
-SHORT = ByName({
+LAWS = ByName({
     "linear": Contact, "hertz-mindlin": HertzMindlin, "lubrication": LubricationLayer, "mortar": BinghamMortar,
     "plastic": PlasticMortar, "rolling": RollingResistance,
 })  # fmt: skip
@@ -32,9 +32,9 @@ class LawChoice:
 
     contact: Annotated[
         ContactLaw | None,
-        f"Law of all contacts, which replaces the scene's own: {', '.join(SHORT.classes)}, or package.module:Class of "
+        f"Law of all contacts, which replaces the scene's own: {', '.join(LAWS.classes)}, or package.module:Class of "
         "a law of your own. The options --contact-NAME set its parameters; --help with this option lists them",
-        SHORT,
+        LAWS,
     ] = None
 
 
@@ -48,5 +48,5 @@ class WallLawChoice:
     wall_contact: Annotated[
         ContactLaw | None, "Law of the contacts with pipe and piston only, chosen as contact; default: the law in "
                            "contact, if it is given",
-        SHORT,
+        LAWS,
     ] = None  # fmt: skip

@@ -23,7 +23,7 @@ from ...kernels.dem.contact_law import contact_functions
 from .base import ContactLaw
 from .mortar import BinghamMortar, shell_functions
 
-ROLLS_NOT = 4 / math.sqrt(3) / math.pi
+WALL_BENDING = 4 / math.sqrt(3) / math.pi
 """Moment limit over tau_0 A r of contacts with a gripping wall: that of a mortar disc, as in :class:`BinghamMortar`."""
 
 
@@ -40,7 +40,9 @@ class PlasticMortar(BinghamMortar):
     bending: Annotated[float, "Largest moment of a shell over tau_0 A r; 0: spheres roll freely", Within(0)] = 0.0
 
     def gripped(self, grip: float) -> ContactLaw:
-        return replace(super().gripped(grip), bending=ROLLS_NOT)  # otherwise a lone sphere would roll away on the wall
+        return replace(
+            super().gripped(grip), bending=WALL_BENDING
+        )  # otherwise a lone sphere would roll away on the wall
 
     @classmethod
     def device_functions(cls, scalar: Any, parameters: Any) -> dict[str, Any]:

@@ -20,9 +20,9 @@ PARTS = 20
 """Number of consecutive parts of equal volume into which the concrete is divided; fewer if there are few aggregates."""
 STONES = 5
 """Minimum number of aggregates in a part."""
-LOOKS = 8
+CHECKS_PER_WINDOW = 8
 """Number of checks during the piston travel for which a part must stand still before the pipe counts as blocked."""
-STANDS = 0.2
+STANDING_RATIO = 0.2
 """Ratio of a part's advance to the piston's advance, below which the part counts as standing still.
 
 In runs without blockage the ratio was at least 0.9 for all parts once they moved. Behind a widening to twice the
@@ -45,12 +45,12 @@ class BlockageWatch:
         pipe, blockage = model.scene.pipe, model.scene.blockage
         assert pipe is not None and blockage is not None
         self.axis, self.radius = pipe.axis, pipe.radius
-        self.window = blockage.travel or patience(2 * pipe.radius, pipe.concrete_length, model.stress_scale)
+        self.window = blockage.travel or blockage_travel(2 * pipe.radius, pipe.concrete_length, model.stress_scale)
         """Piston travel for which a part must stand still [m]."""
         self.found: dict[str, float] = {}
         """Values that describe the blockage, by name as in `_describe`; empty while the pipe is not blocked."""
-        self._looked = -np.inf
-        self._standing: float | None = None
+        self._checked_travel = -np.inf
+        self._stand_travel: float | None = None
         self._pressure = 0.0
         self._places = np.zeros(0)
         # Permanent numbers of the aggregates (None before the first check) and their volumes [m3].
@@ -61,8 +61,8 @@ class BlockageWatch:
         """Return the recorded blockage and everything that the next check depends on, for a checkpoint."""
         return {
             "found": dict(self.found),
-            "looked": self._looked,
-            "standing": self._standing,
+            "looked": self._checked_travel,
+            "standing": self._stand_travel,
             "pressure": self._pressure,
             "places": self._places,
         }
@@ -70,8 +70,8 @@ class BlockageWatch:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the watch from a `state_dict`."""
         self.found, self._places = dict(state["found"]), np.array(state["places"])
-        self._looked, self._pressure = float(state["looked"]), float(state["pressure"])
-        self._standing = None if state["standing"] is None else float(state["standing"])
+        self._checked_travel, self._pressure = float(state["looked"]), float(state["pressure"])
+        self._stand_travel = None if state["standing"] is None else float(state["standing"])
 
     def __call__(self, row: dict[str, float]) -> None:
         """Check for a blockage if the piston has advanced far enough since the last check.
@@ -79,22 +79,22 @@ class BlockageWatch:
         `row` holds the recorded values of one sample.
         """
         travel = row.get("travel", 0.0)
-        if self.found or travel < self._looked + self.window / LOOKS or self.state.body_count == 0:
+        if self.found or travel < self._checked_travel + self.window / CHECKS_PER_WINDOW or self.state.body_count == 0:
             return
-        s, volume = self._stones()
+        s, volume = self._aggregates()
         if len(s) < STONES:
             return
-        if self._looked >= 0:
-            least = least_advance(self._places, s, volume, self.axis.length) / (travel - self._looked)
-            if least >= STANDS:
-                self._standing = None
-            elif self._standing is None:
-                self._standing, self._pressure = self._looked, row["pressure"]
-            elif travel - self._standing >= self.window and row["pressure"] > self._pressure:
+        if self._checked_travel >= 0:
+            least = least_advance(self._places, s, volume, self.axis.length) / (travel - self._checked_travel)
+            if least >= STANDING_RATIO:
+                self._stand_travel = None
+            elif self._stand_travel is None:
+                self._stand_travel, self._pressure = self._checked_travel, row["pressure"]
+            elif travel - self._stand_travel >= self.window and row["pressure"] > self._pressure:
                 self.found = self._describe(row, s, volume)
-        self._looked, self._places = travel, s
+        self._checked_travel, self._places = travel, s
 
-    def _stones(self) -> tuple[np.ndarray, np.ndarray]:
+    def _aggregates(self) -> tuple[np.ndarray, np.ndarray]:
         """Return arc lengths [m] and volumes [m3] of the aggregates, in the order of their permanent numbers."""
         bodies = self.state.bodies
         number, position = self.state.batch.exchange.read(bodies.id, bodies.position)
@@ -107,25 +107,25 @@ class BlockageWatch:
         return self.axis.along(position[place[self._numbers]].astype(float)), self._volume
 
     def _describe(self, row: dict[str, float], s: np.ndarray, volume: np.ndarray) -> dict[str, float]:
-        assert self._standing is not None
+        assert self._stand_travel is not None
         wide = 2 * self.radius
         stations = np.arange(row["travel"], min(float(s.max()), self.axis.length) + 0.25 * wide, 0.25 * wide)
-        forces, places, chains = loads(self.model, self.state, self.axis)
+        forces, places, chains = axial_forces(self.model, self.state, self.axis)
         at = last_loaded(stations, forces, places)
         slab = np.abs(s - at) < 0.5 * self.radius
         solid = volume[slab].sum() / (bore_area(self.model.walls, self.axis, self.radius, at) * self.radius)
         return {
             "at": at,
             "time": row["time"],
-            "travel": self._standing,
+            "travel": self._stand_travel,
             "pressure": row["pressure"],
             "pressure_before": self._pressure,
             "solid_fraction": float(solid),
-            "chains": float(spanning(self.model, self.state, self.axis, at, wide, chains)),
+            "chains": float(count_spanning_networks(self.model, self.state, self.axis, at, wide, chains)),
         }
 
 
-def patience(diameter: float, length: float, modulus: float) -> float:
+def blockage_travel(diameter: float, length: float, modulus: float) -> float:
     """Return the piston travel [m] for which a part must stand still before the pipe counts as blocked.
 
     This is the compression of a column of the given `length` [m] and `modulus` [Pa] under a gradient that pumping never
@@ -162,7 +162,7 @@ def _median(values: np.ndarray, weights: np.ndarray) -> float:
     return float(values[order[np.searchsorted(total, 0.5 * total[-1])]])
 
 
-def loads(model: Model, state: State, axis: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def axial_forces(model: Model, state: State, axis: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the axial forces of all touching pairs, the arc lengths between which they act, and the strong contacts.
 
     Axial forces are the axial parts of the normal forces [N], shape (m,). Arc lengths are those of the two sphere
@@ -185,17 +185,18 @@ def loads(model: Model, state: State, axis: Any) -> tuple[np.ndarray, np.ndarray
 def last_loaded(stations: np.ndarray, forces: np.ndarray, places: np.ndarray) -> float:
     """Return the last station [m] whose cross-section still carries half of the largest axial force.
 
-    `stations` are arc lengths [m]; `forces` [N] and `places` [m] are axial forces and arc lengths as from `loads`.
+    `stations` are arc lengths [m]; `forces` [N] and `places` [m] are axial forces and arc lengths as from
+    `axial_forces`.
     """
     carried = np.array([forces[(places[:, 0] < s) & (places[:, 1] >= s)].sum() for s in stations])
     return float(stations[np.flatnonzero(carried >= 0.5 * carried.max())[-1]]) if len(stations) else 0.0
 
 
-def spanning(model: Model, state: State, axis: Any, at: float, length: float, chains: np.ndarray) -> int:
+def count_spanning_networks(model: Model, state: State, axis: Any, at: float, length: float, chains: np.ndarray) -> int:
     """Count the separate networks of strong contacts that connect opposite sides of the wall.
 
     Only bodies within half a `length` [m] of the station `at` [m] count. `chains` are the strong contacts as from
-    `loads`.
+    `axial_forces`.
     """
     position = state.bodies.position.numpy().astype(float)
     s = axis.along(position)

@@ -21,13 +21,13 @@ from ...core.drawing.display import (
     Prototype,
     RigidBodies,
 )
-from ...core.drawing.paint import Paint, on_palette, packed, rounded_up
+from ...core.drawing.paint import Paint, packed, palette_colours, rounded_up
 from ...geometry.axis import Axis
 from ...geometry.walls import Prescribed
 from ..engine.pairs import chunks_of, pairs_of
 from ..scene.slices import Stations
 from .probes import largest_forces, listed_forces
-from .stations import COLUMNS, FINEST, body_stresses, stresses_along
+from .stations import COLUMNS, STRESS_RESOLUTION, body_stresses, stresses_along
 
 COLOURS = {"pipe": GLASS, "piston": PISTON}
 WORN = (255, 255, 255, 215)
@@ -35,17 +35,17 @@ WORN = (255, 255, 255, 215)
 WEAR_PALETTE = "magma_r"
 """Colour map of wear, different from that of aggregates and pale where a wall is not worn."""
 NANOMETRES = 1e9
-SHOWN = 0.99
+WEAR_QUANTILE = 0.99
 """Quantile of worn depth at the top of the colour scale, because single patches are worn several times as deep."""
 BONDS = (230, 140, 30)
 OURS, MEAN = (215, 95, 30), (90, 120, 170)
 ALONG = (("along the pipe", "axial_stress", OURS), ("mean normal", "pressure", MEAN))
 """Stresses plotted along the pipe: label, column of the stations' table, and colour."""
-STRONGEST, THINNEST = 0.12, 0.04
+MAX_LINE_RADIUS, MIN_LINE_RATIO = 0.12, 0.04
 """Radii of the lines that show contact forces.
 
-`STRONGEST` is the radius at the top of the colour scale, divided by the size of the largest aggregate. `THINNEST` is
-the smallest radius, for a contact without force, divided by that radius.
+`MAX_LINE_RADIUS` is the radius at the top of the colour scale, divided by the size of the largest aggregate.
+`MIN_LINE_RATIO` is the smallest radius, for a contact without force, divided by that radius.
 """
 RINGS = 10
 """Number of rings of a velocity profile between the axis and the wall."""
@@ -67,7 +67,7 @@ class ElementDisplay(Display):
         self._patches: dict[int, np.ndarray] = {}
         """Patch index of each vertex of a worn wall, by the wall's number."""
         self._worn_most = 0.0
-        self._along: tuple[float, np.ndarray] | None = None
+        self._latest: tuple[float, np.ndarray] | None = None
         """Time of the last measurement at the stations [s], and its result."""
         walls = simulation.model.walls
         self._drawn = [number for number, wall in enumerate(walls) if wall.drawn() is not None]
@@ -76,7 +76,7 @@ class ElementDisplay(Display):
         """Return the top of the colour scale: a large contact force, 1.5 times steady speed, or the largest size."""
         scene = self.simulation.scene
         self._largest = largest = float(self.simulation.state.bodies.size.numpy().max(initial=0.0))
-        self._thick = STRONGEST * largest
+        self._thick = MAX_LINE_RADIUS * largest
         self._strong = 0.05 * scene.contact.stress_scale * largest**2
         if self.colouring == "size":
             return largest
@@ -96,10 +96,10 @@ class ElementDisplay(Display):
         return "largest contact force per aggregate [N]", 0.0, self._upper
 
     def _sphere_order(self) -> np.ndarray:
-        return self.worked_out("order of spheres", lambda: _places_of(self.read("spheres.id")))
+        return self.derived("order of spheres", lambda: _places_of(self.read("spheres.id")))
 
     def _body_order(self) -> np.ndarray:
-        return self.worked_out("order of bodies", lambda: _places_of(self.read("bodies.id")))
+        return self.derived("order of bodies", lambda: _places_of(self.read("bodies.id")))
 
     def radii(self) -> np.ndarray:
         """Return the radii of all spheres [m], in order of permanent numbers, shape (n,)."""
@@ -130,15 +130,15 @@ class ElementDisplay(Display):
     def _pair_forces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return, for every listed pair, both sphere indices, the index in the pair arrays and the normal force [N]."""
         model, state = self.simulation.model, self.simulation.state
-        force = self.once("pair forces", lambda: listed_forces(model, state))
-        chunks = self.once("chunks", lambda: chunks_of(state))
+        force = self.snapshot_value("pair forces", lambda: listed_forces(model, state))
+        chunks = self.snapshot_value("chunks", lambda: chunks_of(state))
         i, j, place = pairs_of(self.read("pairs.start"), self.read("pairs.other"), chunks)
         return i, j, place, force[place]
 
     def _largest_forces(self) -> np.ndarray:
         """Return the largest contact force on each body [N], in the order of the state's arrays."""
         model, state = self.simulation.model, self.simulation.state
-        return self.once("largest forces", lambda: largest_forces(model, state))
+        return self.snapshot_value("largest forces", lambda: largest_forces(model, state))
 
     def body_colours(self) -> np.ndarray:
         """Return RGB bytes of all bodies, in order of permanent numbers, shape (n, 3)."""
@@ -146,7 +146,9 @@ class ElementDisplay(Display):
 
     def _painted(self) -> np.ndarray:
         """Return RGB bytes of all bodies, in the order of the state's arrays, shape (n, 3)."""
-        return self.worked_out(f"{self.colouring} up to {self._upper}", lambda: on_palette(self._shown(), self._upper))
+        return self.derived(
+            f"{self.colouring} up to {self._upper}", lambda: palette_colours(self._shown(), self._upper)
+        )
 
     def _shown(self) -> np.ndarray:
         """Return the value that determines the colour of each body, in the order of the state's arrays."""
@@ -179,13 +181,13 @@ class ElementDisplay(Display):
     def _stresses(self, column: str) -> tuple[np.ndarray, np.ndarray]:
         """Return the mid-points of all filled slices along the pipe [m], and the stress `column` in them [kPa]."""
         stations = self.simulation.scene.stations
-        if self._along is None or self._along[0] != self.time:  # one measurement serves all curves of a frame
-            self._along = self.time, self._along_now(stations)
-        values = self._along[1][:, COLUMNS.index(column)]
+        if self._latest is None or self._latest[0] != self.time:  # one measurement serves all curves of a frame
+            self._latest = self.time, self._present_stresses(stations)
+        values = self._latest[1][:, COLUMNS.index(column)]
         full = np.isfinite(values)
         return (stations.places - stations.origin)[full], values[full] / 1e3
 
-    def _along_now(self, stations: Stations) -> np.ndarray:
+    def _present_stresses(self, stations: Stations) -> np.ndarray:
         """Return the stresses at the stations, shape (slices, columns).
 
         If the recorded series contains them, its last row is used, which is at most 0.01 s old by default. Otherwise
@@ -197,16 +199,16 @@ class ElementDisplay(Display):
             return np.full((len(stations.places), len(COLUMNS)), np.nan)
         if stations.each_row:
             # A recorded row never changes, so the display needs no copy of it.
-            return self.once("stations", lambda: sampler.log.samples[-1])
+            return self.snapshot_value("stations", lambda: sampler.log.samples[-1])
         unit = simulation.scene.contact.stress_scale * self._largest**3
-        stress = self.once("body stresses", lambda: body_stresses(simulation.model, simulation.state, unit))
+        stress = self.snapshot_value("body stresses", lambda: body_stresses(simulation.model, simulation.state, unit))
         probe, travel = simulation.scene.pressure, 0.0
         if probe is not None:
             number = next(k for k, wall in enumerate(simulation.model.walls) if wall.name == probe.wall)
             travel = float(self.read("walls.travel")[number])
         s, _, tangent = self._on_axis(stations.axis)
         return stresses_along(
-            stations, FINEST * unit * stress, s, tangent, self.read("bodies.size").astype(float),
+            stations, STRESS_RESOLUTION * unit * stress, s, tangent, self.read("bodies.size").astype(float),
             self.read("bodies.group") == 0, travel,
         )  # fmt: skip
 
@@ -217,7 +219,7 @@ class ElementDisplay(Display):
             s = axis.along(self.read("bodies.position"))
             return s, *axis.at(s)
 
-        return self.worked_out(("on", axis), found)
+        return self.derived(("on", axis), found)
 
     def _velocities(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the mid-radii of rings about the axis [mm] and the mean axial velocity of the bodies in them [cm/s].
@@ -267,14 +269,14 @@ class ElementDisplay(Display):
         depths = [depth for number in self._drawn if (depth := self._depth(number)) is not None]
         if not depths:
             return None
-        most = [float(np.quantile(depth[depth > 0], SHOWN)) for depth in depths if depth.any()]
+        most = [float(np.quantile(depth[depth > 0], WEAR_QUANTILE)) for depth in depths if depth.any()]
         self._worn_most = max(self._worn_most, *most, 0.0)
         return Paint("worn depth [nm]", WEAR_PALETTE, rounded_up(self._worn_most) if self._worn_most > 0 else 0.0)
 
     def _depth(self, number: int) -> np.ndarray | None:
         """Return the worn depth of each patch of a wall [nm], or None if the wall does not wear."""
         worn = self._worn(number)
-        return None if worn is None else NANOMETRES * self.once(f"wear of {number}", lambda: worn.depth)
+        return None if worn is None else NANOMETRES * self.snapshot_value(f"wear of {number}", lambda: worn.depth)
 
     def wall_values(self, number: int) -> np.ndarray | None:
         """Return the worn depth at the vertices of a drawn wall [nm], or None if the wall does not wear."""
@@ -317,8 +319,8 @@ class ElementDisplay(Display):
 
         def lines(chosen: np.ndarray) -> Lines:
             ends = np.stack([position[i[chosen], :3], position[j[chosen], :3]], axis=1)
-            radii = self._thick * np.clip(force[chosen] / self._strong, THINNEST, 1)
-            colours = np.where(force[chosen, None] > 0, on_palette(force[chosen], self._strong), BONDS)
+            radii = self._thick * np.clip(force[chosen] / self._strong, MIN_LINE_RATIO, 1)
+            colours = np.where(force[chosen, None] > 0, palette_colours(force[chosen], self._strong), BONDS)
             return Lines(ends, force[chosen], radii.astype(np.float32), colours.astype(np.uint8))
 
         return {"contacts": lines(touching & ~bonded), "bonds": lines(bonded)}

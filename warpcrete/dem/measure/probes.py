@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ...core.device.exchange import Reading
-from ...core.device.graphs import AtOnce, Zero
+from ...core.device.exchange import LaunchAndRead
+from ...core.device.graphs import GraphLaunch, Zero
 from ...core.device.launching import DEFAULT_BLOCK, Size, Stage, completed
 from ...kernels.dem import probes as column
 from ..engine.model import Model
@@ -73,14 +73,14 @@ class BodySums:
 def body_sums(model: Model, state: State) -> BodySums:
     """Return energies, momentum and drive forces of all bodies."""
     if state.body_count:
-        launched(state, "bodies", lambda: _body_stages(model, state))
+        launch_recorded(state, "bodies", lambda: _body_stages(model, state))
     return _bodies_of(state, *_read(state, "bodies"))
 
 
 def contact_sums(model: Model, state: State, *, coordination: bool = False) -> ContactSums:
     """Return number, overlaps, energies and bonds of all contacts; the coordination number only on request."""
     if state.sphere_count:
-        launched(state, "contacts", lambda: _contact_stages(model, state))
+        launch_recorded(state, "contacts", lambda: _contact_stages(model, state))
     return _contacts_of(state, *_read(state, "contacts"), coordination)
 
 
@@ -96,7 +96,7 @@ def row_sums(model: Model, state: State) -> tuple[BodySums, ContactSums, np.ndar
         if state.body_count:
             stages += _body_stages(model, state) + _contact_stages(model, state)
         sums_of = [_sums(state, each, columns) for each, columns in COLUMNS.items() if state.body_count]
-        recorded["row"] = Reading(stages, [batch.wall_array, *sums_of], batch.device)
+        recorded["row"] = LaunchAndRead(stages, [batch.wall_array, *sums_of], batch.device)
     walls, *found = recorded["row"]()
     bodies, contacts = found or [np.zeros(columns) for columns in COLUMNS.values()]
     return _bodies_of(state, bodies), _contacts_of(state, contacts, False), batch.own_walls(index, walls)
@@ -152,19 +152,22 @@ def _body_stages(model: Model, state: State) -> list[Stage]:
     n = state.body_count
     values = state.scratch("body rows", (n, int(column.BODY_COLUMNS)), wp.float64)
     probe = scene_stage(state, column.body_probe(model.scalar), n, values=values)
-    return [probe, *_adding(state, "bodies", values, n, column.BODY_MAXIMA)]
+    return [probe, *_column_sum_stages(state, "bodies", values, n, column.BODY_MAXIMA)]
 
 
 def _contact_stages(model: Model, state: State) -> list[Stage]:
     values, n = _contact_rows(state)[0], state.sphere_count
-    return [*_probing(model, state), *_adding(state, "contacts", values, n, column.CONTACT_MAXIMA)]
+    return [
+        *_contact_probe_stages(model, state),
+        *_column_sum_stages(state, "contacts", values, n, column.CONTACT_MAXIMA),
+    ]
 
 
 def _sums(state: State, what: str, columns: int) -> wp.array:
     return state.scratch(f"{what}, sums", (columns,), wp.float64)
 
 
-def _adding(state: State, what: str, values: wp.array, rows: int, maxima: tuple[int, ...]) -> list[Stage]:
+def _column_sum_stages(state: State, what: str, values: wp.array, rows: int, maxima: tuple[int, ...]) -> list[Stage]:
     """Return stages that sum every column, or take the maximum of the columns `maxima`.
 
     The order of the additions depends only on the number of rows, so that the sums are reproducible to the bit.
@@ -189,11 +192,11 @@ def scene_stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
     return Stage(kernel, dim, arguments, batch.device, block=DEFAULT_BLOCK)
 
 
-def launched(state: State, what: str, make: Callable[[], list[Any]]) -> None:
+def launch_recorded(state: State, what: str, make: Callable[[], list[Any]]) -> None:
     """Launch the stages that `make` returns, recorded at the first call and again when the batch's arrays change."""
     recorded = state.launches(state.batch.version)
     if what not in recorded:
-        recorded[what] = AtOnce(make(), state.batch.device)
+        recorded[what] = GraphLaunch(make(), state.batch.device)
     recorded[what]()
 
 
@@ -203,7 +206,7 @@ def _contact_rows(state: State) -> tuple[wp.array, wp.array]:
     return values, state.scratch("pair forces", (len(state.pairs.other),), state.model.scalar)
 
 
-def _probing(model: Model, state: State) -> list[Stage]:
+def _contact_probe_stages(model: Model, state: State) -> list[Stage]:
     f = model.features
     values, forces = _contact_rows(state)
     probe = column.contact_probe(model.scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds)
@@ -217,7 +220,7 @@ def _probing(model: Model, state: State) -> list[Stage]:
 
 
 def _measure_contacts(state: State) -> tuple[wp.array, wp.array]:
-    launched(state, "contact rows", lambda: _probing(state.model, state))
+    launch_recorded(state, "contact rows", lambda: _contact_probe_stages(state.model, state))
     return _contact_rows(state)
 
 
@@ -243,7 +246,11 @@ def largest_forces(model: Model, state: State) -> wp.array:
     """
     loads = state.scratch("loads", (state.body_count,), model.scalar)
     if state.sphere_count:
-        launched(state, "loads", lambda: [Zero(loads), *_probing(model, state), _load_stage(model, state, loads)])
+        launch_recorded(
+            state,
+            "loads",
+            lambda: [Zero(loads), *_contact_probe_stages(model, state), _load_stage(model, state, loads)],
+        )
     return loads
 
 

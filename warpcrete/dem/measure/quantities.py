@@ -80,7 +80,7 @@ class Known:
     def window_begin(self) -> float:
         """Travel at which the final window begins [m]."""
         travel = self.series["travel"][-1]
-        begun = stroke_begun(self.scene, travel)
+        begun = stroke_start(self.scene, travel)
         return begun + (1 - WINDOW) * (travel - begun)
 
     @property
@@ -94,7 +94,7 @@ class Known:
         travel, pressure = self.series["travel"], self.series["pressure"]
         if not past_ramp(self.scene, travel[-1]):
             return False
-        gone = travel[-1] - stroke_begun(self.scene, travel[-1])
+        gone = travel[-1] - stroke_start(self.scene, travel[-1])
         return is_level(travel, pressure, self.window_begin, WINDOW * gone)
 
     @property
@@ -137,7 +137,7 @@ def is_level(travel: np.ndarray, pressure: np.ndarray, begin: float, width: floa
     return level and change <= allowed and abs(last - mean) <= allowed
 
 
-def stroke_begun(scene: Scene, travel: float) -> float:
+def stroke_start(scene: Scene, travel: float) -> float:
     """Return the travel at which the current stroke began when the piston has travelled `travel` [m]."""
     return scene.pipe.begun(travel) if scene.pipe is not None else 0.0
 

@@ -26,7 +26,7 @@ from ..engine.model import Model
 from ..engine.pairs import chunks_of, pairs_of
 from ..engine.state import State
 from ..scene.slices import FEWEST, Stations
-from .probes import launched, scene_stage
+from .probes import launch_recorded, scene_stage
 
 RINGS = 5
 """Number of rings of equal width over which a velocity profile is averaged."""
@@ -38,7 +38,7 @@ PLACES = ("place", "radius")
 MEASURED = ("pressure", "axial_stress", "wall_stress", "solid_fraction", "bulk_density", "velocity")
 PROFILE = tuple(f"velocity_{(2 * ring + 1) / (2 * RINGS):.1f}R" for ring in range(RINGS))
 COLUMNS = (*MEASURED, *PROFILE)
-SEEN = ("spheres.id", "spheres.position", "spheres.velocity", "spheres.body", "bodies.group", "bodies.size",
+READ_ARRAYS = ("spheres.id", "spheres.position", "spheres.velocity", "spheres.body", "bodies.group", "bodies.size",
         "bodies.mass", "bodies.position", "pairs.start", "pairs.other", "slots.wall")  # fmt: skip
 """Arrays of a state that a measurement reads, apart from the forces."""
 UNITS = {"place": "m", "radius": "m", "pressure": "Pa", "axial_stress": "Pa", "wall_stress": "Pa",
@@ -73,7 +73,7 @@ def measured(stations: Stations, model: Model, state: State, travel: float) -> n
     """Return the columns of all slices now, shape (slices, COLUMNS); NaN in slices that concrete does not fill."""
     axis, edges = stations.axis, np.array(stations.edges)
     found = np.full((len(edges) - 1, len(COLUMNS)), np.nan)
-    seen = seen_of(model, state)
+    seen = read_arrays(model, state)
     spheres = _Spheres(seen, axis)
     if not np.any(spheres.solid):
         return found
@@ -94,7 +94,7 @@ def measured(stations: Stations, model: Model, state: State, travel: float) -> n
     return found
 
 
-FINEST = 2.0**-40
+STRESS_RESOLUTION = 2.0**-40
 """Resolution of :func:`body_stresses` as a fraction of its unit: sums of thousands of contacts keep nine digits, and
 64-bit integers hold up to a million units."""
 
@@ -102,13 +102,13 @@ FINEST = 2.0**-40
 def body_stresses(model: Model, state: State, unit: float) -> wp.array:
     """Return force times branch vector of every body's contacts, half of each pair's, as integers, shape (bodies, 6).
 
-    The columns are xx, yy, zz, xy, yz and zx in multiples of `FINEST` times `unit` [J], in the order of the state's
-    arrays. The array is on the device, and the next call overwrites it.
+    The columns are xx, yy, zz, xy, yz and zx in multiples of `STRESS_RESOLUTION` times `unit` [J], in the order of the
+    state's arrays. The array is on the device, and the next call overwrites it.
     """
     stress = state.scratch("body stresses", (state.body_count, int(STRESSES)), wp.int64)
     if state.sphere_count:
-        scale = 1 / (FINEST * unit)
-        launched(
+        scale = 1 / (STRESS_RESOLUTION * unit)
+        launch_recorded(
             state,
             f"body stresses in {unit!r}",
             lambda: [Zero(stress), *_force_stages(model, state), _stress_stage(model, state, scale, stress)],
@@ -143,12 +143,12 @@ def stresses_along(
     along = np.einsum("ij,ij,ij->i", stress[:, :3], t, t)
     along += 2 * np.einsum("ij,ij,ij->i", stress[:, 3:], t, t[:, [1, 2, 0]])
     each = np.stack([stress[:, :3].sum(axis=1) / 3, along], axis=1)
-    found = _shared(s - 0.5 * size, s + 0.5 * size, each, edges) / stations.volumes[:, None]
-    found[~_between(edges, travel, s, np.where(fills, size**3, 0.0))] = np.nan
+    found = _spread_evenly(s - 0.5 * size, s + 0.5 * size, each, edges) / stations.volumes[:, None]
+    found[~_filled_slices(edges, travel, s, np.where(fills, size**3, 0.0))] = np.nan
     return found
 
 
-def _between(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.ndarray) -> np.ndarray:
+def _filled_slices(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.ndarray) -> np.ndarray:
     """Return a mask of the slices between a piston at `travel` [m] and the front of bodies at arc lengths `s` [m]."""
     whole = float(volume.sum())
     if whole == 0:
@@ -229,7 +229,7 @@ def _logarithmic_mean(a: float, b: float) -> float:
 
 
 @dataclass(frozen=True)
-class Seen:
+class StationArrays:
     """Host copies of the arrays that a measurement reads; on a CPU they are the run's own arrays."""
 
     model: Model
@@ -240,18 +240,18 @@ class Seen:
         return self.arrays[name]
 
 
-def seen_of(model: Model, state: State) -> Seen:
+def read_arrays(model: Model, state: State) -> StationArrays:
     """Return the arrays of a state as it is now, with the forces of all contacts."""
     _probe(model, state)
-    arrays = {path: attrgetter(path)(state) for path in SEEN}
+    arrays = {path: attrgetter(path)(state) for path in READ_ARRAYS}
     arrays |= zip(("pair pushes", "wall pushes", "wall arms"), _arrays(state))
-    return Seen(model, chunks_of(state), {name: each.numpy() for name, each in arrays.items()})
+    return StationArrays(model, chunks_of(state), {name: each.numpy() for name, each in arrays.items()})
 
 
 class _Spheres:
     """Spheres of a state in the order of permanent numbers; spheres of a plug do not count as filling the pipe."""
 
-    def __init__(self, seen: Seen, axis: Axis) -> None:
+    def __init__(self, seen: StationArrays, axis: Axis) -> None:
         self.order = np.argsort(seen["spheres.id"])
         position = seen["spheres.position"].astype(float)[self.order]
         body = seen["spheres.body"][self.order]
@@ -272,7 +272,7 @@ class _Spheres:
 
     def filled(self, edges: np.ndarray, travel: float) -> np.ndarray:
         """Return a mask of the slices between a piston at `travel` [m] and the front, shape (slices,)."""
-        return _between(edges, travel, self.s, self.share)
+        return _filled_slices(edges, travel, self.s, self.share)
 
     def in_slices(self, edges: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return sums over slices of columns (n, k), shape (slices, k), weighted with solid volume [m3].
@@ -280,7 +280,7 @@ class _Spheres:
         The weight is the part of a sphere's solid volume inside the slice, which planes across the axis cut out.
         """
         found = np.zeros((len(edges) - 1, columns.shape[1]))
-        for here, slices in _reached(self.s - self.radius, self.s + self.radius, edges):
+        for here, slices in _overlaps(self.s - self.radius, self.s + self.radius, edges):
             # Fraction of a sphere's volume below a plane that is z radii above its centre.
             z = [np.clip((edges[slices + k] - self.s[here]) / self.radius[here], -1, 1) for k in (0, 1)]
             below, under = (0.25 * (2 + 3 * height - height**3) for height in z)
@@ -289,7 +289,7 @@ class _Spheres:
                 found[:, column] += np.bincount(slices, volume * columns[here, column], len(found))
         return found
 
-    def wall_shear(self, stations: Stations, seen: Seen) -> np.ndarray:
+    def wall_shear(self, stations: Stations, seen: StationArrays) -> np.ndarray:
         """Return the force along the wall against the flow in each slice [N], shape (slices,)."""
         push, arm, wall = _wall_pushes(seen, self.order)
         total = np.zeros(len(stations.edges) - 1)
@@ -302,11 +302,11 @@ class _Spheres:
             way = self.tangent[here] - np.einsum("ij,ij->i", self.tangent[here], n)[:, None] * n
             way /= np.linalg.norm(way, axis=1, keepdims=True)
             drag = -np.einsum("ij,ij->i", along, way)
-            total += _shared(self.s[here], self.s[here], drag[:, None], np.array(stations.edges))[:, 0]
+            total += _spread_evenly(self.s[here], self.s[here], drag[:, None], np.array(stations.edges))[:, 0]
         return total
 
 
-def _stresses(stations: Stations, seen: Seen, spheres: _Spheres) -> np.ndarray:
+def _stresses(stations: Stations, seen: StationArrays, spheres: _Spheres) -> np.ndarray:
     """Return contact sums of each slice [J], shape (slices, 2): isotropic part and axial component of the stress.
 
     The columns are a third of the sum of force times branch vector, and its component along the pipe. Both are
@@ -339,16 +339,16 @@ def _of_contacts(
     tangent = axis.at(0.5 * (begin + end))[1]
     along = -np.einsum("ij,ij->i", force, tangent) * np.einsum("ij,ij->i", branch, tangent)
     each = np.stack([-np.einsum("ij,ij->i", force, branch) / 3, along], axis=1)
-    return _shared(begin, end, each, edges)
+    return _spread_evenly(begin, end, each, edges)
 
 
-def _shared(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges: np.ndarray) -> np.ndarray:
+def _spread_evenly(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Return sums of values (n, k) in slices (m,), each value spread evenly between two arc lengths [m]."""
     # A wall contact across the pipe has no length along it. Give it a small one that does not vanish by rounding.
     width = np.maximum(np.abs(end - begin), 1e-6)
     low = 0.5 * (begin + end - width)
     found = np.zeros((len(edges) - 1, values.shape[1]))
-    for here, slices in _reached(low, low + width, edges):
+    for here, slices in _overlaps(low, low + width, edges):
         inside = np.minimum(low[here] + width[here], edges[slices + 1]) - np.maximum(low[here], edges[slices])
         part = np.maximum(inside, 0.0) / width[here]
         for column in range(values.shape[1]):
@@ -356,7 +356,7 @@ def _shared(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges: np.nd
     return found
 
 
-def _reached(low: np.ndarray, high: np.ndarray, edges: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _overlaps(low: np.ndarray, high: np.ndarray, edges: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield arrays of overlapping spans and slices: first each span with its first slice, then with its second, etc."""
     first, last = (np.searchsorted(edges, end, "right") - 1 for end in (low, high))
     for step in range(int(np.max(last - first, initial=-1)) + 1):
@@ -365,7 +365,7 @@ def _reached(low: np.ndarray, high: np.ndarray, edges: np.ndarray) -> Iterator[t
         yield here, slices[here]
 
 
-def _wall_pushes(seen: Seen, order: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _wall_pushes(seen: StationArrays, order: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return wall forces [N], arms from the sphere centres [m] and wall numbers, by sphere in `order` and by slot."""
     push, arm = (seen[name].astype(float)[order] for name in ("wall pushes", "wall arms"))
     wall = np.broadcast_to(np.arange(push.shape[1]), push.shape[:2]).copy()
@@ -387,7 +387,7 @@ def _arrays(state: State) -> tuple[wp.array, wp.array, wp.array]:
 
 def _probe(model: Model, state: State) -> None:
     """Compute the contact forces into their arrays."""
-    launched(state, "forces", lambda: _force_stages(model, state))
+    launch_recorded(state, "forces", lambda: _force_stages(model, state))
 
 
 def _force_stages(model: Model, state: State) -> list[Stage]:

@@ -13,7 +13,7 @@ from ..engine.state import State
 from .probes import deepest_sphere, farthest_body, fastest_body
 from .sampling import STORED
 
-COARSEST = 1e-3  # largest rounding of positions over the smallest radius; an overlap of 1 % then keeps one digit
+MAX_ROUNDING = 1e-3  # largest rounding of positions over the smallest radius; an overlap of 1 % then keeps one digit
 
 
 class Watch:
@@ -61,7 +61,7 @@ class Watch:
                 "(overlap_limit of the scene pipe)",
             )
         resolution = self._resolution(row)
-        if resolution > COARSEST:
+        if resolution > MAX_ROUNDING:
             raise unstable(
                 time,
                 farthest_body(self.state),

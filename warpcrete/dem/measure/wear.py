@@ -21,7 +21,7 @@ from ...geometry.walls import MeshWall, PipeWall, PlaneWall, Wall
 from ..engine.state import State
 from ..scene.scene import Wear
 
-AROUND = 24
+PATCHES_AROUND = 24
 """Default number of patches around a pipe."""
 MOST_AROUND, MOST_PATCHES = 3600, 1_000_000
 COLUMNS = ("sliding_work", "impact_loss", "load_way")
@@ -29,7 +29,7 @@ COLUMNS = ("sliding_work", "impact_loss", "load_way")
 [N m]."""
 UNITS = {"sliding_work": "J", "impact_loss": "J", "load_way": "N m"}
 HOUR = 3600.0
-SEEN = 1e-4
+RAY_TOLERANCE = 1e-4
 """Relative distance by which a triangle may lie behind the hit of a ray and still count as hit, because of rounding."""
 
 
@@ -72,7 +72,7 @@ class PipePatches(Patches):
 
     def __init__(self, wall: PipeWall, side: float | None) -> None:
         self.axis, self.radius = wall.axis, wall.radius
-        width = side or 2 * np.pi * wall.radius / AROUND
+        width = side or 2 * np.pi * wall.radius / PATCHES_AROUND
         self.around = int(np.clip(round(2 * np.pi * wall.radius / width), 3, MOST_AROUND))
         self.stations = max(1, min(round(wall.axis.length / width), MOST_PATCHES // self.around))
         self.along = (np.arange(self.stations) + 0.5) * wall.axis.length / self.stations
@@ -146,7 +146,7 @@ class MeshPatches(Patches):
         apart = np.linalg.norm(middle - nearest, axis=1)
         met = rays(self._cleaned, nearest, (middle - nearest) / np.maximum(apart, 1e-30)[:, None], 2 * apart.max())
         seen = np.zeros(len(self.areas), bool)
-        seen[self._origin] = (met < 0) | (met > (1 - SEEN) * apart)
+        seen[self._origin] = (met < 0) | (met > (1 - RAY_TOLERANCE) * apart)
         return seen
 
     def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

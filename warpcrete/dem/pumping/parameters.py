@@ -32,7 +32,7 @@ WIDEST_STONE = 0.4
 """Largest rounded aggregate that can be pumped, over the pipe's diameter (ACI 304.2R; a third if crushed)."""
 
 
-def of_meshes(shapes: str) -> bool:
+def names_meshes(shapes: str) -> bool:
     """Return whether `shapes` contains paths of mesh files instead of names of shapes."""
     return any(Path(one).suffix and not one.strip().startswith("shape-") for one in shapes.split(","))
 
@@ -41,7 +41,7 @@ BONDED = Needs("bonds", bool, "is on")
 HYDRATED = Needs("hydration", lambda fraction: fraction > 0, "is above 0")
 FROM_FILE = Needs("wall", lambda wall: wall not in ("analytic", "mesh"), "is a file")
 FACETED = Needs("wall", lambda wall: wall == "mesh", "is mesh")
-OF_MESHES = Needs("shapes", of_meshes, "names meshes")
+OF_MESHES = Needs("shapes", names_meshes, "names meshes")
 SEVERAL = Needs("shapes", lambda shapes: shapes == "reference" or "," in shapes, "names several")
 NORMAL = Needs("sizes", lambda sizes: sizes == "gaussian", "is gaussian")
 RANGED = Needs("sizes", lambda sizes: sizes in ("gaussian", "uniform"), "is gaussian or uniform")
@@ -327,7 +327,7 @@ class RunParameters(Declared):
     seed: Annotated[int, "Random seed", Within(0)] = 0
 
 
-class OfConcrete:
+class ConcreteDefaults:
     """Mixin for scene parameters that contain a named concrete: its name supplies defaults for other parameters.
 
     It also turns paths of mesh files in `shapes` into absolute paths.
@@ -345,14 +345,14 @@ class OfConcrete:
     def __post_init__(self) -> None:
         super().__post_init__()  # type: ignore[misc]
         shapes: str = self.shapes  # type: ignore[attr-defined]
-        if of_meshes(shapes):
+        if names_meshes(shapes):
             whole = ",".join(os.path.realpath(one.strip()) for one in shapes.split(","))
             object.__setattr__(self, "shapes", whole)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PipeParameters(
-    OfConcrete, UnitParameters, PistonParameters, StrokeParameters, ConcreteChoice, AggregateParameters,
+    ConcreteDefaults, UnitParameters, PistonParameters, StrokeParameters, ConcreteChoice, AggregateParameters,
     LawChoice, WallLawChoice, ContactParameters, BondParameters, PlugParameters, IndexParameters, RunParameters,
 ):  # fmt: skip
     """All parameters of pumping concrete through one pipe unit."""
@@ -476,7 +476,7 @@ def stiffness_of(given: Any) -> float:
     return given.modulus if given.contact is None else given.contact.stress_scale
 
 
-def asked_of(given: IndexParameters) -> dict[str, Any]:
+def index_settings(given: IndexParameters) -> dict[str, Any]:
     """Return the fields of a :class:`Scene` that configure wear, blockage and segregation measurements."""
     wear = Wear(coefficient=given.wear_coefficient, patch=given.wear_patch) if given.wear else None
     return {
@@ -510,7 +510,7 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
         yield Knob(
             "shape", (Level("spheres", {"shapes": "spheres"}, 0.3), Level("reference", {"shapes": "reference"})), True
         )
-    elif of_meshes(given.shapes):
+    elif names_meshes(given.shapes):
         yield Knob(
             "shape",
             tuple(Level(f"{n} spheres", {"shape_spheres": n}, n**0.7) for n in sorted({*SPHERES, given.shape_spheres})),

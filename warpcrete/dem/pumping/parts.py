@@ -18,8 +18,8 @@ from ...core.inputs.parameters import Above, FileIf, Needs, OneOf, Within
 from ...geometry.axis import Arc, Axis, Line
 from ...geometry.bores import FACETS, Bores
 from ...geometry.lines import Part, PipeLine, check_crossing, read_line
-from ...geometry.mesh_parts import FIT, WAYS, Insert, bore_of
-from ...geometry.one_pipe import check_return, check_straight_ends, ends, said_by_line, said_by_mesh
+from ...geometry.mesh_parts import DIAMETER_TOLERANCE, WAYS, Insert, bore_of
+from ...geometry.one_pipe import check_return, check_straight_ends, ends, parameters_from_line, parameters_from_mesh
 from ..laws import LawChoice, WallLawChoice
 from .parameters import (
     COARSENINGS,
@@ -28,8 +28,8 @@ from .parameters import (
     AggregateParameters,
     BondParameters,
     ConcreteChoice,
+    ConcreteDefaults,
     ContactParameters,
-    OfConcrete,
     PlugParameters,
     RunParameters,
     coarser,
@@ -113,7 +113,7 @@ class PushParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class PartElements(
-    OfConcrete, CourseParameters, PushParameters, ConcreteChoice, AggregateParameters, LawChoice, WallLawChoice,
+    ConcreteDefaults, CourseParameters, PushParameters, ConcreteChoice, AggregateParameters, LawChoice, WallLawChoice,
     ContactParameters, BondParameters, PlugParameters, RunParameters,
 ):  # fmt: skip
     """All parameters of a part of a line: concrete, pipe, piston, contacts, plug and run."""
@@ -121,7 +121,7 @@ class PartElements(
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
         """Return parameters that the file of a line, of a mesh or of a concrete implies, by name."""
-        said = {**said_by_line(values), **said_by_mesh(values, WAYS[:1])}
+        said = {**parameters_from_line(values), **parameters_from_mesh(values, WAYS[:1])}
         return {**said, **super().implied({**said, **values})}
 
 
@@ -228,7 +228,7 @@ def _meshed(given: PartElements) -> PipeLine:
         )
     mesh = bore_of(("wall", "wall_scale"), Path(given.wall), given.wall_scale)
     wide, outlet = mesh.ends
-    if abs(wide / given.diameter - 1) > FIT:
+    if abs(wide / given.diameter - 1) > DIAMETER_TOLERANCE:
         refuse("diameter", given.diameter, f"differs from that of the mesh, {wide:.4g} m at its start", "leave it out")
     ends, _ = mesh.axis.at([0.0, mesh.axis.length])
     length, rise = mesh.axis.length, float(ends[1, 2] - ends[0, 2])

@@ -25,12 +25,12 @@ from ..scene.scene import Bonds, Settle, TimeStep, Vessel, Watch
 from ..scene.sizes import Gaussian, Sizes, Uniform
 
 LAWS = ("linear", "bonds", "mortar", "plastic", "rolling")
-STIFF = {"mortar": 1e6, "plastic": 1e6}
+LAW_MODULUS = {"mortar": 1e6, "plastic": 1e6}
 """Contact modulus [Pa] of laws that cannot use Zhan's 1e5 Pa: mortar needs cores that are stiffer than its shells."""
-DENSE = {"mortar": 0.66, "plastic": 0.66}
+LAW_FRACTION = {"mortar": 0.66, "plastic": 0.66}
 """Solid fraction of packings by law, where it is not LOOSE: the shells of mortar must overlap on all sides."""
-LOOSE = 0.6
-RUBBING = {"mortar": 0.0, "plastic": 0.0, "rolling": 0.5}
+DEFAULT_FRACTION = 0.6
+LAW_FRICTION = {"mortar": 0.0, "plastic": 0.0, "rolling": 0.5}
 """Friction coefficient by law, where it is not Zhan's 0.05: spheres that resist rolling must not slide instead."""
 CONTACTS = 6.9
 """Touching neighbours of a sphere in a packing of mortar spheres, shells included; measured 6.7 to 6.9."""
@@ -188,27 +188,27 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
                 refuse(name, getattr(self, name), f"has no effect with contact {type(self.contact).__name__}, which "
                                                   "resists neither sliding nor rolling; laws that do are "
                                                   f"{', '.join(RESISTANCES)}", "leave it out")  # fmt: skip
-        if self.holding > self.plate_grip:
+        if self.mould_grip_or_default > self.plate_grip:
             refuse("mould_grip", self.mould_grip, f"must not exceed plate_grip = {self.plate_grip:g}",
                    "raise plate_grip, or lower mould_grip")  # fmt: skip
 
     @property
     def stiffness(self) -> float:
         """Effective modulus of the contacts in the scene's own laws [Pa]."""
-        return self.modulus if self.modulus is not None else STIFF.get(self.law, 1e5)
+        return self.modulus if self.modulus is not None else LAW_MODULUS.get(self.law, 1e5)
 
     @property
     def packed(self) -> float:
         """Solid fraction of the packing."""
-        return self.solid_fraction if self.solid_fraction is not None else DENSE.get(self.law, LOOSE)
+        return self.solid_fraction if self.solid_fraction is not None else LAW_FRACTION.get(self.law, DEFAULT_FRACTION)
 
     @property
-    def rubbing(self) -> float:
+    def grain_friction(self) -> float:
         """Coefficient of friction between grains."""
-        return self.friction if self.friction is not None else RUBBING.get(self.law, 0.05)
+        return self.friction if self.friction is not None else LAW_FRICTION.get(self.law, 0.05)
 
     @property
-    def holding(self) -> float:
+    def mould_grip_or_default(self) -> float:
         """Grip of the mould, a factor on the grains' friction and yield stress; by default no more than the plate's."""
         if self.mould_grip is not None:
             return self.mould_grip
@@ -225,7 +225,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         if self.contact is not None:
             return self.contact
         linear = Contact(
-            effective_modulus=self.stiffness, stiffness_ratio=self.stiffness_ratio, friction=self.rubbing,
+            effective_modulus=self.stiffness, stiffness_ratio=self.stiffness_ratio, friction=self.grain_friction,
             normal_damping_ratio=self.normal_damping,
         )  # fmt: skip
         if self.law == "rolling":
@@ -236,7 +236,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 
     def wall_laws(self) -> dict[tuple[str, str], ContactLaw]:
         """Return the contact laws of grains with the materials `plate` and `mould`."""
-        grips = {"plate": self.plate_grip, "mould": self.holding}
+        grips = {"plate": self.plate_grip, "mould": self.mould_grip_or_default}
         return {("aggregate", name): self.grain_law().gripped(grip) for name, grip in grips.items()}
 
     def bonds(self) -> Bonds | None:
@@ -288,7 +288,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         }
 
 
-def sheared() -> tuple[float, float, float]:
+def shear_means() -> tuple[float, float, float]:
     """Return three means over contacts in all directions n, in simple shear of rate 1 with strain rate tensor D.
 
     They are the means of |D n| across n, of its square, and of the square of the component of D n along n. The squares
@@ -314,12 +314,12 @@ def mortar_law(given: VesselParameters) -> BinghamMortar:
     forms, slumps deviate by 7 to 25 % at 20 to 500 Pa, and spreads by less than 7 % at 100 to 200 Pa. At 1000 Pa a cone
     stands whole, where the closed form gives a slump of 78 mm.
     """
-    slides, square, closes = sheared()
+    slides, square, closes = shear_means()
     filled = 0.75 * CONTACTS * given.packed
     return BinghamMortar(
         effective_modulus=given.stiffness,
         stiffness_ratio=given.stiffness_ratio,
-        friction=given.rubbing,
+        friction=given.grain_friction,
         normal_damping_ratio=given.normal_damping,
         shell_fraction=given.shell_fraction,
         shell_modulus=given.shell_modulus,
@@ -340,7 +340,7 @@ def plastic_law(given: VesselParameters) -> PlasticMortar:
     return PlasticMortar(
         effective_modulus=given.stiffness,
         stiffness_ratio=given.stiffness_ratio,
-        friction=given.rubbing,
+        friction=given.grain_friction,
         normal_damping_ratio=given.normal_damping,
         shell_fraction=given.shell_fraction,
         shell_modulus=given.shell_modulus,
@@ -425,7 +425,7 @@ def vessel_remarks(given: VesselParameters, what: str) -> tuple[str, ...]:
         found.append(
             f"plate and mould act on grains as other grains do, because {type(given.contact).__name__} has no friction"
         )
-    elif given.holding == 0:
+    elif given.mould_grip_or_default == 0:
         found.append(f"concrete slides along {what} freely; use --mould-grip 1 for friction there")
     if given.bulk_density is None:
         found.append(

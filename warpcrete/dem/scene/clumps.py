@@ -217,16 +217,16 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
     points, depth = points[inside], depth[inside]
     # A point near the surface rarely covers much volume, so the 4,000 deepest points are enough as candidates.
     candidates = np.argsort(-depth)[:4000]
-    bare = np.ones(len(points), dtype=bool)
+    uncovered = np.ones(len(points), dtype=bool)
     chosen: list[int] = []
-    covers = [np.linalg.norm(points - points[c], axis=1) <= depth[c] + 0.25 * step for c in candidates]
+    coverage = [np.linalg.norm(points - points[c], axis=1) <= depth[c] + 0.25 * step for c in candidates]
     for _ in range(spheres):
-        gains = [int(np.count_nonzero(cover & bare)) for cover in covers]
-        best = int(np.argmax(gains))
-        if gains[best] == 0:
+        new_coverage = [int(np.count_nonzero(cover & uncovered)) for cover in coverage]
+        best = int(np.argmax(new_coverage))
+        if new_coverage[best] == 0:
             break
         chosen.append(int(candidates[best]))
-        bare &= ~covers[best]
+        uncovered &= ~coverage[best]
     if len(chosen) < spheres:
         refuse("spheres", spheres, f"must be at most {len(chosen)} for this mesh at resolution {resolution}")
     centres, radii = points[chosen], depth[chosen]

@@ -14,11 +14,11 @@ from ...geometry.walls import MeshWall, PipeWall, PlaneWall, Wall
 from .clumps import ClumpTemplate, reference
 from .sizes import Gaussian, Sizes
 
-SOWN = 0.95
+START_RADIUS_RATIO = 0.95
 """Fraction of the local radius within which aggregates start; they then fit into a pipe of eight or more facets."""
 
 
-def spread_points(count: int, random: np.random.Generator) -> np.ndarray:
+def low_discrepancy_points(count: int, random: np.random.Generator) -> np.ndarray:
     """Return `count` low-discrepancy points in the unit cube, shape (count, 3).
 
     The points are Roberts' R3 sequence, shifted by a random vector.
@@ -85,12 +85,12 @@ class PipeContainer:
 
     def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
         """Return `count` evenly distributed points inside the container [m], shape (count, 3)."""
-        u = spread_points(count, random)
+        u = low_discrepancy_points(count, random)
         s = u[:, 0] * self.length
         radius: np.ndarray | float = self.radius
         if self.bores is not None:
             s = self.bores.spread(u[:, 0], self.length)
-            radius = SOWN * (self.clear or self.bores).at(s)
+            radius = START_RADIUS_RATIO * (self.clear or self.bores).at(s)
         r = radius * np.sqrt(u[:, 1])
         angle = 2 * np.pi * u[:, 2]
         points, _, normal, side = self.axis.frame(s)
@@ -133,7 +133,7 @@ class MeshContainer:
         lower, upper = self.mesh.bounds  # type: ignore[attr-defined]
         wanted = int(1.2 * count * np.prod(upper - lower) / self.volume) + 64
         while True:
-            points = lower + spread_points(wanted, random) * (upper - lower)
+            points = lower + low_discrepancy_points(wanted, random) * (upper - lower)
             inside = points[signed_distance(self.mesh, points) < 0]  # type: ignore[arg-type]
             if len(inside) >= count:
                 # Only the complete sequence is evenly distributed, so surplus points are removed at regular intervals.

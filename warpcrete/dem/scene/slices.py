@@ -66,6 +66,6 @@ class Stations:
         return (self.edges[0], self.middle[0]), (self.middle[1], self.edges[-1])
 
     @property
-    def tells_losses(self) -> bool:
+    def can_fit_losses(self) -> bool:
         """True if every straight stretch has enough slices to fit a line through its measurements."""
         return all(np.count_nonzero(self.clear(*ends)) >= FEWEST for ends in self.straights)

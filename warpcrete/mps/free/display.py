@@ -8,17 +8,17 @@ from typing import ClassVar
 import numpy as np
 
 from ...core.drawing.display import OTHER, Colour, Curve, Display, DrawnWall, Plot
-from ...core.drawing.paint import on_palette
+from ...core.drawing.paint import palette_colours
 from ..grid.geometry import MIRROR, WALL
 from .scene import Points
 
-SECTION, BEHIND = 4000, 8000
+MAX_SECTION_PARTICLES, MAX_HALF_PARTICLES = 4000, 8000
 """Maximum number of particles drawn in a section, and in the half behind it."""
 OURS = (215, 95, 30)
 PLATE = (150, 150, 150, 255)
-SHOWN = 0.1
+SHOWN_DEPTH = 0.1
 """Depth with which a flow in a plane is drawn [m]."""
-FASTEST = 5.0
+MAX_SHOWN_SHEAR_RATE = 5.0
 """Shear rate at the upper end of the colour scale [1/s]."""
 
 
@@ -51,15 +51,19 @@ class FreeDisplay(Display):
         return [(a, b) for a in across for b in deep]
 
     @cached_property
-    def _chosen(self) -> tuple[np.ndarray, np.ndarray]:
+    def _drawn_particles(self) -> tuple[np.ndarray, np.ndarray]:
         """Indices of the particles that are drawn, and the angle about the axis at which each is drawn [rad]."""
         count = self.simulation.state.count
-        most = (SECTION + BEHIND) // len(self._mirrored) if self._solid else SECTION
+        most = (
+            (MAX_SECTION_PARTICLES + MAX_HALF_PARTICLES) // len(self._mirrored)
+            if self._solid
+            else MAX_SECTION_PARTICLES
+        )
         section = np.arange(0, count, max(1, -(-count // most)))
         if not self._axial:
             return section, np.zeros(len(section))
         around = 24
-        few = np.arange(0, count, max(1, -(-count * around // BEHIND)))
+        few = np.arange(0, count, max(1, -(-count * around // MAX_HALF_PARTICLES)))
         turn = np.pi * (np.arange(around) + 0.5) / around
         particles = np.concatenate([section, section, np.repeat(few, around)])
         angles = [np.zeros(len(section)), np.full(len(section), np.pi), np.tile(turn, len(few))]
@@ -67,19 +71,19 @@ class FreeDisplay(Display):
 
     def radii(self) -> np.ndarray:
         """Return the radii of drawn particles [m]: half a particle distance in the section, half a cell behind it."""
-        layout, (_, angles) = self.simulation.state.layout, self._chosen
+        layout, (_, angles) = self.simulation.state.layout, self._drawn_particles
         if self._solid:
             fewer = (len(layout.fluid) / len(angles)) ** (1 / 3)
-            return np.full(len(angles) * len(self._mirrored), 0.55 * layout.mark_spacing * fewer, np.float32)
+            return np.full(len(angles) * len(self._mirrored), 0.55 * layout.particle_spacing * fewer, np.float32)
         cut = np.isin(angles, (0.0, np.pi))
         stride = np.sqrt(max(1.0, len(layout.fluid) / max(np.count_nonzero(angles == 0), 1)))
-        size = np.where(cut, 0.5 * layout.mark_spacing * stride, 0.6 * layout.spacing)
+        size = np.where(cut, 0.5 * layout.particle_spacing * stride, 0.6 * layout.spacing)
         return size.astype(np.float32)
 
     def centres(self) -> np.ndarray:
         """Return the positions of drawn particles [m], shape (n, 3): z is up, the section lies in the plane y = 0."""
         x = self.read("particles.position").astype(float)
-        particles, angles = self._chosen
+        particles, angles = self._drawn_particles
         x = x[particles]
         if self._solid:
             # Particles that have left are moved below the room, out of sight.
@@ -96,18 +100,18 @@ class FreeDisplay(Display):
             return "pressure [kPa]", 0.0, scene.concrete.density * scene.gravity * height / 1e3
         if self.colouring == "speed":
             return "speed [m/s]", 0.0, 0.1 * float(np.sqrt(2 * scene.gravity * height))
-        return "rate of shear [1/s]", 0.0, FASTEST
+        return "rate of shear [1/s]", 0.0, MAX_SHOWN_SHEAR_RATE
 
     def fields(self) -> dict[str, np.ndarray]:
         """Return speed [m/s] and pressure [Pa] of the drawn particles."""
         copies = len(self._mirrored) if self._solid else 1
         speed = np.linalg.norm(self.read("particles.velocity").astype(float), axis=1)
         found = {"speed": speed, "pressure": self.read("particles.pressure").astype(float)}
-        return {name: np.tile(values[self._chosen[0]], copies) for name, values in found.items()}
+        return {name: np.tile(values[self._drawn_particles[0]], copies) for name, values in found.items()}
 
     def colours(self) -> np.ndarray:
         """Return RGB bytes of all drawn particles, shape (n, 3)."""
-        found = self._chosen[0]
+        found = self._drawn_particles[0]
         if self.colouring == "pressure":
             values = self.read("particles.pressure").astype(float) / 1e3
         elif self.colouring == "speed":
@@ -117,7 +121,7 @@ class FreeDisplay(Display):
             values = np.sqrt(0.5 * np.sum((slope + slope.transpose(0, 2, 1)) ** 2, axis=(1, 2)))
         _, lower, upper = self.scale()
         copies = len(self._mirrored) if self._solid else 1
-        return np.tile(on_palette(values[found], upper, lower), (copies, 1))
+        return np.tile(palette_colours(values[found], upper, lower), (copies, 1))
 
     def plots(self) -> tuple[Plot, ...]:
         """Return curves of the concrete's width, height and speed over time, or for a funnel of what remains in it."""
@@ -154,17 +158,17 @@ class FreeDisplay(Display):
                 shell = corners[corners[:, 0] > 0]
                 found.append(_revolved("mould", shell[np.argsort(shell[:, 1])], OTHER, True))
             return found
-        deep = scene.depth or SHOWN
+        deep = scene.depth or SHOWN_DEPTH
         low = -deep if scene.sides.get("front") == MIRROR else 0.0
         if scene.sides.get("bottom", WALL) == WALL:
             floor = np.array([[0.0, below], [scene.width, below]])
-            found.append(_drawn_out("plate", floor, PLATE, False, low, deep))
+            found.append(_extruded("plate", floor, PLATE, False, low, deep))
         images = {a for a, _ in self._mirrored}
         for number, block in enumerate(scene.blocks):
             for a in sorted(images, reverse=True):
                 name = f"block{number + 1}" + ("" if a > 0 else "_image")
                 line = self._cropped(block) * [a, 1.0]
-                found.append(_drawn_out(name, line, OTHER, False, low, deep))
+                found.append(_extruded(name, line, OTHER, False, low, deep))
         for wall in scene.walls:
             drawn = wall.drawn()
             if drawn is not None:
@@ -172,7 +176,7 @@ class FreeDisplay(Display):
                     name = wall.name + ("" if a > 0 else "_left") + ("" if b > 0 else "_front")
                     found.append(DrawnWall(name, drawn[0] * [a, b, 1.0], drawn[1], False, PLATE))
         if scene.gate:
-            found.append(_drawn_out("gate", self._cropped(scene.gate), OTHER, True, low, deep))
+            found.append(_extruded("gate", self._cropped(scene.gate), OTHER, True, low, deep))
         return found
 
     def _cropped(self, points: Points) -> np.ndarray:
@@ -213,7 +217,7 @@ def _revolved(name: str, line: np.ndarray, colour: Colour, moves: bool, facets: 
     return DrawnWall(name, vertices, np.array(faces), moves, colour)
 
 
-def _drawn_out(name: str, line: np.ndarray, colour: Colour, moves: bool, low: float, high: float) -> DrawnWall:
+def _extruded(name: str, line: np.ndarray, colour: Colour, moves: bool, low: float, high: float) -> DrawnWall:
     """Return the surface that a line in the plane of x and z [m] sweeps from one depth to another [m]."""
     vertices = np.array([(x, y, z) for x, z in line for y in (low, high)])
     faces = [

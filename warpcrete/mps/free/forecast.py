@@ -13,9 +13,9 @@ from .quantities import expected
 from .scene import FreeScene
 from .simulation import FreeSimulation
 
-LONGER = 1.2
+DURATION_FACTOR = 1.2
 """Ratio of a funnel's emptying time to its estimate, which ignores stretching in the taper; measured 1.0 to 1.3."""
-COARSE = 12
+COARSE_CELLS_HIGH = 12
 """Number of cells over the concrete's initial height in the coarser copy."""
 
 
@@ -49,12 +49,12 @@ def course_of(simulation: FreeSimulation) -> Course:
         estimate = expected(scene).get(scene.test.outflow.time)
         if estimate is None:
             return Course(scene.duration, mean, ["the yield stress may hold the concrete in the funnel"])
-        return Course(min(LONGER * estimate, scene.duration), mean)
+        return Course(min(DURATION_FACTOR * estimate, scene.duration), mean)
     if scene.depth:
         # A coarser copy would not resolve the obstacles that the concrete must pass.
         remark = "the time until the concrete rests is not predicted; the longest allowed time is assumed"
         return Course(scene.duration, mean, [remark])
-    spacing = min(max(scene.spacing, height / COARSE), min(np.ptp(scene.extent, axis=0)) / 4)
+    spacing = min(max(scene.spacing, height / COARSE_CELLS_HIGH), min(np.ptp(scene.extent, axis=0)) / 4)
     run, reached, remarks = coarser_run(simulation, "the concrete is not at rest", spacing=spacing)
     if run is not None and scene.step_error:
         # The finer flow has the same error in a step, but its concrete crosses the smaller cells in less time.

@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 
 from ...core.errors import refuse
-from ...kernels.mps.grid.cells import Kind
+from ...kernels.mps.grid.cells import GridKind
 from ..grid.geometry import (
-    BARE,
     GATE,
     MIRROR,
+    OPEN_SIDE,
     ROUGH,
     WALL,
     Distance,
@@ -23,25 +23,25 @@ from ..grid.geometry import (
     wall_distance,
 )
 from ..grid.layout import GridLayout
-from ..grid.state import STICKS
+from ..grid.state import NO_SLIP_VISCOSITY
 from .scene import SIDES, FreeScene
 
-ABREAST = {2: 3, 3: 2}
+PARTICLES_PER_AXIS = {2: 3, 3: 2}
 """Number of particles per cell along each axis, by number of axes.
 
 A flow with a free surface needs more particles than a pipe flow.
 """
-THREE = 0.125, 0.5, 0.875
+THREE_POINTS = 0.125, 0.5, 0.875
 """Positions of three particles along a cell, in cell widths.
 
 There their hat-function weights add up to those of an evenly filled cell: 0.75 about its own middle and 0.125 about the
 middle of each neighbour.
 """
-FINE = {2: 8, 3: 4}
+SAMPLES_PER_CELL = {2: 8, 3: 4}
 """Number of sample points of a cell along each axis for the fraction that concrete fills."""
-HEAVIEST = 3.0
+MAX_MASS = 3.0
 """Maximum mass of a particle, relative to a whole particle; the minimum is the inverse."""
-NEVER = 1e30
+NEVER_OPENS = 1e30
 """Opening time [s] that stands for cells that never open."""
 
 
@@ -69,15 +69,15 @@ def free_layout(scene: FreeScene) -> GridLayout:
         opened = geometry_of(room, walls, scene.axial)
         height = (np.arange(-1, cells[-1] + 1) + 0.5) * width[-1]
         when = np.maximum(height, 0.0).reshape(-1, *[1] * (axes - 1)) / scene.lift_speed
-        opens = np.where(_differ(geometry, opened), when, NEVER)
-    abreast = ABREAST[axes]
+        opens = np.where(_differing_cells(geometry, opened), when, NEVER_OPENS)
+    per_axis = PARTICLES_PER_AXIS[axes]
     outline, nearest = polygon_distance(scene.outline), nearest_wall(room, shut)
 
     def concrete(points: np.ndarray) -> np.ndarray:
         return (outline(points) < 0) & (nearest(points)[0] > 0)
 
-    places, mass = fill_cells(room, abreast, concrete)
-    layer, none = (scene.concrete.slip_viscosity, scene.concrete.slip_yield), (STICKS, 0.0)
+    places, mass = fill_cells(room, per_axis, concrete)
+    layer, none = (scene.concrete.slip_viscosity, scene.concrete.slip_yield), (NO_SLIP_VISCOSITY, 0.0)
     if len(places) == 0:
         refuse(
             "outline",
@@ -87,12 +87,12 @@ def free_layout(scene: FreeScene) -> GridLayout:
         )
     size = float(np.ptp(scene.extent, axis=0).min())
     return GridLayout(
-        kind=Kind(axes, axial=scene.axial, cut=True),
+        kind=GridKind(axes, axial=scene.axial, cut=True),
         room=room,
         solid=geometry.solid,
         fluid=places,
         mass=mass * places[:, 0] / places[:, 0].mean() if scene.axial else mass,
-        mark_spacing=width[0] / abreast,
+        particle_spacing=width[0] / per_axis,
         slip=layer if scene.plate_slips else none,
         rough=layer if scene.walls_slip else none,
         speed=0.1 * float(np.sqrt(scene.gravity * size)),
@@ -103,16 +103,18 @@ def free_layout(scene: FreeScene) -> GridLayout:
     )
 
 
-def fill_cells(room: Room, abreast: int, concrete: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def fill_cells(
+    room: Room, per_axis: int, concrete: Callable[[np.ndarray], np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
     """Return positions of particles in the concrete [m], shape (n, axes), and masses relative to a whole particle.
 
     The particles of a cell together have the mass of the concrete in the cell.
     """
     axes = len(room.cells)
-    each = _within(room, abreast)
+    each = _sample_points(room, per_axis)
     there = concrete(each.reshape(-1, axes)).reshape(each.shape[:-1])
     count = there.sum(-1)
-    part = count / abreast**axes
+    part = count / per_axis**axes
     # The edge of the concrete may cross these cells, so they and their neighbours are sampled more finely.
     edge = (part > 0) & (part < 1)
     for axis in range(axes):
@@ -122,38 +124,38 @@ def fill_cells(room: Room, abreast: int, concrete: Callable[[np.ndarray], np.nda
             at[axis] = side
             edge[tuple(at)] |= step
     chosen = np.argwhere(edge)
-    fine = _within(room, FINE[axes], chosen)
+    fine = _sample_points(room, SAMPLES_PER_CELL[axes], chosen)
     part[edge] = concrete(fine.reshape(-1, axes)).reshape(fine.shape[:-1]).mean(-1)
-    mass = np.where(count > 0, part * abreast**axes / np.maximum(count, 1), 0.0)
+    mass = np.where(count > 0, part * per_axis**axes / np.maximum(count, 1), 0.0)
     which = np.broadcast_to(mass[..., None], there.shape)[there]
-    return each[there], np.clip(which, 1 / HEAVIEST, HEAVIEST)
+    return each[there], np.clip(which, 1 / MAX_MASS, MAX_MASS)
 
 
-def _within(room: Room, abreast: int, chosen: np.ndarray | None = None) -> np.ndarray:
+def _sample_points(room: Room, per_axis: int, chosen: np.ndarray | None = None) -> np.ndarray:
     """Return points spread over each cell, or over the `chosen` cells, shape (cells..., points, axes) [m]."""
     axes = len(room.cells)
     if chosen is None:
         chosen = np.moveaxis(np.indices(room.cells), 0, -1)
-    along = np.array(THREE) if abreast == 3 else (np.arange(abreast) + 0.5) / abreast
-    inner = along[np.moveaxis(np.indices((abreast,) * axes), 0, -1).reshape(-1, axes)]
+    along = np.array(THREE_POINTS) if per_axis == 3 else (np.arange(per_axis) + 0.5) / per_axis
+    inner = along[np.moveaxis(np.indices((per_axis,) * axes), 0, -1).reshape(-1, axes)]
     return np.array(room.origin) + (chosen[..., None, :] + inner) * np.array(room.width)
 
 
 def _sides(scene: FreeScene, axes: int) -> tuple[tuple[str, str], ...]:
     """Return the kinds of the sides of the room along each of its axes."""
-    usual = {"left": MIRROR if scene.axial else WALL, "top": BARE} | dict(scene.sides)
+    usual = {"left": MIRROR if scene.axial else WALL, "top": OPEN_SIDE} | dict(scene.sides)
     pairs = SIDES if axes == 3 else (SIDES[0], SIDES[2])
     return tuple((usual.get(lower, WALL), usual.get(upper, WALL)) for lower, upper in pairs)
 
 
-def _differ(one: Geometry, two: Geometry) -> np.ndarray:
+def _differing_cells(one: Geometry, two: Geometry) -> np.ndarray:
     """Return a mask of the cells in which two geometries differ, with the shape of `solid`."""
     faces = (one.part != two.part) | (one.gap != two.gap) | (one.shut != two.shut) | (one.surface != two.surface)
     return (
         faces.any(0)
         | (one.room != two.room)
-        | (one.hold != two.hold)
+        | (one.weighted_volume != two.weighted_volume)
         | (one.depth != two.depth).any(-1)
-        | (one.nook != two.nook).any((-1, -2))
+        | (one.quarter_fraction != two.quarter_fraction).any((-1, -2))
         | (one.solid != two.solid)
     )

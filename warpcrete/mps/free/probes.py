@@ -82,7 +82,7 @@ def speeds(flow: GridFlow) -> np.ndarray:
 
 def _at_start(layout: GridLayout) -> Specimen:
     """Return the concrete of a flow before its first step."""
-    top, end = (float(layout.fluid[:, axis].max()) + 0.5 * layout.mark_spacing for axis in (-1, 0))
+    top, end = (float(layout.fluid[:, axis].max()) + 0.5 * layout.particle_spacing for axis in (-1, 0))
     return Specimen(
         top=lambda radius: top,
         spread=lambda: 2 * end if layout.axial else end,

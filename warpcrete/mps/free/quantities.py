@@ -33,7 +33,7 @@ def outcome(scene: FreeScene, series: Mapping[str, np.ndarray], volume: float) -
 
 
 @dataclass(frozen=True)
-class Known:
+class RunData:
     """Data of a run from which its results are computed: scene, series with two rows or more, and initial volume."""
 
     scene: FreeScene

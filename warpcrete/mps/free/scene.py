@@ -17,7 +17,7 @@ from ...geometry.walls import Wall
 from ...standards import StandardTest
 from ...theory.pipe import Concrete
 from ..column import ConcreteParameters
-from ..grid.geometry import BARE, MIRROR, WALL
+from ..grid.geometry import MIRROR, OPEN_SIDE, WALL
 from ..mixes import CONSTANTS, concrete_of
 from ..scene import STEP_ERROR, check_interval
 
@@ -126,7 +126,7 @@ class FreeScene(Parametrised, FreeSettings):
             )
         for name, kind in self.sides.items():
             one_of("sides", name, [side for pair in SIDES for side in pair])
-            one_of(f"sides[{name}]", kind, (WALL, MIRROR, BARE))
+            one_of(f"sides[{name}]", kind, (WALL, MIRROR, OPEN_SIDE))
             if name in SIDES[1] and not self.depth:
                 refuse("sides", name, "exists only in space", "give the room a depth, or leave it out")
             if name == "left" and self.axial:
@@ -206,7 +206,7 @@ class FreeScene(Parametrised, FreeSettings):
 class FreeConcrete(ConcreteParameters, FreeSettings):
     """Parameters that all tests of fresh concrete share."""
 
-    def mixed(self, slips: bool) -> Concrete:
+    def make_concrete(self, slips: bool) -> Concrete:
         """Return the concrete; constants of the slip layer may be missing if the concrete slips on no wall."""
         constants = {name: getattr(self, name) for name in CONSTANTS}
         if not slips and (self.concrete == "own" or is_file(self.concrete)):

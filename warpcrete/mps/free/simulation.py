@@ -21,7 +21,7 @@ from ..run import FlowRun
 from .display import FreeDisplay
 from .layout import free_cells, free_layout
 from .probes import UNITS, bases, measured, reach, surface
-from .quantities import Known, quantities
+from .quantities import RunData, quantities
 from .scene import FreeScene
 
 STARTS = 0.2
@@ -43,7 +43,7 @@ class FreeSimulation(FlowRun):
         """Return the display that recorders draw."""
         return FreeDisplay(self, colouring)
 
-    def placed(self) -> GridFlow:
+    def place_flow(self) -> GridFlow:
         """Return the flow at its start, with its particles and its grid."""
         check_memory(free_cells(self.scene), self.device, self.precision)
         layout = free_layout(self.scene)
@@ -69,7 +69,7 @@ class FreeSimulation(FlowRun):
             )
 
     @property
-    def lifted(self) -> float:
+    def lift_end(self) -> float:
         """Time from which on no gate holds the concrete back [s]."""
         scene = self.scene
         return max(y for _, y in scene.gate) / scene.lift_speed if scene.gate else 0.0
@@ -78,7 +78,7 @@ class FreeSimulation(FlowRun):
         """Return whether the concrete is at rest, or has flowed out of a vessel that empties."""
         if self.scene.test and self.scene.test.is_over(self._rows[-1]):
             return True
-        self.steady = is_at_rest(self._rows, self.lifted + STARTS, self.scene.rest_speed)
+        self.steady = is_at_rest(self._rows, self.lift_end + STARTS, self.scene.rest_speed)
         return self.steady
 
     def sizes(self) -> dict[str, Any]:
@@ -93,7 +93,7 @@ class FreeSimulation(FlowRun):
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
         """Return entries of the result that the series and the surface give, and no tables."""
-        result = results_of(quantities(), Known(self.scene, series, self.volume))
+        result = results_of(quantities(), RunData(self.scene, series, self.volume))
         across, height = surface(self.flow)
         result["surface"] = {
             "place": {"value": across.tolist(), "unit": "m"},

@@ -37,18 +37,18 @@ from ...kernels.mps.grid.walls import side_kernel, wall_kernel
 from ...kernels.mps.resident_solver import resident_blocks, resident_solver
 from ...kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY, array_structs, flow_struct
 from ..allocation import allocate
-from ..stages import LEAST_PRESSURE, VELOCITY_ERROR
+from ..stages import ABSOLUTE_PRESSURE_FACTOR, VELOCITY_ERROR
 from ..stepping import Stepping
 from .state import GridState, grid_numbers
 
 HISTORY = 256  # Maximum number of iterations of a solve whose residuals are kept.
 ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # Relative rounding error of the flow through a cell's sides.
-EXTENDED = 3  # Number of cells beyond the concrete, in air and walls, to which velocities are extrapolated.
+EXTRAPOLATED_CELLS = 3  # Number of cells beyond the concrete, in air and walls, to which velocities are extrapolated.
 # Tolerances of the solve that moves particles apart, relative to the solve's initial residual and to a full cell.
-CROWDING = 0.1, 1e-5
-SLOWEST = 0.05
+DISPERSION_TOLERANCES = 0.1, 1e-5
+MIN_RELATIVE_SPEED = 0.05
 """Minimum speed, relative to the typical speed of the flow, to which the error of a step is compared."""
-FOR_EVER = 2**31 - 1  # This number of steps is never reached by a run.
+UNREACHABLE_STEPS = 2**31 - 1  # This number of steps is never reached by a run.
 
 
 @dataclass(frozen=True)
@@ -90,87 +90,89 @@ class GridFlow(Stepping):
         # A second system with the pressure matrix moves particles out of crowded regions. A full pipe does not need
         # this system.
         self.dispersion = None if self.full else replace(self.projection, arrays=self._arrays(state.slots))
-        self.late = wp.zeros(2, dtype=wp.int32, device=self.device)
-        self._idle = wp.zeros(1, dtype=wp.float64, device=self.device)
-        self._carried = [wp.zeros(faces, dtype=self.scalar, device=self.device) for _ in range(2)]
-        self._known = [wp.zeros(faces, dtype=wp.int32, device=self.device) for _ in range(2)]
+        self.event_flags = wp.zeros(2, dtype=wp.int32, device=self.device)
+        self._no_threshold = wp.zeros(1, dtype=wp.float64, device=self.device)
+        self._extended = [wp.zeros(faces, dtype=self.scalar, device=self.device) for _ in range(2)]
+        self._known_faces = [wp.zeros(faces, dtype=wp.int32, device=self.device) for _ in range(2)]
         self.steps = 0
         self._step: Step | None = None
-        self._arrived, self._until, self._begun = True, 0.0, False
-        self.pace, self._clock = self._paced(), clock_kernels(self.scalar, kind)
+        self._goal_reached, self._goal_time, self._goal_sent = True, 0.0, False
+        self.pace, self._clock = self._step_control(), clock_kernels(self.scalar, kind)
         self._read_clock()
 
-    def _paced(self) -> Any:
+    def _step_control(self) -> Any:
         """Return the struct `Pace` that controls the length of steps, and set the residuals at which solves stop."""
         pace, scene = Pace(), self.scene
-        least = CROWDING[1]
+        stop_norm = DISPERSION_TOLERANCES[1]
         pace.longest, pace.error = scene.time_step, scene.step_error
-        pace.floor = SLOWEST * self.state.layout.speed
+        pace.floor = MIN_RELATIVE_SPEED * self.state.layout.speed
         pace.viscous = VELOCITY_ERROR * self._force
-        pace.pressure = max(LEAST_PRESSURE * scene.tolerance * self._force / self.state.layout.length, self._rounding)
-        pace.crowding = least * scene.concrete.density / scene.time_step**2 * self._volume * self._size
+        pace.pressure = max(
+            ABSOLUTE_PRESSURE_FACTOR * scene.tolerance * self._force / self.state.layout.length, self._rounding
+        )
+        pace.crowding = stop_norm * scene.concrete.density / scene.time_step**2 * self._volume * self._size
         for system, norm in ((self.viscous, pace.viscous), (self.projection, pace.pressure)):
-            system.arrays.least.fill_(norm)
+            system.arrays.stop_norm.fill_(norm)
         if self.dispersion is not None:
-            self.dispersion.arrays.least.fill_(pace.crowding)
+            self.dispersion.arrays.stop_norm.fill_(pace.crowding)
         return pace
 
     @property
-    def viscous_least(self) -> wp.array:
+    def viscosity_threshold(self) -> wp.array:
         """Norm of the residual at which the viscosity solve stops, shape (1,)."""
-        return self.viscous.arrays.least
+        return self.viscous.arrays.stop_norm
 
     @property
-    def pressure_least(self) -> wp.array:
+    def pressure_threshold(self) -> wp.array:
         """Norm of the residual at which the pressure solve stops, shape (1,)."""
-        return self.projection.arrays.least
+        return self.projection.arrays.stop_norm
 
     @property
-    def crowding_least(self) -> wp.array:
+    def dispersion_threshold(self) -> wp.array:
         """Norm of the residual at which the solve that moves particles apart stops, shape (1,)."""
-        return self._idle if self.dispersion is None else self.dispersion.arrays.least
+        return self._no_threshold if self.dispersion is None else self.dispersion.arrays.stop_norm
 
     @property
     def adaptive(self) -> bool:
         """True if the length of steps adapts to the flow."""
         return self.scene.step_error > 0
 
-    def aim(self, until: float = math.inf, steps: int | None = None) -> None:
+    def set_goal(self, until: float = math.inf, steps: int | None = None) -> None:
         """Set the goal: a time `until` [s] (with equal steps, the step that ends nearest) or a number of steps."""
-        super().aim(until, steps)
-        self._until = math.inf
+        super().set_goal(until, steps)
+        self._goal_time = math.inf
         if steps is None and self.adaptive:
-            self._until, self._goal = until, FOR_EVER
-        self._arrived = self.steps >= self._goal or self._until - self.time < 1e-9 * self.scene.time_step
-        self._begun = False
+            self._goal_time, self._goal = until, UNREACHABLE_STEPS
+        self._goal_reached = self.steps >= self._goal or self._goal_time - self.time < 1e-9 * self.scene.time_step
+        self._goal_sent = False
 
     def launch(self) -> None:
         """Launch some steps towards the goal; a GPU takes them on its current stream while Python goes on."""
-        if not self._begun:
+        if not self._goal_sent:
             launch(
-                self._clock.begin, 1, self.device, until=min(self._until, 1e300), goal=self._goal, pace=self.pace,
-                flags=self.flags, mesh=self.mesh, viscous_least=self.viscous_least,
-                pressure_least=self.pressure_least, crowding_least=self.crowding_least,
+                self._clock.begin, 1, self.device, until=min(self._goal_time, 1e300), goal=self._goal, pace=self.pace,
+                flags=self.flags, mesh=self.mesh, viscosity_threshold=self.viscosity_threshold,
+                pressure_threshold=self.pressure_threshold, dispersion_threshold=self.dispersion_threshold,
             )  # fmt: skip
-            self._begun = True
+            self._goal_sent = True
         super().launch()
 
     @property
-    def arrived(self) -> bool:
+    def goal_reached(self) -> bool:
         """True when the flow has reached its goal."""
-        return self._arrived
+        return self._goal_reached
 
     @property
-    def _left(self) -> int:
+    def _steps_left(self) -> int:
         """Number of steps to the goal if no step gets shorter; surplus steps do nothing."""
         if not self.adaptive:
             return self._goal - self.steps
-        by_time = min((self._until - self.time) / self.next_step, FOR_EVER)
+        by_time = min((self._goal_time - self.time) / self.next_step, UNREACHABLE_STEPS)
         return min(max(1, math.ceil(by_time - 1e-6)), self._goal - self.steps)
 
-    def _look(self, flags: np.ndarray) -> None:
-        super()._look(flags)
-        self._arrived = bool(flags[int(HALTED)])
+    def _read_progress(self, flags: np.ndarray) -> None:
+        super()._read_progress(flags)
+        self._goal_reached = bool(flags[int(HALTED)])
         self._read_clock()
 
     def _read_clock(self) -> None:
@@ -182,7 +184,7 @@ class GridFlow(Stepping):
         matrix = structs.Matrix()
         matrix.near_capacity = near
         for name in structs.Matrix.vars:
-            if name not in ("near_capacity", "bound", "grains", "coarse"):
+            if name not in ("near_capacity", "grain_rows", "grains", "coarse"):
                 # The struct's arrays for drag and position serve particle flows only; on a grid both arrays stay zero.
                 size = {"near": rows * near, "coefficient": rows * near, "drag": rows, "position": rows}
                 allocate(structs.Matrix, self.device, matrix, **{name: size.get(name, rows)})
@@ -196,7 +198,7 @@ class GridFlow(Stepping):
         sizes = {
             "partial": 3 * -(-rows // BLOCK),
             "outcome": OUTCOME,
-            "least": 1,
+            "stop_norm": 1,
             "history": HISTORY,
             "direction": rows * (2 if self.parallel else 1),
             "preconditioned": rows if self.parallel else 0,
@@ -245,11 +247,11 @@ class GridFlow(Stepping):
             "solid_after": self.solid_after,
             "g": self.g,
             "pace": self.pace,
-            "late": self.late,
+            "late": self.event_flags,
             "count": self.count,
-            "viscous_least": self.viscous_least,
-            "pressure_least": self.pressure_least,
-            "crowding_least": self.crowding_least,
+            "viscous_least": self.viscosity_threshold,
+            "pressure_least": self.pressure_threshold,
+            "crowding_least": self.dispersion_threshold,
         }
 
     def _stages(self) -> list[Any]:
@@ -290,16 +292,16 @@ class GridFlow(Stepping):
             self.stage(pressure.divergence, slots, matrix=self.projection.matrix, projection=self.projection.arrays),
             *self._solve(self.projection, PRESSURE, increment, self.scene.tolerance),
             self.stage(pressure.project, slots),
-            *(self._drive() if layout.periodic and layout.held else []),
+            *(self._drive() if layout.periodic and layout.mean_velocity_fixed else []),
             *(self._speeds() if self.adaptive else []),
-            *(self._broken() if kind.thixotropic else []),
+            *(self._break_structure() if kind.thixotropic else []),
             *([] if self.full else self._disperse()),
-            *self._extend(extend_kernel(scalar, kind)),
-            self.stage(advect_kernel(scalar, kind), self.count, velocity=self._carried[0], good=self._known[0]),
+            *self._extrapolate(extend_kernel(scalar, kind)),
+            self.stage(advect_kernel(scalar, kind), self.count, velocity=self._extended[0], good=self._known_faces[0]),
             self.stage(self._clock.tick, 1),
         ]  # fmt: skip
 
-    def _broken(self) -> list[Stage]:
+    def _break_structure(self) -> list[Stage]:
         """Return the stage in which shear and slip break the structure that the concrete gained at rest."""
         scene = self.scene
         return [
@@ -331,21 +333,21 @@ class GridFlow(Stepping):
     def _size(self) -> float:
         """Norm of a vector of ones with a row for each initially full cell, which turns an rms value into a norm."""
         layout = self.state.layout
-        return math.sqrt(max(self.count * (layout.mark_spacing / layout.spacing) ** layout.axes, 1.0))
+        return math.sqrt(max(self.count * (layout.particle_spacing / layout.spacing) ** layout.axes, 1.0))
 
-    def _extend(self, kernel: Any) -> list[Stage]:
+    def _extrapolate(self, kernel: Any) -> list[Stage]:
         """Return stages that extrapolate velocities beyond the concrete, each by one cell.
 
         The last stage writes the first of the two arrays.
         """
         found = []
-        for turn in range(EXTENDED):
-            to = (EXTENDED - 1 - turn) % 2
+        for turn in range(EXTRAPOLATED_CELLS):
+            to = (EXTRAPOLATED_CELLS - 1 - turn) % 2
             found.append(
                 self.stage(
-                    kernel, self.state.slots, again=int(turn > 0), final=int(turn == EXTENDED - 1),
-                    before=self._carried[1 - to], known_before=self._known[1 - to], after=self._carried[to],
-                    known_after=self._known[to],
+                    kernel, self.state.slots, again=int(turn > 0), final=int(turn == EXTRAPOLATED_CELLS - 1),
+                    before=self._extended[1 - to], known_before=self._known_faces[1 - to], after=self._extended[to],
+                    known_after=self._known_faces[to],
                 )
             )  # fmt: skip
         return found
@@ -356,7 +358,7 @@ class GridFlow(Stepping):
         assert self.dispersion is not None
         return [
             self.stage(kernels.source, slots, projection=self.dispersion.arrays),
-            *self._solve(self.dispersion, DENSITY, self.mesh.potential, CROWDING[0]),
+            *self._solve(self.dispersion, DENSITY, self.mesh.potential, DISPERSION_TOLERANCES[0]),
             self.stage(kernels.disperse, slots),
         ]
 
@@ -374,14 +376,14 @@ class GridFlow(Stepping):
     def _drive(self) -> list[Stage]:
         """Return stages that apply the driving force which keeps the mean velocity of a periodic pipe constant."""
         kernels, slots = drive_kernels(self.scalar, self.state.layout.axes), self.state.slots
-        shove = self.stage(kernels.shove, slots)
+        correct = self.stage(kernels.correct, slots)
         if not self.parallel:
-            return [self.stage(kernels.lacking, 1), shove]
+            return [self.stage(kernels.deficit, 1), correct]
         blocks, partial = -(-slots // BLOCK), self.viscous.arrays.partial
         return [
             self.stage(kernels.sums, BLOCK * blocks, block=BLOCK, blocks=blocks, partial=partial),
-            self.stage(kernels.lacking_of_sums, BLOCK, block=BLOCK, blocks=blocks, partial=partial),
-            shove,
+            self.stage(kernels.deficit_of_sums, BLOCK, block=BLOCK, blocks=blocks, partial=partial),
+            correct,
         ]
 
     def _solve(self, system: System, what: int, x: wp.array, tolerance: float) -> list[Any]:

@@ -22,25 +22,25 @@ NONE, PLATE, SMOOTH, GATE, ROUGH = 0, 1, 2, 3, 4
 SMOOTH is an axis or plane of symmetry without friction, GATE a wall that will open, ROUGH a wall that concrete sticks
 to. Larger numbers belong to walls that move.
 """
-WALL, MIRROR, BARE = "wall", "mirror", "open"
+WALL, MIRROR, OPEN_SIDE = "wall", "mirror", "open"
 """Kinds of the sides of a room: a wall, a plane of symmetry, or an open side."""
-STICKS = 1e8
+NO_SLIP_VISCOSITY = 1e8
 """Viscosity of a slip layer on which concrete hardly slips [Pa s/m]."""
-LITTLE = 1e-3
+MIN_QUARTER_FRACTION = 1e-3
 """Minimum open fraction of a quarter of a cell that has an open corner."""
-LEAST = 0.01
+MIN_OPEN_FRACTION = 0.01
 """Fraction above which a cell or a face counts as open."""
-ALIGNED, OFF = 0.999, 0.01
+ALIGNED, MAX_WALL_OFFSET = 0.999, 0.01
 """Limits for a face that is a side of an aligned wall.
 
-ALIGNED is the minimum cosine between the wall's normal and the axis, OFF the maximum distance from the wall in cell
+ALIGNED: minimum cosine of the wall's normal and the axis; MAX_WALL_OFFSET: maximum distance from the wall in cell
 widths.
 """
-FINE = {2: 8, 3: 4}
+SAMPLES_PER_CELL = {2: 8, 3: 4}
 """Number of sample points of a cell along each axis for its open volume; even, so that flat walls are exact."""
-LINES = 8
+LINES_PER_CELL = 8
 """Number of lines across a face or cell along which its open part is integrated."""
-PAIRS = (0, 1), (0, 2), (1, 2)
+AXIS_PAIRS = (0, 1), (0, 2), (1, 2)
 """Pairs of axes, each of which spans a plane of shear."""
 
 Distance = Callable[[np.ndarray], np.ndarray]
@@ -59,9 +59,9 @@ class Geometry:
     """Number of the wall that fills a cell, NONE for an open cell."""
     depth: np.ndarray
     room: np.ndarray
-    nook: np.ndarray
+    quarter_fraction: np.ndarray
     """Open fractions of the quarters of each cell around its edges, shape (*shape, pairs of axes, 4)."""
-    hold: np.ndarray
+    weighted_volume: np.ndarray
     gap: np.ndarray
     part: np.ndarray
     shut: np.ndarray
@@ -78,7 +78,7 @@ class Room:
     origin: tuple[float, ...]
     """Lowest corner of the box [m]."""
     sides: tuple[tuple[str, str], ...]
-    """Kinds of the lower and the upper side along each axis: WALL, MIRROR or BARE."""
+    """Kinds of the lower and the upper side along each axis: WALL, MIRROR or OPEN_SIDE."""
 
     def places(self, shift: Sequence[float], more: int = 0) -> np.ndarray:
         """Return a point [m] in each cell and frame cell, `shift` cell widths from the cell's lowest corner.
@@ -111,8 +111,8 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
                 mirror |= index[axis] == at
             if side == WALL:
                 beyond |= index[axis] == at
-    open_part = np.where(beyond, 0.0, _open(_corners(corners, range(axes)), axes))
-    solid = np.where(mirror, SMOOTH, np.where(open_part < LEAST, number, NONE)).astype(np.int32)
+    open_part = np.where(beyond, 0.0, _positive_fraction(_corner_values(corners, range(axes)), axes))
+    solid = np.where(mirror, SMOOTH, np.where(open_part < MIN_OPEN_FRACTION, number, NONE)).astype(np.int32)
     gap, part, shut, surface = [], [], [], []
     for axis in range(axes):
         shift = [0.5] * axes
@@ -120,29 +120,36 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
         distance, own = nearest(room.places(shift))
         others = [b for b in range(axes) if b != axis]
         lowest = np.take(corners, range(depth.shape[axis]), axis)
-        share = _open(_corners(lowest, others), axes - 1)
+        share = _positive_fraction(_corner_values(lowest, others), axes - 1)
         below = np.roll(solid, 1, axis)
-        closed = (share < LEAST) | (solid != NONE) | (below != NONE)
+        closed = (share < MIN_OPEN_FRACTION) | (solid != NONE) | (below != NONE)
         # Only a wall square to the axis fixes the velocity across a face; an inclined wall leaves it free.
         slope = np.abs(depth - np.roll(depth, 1, axis)) / room.width[axis]
         beside = (solid == SMOOTH) ^ (below == SMOOTH)
-        on_it = np.abs(distance) < OFF * room.width[axis]
+        on_it = np.abs(distance) < MAX_WALL_OFFSET * room.width[axis]
         stops = ((slope > ALIGNED) & on_it | beside) & ((solid == NONE) ^ (below == NONE))
         gap.append(np.minimum(distance, far))
-        part.append(np.where(closed, 0.0, np.where(share > 1 - LEAST, 1.0, share)))
+        part.append(np.where(closed, 0.0, np.where(share > 1 - MIN_OPEN_FRACTION, 1.0, share)))
         shut.append(np.where(stops, int(FIXED), int(INSIDE)))
         surface.append(np.where((solid == SMOOTH) | (below == SMOOTH), np.where(closed, SMOOTH, own), own))
     rest = [np.stack([_last_first(a) for a in found]) for found in (gap, part, shut, surface)]
-    kept = np.where(solid == NONE, np.maximum(open_part, LEAST), 0.0)
-    hold = _hold(room, corners, mirror | beyond, solid != NONE, axial)
+    kept = np.where(solid == NONE, np.maximum(open_part, MIN_OPEN_FRACTION), 0.0)
+    weighted_volume = _weighted_volume(room, corners, mirror | beyond, solid != NONE, axial)
     halves = [np.minimum(nearest(room.places(0.25 + 0.5 * np.array(h)))[0], far) for h in np.ndindex((2,) * axes)]
     fine = np.stack([_last_first(halves[n]) for n in _first_fastest(axes)], -1)
-    nook = np.where(solid == NONE, _quarters(corners), 0.0)
-    nook = nook.transpose(*range(axes + 1, 1, -1), 0, 1)
-    return Geometry(_last_first(solid), fine, _last_first(kept), np.ascontiguousarray(nook), _last_first(hold), *rest)
+    quarter_fraction = np.where(solid == NONE, _quarter_fractions(corners), 0.0)
+    quarter_fraction = quarter_fraction.transpose(*range(axes + 1, 1, -1), 0, 1)
+    return Geometry(
+        _last_first(solid),
+        fine,
+        _last_first(kept),
+        np.ascontiguousarray(quarter_fraction),
+        _last_first(weighted_volume),
+        *rest,
+    )
 
 
-def _quarters(corners: np.ndarray) -> np.ndarray:
+def _quarter_fractions(corners: np.ndarray) -> np.ndarray:
     """Return the open fractions of the quarters of each cell around its edges, shape (pairs, 4, cells...)."""
     axes, half = corners.ndim, corners
     for axis in range(axes):
@@ -151,14 +158,14 @@ def _quarters(corners: np.ndarray) -> np.ndarray:
         middle = np.stack([half[..., :-1], 0.5 * (half[..., :-1] + half[..., 1:])], -1)
         half = np.concatenate([middle.reshape(*half.shape[:-1], -1), half[..., -1:]], -1)
         half = np.moveaxis(half, -1, axis)
-    ends = _corners(half, range(axes))
+    ends = _corner_values(half, range(axes))
     inner = tuple(range(-axes, 0))
     low, high = ends.min(inner), ends.max(inner)
     part, cut = np.where(low > 0, 1.0, 0.0), (low <= 0) & (high > 0)
     # An almost closed quarter keeps a small open fraction, so that the face on which the wall's friction acts exists.
-    part[cut] = np.maximum(_open(ends[cut], axes), LITTLE)
+    part[cut] = np.maximum(_positive_fraction(ends[cut], axes), MIN_QUARTER_FRACTION)
     found = []
-    for first, second in PAIRS[:1] if axes == 2 else PAIRS:
+    for first, second in AXIS_PAIRS[:1] if axes == 2 else AXIS_PAIRS:
         for n in range(4):
             at: list[slice] = [slice(None)] * axes
             at[first], at[second] = slice(n % 2, None, 2), slice(n // 2, None, 2)
@@ -178,7 +185,7 @@ def nearest_wall(
 
     The function includes the `sides` of the room that are walls, or leaves them out.
     """
-    everything = [*walls, *(_sides(room) if sides else ())]
+    everything = [*walls, *(_room_walls(room) if sides else ())]
 
     def nearest(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         shape, flat = points.shape[:-1], points.reshape(-1, points.shape[-1])
@@ -200,7 +207,7 @@ def _last_first(array: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(array.transpose())
 
 
-def _sides(room: Room) -> list[tuple[Distance, int]]:
+def _room_walls(room: Room) -> list[tuple[Distance, int]]:
     """Return distance functions and numbers of the sides of a room that are walls."""
 
     def plane(axis: int, place: float, sign: float) -> Distance:
@@ -215,14 +222,14 @@ def _sides(room: Room) -> list[tuple[Distance, int]]:
     return found
 
 
-def _hold(room: Room, corners: np.ndarray, shut: np.ndarray, wall: np.ndarray, axial: bool) -> np.ndarray:
+def _weighted_volume(room: Room, corners: np.ndarray, shut: np.ndarray, wall: np.ndarray, axial: bool) -> np.ndarray:
     """Return the open volume around the middle of each cell, weighted as the kernel `fill` weights particles.
 
     The weight is a hat function that reaches to the middles of the neighbouring cells. The share that would belong to a
     cell that is `wall` counts for the cell in which the volume lies.
     """
     axes = len(room.cells)
-    fine = FINE[axes]
+    fine = SAMPLES_PER_CELL[axes]
     inner = (np.arange(fine) + 0.5) / fine
     values = corners
     for axis in range(axes):
@@ -236,7 +243,7 @@ def _hold(room: Room, corners: np.ndarray, shut: np.ndarray, wall: np.ndarray, a
     if axial:
         radius = (np.arange(found.shape[0]) + 0.5) / fine * room.width[0] - room.width[0]
         found = found * np.maximum(radius, 0.0)[:, None]
-    behind = _behind(found, wall, fine)
+    behind = _wall_share(found, wall, fine)
     far = np.abs(np.concatenate([inner - 1.5, inner - 0.5, inner + 0.5]))
     hat = np.maximum(1 - far, 0.0) / fine
     for axis in range(axes):
@@ -249,7 +256,7 @@ def _hold(room: Room, corners: np.ndarray, shut: np.ndarray, wall: np.ndarray, a
     return np.maximum(found, 1e-6 * float(found.max())) * float(np.prod(room.width))
 
 
-def _behind(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
+def _wall_share(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
     """Return the share of each cell's open volume that hat functions assign to neighbouring wall cells.
 
     `found` holds the weights of `fine` sample points along each axis of each cell; `wall` marks the wall cells.
@@ -272,7 +279,7 @@ def _behind(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
     return sum / fine**axes
 
 
-def _corners(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
+def _corner_values(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
     """Return the values at the lower and upper ends of cells along some axes, as new last axes of length 2."""
     for axis in axes:
         count = values.shape[axis]
@@ -280,7 +287,7 @@ def _corners(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
     return values
 
 
-def _open(corners: np.ndarray, ends: int) -> np.ndarray:
+def _positive_fraction(corners: np.ndarray, ends: int) -> np.ndarray:
     """Return the part of cells with positive values, which are linear between corners along the last `ends` axes."""
     if ends == 1:
         a, b = corners[..., 0], corners[..., 1]
@@ -289,10 +296,10 @@ def _open(corners: np.ndarray, ends: int) -> np.ndarray:
             part = high / (high - low)
         return np.where(low > 0, 1.0, np.where(high <= 0, 0.0, part))
     found = np.zeros(corners.shape[:-ends])
-    for n in range(LINES):
-        t = (n + 0.5) / LINES
-        found = found + _open((1 - t) * corners[..., 0] + t * corners[..., 1], ends - 1)
-    return found / LINES
+    for n in range(LINES_PER_CELL):
+        t = (n + 0.5) / LINES_PER_CELL
+        found = found + _positive_fraction((1 - t) * corners[..., 0] + t * corners[..., 1], ends - 1)
+    return found / LINES_PER_CELL
 
 
 def wall_distance(wall: PlaneWall | PipeWall | MeshWall, within: np.ndarray) -> Distance:

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...kernels.mps.grid.cells import Kind
+from ...kernels.mps.grid.cells import GridKind
 from ...theory.pipe import steady
 from ..scene import FluidScene
-from .geometry import BARE, MIRROR, PLATE, SMOOTH, STICKS, WALL, Geometry, Room
+from .geometry import MIRROR, NO_SLIP_VISCOSITY, OPEN_SIDE, PLATE, SMOOTH, WALL, Geometry, Room
 
-ABREAST = 2
+PARTICLES_PER_AXIS = 2
 """Number of particles per cell along each axis in a pipe."""
 
 
@@ -20,7 +20,7 @@ ABREAST = 2
 class GridLayout:
     """Grid, walls and particles of a flow at the start."""
 
-    kind: Kind
+    kind: GridKind
     room: Room
     solid: np.ndarray
     """Wall number of each cell and of the frame of cells around the grid, NONE for open cells; last axis first."""
@@ -28,7 +28,7 @@ class GridLayout:
     """Positions of the particles [m], shape (n, axes)."""
     mass: np.ndarray
     """Mass of each particle, relative to the mean mass, shape (n,)."""
-    mark_spacing: float
+    particle_spacing: float
     """Distance of particles [m]."""
     slip: tuple[float, float]
     """Viscosity [Pa s/m] and yield stress [Pa] of the slip layer on walls."""
@@ -40,7 +40,7 @@ class GridLayout:
     """Velocity of the grid along its last axis [m/s]; it equals the mean velocity of a periodic pipe."""
     drive: float = 0.0
     """Driving force per volume at the start [N/m3]."""
-    held: bool = True
+    mean_velocity_fixed: bool = True
     """True if the driving force of a periodic pipe adapts to keep the mean velocity; False if the force is constant."""
     resistance: float = 0.0
     """Increase of the wall force per volume of a periodic pipe with the mean velocity [kg/m3/s]."""
@@ -52,7 +52,7 @@ class GridLayout:
     """Time at which each cell takes its geometry from `opened` [s], shape as `solid`; empty if nothing opens."""
     full: bool = False
     """True if concrete fills the room at all times, so that even a room that is not periodic has no free surface."""
-    rough: tuple[float, float] = (STICKS, 0.0)
+    rough: tuple[float, float] = (NO_SLIP_VISCOSITY, 0.0)
     """Viscosity [Pa s/m] and yield stress [Pa] of the layer on walls of number ROUGH; by default concrete sticks."""
     weightless: bool = False
     """True if weight is left out; without a free surface it would only add hydrostatic pressure."""
@@ -117,7 +117,7 @@ class GridLayout:
     def volume(self) -> float:
         """Volume of the mean particle [m3], in a plane per metre of depth and about an axis per radian."""
         radius = float(self.fluid[:, 0].mean()) if self.axial else 1.0
-        return radius * float(np.prod([self.mark_spacing * h / self.spacing for h in self.room.width]))
+        return radius * float(np.prod([self.particle_spacing * h / self.spacing for h in self.room.width]))
 
 
 @dataclass(frozen=True)
@@ -153,17 +153,20 @@ def pipe_layout(scene: FluidScene) -> GridLayout:
     solid = np.zeros((nz + 2, nx + 2), np.int32)
     solid[:, 0] = SMOOTH if axial else PLATE
     solid[:, -1] = PLATE
-    i, k = np.meshgrid((np.arange(nx * ABREAST) + 0.5) / ABREAST, (np.arange(nz * ABREAST) + 0.5) / ABREAST)
+    i, k = np.meshgrid(
+        (np.arange(nx * PARTICLES_PER_AXIS) + 0.5) / PARTICLES_PER_AXIS,
+        (np.arange(nz * PARTICLES_PER_AXIS) + 0.5) / PARTICLES_PER_AXIS,
+    )
     fluid = np.stack([left + i.ravel() * dx, k.ravel() * dz], 1)
     concrete = scene.concrete
     return GridLayout(
-        kind=Kind(axial=axial, periodic=True, thixotropic=scene.gained > 0),
+        kind=GridKind(axial=axial, periodic=True, thixotropic=scene.gained > 0),
         gained=scene.gained,
-        room=Room((nx, nz), (dx, dz), (left, 0.0), ((MIRROR if axial else WALL, WALL), (BARE, BARE))),
+        room=Room((nx, nz), (dx, dz), (left, 0.0), ((MIRROR if axial else WALL, WALL), (OPEN_SIDE, OPEN_SIDE))),
         solid=solid,
         fluid=fluid,
         mass=fluid[:, 0] / fluid[:, 0].mean() if axial else np.ones(len(fluid)),
-        mark_spacing=dx / ABREAST,
+        particle_spacing=dx / PARTICLES_PER_AXIS,
         slip=(concrete.slip_viscosity, concrete.slip_yield),
         speed=scene.velocity,
         length=scene.radius,

@@ -6,14 +6,14 @@ import math
 
 import numpy as np
 
-from ...kernels.mps.grid.cells import ACTED, FORCE, LIQUID
+from ...kernels.mps.grid.cells import FORCE, LAST_FORCE, LIQUID
 from ...theory.pipe import velocity
 from ..probes import Snapshot, section, window
 from ..scene import FluidScene
 from .flow import GridFlow
 from .layout import GridLayout
 
-FINE = 40
+POINTS_PER_CELL = 40
 """Number of points per cell over which the theoretical velocity is averaged."""
 
 
@@ -25,7 +25,7 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
     """
     scene, state, layout = flow.scene, flow.state, flow.state.layout
     drive = state.mesh.drive.numpy()
-    gradient = float(drive[int(ACTED if flow.steps else FORCE)])
+    gradient = float(drive[int(LAST_FORCE if flow.steps else FORCE)])
     area, around = section(flow), 2 * math.pi if layout.axial else 1.0
     wet = (2 * math.pi * scene.radius if layout.axial else 2.0) * layout.height
     along = state.faces("velocity")[1]
@@ -48,7 +48,7 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
     weight = radius if layout.axial else np.ones_like(radius)
     deviation = math.sqrt(float(np.sum(weight * (mean - theory_profile(scene, layout)) ** 2) / np.sum(weight)))
     outcomes = flow.outcomes()
-    within = [_within(layout, x, scene) for x in (layout.fluid, state.particles.position.numpy().astype(float))]
+    within = [_mass_in_window(layout, x, scene) for x in (layout.fluid, state.particles.position.numpy().astype(float))]
     return {
         "time": flow.time,
         "travel": scene.velocity * flow.time,
@@ -76,7 +76,7 @@ def _structure(flow: GridFlow, beside: list[int]) -> dict[str, float]:
     return {"layer_gained": float(layer[1:-1, beside].mean()), "bulk_gained": float(bulk[1:-1, beside].mean())}
 
 
-def _within(layout: GridLayout, places: np.ndarray, scene: FluidScene) -> float:
+def _mass_in_window(layout: GridLayout, places: np.ndarray, scene: FluidScene) -> float:
     """Return the mass of concrete, weighted with a factor that falls smoothly from the middle to the wall.
 
     The result stays as at the start unless particles accumulate in the wrong places.
@@ -101,8 +101,10 @@ def profile(flow: GridFlow, height: float | None = None) -> tuple[np.ndarray, np
 def theory_profile(scene: FluidScene, layout: GridLayout) -> np.ndarray:
     """Return the theoretical velocity [m/s], averaged over the section of each cell, in the order of `profile`."""
     nx = layout.cells[0]
-    across = np.abs(layout.left + (np.arange(nx * FINE) + 0.5) * layout.spacing / FINE).reshape(nx, FINE)
+    across = np.abs(layout.left + (np.arange(nx * POINTS_PER_CELL) + 0.5) * layout.spacing / POINTS_PER_CELL).reshape(
+        nx, POINTS_PER_CELL
+    )
     weight = across if layout.axial else np.ones_like(across)
-    exact = velocity(scene.concrete, scene.line, scene.theory(), across.ravel()).reshape(nx, FINE)
+    exact = velocity(scene.concrete, scene.line, scene.theory(), across.ravel()).reshape(nx, POINTS_PER_CELL)
     mean = (exact * weight).sum(1) / weight.sum(1)
     return mean[np.argsort(across.mean(1), kind="stable")]

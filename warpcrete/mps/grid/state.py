@@ -11,27 +11,27 @@ import warp as wp
 from ...core.device.device import MEMORY_FRACTION, memory_free, scalar_of
 from ...core.errors import CapacityError
 from ...kernels.common.control import FLAGS
-from ...kernels.mps.grid.cells import CLOCK, DRIVE, DT, FORCE, INSIDE, WANTED, cells_struct, grid_structs
+from ...kernels.mps.grid.cells import CLOCK, DRIVE, DT, FORCE, INSIDE, WANTED, grid_parameters_struct, grid_structs
 from ..allocation import allocate
-from .geometry import NONE, ROUGH, STICKS, Geometry
+from .geometry import NO_SLIP_VISCOSITY, NONE, ROUGH, Geometry
 from .layout import GridLayout
 
 PARTICLE_ARRAYS = ("position", "velocity", "gradient", "pressure", "mass")
 MESH_ARRAYS = ("solid", "velocity", "pressure", "in_cell", "in_corner", "stress", "drive", "clock")
 """Names of the arrays of particles and of the mesh that the next step depends on."""
-STRUCTURE = ("gained", "layer")
+STRUCTURE_ARRAYS = ("gained", "layer")
 """Names of further mesh arrays that the next step depends on if the concrete gained structure at rest."""
-FACES = ("kind", "velocity", "start", "volume", "rubbed", "traction", "growth", "slip", "shift")
-"""Names of mesh arrays by their rows: FACES have one for each face, EDGES for each edge, LISTS for each particle.
+FACE_ARRAYS = ("kind", "velocity", "start", "volume", "wall_area", "traction", "traction_slope", "slip", "shift")
+"""Names of mesh arrays with a row for each face (FACE_ARRAYS), edge (EDGE_ARRAYS) or particle (PARTICLE_LISTS).
 
 All other mesh arrays have a row for each cell.
 """
-EDGES = ("in_corner", "besides")
-LISTS = ("home", "place", "bin")
+EDGE_ARRAYS = ("in_corner", "strain_without_pair")
+PARTICLE_LISTS = ("cell_of_particle", "place", "sorted_particles")
 SLOT_BYTES = {2: 4 * 265, 3: 4 * 525}
 """Memory of a cell with its faces, system rows and particles [bytes], in single precision, by number of axes."""
 
-FIRST = 0.01
+FIRST_STEP_RATIO = 0.01
 """Length of the first step, relative to the longest one, if steps adapt to the flow."""
 
 
@@ -47,7 +47,7 @@ class GridState:
     particles: Any
     """Arrays of the particles, a struct `Particles`."""
     mesh: Any
-    """Arrays on cells, faces and edges, a struct `Mesh`."""
+    """Arrays on cells, faces and edges, a struct `Fields`."""
     geometry: Any
     """Current geometry of the walls, a struct `Geometry`; the attribute `opened` holds the geometry once the gate has
     opened.
@@ -73,7 +73,7 @@ class GridState:
         drive = np.zeros(DRIVE)
         drive[int(FORCE)] = layout.drive
         clock = np.zeros(CLOCK)
-        clock[[int(DT), int(WANTED)]] = scene.time_step * (FIRST if scene.step_error else 1.0)
+        clock[[int(DT), int(WANTED)]] = scene.time_step * (FIRST_STEP_RATIO if scene.step_error else 1.0)
         full = np.zeros(self.shape, np.int32)  # Cells of a full pipe always stay full.
         if layout.periodic or layout.full:
             inner = (slice(1, -1),) * layout.axes
@@ -92,9 +92,9 @@ class GridState:
                 "gained": np.full(self.slots, layout.gained),
                 "layer": np.full(layout.axes * self.slots, layout.gained),
             }
-            self.mesh_arrays += STRUCTURE
-        rows = {name: self._rows(name) for name in self.structs.Mesh.vars}
-        self.mesh = allocate(self.structs.Mesh, self.device, **rows | own)
+            self.mesh_arrays += STRUCTURE_ARRAYS
+        rows = {name: self._rows(name) for name in self.structs.Fields.vars}
+        self.mesh = allocate(self.structs.Fields, self.device, **rows | own)
         self.geometry = self._geometry(layout.geometry)
         self.opened = self._geometry(layout.opened)
         self.solid_after = wp.array(
@@ -109,24 +109,25 @@ class GridState:
             spin=np.array([np.zeros(3)] * (ROUGH + 1) + [m.spin for m in moving]),
             pivot=np.array([none] * (ROUGH + 1) + [none if m.pivot is None else m.pivot for m in moving]),
             slip_viscosity=np.array(
-                [-1.0, viscosity, -1.0, -1.0, layout.rough[0]] + [-1.0 if m.smooth else STICKS for m in moving]
+                [-1.0, viscosity, -1.0, -1.0, layout.rough[0]]
+                + [-1.0 if m.smooth else NO_SLIP_VISCOSITY for m in moving]
             ),
             slip_yield=np.array([0.0, yield_stress, 0.0, 0.0, layout.rough[1]] + [0.0] * len(moving)),
         )
 
     def _rows(self, name: str) -> int:
         """Return the number of rows of the mesh array with a given name."""
-        if name in LISTS:
+        if name in PARTICLE_LISTS:
             return self.count
-        if name == "listed":
+        if name == "reserved_places":
             return 1
-        if name in STRUCTURE:
+        if name in STRUCTURE_ARRAYS:
             return 0
         pushed = self.layout.axes**2 if self.layout.kind.cut else 0
         many = (
-            {"grip": pushed, "pull": pushed, "lean": pushed}
-            | dict.fromkeys(FACES, self.layout.axes)
-            | dict.fromkeys(EDGES, self.layout.kind.pairs)
+            {"wall_stiffness": pushed, "wall_force": pushed, "wall_weight": pushed}
+            | dict.fromkeys(FACE_ARRAYS, self.layout.axes)
+            | dict.fromkeys(EDGE_ARRAYS, self.layout.kind.pairs)
         )
         return many.get(name, 1) * self.slots
 
@@ -138,9 +139,9 @@ class GridState:
         return allocate(self.structs.Geometry, self.device, **given, **own)
 
     @property
-    def mark_spacing(self) -> float:
+    def particle_spacing(self) -> float:
         """Distance of particles at the start [m]."""
-        return self.layout.mark_spacing
+        return self.layout.particle_spacing
 
     def faces(self, name: str) -> np.ndarray:
         """Return a mesh array with rows for faces, shape (axes, *shape), in double precision."""
@@ -151,7 +152,7 @@ class GridState:
 
         The frame around the grid is left out, and the last axis comes first.
         """
-        of = self.mesh if name in self.structs.Mesh.vars else self.geometry
+        of = self.mesh if name in self.structs.Fields.vars else self.geometry
         whole = getattr(of, name).numpy().astype(float).reshape(self.shape)
         return whole[(slice(1, -1),) * self.layout.axes]
 
@@ -185,7 +186,7 @@ def check_memory(cells: tuple[int, ...], device: Any, precision: str) -> None:
 def grid_numbers(state: GridState) -> Any:
     """Return the struct of constants of a grid for the kernels."""
     scene, layout, concrete = state.scene, state.layout, state.scene.concrete
-    g = cells_struct(state.scalar, layout.axes)()
+    g = grid_parameters_struct(state.scalar, layout.axes)()
     down = [0.0] * (layout.axes - 1) + [0.0 if layout.weightless else -scene.gravity]
     values = dict(
         n=layout.cells,

@@ -8,15 +8,15 @@ from typing import ClassVar
 import numpy as np
 
 from ...core.drawing.display import GLASS, Curve, Display, DrawnWall, Plot, Points, Profile
-from ...core.drawing.paint import on_palette
+from ...core.drawing.paint import palette_colours
 from ...geometry.mesh_parts import together
 from .layout import Frame
-from .probes import loss_along
+from .probes import friction_ahead
 from .scene import PartScene
 
-MOST = 12000
+MAX_DRAWN_PARTICLES = 12000
 """Maximum number of particles that are drawn."""
-SIDES, RINGS = 48, 60
+FACETS_AROUND, RING_COUNT = 48, 60
 """Numbers of facets around and of rings along a drawn round wall."""
 OURS, OTHER_LINE, THEORY = (215, 95, 30), (90, 120, 170), (150, 150, 150)
 
@@ -35,25 +35,25 @@ class PartDisplay(Display):
         return self.simulation.scene
 
     @property
-    def _images(self) -> tuple[float, ...]:
+    def _mirror_signs(self) -> tuple[float, ...]:
         return (1.0, -1.0) if self._scene.is_half else (1.0,)
 
     @cached_property
-    def _chosen(self) -> np.ndarray:
+    def _drawn_particles(self) -> np.ndarray:
         count = self.simulation.state.count
-        return np.arange(0, count, max(1, -(-count * len(self._images) // MOST)))
+        return np.arange(0, count, max(1, -(-count * len(self._mirror_signs) // MAX_DRAWN_PARTICLES)))
 
     def radii(self) -> np.ndarray:
         """Return the radii of drawn particles [m], larger if fewer are drawn, so that they always fill the part."""
-        state, chosen = self.simulation.state, self._chosen
+        state, chosen = self.simulation.state, self._drawn_particles
         fewer = (state.count / len(chosen)) ** (1 / 3)
-        return np.full(len(chosen) * len(self._images), 0.45 * state.mark_spacing * fewer, np.float32)
+        return np.full(len(chosen) * len(self._mirror_signs), 0.45 * state.particle_spacing * fewer, np.float32)
 
     def centres(self) -> np.ndarray:
         """Return the positions of drawn particles [m], shape (n, 3)."""
-        x = self.read("particles.position").astype(float)[self._chosen]
+        x = self.read("particles.position").astype(float)[self._drawn_particles]
         frame = Frame(self._scene)
-        return np.concatenate([frame.outward(x * [1.0, sign, 1.0]) for sign in self._images])
+        return np.concatenate([frame.to_scene(x * [1.0, sign, 1.0]) for sign in self._mirror_signs])
 
     def scale(self) -> tuple[str, float, float]:
         """Return label, lowest and highest value of what the colours show."""
@@ -67,7 +67,7 @@ class PartDisplay(Display):
         """Return speed [m/s] and pressure, weight left out [Pa], of the drawn particles."""
         speed = np.linalg.norm(self.read("particles.velocity").astype(float), axis=1)
         found = {"speed": speed, "pressure": self.read("particles.pressure").astype(float)}
-        return {name: np.tile(values[self._chosen], len(self._images)) for name, values in found.items()}
+        return {name: np.tile(values[self._drawn_particles], len(self._mirror_signs)) for name, values in found.items()}
 
     def colours(self) -> np.ndarray:
         """Return RGB bytes of all drawn particles, shape (n, 3)."""
@@ -79,7 +79,7 @@ class PartDisplay(Display):
             slope = self.read("particles.gradient").astype(float)
             values = np.sqrt(0.5 * np.sum((slope + slope.transpose(0, 2, 1)) ** 2, axis=(1, 2)))
         _, lower, upper = self.scale()
-        return np.tile(on_palette(values[self._chosen], upper, lower), (len(self._images), 1))
+        return np.tile(palette_colours(values[self._drawn_particles], upper, lower), (len(self._mirror_signs), 1))
 
     def plots(self) -> tuple[Plot, ...]:
         """Return curves over time of the pressure and of the friction in both straight stretches."""
@@ -99,24 +99,24 @@ class PartDisplay(Display):
             Points("this run", self._pressures, OURS), Points("theory", self._expected, THEORY),
         )),)  # fmt: skip
 
-    def _ahead(self) -> tuple[np.ndarray, np.ndarray]:
+    def _friction_ahead(self) -> tuple[np.ndarray, np.ndarray]:
         """Return arc lengths [m] and the frictional loss that is still to come downstream of each [Pa]."""
-        return self.once("friction ahead", lambda: loss_along(self.simulation.flow))
+        return self.snapshot_value("friction ahead", lambda: friction_ahead(self.simulation.flow))
 
     def _pressures(self) -> tuple[np.ndarray, np.ndarray]:
         """Return arc lengths [m] and the mean pressure of each section, weight included [kPa]."""
-        place, friction = self._ahead()
+        place, friction = self._friction_ahead()
         return place, (friction + self._scene.weight(place)) / 1e3
 
     def _expected(self) -> tuple[np.ndarray, np.ndarray]:
-        place = self._ahead()[0]
+        place = self._friction_ahead()[0]
         return place, (np.interp(place, *self._friction) + self._scene.weight(place)) / 1e3
 
     @cached_property
     def _friction(self) -> tuple[np.ndarray, np.ndarray]:
         """Arc lengths [m] and the frictional loss downstream of each by theory [Pa]."""
         end = self._scene.axis.length
-        s = np.linspace(0, end, RINGS)
+        s = np.linspace(0, end, RING_COUNT)
         return s, np.array([self._scene.friction(each, end) for each in s[:-1]] + [0.0])
 
     def walls(self) -> list[DrawnWall]:
@@ -126,16 +126,20 @@ class PartDisplay(Display):
             drawn = [(inner.vertices, inner.faces)]
             for low, high in ((0.0, inner.begin), (inner.end, scene.axis.length)):
                 if high - low > 0.01 * scene.radius:
-                    drawn.append(scene.axis.swept(np.array([low, high]), float(scene.bore(0.5 * (low + high))), SIDES))
+                    drawn.append(
+                        scene.axis.swept(np.array([low, high]), float(scene.bore(0.5 * (low + high))), FACETS_AROUND)
+                    )
             return [DrawnWall("wall", *together(drawn), False, GLASS)]
-        s = np.linspace(0, scene.axis.length, RINGS)
+        s = np.linspace(0, scene.axis.length, RING_COUNT)
         points, _, normal, side = scene.axis.frame(s)
-        angle = 2 * np.pi * np.arange(SIDES) / SIDES
+        angle = 2 * np.pi * np.arange(FACETS_AROUND) / FACETS_AROUND
         ring = np.cos(angle)[None, :, None] * normal[:, None] + np.sin(angle)[None, :, None] * side[:, None]
         vertices = (points[:, None] + scene.bore(s)[:, None, None] * ring).reshape(-1, 3)
-        row, column = np.meshgrid(np.arange(RINGS - 1), np.arange(SIDES), indexing="ij")
-        a, b = (row * SIDES + column).ravel(), (row * SIDES + (column + 1) % SIDES).ravel()
-        faces = np.concatenate([np.stack([a, b, a + SIDES], 1), np.stack([b, b + SIDES, a + SIDES], 1)])
+        row, column = np.meshgrid(np.arange(RING_COUNT - 1), np.arange(FACETS_AROUND), indexing="ij")
+        a, b = (row * FACETS_AROUND + column).ravel(), (row * FACETS_AROUND + (column + 1) % FACETS_AROUND).ravel()
+        faces = np.concatenate(
+            [np.stack([a, b, a + FACETS_AROUND], 1), np.stack([b, b + FACETS_AROUND, a + FACETS_AROUND], 1)]
+        )
         return [DrawnWall("wall", vertices, faces, False, GLASS)]
 
     def bounds(self) -> np.ndarray:

@@ -6,7 +6,7 @@ from typing import Any
 
 from ...core.run.forecast import Forecast, Probe
 from ..forecast import Course, coarser_run, flow_forecast
-from .scene import FEWEST, PartScene
+from .scene import MIN_ACROSS, PartScene
 from .simulation import PartSimulation
 
 
@@ -28,6 +28,6 @@ def forecast(scene: PartScene, device: Any, precision: str, threads: int | None,
 def _course(simulation: PartSimulation) -> Course:
     """Return the course of a run until the flow is steady, found with a coarser copy."""
     scene = simulation.scene
-    spacing = max(scene.spacing, 0.95 * 2 * scene.narrowest / FEWEST)
+    spacing = max(scene.spacing, 0.95 * 2 * scene.narrowest / MIN_ACROSS)
     _, reached, remarks = coarser_run(simulation, "the pressure is not steady", spacing=spacing)
     return Course(reached, scene.time_step, remarks)

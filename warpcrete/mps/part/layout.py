@@ -10,22 +10,22 @@ import math
 
 import numpy as np
 
-from ...kernels.mps.grid.cells import Kind
+from ...kernels.mps.grid.cells import GridKind
 from ..free.layout import fill_cells
-from ..grid.geometry import BARE, MIRROR, PLATE, ROUGH, WALL, Distance, Room, geometry_of, nearest_wall
+from ..grid.geometry import MIRROR, OPEN_SIDE, PLATE, ROUGH, WALL, Distance, Room, geometry_of, nearest_wall
 from ..grid.layout import GridLayout, Motion
 from .scene import PartScene
 
 INLET = ROUGH + 1
 """Wall number of the plane through which concrete enters."""
-BEHIND, BESIDE = 2, 1.5
-"""Number of cells of the room around the bore (BEHIND), and radius of the inlet plane in bore radii (BESIDE).
+MARGIN_CELLS, INLET_RADIUS = 2, 1.5
+"""Number of cells around the bore (MARGIN_CELLS), and radius of the inlet plane in bore radii (INLET_RADIUS).
 
-The inlet plane extends BEHIND cells beyond that radius.
+The inlet plane extends MARGIN_CELLS cells beyond that radius.
 """
-ABREAST = 2
+PARTICLES_PER_AXIS = 2
 """Number of particles per cell along each axis."""
-PLACES, A_RADIUS = 200, 8
+MIN_AXIS_POINTS, POINTS_PER_RADIUS = 200, 8
 """Minimum number of points along the axis at which a part's extent is sampled, and number of points per radius of
 the bore.
 """
@@ -49,11 +49,11 @@ class Frame:
         self.axes = np.stack([across, np.cross(out, across), out])
         """Axes of the grid as rows, shape (3, 3)."""
 
-    def inward(self, x: np.ndarray) -> np.ndarray:
+    def to_grid(self, x: np.ndarray) -> np.ndarray:
         """Convert points of the scene to grid coordinates, whose origin is the end of the pipe's axis; shape (n, 3)."""
         return (x - self.end) @ self.axes.T
 
-    def outward(self, x: np.ndarray) -> np.ndarray:
+    def to_scene(self, x: np.ndarray) -> np.ndarray:
         """Convert points from grid coordinates to coordinates of the scene, shape (n, 3)."""
         return x @ self.axes + self.end
 
@@ -64,19 +64,19 @@ def part_room(scene: PartScene) -> Room:
     h = size / max(3, round(size / scene.spacing))
     wide = scene.widest
     # A long part needs more points, so that each of its bends is sampled at its farthest point.
-    count = max(PLACES, math.ceil(A_RADIUS * scene.axis.length / size))
+    count = max(MIN_AXIS_POINTS, math.ceil(POINTS_PER_RADIUS * scene.axis.length / size))
     points, tangents = scene.axis.at(np.linspace(0, scene.axis.length, count))
-    places = frame.inward(points)
+    places = frame.to_grid(points)
     # Along a grid axis a round section reaches its radius times the sine of the angle between tangent and grid axis.
     reach = wide * np.sqrt(np.maximum(1 - (tangents @ frame.axes.T) ** 2, 0.0))
-    low, high = (places - reach).min(0) - BEHIND * h, (places + reach).max(0) + BEHIND * h
+    low, high = (places - reach).min(0) - MARGIN_CELLS * h, (places + reach).max(0) + MARGIN_CELLS * h
     if scene.is_half:
         low[1] = 0.0
     high[2] = 0.0
     counts = np.ceil((high - low) / h).astype(int)
     low[2] = -counts[2] * h
     front = MIRROR if scene.is_half else WALL
-    sides = ((WALL, WALL), (front, WALL), (WALL, BARE))
+    sides = ((WALL, WALL), (front, WALL), (WALL, OPEN_SIDE))
     return Room(tuple(map(int, counts)), (h, h, h), tuple(map(float, low)), sides)
 
 
@@ -85,14 +85,14 @@ def bore_distance(scene: PartScene) -> Distance:
     frame, axis = Frame(scene), scene.axis
     if scene.inner is not None:
         inner = scene.inner
-        return lambda x: inner.distance(frame.outward(x))
+        return lambda x: inner.distance(frame.to_scene(x))
     places, radii = np.array(scene.bores.places), np.array(scene.bores.radii)
     # In a cone the distance to the wall is the gap, measured square to the axis, times the cosine of the slope.
     lean = np.concatenate([[1.0], np.sqrt(1 + (np.diff(radii) / np.diff(places)) ** 2), [1.0]])
 
     def distance(x: np.ndarray) -> np.ndarray:
-        nearest, s = axis.projected(frame.outward(x))
-        gap = scene.bore(s) - np.linalg.norm(frame.outward(x) - nearest, axis=1)
+        nearest, s = axis.projected(frame.to_scene(x))
+        gap = scene.bore(s) - np.linalg.norm(frame.to_scene(x) - nearest, axis=1)
         return gap / lean[np.searchsorted(places, s)]
 
     return distance
@@ -105,8 +105,8 @@ def inlet_distance(scene: PartScene) -> Distance:
     """
     frame = Frame(scene)
     start, tangent = (a[0] for a in scene.axis.at(0.0))
-    x0, way = frame.inward(start[None])[0], frame.axes @ tangent
-    wide = BESIDE * float(scene.bore(0.0)) + BEHIND * scene.spacing
+    x0, way = frame.to_grid(start[None])[0], frame.axes @ tangent
+    wide = INLET_RADIUS * float(scene.bore(0.0)) + MARGIN_CELLS * scene.spacing
 
     def distance(x: np.ndarray) -> np.ndarray:
         along = (x - x0) @ way
@@ -126,7 +126,7 @@ def part_layout(scene: PartScene) -> GridLayout:
     def concrete(points: np.ndarray) -> np.ndarray:
         return nearest(points)[0] > 0
 
-    places, mass = fill_cells(room, ABREAST, concrete)
+    places, mass = fill_cells(room, PARTICLES_PER_AXIS, concrete)
     _, tangent = scene.axis.at(0.0)
     way = frame.axes @ tangent[0]
     share = 0.5 if scene.is_half else 1.0
@@ -135,12 +135,12 @@ def part_layout(scene: PartScene) -> GridLayout:
     depth = inlet(places)
     h = room.width[0]
     return GridLayout(
-        kind=Kind(3, cut=True),
+        kind=GridKind(3, cut=True),
         room=room,
         solid=geometry.solid,
         fluid=places,
         mass=mass,
-        mark_spacing=h / ABREAST,
+        particle_spacing=h / PARTICLES_PER_AXIS,
         slip=(scene.concrete.slip_viscosity, scene.concrete.slip_yield),
         speed=scene.velocity,
         length=scene.radius,
@@ -164,9 +164,9 @@ def _area(geometry, room: Room, way: np.ndarray) -> float:
     total = 0.0
     for axis in range(3):
         area = room.width[0] ** 2
-        shut = np.where(geometry.surface[axis] == INLET, 1 - geometry.part[axis], 0.0) * area * way[axis]
+        closed_area = np.where(geometry.surface[axis] == INLET, 1 - geometry.part[axis], 0.0) * area * way[axis]
         above = np.roll(liquid, 1, 2 - axis)  # The arrays of cells have their last axis first.
-        total += float(np.sum(shut * liquid) - np.sum(shut * above))
+        total += float(np.sum(closed_area * liquid) - np.sum(closed_area * above))
     return total
 
 
@@ -176,4 +176,4 @@ def stations(scene: PartScene, room: Room, chosen: np.ndarray) -> np.ndarray:
     `chosen` is a mask with the shape of the state's cells, last axis first.
     """
     cells = np.argwhere(chosen)[:, ::-1]
-    return scene.axis.along(Frame(scene).outward(np.array(room.origin) + (cells + 0.5) * np.array(room.width)))
+    return scene.axis.along(Frame(scene).to_scene(np.array(room.origin) + (cells + 0.5) * np.array(room.width)))

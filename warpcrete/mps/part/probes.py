@@ -10,7 +10,7 @@ from ...core.run.run import Table
 from ...kernels.mps.grid.cells import LIQUID
 from ..grid.flow import GridFlow
 from .layout import stations
-from .scene import CLEAR, PartScene, Section
+from .scene import CLEARANCE, PartScene, Section
 
 UNITS = {
     "time": "s",
@@ -29,7 +29,7 @@ FULL = 0.3
 """Minimum fraction of the bore's volume within a slice that cells must cover; other slices are left out."""
 
 
-def loss_along(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
+def friction_ahead(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
     """Return arc lengths [m] and the mean pressure without weight of the cross section there [Pa].
 
     Without weight, the pressure is the frictional loss that is still to come downstream.
@@ -51,15 +51,15 @@ def loss_along(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
 def straight_lines(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return straight lines fitted to the pressure in the straight stretches upstream and downstream of the middle.
 
-    Each line is its slope [Pa/m] and its value at arc length zero [Pa]. A length of CLEAR radii at both ends of a
+    Each line is its slope [Pa/m] and its value at arc length zero [Pa]. A length of CLEARANCE radii at both ends of a
     stretch is left out. A stretch with fewer than three points gives NaN.
     """
     begin, end = scene.middle
     first, last = float(scene.bore(0.0)), float(scene.bore(scene.axis.length))
     lines = []
     for low, high in (
-        (CLEAR * first, begin - CLEAR * first * (end > begin)),
-        (end + CLEAR * last * (end > begin), scene.axis.length - CLEAR * last),
+        (CLEARANCE * first, begin - CLEARANCE * first * (end > begin)),
+        (end + CLEARANCE * last * (end > begin), scene.axis.length - CLEARANCE * last),
     ):
         chosen = (s > low) & (s < high)
         lines.append(np.polyfit(s[chosen], pressure[chosen], 1) if chosen.sum() > 2 else np.full(2, np.nan))
@@ -85,7 +85,7 @@ def losses(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> list[float]
     at = [float(np.interp(place, s, pressure)) for place in (0.0, *(x.end for x in sections))]
     for first, last in _stretches(sections):
         begin, end = sections[first].begin, sections[last].end
-        low, high = (place + sign * CLEAR * float(scene.bore(place)) for place, sign in ((begin, 1), (end, -1)))
+        low, high = (place + sign * CLEARANCE * float(scene.bore(place)) for place, sign in ((begin, 1), (end, -1)))
         chosen = (s > low) & (s < high)
         if chosen.sum() > 2:
             line = np.polyfit(s[chosen], pressure[chosen], 1)
@@ -110,7 +110,7 @@ def measured(flow: GridFlow) -> dict[str, float]:
     scene: PartScene = flow.scene
     if not flow.steps:
         return dict.fromkeys(UNITS, 0.0)
-    before, behind = straight_lines(scene, *loss_along(flow))
+    before, behind = straight_lines(scene, *friction_ahead(flow))
     begin, end = scene.middle
     outcomes = flow.outcomes()
     layout = flow.state.layout

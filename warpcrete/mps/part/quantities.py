@@ -14,7 +14,7 @@ from .scene import PartScene
 
 
 @dataclass(frozen=True)
-class Known:
+class RunData:
     """Scene and series from which the quantities of a run are computed."""
 
     scene: PartScene
@@ -37,12 +37,12 @@ class Known:
         return self.scene.friction(*self.scene.middle)
 
 
-def _pressure_of_theory(k: Known) -> float:
+def _pressure_of_theory(k: RunData) -> float:
     scene = k.scene
     return scene.friction(0.0, scene.axis.length) + scene.concrete.density * scene.gravity * scene.rise
 
 
-def _gradient_words(name: str):
+def _gradient_text(name: str):
     def words(run: Run) -> str:
         ours, theory = number(run.result[name]), number(run.result[f"{name}_theory"])
         return f"{ours / 1e3:.3g} kPa/m   (straight pipe by theory: {theory / 1e3:.3g})"
@@ -50,12 +50,12 @@ def _gradient_words(name: str):
     return words
 
 
-def _pressure_words(run: Run) -> str:
+def _pressure_text(run: Run) -> str:
     theory = number(run.result["pressure_theory"])
     return f"{number(run.result['pressure']) / 1e3:.4g} kPa   (the whole part as straight pipe: {theory / 1e3:.4g})"
 
 
-def _middle_words(run: Run) -> str:
+def _middle_text(run: Run) -> str:
     found = run.result
     return (
         f"{number(found['middle_loss']) / 1e3:.3g} kPa, {found['middle_ratio']:.3f} times the loss of straight pipe "
@@ -64,17 +64,17 @@ def _middle_words(run: Run) -> str:
 
 
 QUANTITIES = (
-    Quantity("pressure", "Pa", lambda k: k.last("pressure"), "pressure", _pressure_words, True),
+    Quantity("pressure", "Pa", lambda k: k.last("pressure"), "pressure", _pressure_text, True),
     Quantity("pressure_theory", "Pa", _pressure_of_theory),
     Quantity("upstream_gradient", "Pa/m", lambda k: k.last("upstream_gradient"), "friction upstream",
-             _gradient_words("upstream_gradient"), True),
+             _gradient_text("upstream_gradient"), True),
     Quantity("upstream_gradient_theory", "Pa/m", lambda k: k.scene.theory(0.0).pressure),
     Quantity("middle_loss", "Pa", lambda k: k.last("middle_loss") if k.has_middle else None, "bend, taper",
-             _middle_words, True),
+             _middle_text, True),
     Quantity("middle_ratio", "1", lambda k: k.last("middle_loss") / k.as_straight if k.has_middle else None,
              compared=True),
     Quantity("downstream_gradient", "Pa/m", lambda k: k.last("downstream_gradient"), "friction downstream",
-             _gradient_words("downstream_gradient"), True),
+             _gradient_text("downstream_gradient"), True),
     Quantity("downstream_gradient_theory", "Pa/m", lambda k: k.scene.theory(k.scene.axis.length).pressure),
     Quantity("outflow_error", "1", lambda k: k.last("outflow_error")),
 )  # fmt: skip

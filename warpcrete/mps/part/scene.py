@@ -21,17 +21,17 @@ from ...theory.pipe import Concrete, Steady, steady
 from ...theory.pipe import Line as Stretch
 from ..scene import STEP_ERROR, check_interval
 
-FEWEST = 6
+MIN_ACROSS = 6
 """Minimum number of cells across the narrowest bore."""
-CLEAR, LEFT = 1.0, 4
+CLEARANCE, MIN_CELLS_LEFT = 1.0, 4
 """Limits for the straight stretches in which friction is measured.
 
-CLEAR is the length of pipe, in radii, that is left out next to an end or the middle of a part. LEFT is the minimum
+CLEARANCE is the length, in radii, left out next to an end or the middle of a part. MIN_CELLS_LEFT is the minimum
 number of cells that must remain.
 """
-ROUND = 0.03
+ROUNDNESS_TOLERANCE = 0.03
 """Maximum relative deviation of a bore's radius around the axis for the theory of round pipes to apply."""
-ALONG = 60
+AXIS_SAMPLES = 60
 """Number of points along the axis at which the bore of a mesh is measured."""
 
 
@@ -144,12 +144,12 @@ class PartScene(Parametrised, PartSettings):
             refuse("taper", self.bores.places[-1], f"must end in the part, which is {self.axis.length:g} m long")
         object.__setattr__(self, "_bores", self._measured_bores())
         least = 2 * self.narrowest
-        if self.spacing > least / FEWEST:
-            refuse("spacing", self.spacing, f"must leave {FEWEST} cells across the narrowest bore, {least:.4g} m",
-                   f"use {least / FEWEST:.3g} m or less")  # fmt: skip
+        if self.spacing > least / MIN_ACROSS:
+            refuse("spacing", self.spacing, f"must leave {MIN_ACROSS} cells across the narrowest bore, {least:.4g} m",
+                   f"use {least / MIN_ACROSS:.3g} m or less")  # fmt: skip
         begin, end = self.middle
         for length, at in ((begin, 0.0), (self.axis.length - end, self.axis.length)):
-            wanted = (2 if end > begin else 1) * CLEAR * float(self.bore(at)) + LEFT * self.spacing
+            wanted = (2 if end > begin else 1) * CLEARANCE * float(self.bore(at)) + MIN_CELLS_LEFT * self.spacing
             # Lengths are differences of arc lengths and therefore carry rounding errors.
             if length < wanted * (1 - 1e-9):
                 share = "" if end > begin else ", half of the pipe"
@@ -171,12 +171,14 @@ class PartScene(Parametrised, PartSettings):
         span = self.insert or (0.0, self.axis.length)
         inner = InnerSurface(self.wall.vertices, self.wall.faces, self.axis, self.radius, "wall", self.wall.name, span)
         object.__setattr__(self, "_inner", inner)
-        s = np.linspace(0.0, self.axis.length, ALONG)
+        s = np.linspace(0.0, self.axis.length, AXIS_SAMPLES)
         reach = inner.sections(s)
         radii = equal_radii(reach)
         begin, end = self.insert or (0.0, 0.0)
         straight = (s <= begin) | (s >= end)
-        object.__setattr__(self, "_round", bool(np.all(np.abs(reach / radii[:, None] - 1)[straight] < ROUND)))
+        object.__setattr__(
+            self, "_round", bool(np.all(np.abs(reach / radii[:, None] - 1)[straight] < ROUNDNESS_TOLERANCE))
+        )
         if abs(radii[0] / self.radius - 1) > 0.1:
             refuse("radius", self.radius, f"must equal the mesh's radius at its start, {radii[0]:.4g} m",
                    "give the mesh's radius, or the scale of its unit (0.001 for mm)")  # fmt: skip
@@ -202,15 +204,15 @@ class PartScene(Parametrised, PartSettings):
     @property
     def narrowest(self) -> float:
         """Smallest radius of the bore [m]."""
-        return self.bores.smallest if self.wall is None else float(np.min(self.bore(self._along)))
+        return self.bores.smallest if self.wall is None else float(np.min(self.bore(self._sampled_lengths)))
 
     @property
     def widest(self) -> float:
         """Largest radius of the bore [m]."""
-        return self.bores.largest if self.wall is None else float(np.max(self.bore(self._along)))
+        return self.bores.largest if self.wall is None else float(np.max(self.bore(self._sampled_lengths)))
 
     @property
-    def _along(self) -> np.ndarray:
+    def _sampled_lengths(self) -> np.ndarray:
         return np.linspace(0, self.axis.length, 50)
 
     @property

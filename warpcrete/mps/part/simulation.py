@@ -19,8 +19,8 @@ from ..grid.state import GridState, check_memory
 from ..run import FlowRun
 from .display import PartDisplay
 from .layout import part_layout, part_room
-from .probes import UNITS, loss_along, losses, measured, stations_of
-from .quantities import QUANTITIES, Known
+from .probes import UNITS, friction_ahead, losses, measured, stations_of
+from .quantities import QUANTITIES, RunData
 from .scene import PartScene
 
 SAMPLES = 10
@@ -41,7 +41,7 @@ class PartSimulation(FlowRun):
         """Return the display that recorders draw."""
         return PartDisplay(self, colouring)
 
-    def placed(self) -> GridFlow:
+    def place_flow(self) -> GridFlow:
         """Return the flow at its start, with its particles and its grid."""
         check_memory(part_room(self.scene).cells, self.device, self.precision)
         return GridFlow(GridState(self.scene, part_layout(self.scene), self.device, self.precision))
@@ -84,8 +84,8 @@ class PartSimulation(FlowRun):
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
         """Return entries of the result from the series and the pressure along the part, and the table of stations."""
         scene = self.scene
-        result = results_of(QUANTITIES, Known(scene, series))
-        s, pressure = loss_along(self.flow)
+        result = results_of(QUANTITIES, RunData(scene, series))
+        s, pressure = friction_ahead(self.flow)
         result["profile"] = {
             "place": {"value": s.tolist(), "unit": "m"},
             "friction_ahead": {"value": pressure.tolist(), "unit": "Pa"},

@@ -20,10 +20,10 @@ from ...core.errors import RunFolderError, WarpcreteError, between, refuse
 from ...core.extras import needs_extra
 from ...core.inputs.origin import check_files, files_read
 from ...core.run.files import check_new, next_folder, read_record, write_json
-from ...core.run.folders import held, new_folder
+from ...core.run.folders import locked_folder, new_folder
 from ...record.checks import failed_checks
 from ...scenes import modules
-from ..cases import MOST_CASES, Case
+from ..cases import MAX_CASES, Case
 from ..study import Study, resume_study, run_listed
 from .calibration import Calibration, Trial
 from .posterior import posterior
@@ -33,11 +33,11 @@ from .targets import Target, Task, found_in, read_task, task_of
 
 RECORD = "calibration.json"
 Progress = Callable[[str, float, dict[str, Any]], None]
-FEWEST = 3
+MIN_VALUES = 3
 """Minimum number of runs that must yield a target's quantity before a posterior is computed."""
-CLEAR = 0.5
+SETTLED_ERROR_RATIO = 0.5
 """Ratio of the emulator's standard deviation to the target's uncertainty below which more runs change nothing."""
-STILL = 0.25
+SETTLED_SHIFT = 0.25
 """Shift of the posterior mean in one round, in posterior standard deviations, below which the answer is settled."""
 
 
@@ -83,21 +83,21 @@ def run_calibration(
     files.pop(str(targets.resolve()) if read else "", None)  # its contents are in the record
     free = len(task.free)
     most = 10 + 10 * free if trials is None else trials
-    at_once = 4 + 2 * free if batch is None else batch
-    _check_trials(most)
-    if not 1 <= at_once <= MOST_CASES:
-        refuse("batch", at_once, f"must be from 1 to {MOST_CASES}")
-    if not 0 <= repeat <= MOST_CASES:
-        refuse("repeat", repeat, f"must be from 0 to {MOST_CASES}")
+    batch_size = 4 + 2 * free if batch is None else batch
+    _check_trial_count(most)
+    if not 1 <= batch_size <= MAX_CASES:
+        refuse("batch", batch_size, f"must be from 1 to {MAX_CASES}")
+    if not 0 <= repeat <= MAX_CASES:
+        refuse("repeat", repeat, f"must be from 0 to {MAX_CASES}")
     between("seed", seed, 0, 2**31)
     check_new(out)
-    settings = {"trials": most, "batch": at_once, "repeat": repeat, "seed": seed, "device": device,
+    settings = {"trials": most, "batch": batch_size, "repeat": repeat, "seed": seed, "device": device,
                 "precision": precision}  # fmt: skip
     if scheduler is None:
         find_device(device)
     with new_folder(out):
         write_json(out / RECORD, {"targets": raw, "settings": settings, "rounds": [], "files": files})
-        return _go_on(out, modules, processes, scheduler, workers, progress)
+        return _continue(out, modules, processes, scheduler, workers, progress)
 
 
 def resume_calibration(
@@ -113,18 +113,18 @@ def resume_calibration(
     """Continue a calibration and reuse its finished runs; `trials` is a new limit for all trials together."""
     needs_extra("calibrate", "optuna", "sklearn", "emcee")
     if trials is not None:
-        _check_trials(trials)
-    with held(folder, RECORD):
+        _check_trial_count(trials)
+    with locked_folder(folder, RECORD):
         record = _record(folder)
         if trials is not None:
             record["settings"]["trials"] = trials
             write_json(folder / RECORD, record)
-        return _go_on(folder, modules, processes, scheduler, workers, progress)
+        return _continue(folder, modules, processes, scheduler, workers, progress)
 
 
-def _check_trials(most: int) -> None:
-    if not 4 <= most <= MOST_CASES:
-        refuse("trials", most, f"must be from 4 to {MOST_CASES}")
+def _check_trial_count(most: int) -> None:
+    if not 4 <= most <= MAX_CASES:
+        refuse("trials", most, f"must be from 4 to {MAX_CASES}")
 
 
 def _record(folder: Path) -> dict[str, Any]:
@@ -137,7 +137,7 @@ def _record(folder: Path) -> dict[str, Any]:
     return record
 
 
-def _go_on(
+def _continue(
     folder: Path,
     modules: Mapping[str, Any],
     processes: int | None,
@@ -148,48 +148,48 @@ def _go_on(
     begun = time.perf_counter()
     record = _record(folder)
     task = task_of(record["targets"], modules)
-    found = Calibration(folder, task, record)
+    calibration = Calibration(folder, task, record)
     where = dict(processes=processes, scheduler=scheduler, workers=workers)
     try:
-        _search(found, modules, where, progress or (lambda phase, fraction, figures: None))
+        _search(calibration, modules, where, progress or (lambda phase, fraction, figures: None))
     finally:
-        found.took = time.perf_counter() - begun
-        write(found, modules)
-    return found
+        calibration.took = time.perf_counter() - begun
+        write(calibration, modules)
+    return calibration
 
 
-def _search(found: Calibration, modules: Mapping[str, Any], where: Mapping[str, Any], tell: Progress) -> None:
+def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping[str, Any], tell: Progress) -> None:
     """Run rounds until the answer is settled or the trials are used up, then verify the answer."""
-    settings, rounds = found.record["settings"], found.record["rounds"]
+    settings, rounds = calibration.record["settings"], calibration.record["rounds"]
     most = settings["trials"]
     place = 0
     while True:
         if place == len(rounds):
-            left = most - len(found.searched)
-            if rounds and rounds[-1]["proof"] and (found.settled or left <= 0):
-                found.finished = True
+            left = most - len(calibration.searched)
+            if rounds and rounds[-1]["proof"] and (calibration.settled or left <= 0):
+                calibration.finished = True
                 return
-            proposed = _proposed(found, left, settings, modules)
+            proposed = _next_round(calibration, left, settings, modules)
             if proposed is None:
                 break
             rounds.append(proposed)
-            write_json(found.folder / RECORD, found.record)
+            write_json(calibration.folder / RECORD, calibration.record)
         each = rounds[place]
-        trials = [Trial(len(found.trials) + k, list(units), each["seeds"][k], each["proof"])
+        trials = [Trial(len(calibration.trials) + k, list(units), each["seeds"][k], each["proof"])
                   for k, units in enumerate(each["units"])]  # fmt: skip
-        whole = max(most, len(found.trials) + len(trials))
-        part = (min(len(found.trials) / whole, 1.0), len(trials) / whole)
-        if not run_round(found, modules, place, trials, where, tell, part):
+        whole = max(most, len(calibration.trials) + len(trials))
+        part = (min(len(calibration.trials) / whole, 1.0), len(trials) / whole)
+        if not run_round(calibration, modules, place, trials, where, tell, part):
             return
-        found.trials += trials
+        calibration.trials += trials
         place += 1
         if not each["proof"]:
-            _judge(found, settings["seed"] + place)
-    found.finished = settings["repeat"] == 0
+            _update_posterior(calibration, settings["seed"] + place)
+    calibration.finished = settings["repeat"] == 0
 
 
 def run_round(
-    found: Calibration, modules: Mapping[str, Any], place: int, trials: Sequence[Trial], where: Mapping[str, Any],
+    calibration: Calibration, modules: Mapping[str, Any], place: int, trials: Sequence[Trial], where: Mapping[str, Any],
     tell: Progress, part: tuple[float, float],
 ) -> bool:  # fmt: skip
     """Run all scenes of a round and store the results in `trials`; return False if the user interrupted the round.
@@ -197,55 +197,57 @@ def run_round(
     `part` holds the fraction of all work that was done before this round, and the fraction that this round takes.
     Raises :class:`WarpcreteError` if runs were lost because a process died or the disk was full.
     """
-    for group in range(len(found.task.groups)):
-        study = _ran(found, modules, place, group, trials, where, _within(tell, part, group, found.task))
+    for group in range(len(calibration.task.groups)):
+        study = _run_group(
+            calibration, modules, place, group, trials, where, _progress_within(tell, part, group, calibration.task)
+        )
         if not study.finished:
             return False
         if study.lost:
             raise WarpcreteError(
                 f"trial {study.lost[0]}: {study.failures[study.lost[0]]}; {len(study.lost)} of {len(study.cases)} "
-                f"runs were lost in this way; continue with 'warpcrete calibrate --resume {found.folder}'"
+                f"runs were lost in this way; continue with 'warpcrete calibrate --resume {calibration.folder}'"
             )
-        _take(study, trials, found.task.groups[group])
+        _store_results(study, trials, calibration.task.groups[group])
     return True
 
 
-def _within(tell: Progress, part: tuple[float, float], group: int, task: Task) -> Progress:
+def _progress_within(tell: Progress, part: tuple[float, float], group: int, task: Task) -> Progress:
     """Return a progress callback that converts the progress of one study to the progress of the calibration."""
     groups = len(task.groups)
 
-    def hear(phase: str, fraction: float, figures: dict[str, Any]) -> None:
+    def report_progress(phase: str, fraction: float, figures: dict[str, Any]) -> None:
         tell("running" if phase == "running" else phase, part[0] + part[1] * (group + fraction) / groups, figures)
 
-    return hear
+    return report_progress
 
 
-def _ran(
-    found: Calibration, modules: Mapping[str, Any], place: int, group: int, trials: Sequence[Trial],
+def _run_group(
+    calibration: Calibration, modules: Mapping[str, Any], place: int, group: int, trials: Sequence[Trial],
     where: Mapping[str, Any], tell: Progress,
 ) -> Study:  # fmt: skip
     """Run one scene of a round as a separate study, or resume that study."""
-    target = found.task.groups[group][0]
-    folder = found.folder / "rounds" / f"{place + 1:02d}-{group + 1}-{target.scene}"
+    target = calibration.task.groups[group][0]
+    folder = calibration.folder / "rounds" / f"{place + 1:02d}-{group + 1}-{target.scene}"
     module = modules[target.scene]
     if (folder / "study.json").is_file():
         return resume_study(folder, module, progress=tell, **where)
     cases = []
     for trial in trials:
-        values = found.task.values(trial.units)
-        parameters = found.task.parameters(target, values, module)
+        values = calibration.task.values(trial.units)
+        parameters = calibration.task.parameters(target, values, module)
         if "seed" in module.scene.parameters.__dataclass_fields__:
             parameters = {"seed": trial.seed, **parameters}
         shown = {name: value for name, value in parameters.items() if name in values}
         cases.append(Case(f"{trial.number + 1:03d}", shown, parameters))
-    settings = found.record["settings"]
+    settings = calibration.record["settings"]
     return run_listed(
         target.scene, module, cases, out=folder, device=settings["device"], precision=settings["precision"],
         rerun=False, usd=False, figure=False, progress=tell, **where,
     )  # fmt: skip
 
 
-def _take(study: Study, trials: Sequence[Trial], targets: Sequence[Target]) -> None:
+def _store_results(study: Study, trials: Sequence[Trial], targets: Sequence[Target]) -> None:
     """Store the values, failures and failed checks of one scene's runs in `trials`."""
     for trial, case in zip(trials, study.cases, strict=True):
         result = study.results.get(case.name)
@@ -262,13 +264,13 @@ def _take(study: Study, trials: Sequence[Trial], targets: Sequence[Target]) -> N
                 trial.failure = trial.failure or f"has no {target.label} in its result"
 
 
-def _judge(found: Calibration, seed: int) -> None:
+def _update_posterior(calibration: Calibration, seed: int) -> None:
     """Compute the posterior of the trials so far, and decide whether more trials would change it."""
-    searched = found.searched
+    searched = calibration.searched
     points = np.array([trial.units for trial in searched])
     values = {target: np.array([trial.values.get(target, math.nan) for trial in searched])
-              for target in found.task.targets}  # fmt: skip
-    for target in found.task.fitted:
+              for target in calibration.task.targets}  # fmt: skip
+    for target in calibration.task.fitted:
         count = int(np.isfinite(values[target]).sum())
         why = next((trial.failure for trial in searched if trial.failure), "the scene does not measure it there")
         if count == 0:
@@ -276,88 +278,90 @@ def _judge(found: Calibration, seed: int) -> None:
                 f"the {target.label} is missing in all {len(searched)} runs; reason in the first: "
                 f"{why}; use other ranges"
             )
-        if count < FEWEST and len(searched) < found.record["settings"]["trials"]:
+        if count < MIN_VALUES and len(searched) < calibration.record["settings"]["trials"]:
             return
-        if count < FEWEST:
+        if count < MIN_VALUES:
             raise WarpcreteError(
                 f"the {target.label} was found in only {count} of {len(searched)} runs; reason in the first run "
                 f"without it: {why}; use other ranges, or continue with more trials"
             )
-    before = found.posterior
-    found.posterior = now = posterior(found.task, points, values, seed)
-    doubt = max(now.doubt(target) for target in found.task.fitted)
+    before = calibration.posterior
+    calibration.posterior = now = posterior(calibration.task, points, values, seed)
+    emulator_error_ratio = max(now.emulator_error_ratio(target) for target in calibration.task.fitted)
     moved = math.inf
     if before is not None:
         spread = np.maximum(now.samples.std(0), 1e-3)
         moved = float(np.max(np.abs(now.samples.mean(0) - before.samples.mean(0)) / spread))
-    found.settled = doubt < CLEAR and moved < STILL
+    calibration.settled = emulator_error_ratio < SETTLED_ERROR_RATIO and moved < SETTLED_SHIFT
 
 
-def _proposed(
-    found: Calibration, left: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
+def _next_round(
+    calibration: Calibration, left: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
 ) -> dict[str, Any] | None:
     """Return the next round's parameter sets, as points of the unit cube, and seeds; return None when all is done."""
-    begun = settings["seed"] + len(found.trials)
-    if found.posterior is not None and (found.settled or left <= 0):
+    begun = settings["seed"] + len(calibration.trials)
+    if calibration.posterior is not None and (calibration.settled or left <= 0):
         if settings["repeat"] == 0:
             return None
-        units = [found.posterior.best.tolist()] * settings["repeat"]
+        units = [calibration.posterior.best.tolist()] * settings["repeat"]
         return {"units": units, "seeds": list(range(begun, begun + len(units))), "proof": True}
     if left <= 0:
         return None
     count = min(settings["batch"], left)
-    if found.posterior is None:
-        units = _first(found, min(max(count, 2 * count - len(found.trials)), left), settings, modules)
+    if calibration.posterior is None:
+        units = _first_points(
+            calibration, min(max(count, 2 * count - len(calibration.trials)), left), settings, modules
+        )
     else:
-        units = _next(found, count, settings["seed"] + len(found.trials))
+        units = _next_points(calibration, count, settings["seed"] + len(calibration.trials))
     return {"units": units, "seeds": list(range(begun, begun + len(units))), "proof": False}
 
 
-def _first(
-    found: Calibration, count: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
+def _first_points(
+    calibration: Calibration, count: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
 ) -> list[list[float]]:
     """Return the points of the first round: an estimate from closed forms, if any, then an even Sobol sequence."""
     from scipy.stats import qmc
 
-    free = len(found.task.free)
+    free = len(calibration.task.free)
     sequence = qmc.Sobol(free, seed=settings["seed"])
-    skipped = len(found.trials)
-    known = [] if skipped else closed_form_start(found.task, modules)
+    skipped = len(calibration.trials)
+    known = [] if skipped else closed_form_start(calibration.task, modules)
     many = sequence.random_base2(max(1, math.ceil(math.log2(skipped + count))))
     return (known + many[skipped:].tolist())[:count]
 
 
-def _next(found: Calibration, count: int, seed: int) -> list[list[float]]:
+def _next_points(calibration: Calibration, count: int, seed: int) -> list[list[float]]:
     """Return the points of the next round: a quarter from Optuna, the others from the posterior.
 
     The first point from the posterior is its maximum. Every further point is the posterior sample that is farthest from
     all points so far, with distances scaled by the posterior's standard deviations.
     """
-    assert found.posterior is not None
+    assert calibration.posterior is not None
     random = np.random.default_rng(seed)
-    hoped = _hoped(found, count // 4, seed)
-    taken = np.array([trial.units for trial in found.searched] + hoped)
-    drawn = random.choice(found.posterior.samples, min(256, len(found.posterior.samples)), replace=False)
-    chosen: list[list[float]] = [found.posterior.best.tolist()] if count - len(hoped) > 1 else []
-    width = np.maximum(found.posterior.samples.std(0), 1e-2)
-    while len(chosen) < count - len(hoped):
+    optuna_points = _optuna_points(calibration, count // 4, seed)
+    taken = np.array([trial.units for trial in calibration.searched] + optuna_points)
+    drawn = random.choice(calibration.posterior.samples, min(256, len(calibration.posterior.samples)), replace=False)
+    chosen: list[list[float]] = [calibration.posterior.best.tolist()] if count - len(optuna_points) > 1 else []
+    width = np.maximum(calibration.posterior.samples.std(0), 1e-2)
+    while len(chosen) < count - len(optuna_points):
         others = np.concatenate([taken, np.array(chosen).reshape(-1, taken.shape[1])])
         distance = np.min((((drawn[:, None] - others[None]) / width) ** 2).sum(-1), axis=1)
         chosen.append(drawn[np.argmax(distance)].tolist())
-    return hoped + chosen
+    return optuna_points + chosen
 
 
-def _hoped(found: Calibration, count: int, seed: int) -> list[list[float]]:
+def _optuna_points(calibration: Calibration, count: int, seed: int) -> list[list[float]]:
     """Return points proposed by the optimiser Optuna, which knows all trials and treats failed ones as infeasible."""
     import optuna
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    names = [free.name for free in found.task.free]
+    names = [free.name for free in calibration.task.free]
     ranges: Any = {name: optuna.distributions.FloatDistribution(0.0, 1.0) for name in names}
     study = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=seed, n_startup_trials=0))
-    for trial in found.searched:
-        off = [(trial.values[t] - t.value) / t.uncertainty for t in found.task.fitted if t in trial.values]
-        sound = len(off) == len(found.task.fitted)
+    for trial in calibration.searched:
+        off = [(trial.values[t] - t.value) / t.uncertainty for t in calibration.task.fitted if t in trial.values]
+        sound = len(off) == len(calibration.task.fitted)
         study.add_trial(
             optuna.trial.create_trial(
                 params=dict(zip(names, trial.units)), distributions=ranges,

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from ...core.drawing.html import html_table
-from .posterior import Posterior, told_apart, unmoved
+from .posterior import Posterior, confounded_pairs, insensitive_targets
 from .targets import Target, Task
 
 Outcome = dict[Target, float]
 """Values of the targets in one run; targets without a value are left out."""
-FAR = 3.0
+UNREACHABLE_DISTANCE = 3.0
 """Distance of the closest reachable value from a target, in standard deviations, above which it is unreachable."""
 
 
@@ -70,7 +70,7 @@ class Calibration:
         """Trials of the search, without the verification runs."""
         return [trial for trial in self.trials if not trial.proof]
 
-    def proved(self, target: Target) -> list[float]:
+    def verification_values(self, target: Target) -> list[float]:
         """Return the values of a target in the verification runs of the current answer.
 
         Verification runs of earlier answers are left out.
@@ -84,7 +84,7 @@ class Calibration:
         The best value is the mean of the verification runs, or else the prediction for the likeliest parameters.
         """
         assert self.posterior is not None
-        runs = self.proved(target)
+        runs = self.verification_values(target)
         found = float(np.mean(runs)) if runs else self.posterior.predicted(target, self.posterior.best[None])[0]
         return (found - target.value) / target.uncertainty
 
@@ -94,40 +94,40 @@ class Calibration:
         if self.posterior is None:
             return []
         found, task = self.posterior, self.task
-        said = []
-        still = unmoved(found, task.fitted)
+        texts = []
+        still = insensitive_targets(found, task.fitted)
         for target, (low, high) in still.items():
             names = ", ".join(free.name for free in task.free)
             between = f"{target.words(low)} and {target.words(high)}"
-            said.append(f"none of {names} changes the {target.label}: it stays between {between}, but measured is "
+            texts.append(f"none of {names} changes the {target.label}: it stays between {between}, but measured is "
                         f"{target.words(target.value)}")  # fmt: skip
         for target in task.fitted:
-            if target not in still and abs(self.off(target)) > FAR:
-                said.append(f"no parameters within the ranges fit the {target.label} together with the other targets: "
+            if target not in still and abs(self.off(target)) > UNREACHABLE_DISTANCE:
+                texts.append(f"no parameters within the ranges fit the {target.label} together with the other targets: "
                             f"it is {abs(self.off(target)):.1f} standard deviations off at best")  # fmt: skip
         for place, free in enumerate(task.free):
-            if found.narrowing(place) > 0.8:
-                said.append(f"the data do not determine {free.name}: it is as uncertain as its range")
-        for one, other, correlation in told_apart(found):
+            if found.relative_width(place) > 0.8:
+                texts.append(f"the data do not determine {free.name}: it is as uncertain as its range")
+        for one, other, correlation in confounded_pairs(found):
             way = "increasing one and decreasing the other" if correlation < 0 else "increasing both"
-            said.append(f"the data cannot distinguish {one} from {other}: {way} fits as well (correlation "
+            texts.append(f"the data cannot distinguish {one} from {other}: {way} fits as well (correlation "
                         f"{correlation:.2f})")  # fmt: skip
         for place, free in enumerate(task.free):
             edge = min(found.best[place], 1 - found.best[place])
             if edge < 0.02:
-                said.append(
+                texts.append(
                     f"{free.name} = {free.value(found.best[place]):.4g} lies at the edge of its range; widen the range"
                 )
         failed = [trial for trial in self.searched if trial.failure]
         if failed:
-            said.append(f"{len(failed)} of {len(self.searched)} trials failed and count as impossible; reason in the "
+            texts.append(f"{len(failed)} of {len(self.searched)} trials failed and count as impossible; reason in the "
                         f"first: {failed[0].failure}")  # fmt: skip
         checks = sorted({check for trial in self.trials for check in trial.suspect})
         if checks:
             runs = sum(bool(trial.suspect) for trial in self.searched)
             proof = " and of the most likely parameters'" if any(t.suspect for t in self.trials if t.proof) else ""
-            said.append(f"runs of {runs} of {len(self.searched)} trials{proof} fail checks of their scenes "
+            texts.append(f"runs of {runs} of {len(self.searched)} trials{proof} fail checks of their scenes "
                         f"({', '.join(checks)}); their values are used, but inspect these runs")  # fmt: skip
         if not self.settled:
-            said.append("the search ended before it converged; give it more trials")
-        return said
+            texts.append("the search ended before it converged; give it more trials")
+        return texts

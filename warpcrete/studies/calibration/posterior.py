@@ -21,12 +21,12 @@ import numpy as np
 
 from .targets import Target, Task
 
-SEARCHED = 2048
+START_CANDIDATES = 2048
 """Number of points in the unit cube from which the best ones become the walkers' starting points."""
-WALKERS, STEPS, DISCARDED = 64, 300, 100
-WIDTH = 0.15
+WALKERS, STEPS, DISCARDED_STEPS = 64, 300, 100
+FAILURE_RADIUS = 0.15
 """Radius in the unit cube of parameter ranges within which a failed run makes success less likely."""
-FLAT = 1 / np.sqrt(12)
+UNIFORM_DEVIATION = 1 / np.sqrt(12)
 """Standard deviation of a uniform distribution on the interval from 0 to 1."""
 
 
@@ -84,13 +84,13 @@ class Posterior:
         mean, deviation = self.emulators[target](self.samples if points is None else points)
         return float(mean.mean()), float(np.sqrt(mean.var() + (deviation**2).mean()))
 
-    def doubt(self, target: Target) -> float:
+    def emulator_error_ratio(self, target: Target) -> float:
         """Return the emulator's root-mean-square error over the posterior, divided by the target's uncertainty."""
         return float(np.sqrt((self.emulators[target](self.samples)[1] ** 2).mean()) / target.uncertainty)
 
     def span(self, target: Target) -> tuple[float, float]:
         """Return the lowest and highest predicted mean of a target's quantity within the parameter ranges."""
-        mean, _ = self.emulators[target](_spread(len(self.task.free), 512, 1))
+        mean, _ = self.emulators[target](_sobol_points(len(self.task.free), 512, 1))
         return float(mean.min()), float(mean.max())
 
     def interval(self, place: int, part: float = 0.95) -> tuple[float, float]:
@@ -99,9 +99,9 @@ class Posterior:
         low, high = np.percentile(self.samples[:, place], [edge, 100 - edge])
         return self.task.free[place].value(low), self.task.free[place].value(high)
 
-    def narrowing(self, place: int) -> float:
+    def relative_width(self, place: int) -> float:
         """Return a parameter's posterior standard deviation, relative to that of a uniform distribution."""
-        return float(self.samples[:, place].std() / FLAT)
+        return float(self.samples[:, place].std() / UNIFORM_DEVIATION)
 
     def correlations(self) -> np.ndarray:
         """Return the correlation matrix of the free parameters in the unit cube, shape (free, free)."""
@@ -128,7 +128,7 @@ def posterior(task: Task, points: np.ndarray, values: dict[Target, np.ndarray], 
     def likelihood(at: np.ndarray) -> np.ndarray:
         inside = np.all((at >= 0) & (at <= 1), axis=1)
         held = np.clip(at, 0.0, 1.0)
-        total = _trusted(held, points, sound)
+        total = _log_success(held, points, sound)
         for target in task.fitted:
             mean, deviation = emulators[target](held)
             variance = target.uncertainty**2 + deviation**2
@@ -136,7 +136,7 @@ def posterior(task: Task, points: np.ndarray, values: dict[Target, np.ndarray], 
         return np.where(inside, total, -np.inf)
 
     free = len(task.free)
-    spread = _spread(free, SEARCHED, seed)
+    spread = _sobol_points(free, START_CANDIDATES, seed)
     order = np.argsort(-likelihood(spread))
     walkers = max(WALKERS, 4 * free)
     random = np.random.default_rng(seed)
@@ -144,8 +144,8 @@ def posterior(task: Task, points: np.ndarray, values: dict[Target, np.ndarray], 
     sampler = emcee.EnsembleSampler(walkers, free, likelihood, vectorize=True)
     state = emcee.State(begin, random_state=np.random.RandomState(seed).get_state())
     sampler.run_mcmc(state, STEPS, skip_initial_state_check=True)
-    samples = np.asarray(sampler.get_chain(discard=DISCARDED, flat=True, thin=4))
-    chances = np.asarray(sampler.get_log_prob(discard=DISCARDED, flat=True, thin=4))
+    samples = np.asarray(sampler.get_chain(discard=DISCARDED_STEPS, flat=True, thin=4))
+    chances = np.asarray(sampler.get_log_prob(discard=DISCARDED_STEPS, flat=True, thin=4))
     start = samples[np.argmax(chances)]
     refined = minimize(lambda u: -float(likelihood(u[None])[0]), start, method="Nelder-Mead",
                        bounds=[(0.0, 1.0)] * free)  # fmt: skip
@@ -153,22 +153,22 @@ def posterior(task: Task, points: np.ndarray, values: dict[Target, np.ndarray], 
     return Posterior(task, emulators, samples, np.clip(best, 0.0, 1.0))
 
 
-def _spread(free: int, count: int, seed: int) -> np.ndarray:
+def _sobol_points(free: int, count: int, seed: int) -> np.ndarray:
     """Return points that fill the unit cube evenly (a Sobol sequence), shape (count, free)."""
     from scipy.stats import qmc
 
     return qmc.Sobol(free, seed=seed).random_base2(int(np.ceil(np.log2(count))))[:count]
 
 
-def _trusted(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.ndarray:
+def _log_success(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.ndarray:
     """Return the logarithm of the estimated probability that runs at these points succeed, judged by nearby runs."""
     if sound.all():
         return np.zeros(len(at))
-    near = np.exp(-0.5 * ((at[:, None] - points[None]) ** 2).sum(-1) / WIDTH**2)
+    near = np.exp(-0.5 * ((at[:, None] - points[None]) ** 2).sum(-1) / FAILURE_RADIUS**2)
     return np.log((near @ sound + 0.05) / (near.sum(1) + 0.05))
 
 
-def told_apart(found: Posterior, close: float = 0.9) -> list[tuple[str, str, float]]:
+def confounded_pairs(found: Posterior, close: float = 0.9) -> list[tuple[str, str, float]]:
     """Return pairs of parameters with a correlation of at least `close`, of which the data fix only a combination."""
     names = [free.name for free in found.task.free]
     matrix = found.correlations()
@@ -180,7 +180,7 @@ def told_apart(found: Posterior, close: float = 0.9) -> list[tuple[str, str, flo
     ]
 
 
-def unmoved(found: Posterior, targets: Sequence[Target]) -> dict[Target, tuple[float, float]]:
+def insensitive_targets(found: Posterior, targets: Sequence[Target]) -> dict[Target, tuple[float, float]]:
     """Return the predicted range of each target that the free parameters hardly change.
 
     The range is narrower than a fifth of the target's uncertainty, or than the scatter between seeds.

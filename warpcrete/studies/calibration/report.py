@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from ...core.inputs.yaml_files import yaml_text
-from ...core.run.files import whole_file, write_json
+from ...core.run.files import atomic_file, write_json
 from .calibration import Calibration
-from .posterior import told_apart
+from .posterior import confounded_pairs
 from .targets import Target
 
 SMOOTH = 60
@@ -19,16 +19,16 @@ SMOOTH = 60
 
 def write(found: Calibration, modules: Mapping[str, Any]) -> None:
     """Write calibration.md and, if a posterior exists, calibration.png, answer.json and concrete.yaml."""
-    with whole_file(found.folder / "calibration.md") as partial:
+    with atomic_file(found.folder / "calibration.md") as partial:
         partial.write_text(report(found) + "\n", encoding="utf-8")
     if found.posterior is None:
         return
     write_json(found.folder / "answer.json", answer(found))
-    with whole_file(found.folder / "calibration.png") as partial:
+    with atomic_file(found.folder / "calibration.png") as partial:
         draw(found).savefig(partial, dpi=130, format="png")
     concrete = concrete_of(found, modules)
     if concrete:
-        with whole_file(found.folder / "concrete.yaml") as partial:
+        with atomic_file(found.folder / "concrete.yaml") as partial:
             partial.write_text(yaml_text(concrete), encoding="utf-8")
 
 
@@ -56,7 +56,7 @@ def parameter_table(found: Calibration) -> list[str]:
     for place, free in enumerate(found.task.free):
         low, high = found.posterior.interval(place)
         lines.append(f"| {free.name} | {free.low:g} to {free.high:g} | {found.best[free.name]:.4g} | {low:.4g} to "
-                     f"{high:.4g} | {found.posterior.narrowing(place):.2f} |")  # fmt: skip
+                     f"{high:.4g} | {found.posterior.relative_width(place):.2f} |")  # fmt: skip
     return lines
 
 
@@ -69,7 +69,7 @@ def target_table(found: Calibration) -> list[str]:
     for target in found.task.targets:
         mean, deviation = _predicted(found, target)
         predicted = f"{target.words(mean)} +- {_shown(target, deviation)}" if np.isfinite(mean) else "too few runs"
-        runs = found.proved(target)
+        runs = found.verification_values(target)
         scatter = f" +- {_shown(target, float(np.std(runs, ddof=1)))}" if len(runs) > 1 else ""
         tried = f"{target.words(float(np.mean(runs)))}{scatter}" if runs else "not run"
         held = " (held out)" if target.held_out else ""
@@ -100,19 +100,19 @@ def answer(found: Calibration) -> dict[str, Any]:
             free.name: {
                 "likeliest": found.best[free.name],
                 "interval_95": list(found.posterior.interval(place)),
-                "narrowing": found.posterior.narrowing(place),
+                "narrowing": found.posterior.relative_width(place),
             }
             for place, free in enumerate(found.task.free)
         },
         "targets": [
             {
                 "target": target.label, "held_out": target.held_out, "unit": target.unit, "measured": target.value,
-                "uncertainty": target.uncertainty, "runs": found.proved(target),
+                "uncertainty": target.uncertainty, "runs": found.verification_values(target),
                 "predicted": dict(zip(("mean", "deviation"), _predicted(found, target))), "off": found.off(target),
             }
             for target in found.task.targets
         ],
-        "not_told_apart": [list(pair) for pair in told_apart(found.posterior)],
+        "not_told_apart": [list(pair) for pair in confounded_pairs(found.posterior)],
         "findings": found.findings,
     }  # fmt: skip
 

@@ -12,7 +12,7 @@ from ...core.errors import SceneError
 from ...methods import method_of
 from .targets import Target, Task
 
-TRIED = 32
+START_CANDIDATES = 32
 """Number of points in the unit cube that are compared; the closed form of a funnel takes a quarter of a second."""
 
 
@@ -28,7 +28,7 @@ def closed_form_start(task: Task, modules: Mapping[str, Any]) -> list[list[float
         return []
     from scipy.stats import qmc
 
-    points = qmc.Sobol(len(task.free), seed=0).random_base2(int(math.log2(TRIED)))
+    points = qmc.Sobol(len(task.free), seed=0).random_base2(int(math.log2(START_CANDIDATES)))
     return [points[int(np.argmin([_misfit(task, known, point, modules) for point in points]))].tolist()]
 
 

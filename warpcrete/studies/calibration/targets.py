@@ -19,21 +19,21 @@ from ...core.inputs.by_name import names_from_file
 from ...core.inputs.concretes import concrete, is_file
 from ...core.inputs.limits import check_limit
 from ...core.inputs.parameters import Field, FileIf, declared_fields
-from ...core.inputs.text_files import read_mapping, within
+from ...core.inputs.text_files import errors_located_at, read_mapping
 from ...core.run.method import Quantity
 from ...core.units import number, shown
 from ...methods import METHODS, method_of
 
 KEYS = ("base", "vary", "targets")
 TARGET_KEYS = ("scene", "quantity", "value", "uncertainty", "parameters", "held_out")
-DECADE = 10.0
+LOG_SCALE_RATIO = 10.0
 """Ratio of a range's ends from which on the parameter is searched on a logarithmic scale by default."""
-APART = 3.0
+MAX_DEVIATIONS_APART = 3.0
 """Difference between two values of one quantity, in standard deviations, above which they contradict each other."""
 
 
 @dataclass(frozen=True)
-class Free:
+class FreeParameter:
     """A free parameter of the calibration, with its range."""
 
     name: str
@@ -98,7 +98,7 @@ class Task:
 
     base: str | None
     """Name or file of the concrete that provides all properties that are not free; None uses each scene's own."""
-    free: tuple[Free, ...]
+    free: tuple[FreeParameter, ...]
     targets: tuple[Target, ...]
 
     @property
@@ -153,7 +153,7 @@ def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any], folder: Path | N
     """
     for key in raw:
         if key not in KEYS:
-            with within(raw, key):
+            with errors_located_at(raw, key):
                 refuse("targets", key, "is not a key of a file of targets", known_names(key, KEYS))
     base = raw.get("base")
     if base is not None:
@@ -172,23 +172,23 @@ def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any], folder: Path | N
         )
     targets = []
     for place, each in enumerate(listed):
-        with within(listed, place):
+        with errors_located_at(listed, place):
             targets.append(_target(place + 1, each, modules, vary, folder or Path()))
     if base is not None and not any("concrete" in _known(modules, target.scene) for target in targets):
         refuse("base", base, "is not used by the scene of any target", "leave it out")
     free = []
     for name, given in vary.items():
-        with within(vary, name):
+        with errors_located_at(vary, name):
             free.append(_free(str(name), given, _field(str(name), targets, modules)))
     if all(target.held_out for target in targets):
         refuse("held_out", True, "must not be set for every target", "fit at least one target")
     task = Task(None if base is None else str(base), tuple(free), tuple(targets))
     checked = []
     for place, target in enumerate(targets):
-        with within(listed, place):
+        with errors_located_at(listed, place):
             checked.append(_checked(task, target, modules))
     task = Task(task.base, tuple(free), tuple(checked))
-    _agree(task.targets)
+    _refuse_contradictions(task.targets)
     return task
 
 
@@ -271,7 +271,7 @@ def _field(name: str, targets: Sequence[Target], modules: Mapping[str, Any]) -> 
     return next((field for field in fields if field.kind is int), fields[0])
 
 
-def _free(name: str, given: Any, field: Field) -> Free:
+def _free(name: str, given: Any, field: Field) -> FreeParameter:
     """Check the range of a free parameter and return the parameter."""
     called, whole = f"vary {name}", field.kind is int
     scale = None
@@ -294,7 +294,9 @@ def _free(name: str, given: Any, field: Field) -> Free:
         refuse(f"{called} scale", scale, "must be log or linear")
     if scale == "log" and low <= 0:
         refuse(called, [low, high], "must be above 0 for a logarithmic scale", "use scale: linear")
-    return Free(name, low, high, scale == "log" or (scale is None and low > 0 and high / low >= DECADE), whole)
+    return FreeParameter(
+        name, low, high, scale == "log" or (scale is None and low > 0 and high / low >= LOG_SCALE_RATIO), whole
+    )
 
 
 def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
@@ -324,13 +326,13 @@ def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
                   target.held_out, unit)  # fmt: skip
 
 
-def _agree(targets: Sequence[Target]) -> None:
+def _refuse_contradictions(targets: Sequence[Target]) -> None:
     """Refuse two measured values of one quantity that contradict each other."""
     for place, one in enumerate(targets):
         for other in targets[:place]:
             scatter = math.hypot(one.uncertainty, other.uncertainty)
             same = (one.key, one.quantity) == (other.key, other.quantity)
-            if same and abs(one.value - other.value) > APART * scatter:
+            if same and abs(one.value - other.value) > MAX_DEVIATIONS_APART * scatter:
                 apart = abs(one.value - other.value) / scatter
                 refuse("targets", f"{other.words(other.value)} and {one.words(one.value)}",
                        f"contradict each other: both are the {one.label}, {apart:.2g} standard deviations apart",

@@ -25,35 +25,35 @@ from ...methods import method_of
 from ...record.checks import failed_checks
 from ...record.loading import load
 from ...scenes import modules
-from .folder import known_run, part_simulation
+from .folder import part_simulation, previous_run
 from .losses import Part, PipeLine
 from .run import GRAVITY, folder_name
 
 SCENE = "part-dem"
-STRAIGHT = 3.0
+STRAIGHT_DIAMETERS = 3.0
 """Length of straight pipe before and behind a simulated bend or reducer [diameters]; straight pipe is twice as long."""
-WIDEST = 0.3
+LARGEST_STONE_RATIO = 0.3
 """Fraction of the narrowest bore to which the largest stone is enlarged by default."""
-STIFFER = 5.0
+MODULUS_FACTOR = 5.0
 """Default factor on the concrete's elastic modulus.
 
 Soft aggregates are still being compressed after a travel of many diameters, so that less leaves a part than enters it.
 In straight pipe of 125 mm the loss is 9.48 kPa/m with the modulus of Zhan et al. (1e5 Pa), and 9.55 kPa/m with five
 times that modulus.
 """
-PRESSED = "pressed"
+PRESSED_RUN = "pressed"
 """Mark of the second simulation of straight pipe, behind a plug that presses against the concrete. The first simulation
 has a plug that hardly resists; its low pressures alone would overestimate the friction at high pressure.
 """
-PRESSURE = 0.04
+PLUG_PRESSURE_RATIO = 0.04
 """Pressure of the pressing plug in the second simulation of straight pipe, as a fraction of the modulus."""
-SOFT = 0.2
+CONSTANT_FRICTION_RATIO = 0.2
 """Ratio of pressure to modulus above which wall friction is assumed constant, as elements would overlap strongly."""
 STEPS = 50
 """Number of steps in which the pressure is integrated along a part."""
-EVEN = 0.8
+MIN_FLUX_RATIO = 0.8
 """Ratio of outflow to inflow of solids below which a remark says that the concrete is still being compressed."""
-SIZES = ("size_min", "size_max", "size_mean", "size_deviation")
+SIZE_PARAMETERS = ("size_min", "size_max", "size_mean", "size_deviation")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +66,7 @@ class Elements:
     """Factor on all stone sizes; None enlarges stones until the largest is 0.3 times as wide as the narrowest bore."""
     seeds: int = 1
     """Number of packings of each kind of part; their scatter gives the band of the pressure."""
-    stiffer: float = STIFFER
+    stiffer: float = MODULUS_FACTOR
     """Factor on the concrete's elastic modulus."""
 
     def __post_init__(self) -> None:
@@ -111,7 +111,7 @@ class WallLaw:
 
 
 @dataclass(frozen=True)
-class Packed:
+class SeedResult:
     """Results of all simulated parts for one seed."""
 
     laws: Mapping[float, WallLaw]
@@ -123,7 +123,7 @@ class Packed:
 
     def ratio(self, part: Part) -> float:
         """Return a part's friction relative to straight pipe of its length."""
-        return self.ratios.get(part.alike, part.curving)
+        return self.ratios.get(part.loss_key, part.relative_loss)
 
     def course(self, line: PipeLine) -> list[tuple[float, float]]:
         """Return the pressure losses (friction, weight) of each part of a line [Pa], from its start to its end."""
@@ -157,7 +157,7 @@ class ElementLine:
     concrete: str
     flow: float
     """Flow rate [m3/s]."""
-    packed: list[Packed]
+    packed: list[SeedResult]
     """Results of the simulated parts, one entry for each seed."""
     remarks: list[str]
     took: dict[str, float] = field(default_factory=dict)
@@ -238,13 +238,13 @@ def run_elements(
     jobs = []
     for seed in range(elements.seeds):
         for key, part in kinds.items():
-            own = _parameters(part, key[-1] == PRESSED, line, concrete, flow, elements, seed)
+            own = _parameters(part, key[-1] == PRESSED_RUN, line, concrete, flow, elements, seed)
             jobs.append((key, seed, modules()[SCENE].scene(**own)))
     runs: dict[tuple[Any, int], Any] = {}
     new = []
     for key, seed, scene in jobs:
         mesh = kinds[key].mesh
-        folder = known_run((out, known), scene, mesh.digest if mesh else "")
+        folder = previous_run((out, known), scene, mesh.digest if mesh else "")
         if folder is None:
             new.append((key, seed, scene))
         else:
@@ -252,11 +252,13 @@ def run_elements(
     began = wall_clock.perf_counter()
     took = _simulate(new, kinds, runs, out, device, threads, progress)
     elapsed = wall_clock.perf_counter() - began
-    packed = [_packed(kinds, {key: runs[key, seed] for key in kinds}) for seed in range(elements.seeds)]
+    packed = [_seed_result(kinds, {key: runs[key, seed] for key in kinds}) for seed in range(elements.seeds)]
     failed = {}
     for (key, seed), run in runs.items():
         if bad := failed_checks(run.result):
-            failed[_called(key, kinds[key], seed)] = [f"{name}: {run.result['checks'][name]['found']}" for name in bad]
+            failed[_run_name(key, kinds[key], seed)] = [
+                f"{name}: {run.result['checks'][name]['found']}" for name in bad
+            ]
     found = ElementLine(line, concrete, flow, packed, [], took, elapsed, failed)
     found.remarks = list(_remarks(found, runs, kinds))
     if out is not None:
@@ -268,12 +270,12 @@ def run_elements(
 def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
     """Yield the kinds of parts that need a simulation, including straight pipe of every diameter."""
     for part in line.parts:
-        if not part.by_length:
-            yield part.alike, part
+        if not part.is_by_length:
+            yield part.loss_key, part
         for diameter in (part.diameter, part.outlet):
             straight = Part(part.number, "straight", diameter, 1.0, 0.0, diameter)
-            yield straight.alike, straight
-            yield (*straight.alike, PRESSED), straight
+            yield straight.loss_key, straight
+            yield (*straight.loss_key, PRESSED_RUN), straight
 
 
 def _parameters(
@@ -282,7 +284,7 @@ def _parameters(
     """Return the scene parameters that simulate a kind of part without weight."""
     wide = max(part.diameter, part.outlet)
     own: dict[str, Any] = {"concrete": concrete, "diameter": part.diameter, "flow": flow, "gravity": 0.0,
-                           "straight": STRAIGHT * wide, "travel": 2 * part.diameter, "seed": seed,
+                           "straight": STRAIGHT_DIAMETERS * wide, "travel": 2 * part.diameter, "seed": seed,
                            "shapes": elements.shapes, "sample_interval": 0.02}  # fmt: skip
     if part.kind == "bend":
         own |= {"unit": "bend-level", "angle": max(part.angle, 5.0), "elbow_radius": part.radius}
@@ -292,13 +294,13 @@ def _parameters(
             own |= {"outlet_diameter": part.outlet, "taper": part.length}
         if part.mesh:
             own |= {"unit": "mesh", "wall": part.mesh.file, "wall_scale": part.mesh.scale}
-    own = sized(own, min(each.narrow for each in line.parts), elements)
+    own = scaled_parameters(own, min(each.narrow for each in line.parts), elements)
     if pressed:
-        own["plug_pressure"] = PRESSURE * own["modulus"]
+        own["plug_pressure"] = PLUG_PRESSURE_RATIO * own["modulus"]
     return own
 
 
-def sized(own: Mapping[str, Any], narrowest: float, elements: Elements) -> dict[str, Any]:
+def scaled_parameters(own: Mapping[str, Any], narrowest: float, elements: Elements) -> dict[str, Any]:
     """Return a part's scene parameters with the stone sizes and the modulus scaled as `elements` says.
 
     `own` holds the parameters before scaling, and `narrowest` is the narrowest bore of the line [m].
@@ -308,16 +310,16 @@ def sized(own: Mapping[str, Any], narrowest: float, elements: Elements) -> dict[
     ranged = given.sizes in ("gaussian", "uniform")
     sieve = [] if ranged else [entry.split(":") for entry in given.sizes.split(",")]
     least, most = (given.size_min, given.size_max) if ranged else (1e-3 * float(sieve[k][0]) for k in (0, -1))
-    factor = elements.coarse or max(1.0, WIDEST * narrowest / most)
+    factor = elements.coarse or max(1.0, LARGEST_STONE_RATIO * narrowest / most)
     # Small plug balls would limit the time step, so they are enlarged together with the aggregate.
     whole["plug_ball"] = max(factor * given.plug_ball, min(factor * least, narrowest / 5))
     if not ranged:
         return whole | {"sizes": ",".join(f"{factor * float(opening):g}:{passing}" for opening, passing in sieve)}
-    return whole | {name: factor * getattr(given, name) for name in SIZES if getattr(given, name) is not None}
+    return whole | {name: factor * getattr(given, name) for name in SIZE_PARAMETERS if getattr(given, name) is not None}
 
 
-def _called(key: tuple[Any, ...], part: Part, seed: int) -> str:
-    return f"{folder_name(part)}{'-pressed' if key[-1] == PRESSED else ''}-dem-seed-{seed}"
+def _run_name(key: tuple[Any, ...], part: Part, seed: int) -> str:
+    return f"{folder_name(part)}{'-pressed' if key[-1] == PRESSED_RUN else ''}-dem-seed-{seed}"
 
 
 def _simulate(
@@ -329,7 +331,7 @@ def _simulate(
     for key, seed, scene in jobs:
         part = kinds[key]
         simulation, checkpoint = part_simulation(
-            scene, modules()[SCENE].check, out, _called(key, part, seed), part.mesh.digest if part.mesh else "",
+            scene, modules()[SCENE].check, out, _run_name(key, part, seed), part.mesh.digest if part.mesh else "",
             device=device, threads=threads,
         )  # fmt: skip
         simulations.append(simulation)
@@ -345,16 +347,16 @@ def _simulate(
         if not outcome.finished:
             raise KeyboardInterrupt
         runs[key, seed] = outcome
-        took[_called(key, kinds[key], seed)] = number(outcome.result["speed"]["wall_time"])
+        took[_run_name(key, kinds[key], seed)] = number(outcome.result["speed"]["wall_time"])
     return took
 
 
-def _packed(kinds: Mapping[Any, Part], runs: Mapping[Any, Run]) -> Packed:
+def _seed_result(kinds: Mapping[Any, Part], runs: Mapping[Any, Run]) -> SeedResult:
     tables: dict[float, list[Mapping[str, np.ndarray]]] = {}
     ratios, densities, largest = {}, [], 0.0
     for key, part in kinds.items():
         run = runs[key]
-        if part.by_length:
+        if part.is_by_length:
             columns = run.tables["stations"].columns
             if np.count_nonzero(np.isfinite(columns["axial_stress"])) < 3:
                 refuse(
@@ -365,7 +367,7 @@ def _packed(kinds: Mapping[Any, Part], runs: Mapping[Any, Run]) -> Packed:
                 )
             tables.setdefault(part.diameter, []).append(columns)
             densities.append(float(np.nanmean(columns["bulk_density"])))
-            largest = SOFT * run.scene.parameters["modulus"]
+            largest = CONSTANT_FRICTION_RATIO * run.scene.parameters["modulus"]
         elif "middle_ratio" not in run.result:
             refuse(
                 "part",
@@ -379,7 +381,7 @@ def _packed(kinds: Mapping[Any, Part], runs: Mapping[Any, Run]) -> Packed:
     for diameter, found in tables.items():
         joined = {name: np.concatenate([columns[name] for columns in found]) for name in found[0]}
         laws[diameter] = WallLaw.of(diameter, joined, largest)
-    return Packed(laws, ratios, float(np.mean(densities)))
+    return SeedResult(laws, ratios, float(np.mean(densities)))
 
 
 def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Mapping[Any, Part]) -> Iterator[str]:
@@ -391,8 +393,8 @@ def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Map
         yield from (f"check FAILED in {name}: {what}" for what in bad)
     for (key, seed), run in runs.items():
         ratio = run.result.get("flux_ratio")
-        if ratio is not None and number(ratio) < EVEN:
-            name = _called(key, kinds[key], seed)
+        if ratio is not None and number(ratio) < MIN_FLUX_RATIO:
+            name = _run_name(key, kinds[key], seed)
             yield (
                 f"{name}: outflow is {100 * number(ratio):.0f} % of the inflow; the concrete is still being compressed"
             )
@@ -405,7 +407,7 @@ def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Map
         )
 
 
-def lines_of_elements(found: ElementLine, others: Mapping[str, Sequence[float]]) -> list[str]:
+def element_table_lines(found: ElementLine, others: Mapping[str, Sequence[float]]) -> list[str]:
     """Return a headline and a table of the parts as lines of Markdown.
 
     `others` holds frictions of the parts from other methods [Pa], with one column of the table for each.
@@ -425,7 +427,7 @@ def lines_of_elements(found: ElementLine, others: Mapping[str, Sequence[float]])
     ]
     rows = zip(found.line.parts, found.frictions(), found.weights(), strict=True)
     for place, (part, friction, weight) in enumerate(rows):
-        ratios = [each.ratios[part.alike] for each in found.packed if part.alike in each.ratios]
+        ratios = [each.ratios[part.loss_key] for each in found.packed if part.loss_key in each.ratios]
         shown = f"{np.mean(ratios):.2f}" if ratios else ""
         if len(ratios) > 1:
             shown += f" ± {np.std(ratios, ddof=1) / math.sqrt(len(ratios)):.2f}"

@@ -10,12 +10,12 @@ from typing import Any
 
 from ...core.errors import RunFolderError
 from ...core.run.files import read_json, write_json
-from ...core.run.folders import held, new_folder
+from ...core.run.folders import locked_folder, new_folder
 from ...methods import Simulation
 from ...record.checks import CheckRecorder
 from ...record.run_folder import TableRecorder
 
-ASKED = "asked.json"
+LINE_RECORD = "asked.json"
 """Name of the file that describes the folder's line until all its runs are finished."""
 PARTS = "parts"
 
@@ -31,11 +31,11 @@ def line_folder(out: Path | None, asked: Mapping[str, Any]) -> Iterator[None]:
     if out is None:
         yield
         return
-    record = out / ASKED
+    record = out / LINE_RECORD
     known = json.loads(json.dumps(asked))
     if record.is_file() and read_json(record) != known:
         raise RunFolderError(f"out = '{out}': contains another, unfinished line; choose a new folder")
-    with held(out, ASKED) if record.is_file() else new_folder(out):
+    with locked_folder(out, LINE_RECORD) if record.is_file() else new_folder(out):
         if not record.is_file():
             write_json(record, known)
         try:
@@ -47,7 +47,7 @@ def line_folder(out: Path | None, asked: Mapping[str, Any]) -> Iterator[None]:
         record.unlink()
 
 
-def known_run(lines: Sequence[Path | None], scene: Any, digest: str = "") -> Path | None:
+def previous_run(lines: Sequence[Path | None], scene: Any, digest: str = "") -> Path | None:
     """Return the folder of a finished run of the same scene in the folders of several lines; None if there is none.
 
     `digest` identifies a mesh file and must be part of the folder's name.

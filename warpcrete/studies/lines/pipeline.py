@@ -9,7 +9,7 @@ from ...core.run.run_loop import Run
 from ...core.units import number, quantity
 from ...dem.measure.quantities import WINDOW, past_ramp
 
-STRAIGHT = ("vertical", "horizontal")
+STRAIGHT_UNITS = ("vertical", "horizontal")
 
 
 def pipeline_pressure(vertical: float, horizontal: float, height: float, distance: float) -> float:
@@ -31,7 +31,7 @@ def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> Non
     pipe = getattr(scene, "pipe", None)
     if pipe is None:
         refuse("pipeline", scene.name, "needs a straight unit of discrete elements (Eq. 13)", "use the scene pipe")
-    one_of("unit", pipe.name, STRAIGHT)
+    one_of("unit", pipe.name, STRAIGHT_UNITS)
     if not past_ramp(scene, pipe.travel):
         refuse(
             "travel", pipe.travel, "is too short for a plateau of the pressure, which Eq. 13 needs (ramp "
@@ -43,7 +43,7 @@ def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> Non
             raise RunFolderError(
                 f"pipeline_other = '{source}': is not a finished pipe run with a plateau; give the folder of one"
             )
-        one_of("unit of pipeline_other", other.get("unit"), [u for u in STRAIGHT if u != pipe.name])
+        one_of("unit of pipeline_other", other.get("unit"), [u for u in STRAIGHT_UNITS if u != pipe.name])
 
 
 def pipeline_estimate(

@@ -14,7 +14,7 @@ from ...core.run.run import dataframe
 from ...core.units import quantity
 from ...mps.mixes import CONSTANTS
 from ...theory.pipe import Concrete
-from .losses import Part, PipeLine, friction, layered
+from .losses import Part, PipeLine, friction, with_layer_factor
 
 
 @dataclass(frozen=True)
@@ -101,11 +101,11 @@ class LineResult:
     def ends(self) -> list[Callable[[Loss], float]]:
         """Return, for both ends of the band, a function that gives the pressure loss of a part [Pa]."""
         factors = (1 / self.layer_factor, self.layer_factor)
-        others = self.extremes or [layered(self.concrete, factor) for factor in factors]
+        others = self.extremes or [with_layer_factor(self.concrete, factor) for factor in factors]
         return [lambda x, c=c: x.friction * friction(x.part, c, self.flow) / x.theory + x.weight for c in others]
 
     @property
-    def band_words(self) -> str:
+    def band_text(self) -> str:
         """Description of the band for the user."""
         if self.extremes is not None:
             return "all constants at the lower and upper ends of the mix's bands"
@@ -149,7 +149,7 @@ class LineResult:
             "pressure_low": quantity(low, "Pa"),
             "pressure_high": quantity(high, "Pa"),
             "layer_factor": None if self.extremes else self.layer_factor,
-            "band": self.band_words,
+            "band": self.band_text,
             "power": quantity(self.power, "W"),
             "recorded": None if self.line.recorded is None else quantity(self.line.recorded, "Pa"),
             "simulated": self.simulated,
@@ -173,7 +173,7 @@ def lines_of(result: LineResult) -> list[str]:
         f"**{result.line.name}**: {result.line.length:.4g} m, {result.line.rise:.4g} m up, {result.concrete.name} at "
         f"{3600 * result.flow:.4g} m3/h",
         "",
-        f"- pressure at the pump {_bar(result.pressure)}; {_bar(low)} to {_bar(high)} with {result.band_words}",
+        f"- pressure at the pump {_bar(result.pressure)}; {_bar(low)} to {_bar(high)} with {result.band_text}",
         f"- by theory, with bends and reducers as straight pipe, {_bar(result.theory)}",
         f"- power into the concrete {result.power / 1e3:.3g} kW",
     ]
@@ -214,7 +214,7 @@ def draw(result: LineResult) -> Any:
     axes.plot(*_scaled(result.course(lambda x: x.weight)), color="0.6", linewidth=1.0, label="weight alone")
     begin = 0.0
     for x in result.losses:
-        if not x.part.by_length:
+        if not x.part.is_by_length:
             axes.axvspan(begin, begin + x.part.length, color="C1" if x.part.kind == "bend" else "C2", alpha=0.35,
                          linewidth=0)  # fmt: skip
         begin += x.part.length

@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from ...core.errors import between, positive, refuse
-from ...core.run.files import check_new, read_json, whole_file, write_json
+from ...core.run.files import atomic_file, check_new, read_json, write_json
 from ...core.units import number
 from ...mps.mixes import CONSTANTS
 from ...record.checks import failed_checks
 from ...scenes import modules
 from ...theory.pipe import Concrete
-from .folder import ASKED, known_run, part_simulation
-from .losses import Part, PipeLine, friction, layered
+from .folder import LINE_RECORD, part_simulation, previous_run
+from .losses import Part, PipeLine, friction, with_layer_factor
 from .result import LineResult, Loss, draw, lines_of
 
 GRAVITY = 9.81
@@ -28,7 +28,7 @@ TUBE_CELLS = 20
 """Number of particles across a straight pipe, which is cheaper to simulate because it is periodic."""
 LAYER_FACTOR = 2.0
 """Default factor by which the resistance of an unmeasured slip layer may be wrong, in both directions."""
-AHEAD = 2.5
+STRAIGHT_DIAMETERS = 2.5
 """Length of straight pipe before and behind a simulated bend or reducer [diameters]."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
@@ -61,7 +61,7 @@ def run_line(
     positive("flow", flow, "m3/s")
     between("layer_factor", layer_factor, 1, math.inf)
     between("cells", cells, 8, math.inf)
-    if out is not None and not (out / ASKED).is_file():
+    if out is not None and not (out / LINE_RECORD).is_file():
         check_new(out)
     if known is not None and not (known / "parts").is_dir():
         refuse(
@@ -71,8 +71,8 @@ def run_line(
             "give one that contains a folder 'parts'",
         )
     tell = progress or (lambda phase, fraction, figures: None)
-    kinds = {part.alike: part for part in line.parts} if simulate else {}
-    cases = {key: _case(part, concrete, flow, cells) for key, part in kinds.items()}
+    kinds = {part.loss_key: part for part in line.parts} if simulate else {}
+    cases = {key: _scene_of_part(part, concrete, flow, cells) for key, part in kinds.items()}
     # Build all scenes before the first run, so that an impossible scene is refused at once.
     scenes = {key: modules()[name].scene(**parameters) for key, (name, parameters) in cases.items()}
     found: dict[tuple[Any, ...], float] = {}
@@ -80,17 +80,17 @@ def run_line(
     failed: dict[str, list[str]] = {}
     for place, (key, part) in enumerate(kinds.items()):
 
-        def hear(phase: str, fraction: float, figures: dict[str, Any], place: int = place) -> None:
+        def report_progress(phase: str, fraction: float, figures: dict[str, Any], place: int = place) -> None:
             tell(phase, (place + fraction) / len(kinds) if phase == "running" else fraction, figures)
 
-        called = folder_name(part) + ("" if part.by_length else f"-cells-{cells}")
+        called = folder_name(part) + ("" if part.is_by_length else f"-cells-{cells}")
         digest = part.mesh.digest if part.mesh else ""
-        folder = known_run((out, known), scenes[key], digest)
+        folder = previous_run((out, known), scenes[key], digest)
         result = None if folder is None else read_json(folder / "result.json")
         if result is None:
             simulation, checkpoint = part_simulation(
                 scenes[key], modules()[cases[key][0]].check, out, called, digest, device=device, threads=threads,
-                progress=hear,
+                progress=report_progress,
             )  # fmt: skip
             simulation.begin(checkpoint)
             run = simulation.run()
@@ -100,11 +100,15 @@ def run_line(
             took[called] = number(result["speed"]["wall_time"])
         if bad := failed_checks(result):
             failed[called] = [f"{name}: {result['checks'][name]['found']}" for name in bad]
-        found[key] = _lost(part, result)
+        found[key] = _loss_from_run(part, result)
     losses = []
     for part in line.parts:
         theory = friction(part, concrete, flow)
-        ours = theory if not simulate else found[part.alike] * (part.length * part.curving if part.by_length else 1.0)
+        ours = (
+            theory
+            if not simulate
+            else found[part.loss_key] * (part.length * part.relative_loss if part.is_by_length else 1.0)
+        )
         losses.append(Loss(part, ours, theory, concrete.density * GRAVITY * part.rise))
     result = LineResult(line, concrete, flow, losses, layer_factor, simulate, out, took, failed, band)
     if out is not None:
@@ -112,19 +116,19 @@ def run_line(
     return result
 
 
-def _case(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str, dict[str, Any]]:
+def _scene_of_part(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str, dict[str, Any]]:
     """Return the scene's name and the parameters that simulate a kind of part without weight."""
-    concrete = layered(concrete, part.layer)
+    concrete = with_layer_factor(concrete, part.layer)
     own = {"concrete": "own", **{name: getattr(concrete, name) for name in CONSTANTS}}
     own |= {"diameter": part.diameter, "flow": flow, "gravity": 0.0}
-    if part.by_length:
+    if part.is_by_length:
         spacing = part.diameter / TUBE_CELLS
         step = min(5e-4, 0.4 * spacing / (flow / (math.pi * part.diameter**2 / 4)))
         return "tube", {**own, "ends": "periodic", "spacing": spacing, "time_step": step}
     narrow, wide = part.narrow, max(part.diameter, part.outlet)
     spacing = narrow / cells
     fastest = flow / (math.pi * narrow**2 / 4)
-    own |= {"spacing": spacing, "straight": AHEAD * wide, "time_step": min(5e-3, 0.5 * spacing / fastest)}
+    own |= {"spacing": spacing, "straight": STRAIGHT_DIAMETERS * wide, "time_step": min(5e-3, 0.5 * spacing / fastest)}
     if part.kind == "bend":
         return "part", {**own, "unit": "bend-level", "angle": max(part.angle, 5.0), "elbow_radius": part.radius}
     if part.mesh:
@@ -132,16 +136,16 @@ def _case(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str,
     return "part", {**own, "unit": "horizontal", "outlet_diameter": part.outlet, "taper": part.length}
 
 
-def _lost(part: Part, result: Mapping[str, Any]) -> float:
+def _loss_from_run(part: Part, result: Mapping[str, Any]) -> float:
     """Return the friction of a bend or reducer [Pa], or of a straight pipe per metre [Pa/m], from its run."""
-    if part.by_length:
+    if part.is_by_length:
         return 4 * number(result["wall_stress"]) / part.diameter
     return number(result["middle_loss"]) * (part.angle / max(part.angle, 5.0) if part.kind == "bend" else 1.0)
 
 
 def folder_name(part: Part) -> str:
     """Return the name of the run folder for a kind of part."""
-    if part.by_length:
+    if part.is_by_length:
         layer = "" if part.layer == 1 else f"-layer-{part.layer:g}"
         return f"straight-{1e3 * part.diameter:g}{layer}"
     if part.mesh:
@@ -153,7 +157,7 @@ def folder_name(part: Part) -> str:
 def _write(result: LineResult, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "line.json", result.record())
-    with whole_file(out / "line.md") as partial:
+    with atomic_file(out / "line.md") as partial:
         partial.write_text("\n".join(lines_of(result)) + "\n", encoding="utf-8")
-    with whole_file(out / "line.png") as partial:
+    with atomic_file(out / "line.png") as partial:
         draw(result).savefig(partial, dpi=150, format="png")

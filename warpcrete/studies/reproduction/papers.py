@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-FLAT = 0.05
+EQUAL_SPREAD = 0.05
 """Relative spread (range over mean) up to which pressures count as equal."""
-LINEAR = 0.98
+MIN_DETERMINATION = 0.98
 """Coefficient of determination of a straight line's fit above which a relation counts as linear."""
-GROWS = 0.03
+MIN_GROWTH = 0.03
 """Relative growth of a pressure above which it counts as growing."""
 
 Judge = Callable[[Sequence[float], Sequence[float]], tuple[bool, str]]
@@ -50,60 +50,61 @@ class Row:
         return self.numbers or self.values
 
 
-def flat(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
+def judge_equal(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
     """Judge whether all pressures are nearly equal."""
     spread = (max(pressures) - min(pressures)) / float(np.mean(pressures))
-    return spread < FLAT, f"they differ by {100 * spread:.1f} %"
+    return spread < EQUAL_SPREAD, f"they differ by {100 * spread:.1f} %"
 
 
-def linear(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
+def judge_linear(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
     """Judge whether the pressure grows along a straight line."""
     slope, shift = np.polyfit(values, pressures, 1)
     rest = np.asarray(pressures) - (slope * np.asarray(values) + shift)
     fit = 1 - float(rest @ rest) / max(float(np.var(pressures)) * len(pressures), 1e-300)
     growth = (pressures[-1] - pressures[0]) / pressures[0]
-    holds = fit > LINEAR and growth > GROWS
+    holds = fit > MIN_DETERMINATION and growth > MIN_GROWTH
     return holds, f"{'+' if growth > 0 else ''}{100 * growth:.0f} % from end to end, straight to R2 = {fit:.3f}"
 
 
-def growing(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
+def judge_growing(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
     """Judge whether the pressure grows from each value to the next."""
     steps = np.diff(pressures) / pressures[0]
     growth = (pressures[-1] - pressures[0]) / pressures[0]
-    return bool(np.all(steps > -FLAT / 5) and growth > GROWS), f"{100 * growth:+.0f} % from end to end"
+    return bool(np.all(steps > -EQUAL_SPREAD / 5) and growth > MIN_GROWTH), f"{100 * growth:+.0f} % from end to end"
 
 
-def narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
+def judge_narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
     """Judge whether pressures are equal from the third pipe diameter on, and far higher in the narrowest pipe."""
-    level, what = flat(values[2:], pressures[2:])
+    level, what = judge_equal(values[2:], pressures[2:])
     growth = pressures[0] / pressures[2] - 1
     holds = level and growth > 0.5
     return holds, f"from 150 mm on {what}; {100 * growth:+.0f} % at {1e3 * values[0]:.0f} mm"
 
 
-def late(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
+def judge_late_growth(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
     """Judge whether the first two pressures are equal and the further ones grow."""
-    level, what = flat(values[:2], pressures[:2])
-    grown, how = growing(values[1:], pressures[1:])
+    level, what = judge_equal(values[:2], pressures[:2])
+    grown, how = judge_growing(values[1:], pressures[1:])
     return level and grown, f"the first two values: {what}; then {how}"
 
 
-OF_ALL = (narrow, late)
+NEEDS_ALL_VALUES = (judge_narrow, judge_late_growth)
 """Judging functions that need every value, so that no run may be missing."""
 
 ZHAN = (
     Row("diameter", "diameter", (0.100, 0.125, 0.150, 0.175, 0.200),
-        "150, 175 and 200 mm nearly equal, steeply more below", narrow, printed={0.100: 72.99e3, 0.150: 38.58e3}),
-    Row("elbow radius", "elbow_radius", (0.25, 0.5, 0.75, 1.0), "largest pressures nearly equal", flat),
+        "150, 175 and 200 mm nearly equal, steeply more below", judge_narrow, printed={0.100: 72.99e3, 0.150: 38.58e3}),
+    Row("elbow radius", "elbow_radius", (0.25, 0.5, 0.75, 1.0), "largest pressures nearly equal", judge_equal),
     Row("aggregate size", "size_max", (10e-3, 20e-3, 40e-3, 60e-3),
-        "5-10 and 5-20 mm equal, then growing", late),
+        "5-10 and 5-20 mm equal, then growing", judge_late_growth),
     Row("shape factor", "shapes", ("shape-1.5", "shape-2.5", "shape-3.5", "shape-4.5"),
-        "linear in the shape factor", linear, numbers=(1.5, 2.5, 3.5, 4.5)),
-    Row("velocity", "velocity", (0.1, 0.3, 0.5, 0.7, 0.9), "about linear in velocity", linear),
-    Row("hydrated fraction", "hydration", (0.0, 0.05, 0.10, 0.15, 0.20), "grows with the fraction (at 1e9 Pa)", growing,
+        "linear in the shape factor", judge_linear, numbers=(1.5, 2.5, 3.5, 4.5)),
+    Row("velocity", "velocity", (0.1, 0.3, 0.5, 0.7, 0.9), "about linear in velocity", judge_linear),
+    Row("hydrated fraction", "hydration", (0.0, 0.05, 0.10, 0.15, 0.20), "grows with the fraction (at 1e9 Pa)",
+        judge_growing,
         base={"hydration_modulus": 1e9}),
     Row("hydrated modulus", "hydration_modulus", (2e4, 1e6, 1e7, 1e8, 1e9), "grows with the stiffness (at 20 %)",
-        growing, base={"hydration": 0.2}),
+        judge_growing, base={"hydration": 0.2}),
 )  # fmt: skip
 """Parameter variations in section 5 of Zhan et al. 2019, on unit D; the pressures are peak pressures."""
 SMALLEST = {10e-3: 5e-3, 20e-3: 5e-3, 40e-3: 10e-3, 60e-3: 10e-3}
@@ -130,7 +131,7 @@ CONCRETES: dict[str, dict[str, Any]] = {
 calibrated on units A and B; and stones of 1e7 Pa, loosely packed, with the same friction and another layer.
 """
 
-OPEN: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {
+OPEN_ASSUMPTIONS: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {
     "equal fraction": ({"solid_fraction": 0.70}, ("units", "diameter", "aggregate size", "shape factor"),
         "packed to a solid fraction of 0.70 for every pipe, sizes and shapes; the reference mix has this fraction at "
         "the plug's pressure"),
@@ -158,14 +159,14 @@ def zhan_case(row: Row, value: Any, quick: bool) -> dict[str, Any]:
     return case
 
 
-def overrides(name: str) -> dict[str, Any]:
+def column_parameters(name: str) -> dict[str, Any]:
     """Return the parameters of a report column: one of the concretes, or the calibrated one with an open assumption."""
-    return CONCRETES[name] if name in CONCRETES else {**CONCRETES["calibrated"], **OPEN[name][0]}
+    return CONCRETES[name] if name in CONCRETES else {**CONCRETES["calibrated"], **OPEN_ASSUMPTIONS[name][0]}
 
 
 def rows_of(name: str) -> tuple[str, ...]:
     """Return the names of the parameter variations that are run for a column of the report."""
-    return OPEN[name][1] if name in OPEN else (UNITS_ROW, *(row.name for row in ZHAN))
+    return OPEN_ASSUMPTIONS[name][1] if name in OPEN_ASSUMPTIONS else (UNITS_ROW, *(row.name for row in ZHAN))
 
 
 XU_CONCRETES = ("no1", "no2", "no3")

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ...core.run.files import whole_file, write_json
+from ...core.run.files import atomic_file, write_json
 from ...core.units import number
 from .papers import (
     CONCRETES,
-    OPEN,
+    OPEN_ASSUMPTIONS,
     PIPELINES,
     PRINTED,
     PRINTED_TRAVEL,
@@ -20,10 +20,10 @@ from .papers import (
     XU_PRINTED,
     ZHAN,
     Row,
-    overrides,
+    column_parameters,
     xu_cases,
 )
-from .state import Reproduction, judged, key_of, pressures, unit_case
+from .state import Reproduction, key_of, pressures, unit_case, verdict_of
 
 WHAT = {
     "literal": "Table 1 as printed",
@@ -45,12 +45,12 @@ VARIED = {"flow": "flow", "resolution": "spacing", "slip layer": "slip_thickness
 def write(found: Reproduction) -> None:
     """Write the results so far to reproduction.md, reproduction.png and results.json."""
     text = "\n".join(_zhan(found) if found.paper == "zhan" else _xu(found))
-    with whole_file(found.folder / "reproduction.md") as partial:
+    with atomic_file(found.folder / "reproduction.md") as partial:
         partial.write_text(text.rstrip() + "\n", encoding="utf-8")
     kept = {key: _plain(result) for key, result in found.results.items()}
     write_json(found.folder / "results.json", {"results": kept, "failures": found.failures})
     if found.paper == "zhan" and found.results:
-        with whole_file(found.folder / "reproduction.png") as partial:
+        with atomic_file(found.folder / "reproduction.png") as partial:
             draw(found).savefig(partial, dpi=120, format="png")
 
 
@@ -65,7 +65,7 @@ def _plain(result: Mapping[str, Any]) -> dict[str, float]:
     return found
 
 
-def ran(found: Reproduction, names: Iterable[str] = CONCRETES) -> list[str]:
+def columns_with_results(found: Reproduction, names: Iterable[str] = CONCRETES) -> list[str]:
     """Return the names of the report columns that have results; a column is a concrete or an open assumption."""
     return [name for name in names
             if any(key.startswith((f"{name}: ", f"{name}, hydrated: ")) for key in found.results)]  # fmt: skip
@@ -80,7 +80,7 @@ def _zhan(found: Reproduction) -> Iterator[str]:
         else "four clump templates"
     )
     yield f"{len(found.results)} results, {found.seeds} seed(s) each, {sizes}."
-    for name in ran(found):
+    for name in columns_with_results(found):
         yield f"- **{name}**: {WHAT[name]}."
     yield ""
     yield from _units(found)
@@ -98,20 +98,20 @@ def _zhan(found: Reproduction) -> Iterator[str]:
 
 
 def _of_unit(found: Reproduction, name: str, unit: str, quantity: str) -> list[float]:
-    return found.values(name, {**unit_case(unit, found.quick), **overrides(name)}, quantity)
+    return found.values(name, {**unit_case(unit, found.quick), **column_parameters(name)}, quantity)
 
 
 def _units(found: Reproduction) -> Iterator[str]:
     yield "## Units: largest pressure and pressure at the end [kPa]"
     yield ""
-    yield "| unit | paper | " + " | ".join(ran(found)) + " |"
-    yield "|---|---|" + "---|" * len(ran(found))
+    yield "| unit | paper | " + " | ".join(columns_with_results(found)) + " |"
+    yield "|---|---|" + "---|" * len(columns_with_results(found))
     for letter, unit in zip("ABCD", UNITS):
         cells = [_pair(_of_unit(found, name, unit, "peak_pressure"), _of_unit(found, name, unit, "end_pressure"))
-                 for name in ran(found)]  # fmt: skip
+                 for name in columns_with_results(found)]  # fmt: skip
         yield f"| {letter} {unit} | {_printed(*PRINTED[unit])} | " + " | ".join(cells) + " |"
     for letter, unit in zip("AB", UNITS):
-        cells = [_metres(_of_unit(found, name, unit, "peak_travel")) for name in ran(found)]
+        cells = [_metres(_of_unit(found, name, unit, "peak_travel")) for name in columns_with_results(found)]
         yield (
             f"| {letter}, travel at the largest pressure [m] | {PRINTED_TRAVEL[unit]:.2f} |" + " | ".join(cells) + " |"
         )
@@ -120,17 +120,17 @@ def _units(found: Reproduction) -> Iterator[str]:
 
 def _open(found: Reproduction) -> Iterator[str]:
     """Yield the section of the report on assumptions that the paper leaves open."""
-    names = ran(found, OPEN)
+    names = columns_with_results(found, OPEN_ASSUMPTIONS)
     if not names:
         return
     yield "## What the paper leaves open: units with the calibrated concrete, without a new fit"
     yield ""
     for name in names:
-        yield f"- **{name}**: {OPEN[name][2]}."
+        yield f"- **{name}**: {OPEN_ASSUMPTIONS[name][2]}."
     yield ""
     yield "| | " + " | ".join("ABCD") + " | travel at the largest pressure of A [m] | of B |"
     yield "|---|---|---|---|---|---|---|"
-    for name in [*(["calibrated"] if "calibrated" in ran(found) else []), *names]:
+    for name in [*(["calibrated"] if "calibrated" in columns_with_results(found) else []), *names]:
         cells = [_pair(_of_unit(found, name, unit, "peak_pressure"), _of_unit(found, name, unit, "end_pressure"))
                  for unit in UNITS]  # fmt: skip
         cells += [_metres(_of_unit(found, name, unit, "peak_travel")) for unit in UNITS[:2]]
@@ -166,12 +166,12 @@ def _pipelines(found: Reproduction) -> Iterator[str]:
     """Yield the table of whole pipelines by the paper's Eq. 13, from the final pressures of units A and B."""
     yield "Eq. 13, pressure of a whole pipeline from one metre of vertical and one metre of horizontal pipe [MPa]:"
     yield ""
-    yield "| pipeline | recorded | paper | " + " | ".join(ran(found)) + " |"
-    yield "|---|---|---|" + "---|" * len(ran(found))
+    yield "| pipeline | recorded | paper | " + " | ".join(columns_with_results(found)) + " |"
+    yield "|---|---|---|" + "---|" * len(columns_with_results(found))
     for place, (up, along, paper, recorded) in PIPELINES.items():
         cells = []
-        for name in ran(found):
-            a, b = (found.mean(name, {**unit_case(unit, found.quick), **overrides(name)}, "end_pressure")
+        for name in columns_with_results(found):
+            a, b = (found.mean(name, {**unit_case(unit, found.quick), **column_parameters(name)}, "end_pressure")
                     for unit in UNITS[:2])  # fmt: skip
             cells.append(f"{(up * a + along * b) / 1e6:.1f}" if math.isfinite(a + b) else "-")
         yield f"| {place} | {recorded / 1e6:.1f} | {paper / 1e6:.2f} | " + " | ".join(cells) + " |"
@@ -179,7 +179,9 @@ def _pipelines(found: Reproduction) -> Iterator[str]:
 
 
 def _row(found: Reproduction, row: Row) -> Iterator[str]:
-    done = [(name, *judged(found, row, name)) for name in ran(found, [*CONCRETES, *OPEN])]
+    done = [
+        (name, *verdict_of(found, row, name)) for name in columns_with_results(found, [*CONCRETES, *OPEN_ASSUMPTIONS])
+    ]
     done = [(name, means, verdict) for name, means, verdict in done if any(map(math.isfinite, means))]
     yield ""
     yield f"**{row.name[0].upper()}{row.name[1:]}.** The paper: {row.claim}."
@@ -213,7 +215,7 @@ def draw(found: Reproduction) -> Any:
     figure = Figure(figsize=(12, 6.5), layout="constrained")
     panels = figure.subplots(2, 4).ravel()
     for row, axes in zip(ZHAN, panels):
-        for number_of, name in enumerate([*CONCRETES, *OPEN]):
+        for number_of, name in enumerate([*CONCRETES, *OPEN_ASSUMPTIONS]):
             each = pressures(found, row, name)
             means = np.array([np.mean(values) if values else np.nan for values in each]) / 1e3
             scatter = np.array([np.std(values, ddof=1) if len(values) > 1 else 0.0 for values in each]) / 1e3

@@ -9,17 +9,17 @@ from typing import Any
 from ...core.device.device import find_device
 from ...core.errors import RunFolderError, one_of, refuse
 from ...core.run.files import read_json, read_record, write_json
-from ...core.run.folders import held, new_folder
+from ...core.run.folders import locked_folder, new_folder
 from ...scenes import modules
-from ..cases import MOST_CASES, Case
+from ..cases import MAX_CASES, Case
 from ..study import Study, resume_study, run_listed
-from .papers import CONCRETES, OPEN, UNITS, UNITS_ROW, ZHAN, overrides, rows_of, xu_cases, zhan_case
+from .papers import CONCRETES, OPEN_ASSUMPTIONS, UNITS, UNITS_ROW, ZHAN, column_parameters, rows_of, xu_cases, zhan_case
 from .report import write
 from .state import Reproduction, key_of, unit_case
 
 PAPERS = ("zhan", "xu")
 RECORD = "reproduction.json"
-KNOWN = "known.json"
+KNOWN_RESULTS = "known.json"
 """Name of the file with results from earlier reproductions."""
 QUICK = ("literal", "calibrated")
 """Concretes in a quick reproduction."""
@@ -48,8 +48,8 @@ def reproduce(
     :class:`SceneError` for an unknown paper or name, and :class:`RunFolderError` for a folder without results.
     """
     one_of("paper", paper, PAPERS)
-    if not 1 <= seeds <= MOST_CASES:
-        refuse("seeds", seeds, f"must be from 1 to {MOST_CASES}")
+    if not 1 <= seeds <= MAX_CASES:
+        refuse("seeds", seeds, f"must be from 1 to {MAX_CASES}")
     columns, rows = chosen(paper, only)
     taken: dict[str, Any] = {}
     for folder in known:
@@ -57,55 +57,55 @@ def reproduce(
     find_device(device)
     record = {"paper": paper, "quick": quick, "seeds": seeds, "device": device, "columns": columns, "rows": rows}
     with new_folder(out):
-        write_json(out / KNOWN, taken)
+        write_json(out / KNOWN_RESULTS, taken)
         write_json(out / RECORD, record)
-        return _go_on(out, processes, progress)
+        return _continue(out, processes, progress)
 
 
 def resume_reproduction(
     folder: Path, *, processes: int | None = None, progress: Progress | None = None
 ) -> Reproduction:
     """Continue a reproduction and reuse its finished runs."""
-    with held(folder, RECORD):
-        return _go_on(folder, processes, progress)
+    with locked_folder(folder, RECORD):
+        return _continue(folder, processes, progress)
 
 
-def _go_on(folder: Path, processes: int | None, progress: Progress | None) -> Reproduction:
+def _continue(folder: Path, processes: int | None, progress: Progress | None) -> Reproduction:
     record = read_record(folder / RECORD)
     if not {"paper", "quick", "seeds", "device"} <= set(record) or record["paper"] not in ("zhan", "xu"):
         raise RunFolderError(
             f"'{folder / RECORD}': is not the record of a reproduction; give the folder of a reproduction"
         )
-    found = Reproduction(folder, record["paper"], record["quick"], record["seeds"], record["device"],
+    reproduction = Reproduction(folder, record["paper"], record["quick"], record["seeds"], record["device"],
                          tuple(record.get("columns", ())), tuple(record.get("rows", ())))  # fmt: skip
-    if (folder / KNOWN).is_file():
-        found.results |= read_json(folder / KNOWN)
-    studies = zhan_studies(found) if found.paper == "zhan" else xu_studies(found)
+    if (folder / KNOWN_RESULTS).is_file():
+        reproduction.results |= read_json(folder / KNOWN_RESULTS)
+    studies = zhan_studies(reproduction) if reproduction.paper == "zhan" else xu_studies(reproduction)
     tell = progress or (lambda phase, fraction, figures: None)
     lost: list[str] = []
     try:
         for place, (group, scene, cases) in enumerate(studies):
-            study = _run(found, group, scene, cases, processes, _part(tell, place, len(studies)))
-            _take(found, group, study)
+            study = _run(reproduction, group, scene, cases, processes, _part(tell, place, len(studies)))
+            _store_results(reproduction, group, study)
             if not study.finished:
-                return found
+                return reproduction
             lost += study.lost
-        found.finished = not lost
+        reproduction.finished = not lost
     finally:
-        write(found)
-    return found
+        write(reproduction)
+    return reproduction
 
 
 def _part(tell: Progress, place: int, count: int) -> Progress:
-    def hear(phase: str, fraction: float, figures: dict[str, Any]) -> None:
+    def report_progress(phase: str, fraction: float, figures: dict[str, Any]) -> None:
         tell(phase, (place + fraction) / count if phase == "running" else fraction, figures)
 
-    return hear
+    return report_progress
 
 
 def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return the report columns and rows of Zhan et al. named in `only`; an empty list stands for all of them."""
-    columns, rows = [*CONCRETES, *OPEN], [UNITS_ROW, *(row.name for row in ZHAN)]
+    columns, rows = [*CONCRETES, *OPEN_ASSUMPTIONS], [UNITS_ROW, *(row.name for row in ZHAN)]
     if only and paper != "zhan":
         refuse("only", list(only), "can be used with paper zhan only", "leave it out")
     for name in only:
@@ -129,81 +129,86 @@ def _results(folder: Path, paper: str, quick: bool) -> dict[str, Any]:
     return read_json(folder / "results.json")["results"]
 
 
-def zhan_studies(found: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
+def zhan_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
     """Return the group, scene and parameters of each study for Zhan et al. 2019, the most expensive last."""
-    names = found.columns or (QUICK if found.quick else (*CONCRETES, *OPEN))
-    studies = [(name, _cases(found, name, hydrated=False)) for name in names]
-    hydrated = [name for name in HYDRATED if name in names and not found.quick]
-    if found.columns and found.rows:  # the user named a column and a row
+    names = reproduction.columns or (QUICK if reproduction.quick else (*CONCRETES, *OPEN_ASSUMPTIONS))
+    studies = [(name, _cases(reproduction, name, hydrated=False)) for name in names]
+    hydrated = [name for name in HYDRATED if name in names and not reproduction.quick]
+    if reproduction.columns and reproduction.rows:  # the user named a column and a row
         hydrated = [name for name in names if name in CONCRETES]
-    studies += [(f"{name}, hydrated", _cases(found, name, hydrated=True)) for name in hydrated]
+    studies += [(f"{name}, hydrated", _cases(reproduction, name, hydrated=True)) for name in hydrated]
     return [(group, "pipe", cases) for group, cases in studies if cases]
 
 
-def _cases(found: Reproduction, name: str, hydrated: bool) -> list[dict[str, Any]]:
+def _cases(reproduction: Reproduction, name: str, hydrated: bool) -> list[dict[str, Any]]:
     """Return the parameters of a report column's cases that have no result yet, for all seeds.
 
     With `hydrated` these are the rows about hydrated bonds, and otherwise the units and all other rows.
     """
-    asked = [each for each in rows_of(name) if each in (found.rows or rows_of(name))]
-    units = [unit_case(unit, found.quick) for unit in UNITS] if UNITS_ROW in asked and not hydrated else []
+    asked = [each for each in rows_of(name) if each in (reproduction.rows or rows_of(name))]
+    units = [unit_case(unit, reproduction.quick) for unit in UNITS] if UNITS_ROW in asked and not hydrated else []
     # A quick reproduction omits the aggregate sizes, because small stones make a run long.
     rows = [row for row in ZHAN if row.name in asked and row.is_hydrated == hydrated
-            and not (found.quick and row.parameter == "size_max")]  # fmt: skip
-    cases = units + [zhan_case(row, value, found.quick) for row in rows for value in row.values]
-    each = [{**case, **overrides(name), "seed": seed} for case in cases for seed in range(found.seeds)]
+            and not (reproduction.quick and row.parameter == "size_max")]  # fmt: skip
+    cases = units + [zhan_case(row, value, reproduction.quick) for row in rows for value in row.values]
+    each = [{**case, **column_parameters(name), "seed": seed} for case in cases for seed in range(reproduction.seeds)]
     group = f"{name}, hydrated" if hydrated else name
-    return _once([case for case in each if key_of(group, case) not in found.results])
+    return _unique_cases([case for case in each if key_of(group, case) not in reproduction.results])
 
 
-def xu_studies(found: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
+def xu_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
     """Return the group, scene and parameters of each study for Xu, Li & Jiang 2021."""
     studies = []
-    for group, cases in xu_cases(found.quick).items():
+    for group, cases in xu_cases(reproduction.quick).items():
         for scene in dict.fromkeys(scene for scene, _ in cases):
             name = f"{group}, {scene}"
-            each = _once([{**case, "seed": 0} for s, case in cases if s == scene])
-            studies.append((name, scene, [case for case in each if key_of(name, case) not in found.results]))
+            each = _unique_cases([{**case, "seed": 0} for s, case in cases if s == scene])
+            studies.append((name, scene, [case for case in each if key_of(name, case) not in reproduction.results]))
     return [study for study in studies if study[2]]
 
 
-def _once(cases: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = []
+def _unique_cases(cases: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    reproduction: list[dict[str, Any]] = []
     for case in cases:
-        if case not in found:
-            found.append(case)
-    return found
+        if case not in reproduction:
+            reproduction.append(case)
+    return reproduction
 
 
 def _run(
-    found: Reproduction, group: str, scene: str, cases: Sequence[dict[str, Any]], processes: int | None, tell: Progress
+    reproduction: Reproduction,
+    group: str,
+    scene: str,
+    cases: Sequence[dict[str, Any]],
+    processes: int | None,
+    tell: Progress,
 ) -> Study:
-    folder = found.folder / group.replace(", ", "-").replace(" ", "-")
+    folder = reproduction.folder / group.replace(", ", "-").replace(" ", "-")
     module = modules()[scene]
     if (folder / "study.json").is_file():
         return resume_study(folder, module, processes=processes, progress=tell)
     same: dict[str, list[Mapping[str, Any]]] = {}
     for case in cases:  # several rows contain the reference case: run it once
-        same.setdefault(repr(module.scene.declared(_meant(module, case))), []).append(case)
-    first = [_meant(module, alike[0]) for alike in same.values()]
+        same.setdefault(repr(module.scene.declared(_effective_parameters(module, case))), []).append(case)
+    first = [_effective_parameters(module, loss_key[0]) for loss_key in same.values()]
     listed = [Case(f"{place + 1:03d}", each, each) for place, each in enumerate(first)]
-    keys = {case.name: [key_of(group, each) for each in alike] for case, alike in zip(listed, same.values())}
+    keys = {case.name: [key_of(group, each) for each in loss_key] for case, loss_key in zip(listed, same.values())}
     write_json(folder.with_suffix(".json"), keys)
-    return run_listed(scene, module, listed, out=folder, device=found.device, processes=processes, rerun=False,
+    return run_listed(scene, module, listed, out=folder, device=reproduction.device, processes=processes, rerun=False,
                       usd=False, figure=False, progress=tell)  # fmt: skip
 
 
-def _meant(module: Any, case: Mapping[str, Any]) -> dict[str, Any]:
+def _effective_parameters(module: Any, case: Mapping[str, Any]) -> dict[str, Any]:
     """Return the parameters that affect the case: a flow, for example, has no relevant seed."""
-    return module.scene.meaningful(case)
+    return module.scene.effective_values(case)
 
 
-def _take(found: Reproduction, group: str, study: Study) -> None:
+def _store_results(reproduction: Reproduction, group: str, study: Study) -> None:
     keys = read_json(study.folder.with_suffix(".json"))
     for case in study.cases:
         named = keys[case.name]
         for key in [named] if isinstance(named, str) else named:  # folders of version 0.2 have one key per case
             if case.name in study.results:
-                found.results[key] = study.results[case.name]
+                reproduction.results[key] = study.results[case.name]
             elif case.name in study.failures:
-                found.failures[key] = study.failures[case.name]
+                reproduction.failures[key] = study.failures[case.name]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...core.units import number
-from .papers import OF_ALL, UNITS, Row, overrides, zhan_case
+from .papers import NEEDS_ALL_VALUES, UNITS, Row, column_parameters, zhan_case
 
 
 @dataclass(repr=False)
@@ -67,11 +67,11 @@ def pressures(found: Reproduction, row: Row, name: str) -> list[list[float]]:
     `name` is the report column, which determines the concrete.
     """
     group = f"{name}, hydrated" if row.is_hydrated else name
-    return [found.values(group, {**zhan_case(row, value, found.quick), **overrides(name)}, "peak_pressure")
+    return [found.values(group, {**zhan_case(row, value, found.quick), **column_parameters(name)}, "peak_pressure")
             for value in row.values]  # fmt: skip
 
 
-def judged(found: Reproduction, row: Row, name: str) -> tuple[list[float], str]:
+def verdict_of(found: Reproduction, row: Row, name: str) -> tuple[list[float], str]:
     """Return mean peak pressures [Pa] over a varied parameter, with NaN for failed runs, and a verdict in words.
 
     The verdict on the paper's claim is empty if the row was not run.
@@ -82,7 +82,7 @@ def judged(found: Reproduction, row: Row, name: str) -> tuple[list[float], str]:
         return means, ""
     if len(there) < len(means):
         lost = ", ".join(f"{row.places[k]:g}" for k in range(len(means)) if k not in there)
-        if len(there) < 3 or row.judge in OF_ALL:
+        if len(there) < 3 or row.judge in NEEDS_ALL_VALUES:
             return means, f"too few runs finished (missing: {lost})"
         holds, what = row.judge([row.places[k] for k in there], [means[k] for k in there])
         return means, f"{'holds' if holds else 'differs'} for the finished runs (missing: {lost}): {what}"

@@ -13,7 +13,7 @@ from ...core.inputs.by_name import names_from_file
 from ...core.inputs.parameters import declared_fields
 from ...core.run.files import read_json
 
-NO_MATTER = ("seed", "precision", "tolerated_error")
+IGNORED_PARAMETERS = ("seed", "precision", "tolerated_error")
 """Parameters whose values do not affect whether a trade-off study applies to a scene."""
 SHIPPED = Path(__file__).parents[2] / "measured"
 """Folder of the trade-off records that come with the package, in the short form written by :func:`compact`."""
@@ -45,7 +45,7 @@ class Advice:
     """Wall time of a run of the trade-off study's scene with these settings, on `machine` [s]; NaN if unknown."""
 
 
-def shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> Path | None:
+def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> Path | None:
     """Return the file of the shipped trade-off record that is most similar to a scene; None if there is none.
 
     Only records of the scene function `name` are considered. They are ranked by whether both scenes agree in having a
@@ -143,7 +143,7 @@ def outside(measured: Mapping[str, Any], own: Mapping[str, Any], module: Any) ->
     found = []
     for name in declared_fields(module.scene.parameters):
         here, there = getattr(ours, name), getattr(theirs, name)
-        if name not in NO_MATTER and here != there:
+        if name not in IGNORED_PARAMETERS and here != there:
             found.append(f"{name} {_shown(here)} instead of {_shown(there)}")
     return found
 

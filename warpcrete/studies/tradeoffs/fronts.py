@@ -38,7 +38,7 @@ class Error:
         return math.isfinite(self.interval) and 0 < self.size <= self.interval
 
 
-def student(freedom: float) -> float:
+def student_quantile(freedom: float) -> float:
     """Return the two-sided 95 % quantile of Student's t distribution; degrees of freedom are rounded down."""
     whole = max(int(freedom), 1)
     if whole <= len(STUDENT):
@@ -61,16 +61,16 @@ def difference(quantity: str, values: Sequence[float], reference: Sequence[float
     if len(a) == 1 or len(b) == 1:
         return Error(quantity, shift, math.nan)
     if np.array_equal(a, b):  # the reference is compared with itself
-        return Error(quantity, 0.0, student(len(b) - 1) * float(b.std(ddof=1)) / math.sqrt(len(b)) / size)
+        return Error(quantity, 0.0, student_quantile(len(b) - 1) * float(b.std(ddof=1)) / math.sqrt(len(b)) / size)
     parts = np.array([a.var(ddof=1) / len(a), b.var(ddof=1) / len(b)])
     spread = float(parts.sum())
     if spread == 0.0:
         return Error(quantity, shift, 0.0)
     freedom = spread**2 / float((parts**2 / (np.array([len(a), len(b)]) - 1)).sum())
-    return Error(quantity, shift, student(freedom) * math.sqrt(spread) / size)
+    return Error(quantity, shift, student_quantile(freedom) * math.sqrt(spread) / size)
 
 
-def next_within(shifts: Sequence[float]) -> float:
+def prediction_bound(shifts: Sequence[float]) -> float:
     """Return the bound that the next error stays within with a probability of 95 %, if errors are normally distributed.
 
     This is the prediction interval |mean| + t s sqrt(1 + 1/n) of n errors with the standard deviation s. A single error
@@ -80,7 +80,7 @@ def next_within(shifts: Sequence[float]) -> float:
     if len(values) < 2:
         return float(np.abs(values).max(initial=0.0))
     spread = float(values.std(ddof=1)) * math.sqrt(1 + 1 / len(values))
-    return abs(float(values.mean())) + student(len(values) - 1) * spread
+    return abs(float(values.mean())) + student_quantile(len(values) - 1) * spread
 
 
 def front(points: Sequence[tuple[float, float]]) -> list[int]:

@@ -13,7 +13,7 @@ from ...core.units import number
 from ...record.checks import failed_checks
 from .fronts import Error, worst
 
-TARGETS = (0.2, 0.1, 0.05, 0.02, 0.01)
+WANTED_ERRORS = (0.2, 0.1, 0.05, 0.02, 0.01)
 """Relative errors for each of which the cheapest settings are sought."""
 GIVEN, REFERENCE, COMBINED, CARRIED = "as given", "finest", "combined", "carried"
 """Origins of settings that do not vary a single accuracy knob: the scene as given, the finest setting that the budget
@@ -22,7 +22,7 @@ allows, a combination of knob levels, and a setting that is repeated in a varian
 
 
 @dataclass
-class Point:
+class Setting:
     """One setting of the scene and the results of its runs."""
 
     origin: str
@@ -91,7 +91,7 @@ class Promise:
     """The cheapest setting found for a wanted error, and its test with fresh seeds."""
 
     target: float
-    point: Point | None
+    point: Setting | None
     found: Error | None = None
     """Error with fresh seeds; None if the scene has no seeds or the time ran out."""
     carried: dict[str, Error | None] = field(default_factory=dict)

@@ -6,10 +6,10 @@ import csv
 import math
 from typing import Any
 
-from ...core.run.files import whole_file, write_json
+from ...core.run.files import atomic_file, write_json
 from ...core.units import shown
 from .fronts import Error, front
-from .points import COMBINED, GIVEN, REFERENCE, Point
+from .points import COMBINED, GIVEN, REFERENCE, Setting
 from .state import Trade
 
 
@@ -22,7 +22,7 @@ def percent(error: Error | None) -> str:
     return f"{100 * error.shift:+.2g}{interval} %{word}"
 
 
-def on_front(trade: Trade) -> list[Point]:
+def on_front(trade: Trade) -> list[Setting]:
     """Return the settings on the Pareto front of wall time and error, by rising wall time."""
     points = [p for p in trade.measured if not p.suspect]
     return [points[k] for k in front([(p.cost, p.worst.size) for p in points if p.worst is not None])]
@@ -97,7 +97,7 @@ def write(trade: Trade) -> None:
     """Write the results so far to trade.md, trade.csv, trade.json and trade.png."""
     if not trade.points or not trade.given.results:
         return
-    with whole_file(trade.folder / "trade.md") as partial:
+    with atomic_file(trade.folder / "trade.md") as partial:
         partial.write_text(f"# Speed against accuracy: {trade.scene_name}\n\n{table(trade)}\n", encoding="utf-8")
     _write_csv(trade)
     write_json(
@@ -110,11 +110,11 @@ def write(trade: Trade) -> None:
         },
     )
     if trade.measured:
-        with whole_file(trade.folder / "trade.png") as partial:
+        with atomic_file(trade.folder / "trade.png") as partial:
             draw(trade).savefig(partial, dpi=150, format="png")
 
 
-def _recorded(trade: Trade, point: Point) -> dict[str, Any]:
+def _recorded(trade: Trade, point: Setting) -> dict[str, Any]:
     return {
         "setting": trade.label(point),
         "origin": point.origin,
@@ -149,7 +149,7 @@ def _promised(trade: Trade, promise: Any) -> dict[str, Any]:
 
 
 def _write_csv(trade: Trade) -> None:
-    with whole_file(trade.folder / "trade.csv") as partial, partial.open("w", newline="", encoding="utf-8") as file:
+    with atomic_file(trade.folder / "trade.csv") as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         columns = [f"{each.name}{part}" for each in trade.quantities for part in ("", "_error", "_interval")]
         units = {each.name: each.unit for each in trade.quantities}
@@ -212,7 +212,7 @@ def draw(trade: Trade) -> Any:
     return figure
 
 
-def _series(axes: Any, origin: str, mine: list[tuple[Point, Error]], marker: str, colour: str) -> None:
+def _series(axes: Any, origin: str, mine: list[tuple[Setting, Error]], marker: str, colour: str) -> None:
     """Draw a group of settings, such as those that vary one knob, with their confidence intervals."""
     costs = [point.cost for point, _ in mine]
     sizes = [100 * max(error.size, FLOOR) for _, error in mine]

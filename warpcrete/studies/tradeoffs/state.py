@@ -19,12 +19,12 @@ from ...core.run.method import Quantity
 from ...core.run.run_loop import Run
 from ...methods import Simulation, method_of
 from ...record.recorders import recorders_of
-from ..cases import Case, word_of
+from ..cases import Case, name_part
 from ..cluster import Cluster, WorkerLost
-from ..running import FAILED, kept
-from .fronts import Error, difference, next_within
-from .points import CARRIED, GIVEN, REFERENCE, TARGETS, Point, Promise
-from .trials import FEW, Trial, run_trial, warm_up
+from ..running import FAILED, previous_outcome
+from .fronts import Error, difference, prediction_bound
+from .points import CARRIED, GIVEN, REFERENCE, WANTED_ERRORS, Promise, Setting
+from .trials import MIN_RUNS_FOR_MEDIAN, WorkerJob, run_worker_job, warm_up
 
 COMMAND = {"frames": 25.0, "checkpoint_every": 0.0}
 """Recording options on workers: checkpoints are off, because a resumed run would have no valid wall time."""
@@ -39,7 +39,7 @@ class Trade:
         self.scene_name: str = record["scene"]
         self.base: dict[str, Any] = dict(record["parameters"])
         if module.trading.tolerance:  # let checks accept the largest error of interest
-            self.base.setdefault(module.trading.tolerance, TARGETS[0])
+            self.base.setdefault(module.trading.tolerance, WANTED_ERRORS[0])
         self.repeat: int = record["repeat"]
         self.device: str = record["device"]
         self.threads: int = record["threads"]
@@ -50,8 +50,8 @@ class Trade:
         self.exact: bool = module.trading.closed_form(given)
         known = {each.name: each for each in method_of(module.scene(**self.base)).quantities}
         self.quantities: list[Quantity] = [known[name] for name in record["quantities"]]
-        self.points: list[Point] = []
-        self.tried: list[Point] = []
+        self.points: list[Setting] = []
+        self.tried: list[Setting] = []
         """Settings that were run in variants of the scene."""
         self.promises: list[Promise] = []
         self.spent = 0.0
@@ -87,7 +87,7 @@ class Trade:
         return 1 if self.cluster is None else self.cluster.count
 
     @property
-    def given(self) -> Point:
+    def given(self) -> Setting:
         """Setting of the scene as given."""
         return self.points[0]
 
@@ -102,12 +102,12 @@ class Trade:
         return list(range(self.first_seed, self.first_seed + self.repeat)) if self.has_seeds else [0]
 
     @property
-    def reference(self) -> Point | None:
+    def reference(self) -> Setting | None:
         """Reference setting with all knobs as fine as the budget allowed; None if a closed form is the reference."""
         return next((point for point in self.points if point.origin == REFERENCE), None)
 
     @property
-    def measured(self) -> list[Point]:
+    def measured(self) -> list[Setting]:
         """Settings with a measured wall time and error."""
         return [p for p in self.points if self.complete(p, self.seeds) and p.worst is not None
                 and math.isfinite(p.worst.bound)]  # fmt: skip
@@ -116,18 +116,18 @@ class Trade:
         """Return the number of successive rounds in which the available workers complete a number of `runs`."""
         return math.ceil(runs / self.abreast)
 
-    def label(self, point: Point) -> str:
+    def label(self, point: Setting) -> str:
         """Return a description of how a setting differs from the scene as given."""
         parts = [f"{knob.name} {knob.levels[point.levels[knob.name]].label}" for knob in self.knobs
                  if knob.name in point.levels]  # fmt: skip
         return ", ".join(parts) or GIVEN
 
-    def keys_of(self, point: Point) -> dict[str, str]:
+    def keys_of(self, point: Setting) -> dict[str, str]:
         """Return the knob levels of a setting by knob name; the levels' names are valid in other scenes, too."""
         chosen = {knob.name: knob.levels[point.levels[knob.name]] for knob in self.knobs if knob.name in point.levels}
         return {name: level.key or level.label for name, level in chosen.items()}
 
-    def point(self, origin: str, levels: Mapping[str, int]) -> Point:
+    def point(self, origin: str, levels: Mapping[str, int]) -> Setting:
         """Return the setting with these knob levels; create it unless one with equal parameters exists."""
         changes: dict[str, Any] = {}
         converted: dict[str, tuple[float, float]] = {}
@@ -135,15 +135,15 @@ class Trade:
             if knob.name in levels:
                 changes |= knob.levels[levels[knob.name]].changes
                 converted |= knob.levels[levels[knob.name]].converted
-        parameters = self.module.scene.meaningful({**self.base, **changes})
+        parameters = self.module.scene.effective_values({**self.base, **changes})
         full = self._full(parameters)
         if (found := self._with(full)) is not None:
             return found
         differing = {name: k for name, k in levels.items() if self._differs(name, k)}
-        self.points.append(Point(origin, differing, parameters, converted=converted, full=full))
+        self.points.append(Setting(origin, differing, parameters, converted=converted, full=full))
         return self.points[-1]
 
-    def carried(self, point: Point, variant: str, changes: Mapping[str, Any]) -> Point:
+    def carried(self, point: Setting, variant: str, changes: Mapping[str, Any]) -> Setting:
         """Apply the knob levels of a setting to a variant of the scene, and return the resulting setting.
 
         Levels are matched by their names, because their values may differ in the variant.
@@ -153,20 +153,20 @@ class Trade:
         for name, key in self.keys_of(point).items():
             level = knobs[name].level_of(key) if name in knobs else None
             base |= level.changes if level else {}
-        parameters = self.module.scene.meaningful(base)
+        parameters = self.module.scene.effective_values(base)
         same = [p for p in self.tried if p.variant == variant and p.parameters == parameters]
         if not same:
-            same = [Point(CARRIED, point.levels, parameters, variant=variant)]
+            same = [Setting(CARRIED, point.levels, parameters, variant=variant)]
             self.tried += same
         return same[0]
 
-    def _with(self, full: Mapping[str, Any]) -> Point | None:
+    def _with(self, full: Mapping[str, Any]) -> Setting | None:
         return next((point for point in self.points if point.full == full), None)
 
     def _full(self, parameters: Mapping[str, Any]) -> dict[str, Any]:
         """Return all parameters that have an effect, including default values."""
         defaults = {name: found.default for name, found in declared_fields(self.module.scene.parameters).items()}
-        return self.module.scene.meaningful({**defaults, **self.module.scene.completed(parameters)})
+        return self.module.scene.effective_values({**defaults, **self.module.scene.completed(parameters)})
 
     def _differs(self, name: str, level: int) -> bool:
         (knob,) = [each for each in self.knobs if each.name == name]
@@ -180,22 +180,22 @@ class Trade:
             return alone.cost / self.given.cost
         return knob.levels[level].cost / knob.levels[self.level_as_given(knob)].cost
 
-    def _alone(self, knob: Knob, level: int) -> Point | None:
-        return self._with(self._full(self.module.scene.meaningful({**self.base, **knob.levels[level].changes})))
+    def _alone(self, knob: Knob, level: int) -> Setting | None:
+        return self._with(self._full(self.module.scene.effective_values({**self.base, **knob.levels[level].changes})))
 
     def level_as_given(self, knob: Knob) -> int:
         """Return the index of a knob's level in the scene as given, or of the finest level if none matches."""
         same = [k for k in range(len(knob.levels)) if not self._differs(knob.name, k)]
         return same[0] if same else len(knob.levels) - 1
 
-    def expected(self, point: Point) -> float:
+    def expected(self, point: Setting) -> float:
         """Return the measured or estimated wall time of one run of a setting [s]."""
         if math.isfinite(point.cost):
             return point.cost
         by_name = {knob.name: knob for knob in self.knobs}
         return self.given.cost * math.prod(self.ratio(by_name[name], k) for name, k in point.levels.items())
 
-    def run(self, point: Point, seeds: Sequence[int], tell: Tell, until: float = 1.0) -> bool:
+    def run(self, point: Setting, seeds: Sequence[int], tell: Tell, until: float = 1.0) -> bool:
         """Run the missing seeds of a setting; return whether all of them are complete.
 
         A run does not start if it is expected to exceed the fraction `until` of the budget.
@@ -203,7 +203,7 @@ class Trade:
         self.run_all([point], seeds, tell, until)
         return self.complete(point, seeds)
 
-    def run_all(self, points: Sequence[Point], seeds: Sequence[int], tell: Tell, until: float = 1.0) -> None:
+    def run_all(self, points: Sequence[Setting], seeds: Sequence[int], tell: Tell, until: float = 1.0) -> None:
         """Run the missing seeds of settings in order, within the fraction `until` of the budget, on all workers."""
         lacking = [(point, left) for point in points if (left := self._take_over(point, seeds))]
         if self.cluster is None:
@@ -214,11 +214,11 @@ class Trade:
         elif lacking:
             self._run_on(self.cluster, self._due(lacking, tell, until))
 
-    def _take_over(self, point: Point, seeds: Sequence[int]) -> list[int]:
+    def _take_over(self, point: Setting, seeds: Sequence[int]) -> list[int]:
         """Read the existing runs of a setting from their folders; return the seeds that still have to run."""
         for seed in seeds:
             if seed not in point.results and not point.failure:
-                found = kept(self._folder(point, seed))
+                found = previous_outcome(self._folder(point, seed))
                 if isinstance(found, dict):
                     point.results[seed] = found
                 elif found is not None:
@@ -226,8 +226,8 @@ class Trade:
         return [] if point.failure else [seed for seed in seeds if seed not in point.results]
 
     def _due(
-        self, lacking: Sequence[tuple[Point, list[int]]], tell: Tell, until: float
-    ) -> Iterator[tuple[Point, list[int], float]]:
+        self, lacking: Sequence[tuple[Setting, list[int]]], tell: Tell, until: float
+    ) -> Iterator[tuple[Setting, list[int], float]]:
         """Yield the next job: a setting, some of its seeds, and the time that is left for them [s].
 
         The caller requests a job when a processor is free, so each decision uses the results available at that moment.
@@ -241,7 +241,7 @@ class Trade:
             for first in range(0, len(seeds), size):
                 if point.failure:
                     break
-                if self.interrupted or self.gap.asked:
+                if self.interrupted or self.gap.requested:
                     self.interrupted = True
                     return
                 left = until * self.budget - self.spent
@@ -255,67 +255,67 @@ class Trade:
                 tell(f"{self.label(point)} {point.variant}".strip(), min(self.spent / self.budget, 1.0), {})
                 yield point, seeds[first : first + size], left
 
-    def complete(self, point: Point, seeds: Sequence[int]) -> bool:
+    def complete(self, point: Setting, seeds: Sequence[int]) -> bool:
         """Return whether a setting has a result for every seed."""
         return not point.failure and all(seed in point.results for seed in seeds)
 
-    def _folder(self, point: Point, seed: int) -> Path:
+    def _folder(self, point: Setting, seed: int) -> Path:
         changed = {k: v for k, v in sorted(point.parameters.items()) if self.base.get(k, ...) != v}
-        words = "-".join(f"{name}={word_of(value)}" for name, value in changed.items()) or "given"
+        words = "-".join(f"{name}={name_part(value)}" for name, value in changed.items()) or "given"
         words = "-".join([*point.variant.split(), words])
         return self.folder / "runs" / (f"{words}-seed={seed}" if self.has_seeds else words)
 
-    def _parameters(self, point: Point, seed: int) -> dict[str, Any]:
+    def _parameters(self, point: Setting, seed: int) -> dict[str, Any]:
         return {**point.parameters, **({"seed": seed} if self.has_seeds else {})}
 
-    def _simulation(self, point: Point, seed: int, **settings: Any) -> Simulation:
+    def _simulation(self, point: Setting, seed: int, **settings: Any) -> Simulation:
         scene = self.module.scene(**self._parameters(point, seed))
         return Simulation(scene, device=self.device, precision=scene.precision, threads=self.threads, **settings)
 
-    def _run(self, point: Point, seed: int, folder: Path) -> None:
+    def _run(self, point: Setting, seed: int, folder: Path) -> None:
         outcome: Any
         try:
-            if len(self.seeds) < FEW and not point.results and not point.variant:
+            if len(self.seeds) < MIN_RUNS_FOR_MEDIAN and not point.results and not point.variant:
                 warm_up(self._simulation(point, seed))
             simulation = self._simulation(point, seed, recorders=recorders_of(folder, self.module.check, {}))
             scene = simulation.scene
             with StopAtSample([simulation]) as stop:
                 (outcome,) = method_of(scene).run_many([simulation], [None], lambda phase, fraction: None)
-            self.interrupted |= stop.asked
+            self.interrupted |= stop.requested
         except (WarpcreteError, KeyboardInterrupt) as error:
             outcome = error
         if isinstance(outcome, Run):
             outcome = read_json(folder / "result.json") if outcome.finished else None
-        self._book(point, seed, outcome)
+        self._store_outcome(point, seed, outcome)
 
-    def _run_on(self, cluster: Cluster, due: Iterator[tuple[Point, list[int], float]]) -> None:
+    def _run_on(self, cluster: Cluster, due: Iterator[tuple[Setting, list[int], float]]) -> None:
         """Run jobs on workers, one at a time on each; `spent` counts wall time, whatever the number of workers."""
         before, begun, running = self.spent, time.perf_counter(), 0
         record = {"device": self.device, "threads": self.threads, "command": COMMAND, "hardware": self.hardware}
 
-        def jobs() -> Iterator[tuple[tuple[Point, list[int]], Trial]]:
+        def jobs() -> Iterator[tuple[tuple[Setting, list[int]], WorkerJob]]:
             nonlocal running
             for point, seeds, left in due:
                 running += 1
                 self.record = {**self.record, "abreast": max(running, self.record.get("abreast", 1))}
                 cases = [Case(self._folder(point, s).name, {}, self._parameters(point, s)) for s in seeds]
-                yield (point, seeds), Trial(cases, len(seeds) < FEW and not point.variant, left)
+                yield (point, seeds), WorkerJob(cases, len(seeds) < MIN_RUNS_FOR_MEDIAN and not point.variant, left)
 
-        def book(job: tuple[Point, list[int]], outcomes: Any) -> None:
+        def store_outcomes(job: tuple[Setting, list[int]], outcomes: Any) -> None:
             nonlocal running
             running -= 1
             self.spent = before + time.perf_counter() - begun
             point, seeds = job
             for seed, outcome in zip(seeds, [outcomes] if isinstance(outcomes, Exception) else outcomes):
-                self._book(point, seed, outcome)
+                self._store_outcome(point, seed, outcome)
             # Seeds after the first failed one are ignored, so that the order of completion has no effect.
             if point.failures:
                 point.results = {s: r for s, r in point.results.items() if s < min(point.failures)}
 
         where = record, self.module, self.folder / "runs"
-        cluster.each(run_trial, where, jobs(), book, self.gap, lazily=True)
+        cluster.each(run_worker_job, where, jobs(), store_outcomes, self.gap, lazily=True)
 
-    def _book(self, point: Point, seed: int, outcome: Any) -> None:
+    def _store_outcome(self, point: Setting, seed: int, outcome: Any) -> None:
         """Store the outcome of a run: its result.json, the exception that ended it, or None after an interruption."""
         if isinstance(outcome, dict) and outcome.get("finished"):
             point.results[seed] = outcome
@@ -336,7 +336,7 @@ class Trade:
         for point in self.points:
             point.errors = self.errors_of(point, self.seeds)
 
-    def errors_of(self, point: Point, seeds: Sequence[int]) -> list[Error]:
+    def errors_of(self, point: Setting, seeds: Sequence[int]) -> list[Error]:
         """Return the errors of a setting in its runs with the given seeds."""
         found = []
         ran = sum(seed in point.results for seed in seeds)
@@ -374,7 +374,7 @@ class Trade:
             found.append(0.0 if error.within_scatter else error.size)
         return max(found)
 
-    def promised(self, point: Point) -> float:
+    def promised(self, point: Setting) -> float:
         """Return the error bound of a setting: the measured error with its interval, or the sum of its knobs' errors.
 
         The function returns the larger value, because errors that cancel in this scene need not cancel in another one.
@@ -385,7 +385,7 @@ class Trade:
         alone = sum(self.shift(by_name[name], k) for name, k in point.levels.items())
         return max(point.worst.bound, alone)
 
-    def carried_bound(self, point: Point, variants: Sequence[Point]) -> float:
+    def bound_in_variants(self, point: Setting, variants: Sequence[Setting]) -> float:
         """Return the error bound of a setting in a scene that differs as much as the variants do.
 
         It is the 95 % prediction interval of the next error, computed from the errors of the setting and its variants.
@@ -393,5 +393,5 @@ class Trade:
         found = []
         for each in self.quantities:
             errors = [e for p in (point, *variants) for e in self.errors_of(p, self.seeds) if e.quantity == each.name]
-            found.append(next_within([e.shift for e in errors]))
+            found.append(prediction_bound([e.shift for e in errors]))
         return max(found)

@@ -21,21 +21,21 @@ from ...core.inputs.by_name import names_from_file
 from ...core.inputs.limits import check_limit
 from ...core.inputs.origin import check_files, check_named
 from ...core.run.files import check_new, next_folder, read_json, read_record, write_json
-from ...core.run.folders import held, new_folder
+from ...core.run.folders import locked_folder, new_folder
 from ...core.run.provenance import provenance, versions
 from ...methods import Simulation, method_of
 from ..api import module_of
-from ..cases import MOST_CASES
+from ..cases import MAX_CASES
 from ..cluster import Cluster, check_scheduler, open_cluster, unnumbered
 from .fronts import Error, cheapest_within, worst
-from .points import COMBINED, GIVEN, REFERENCE, TARGETS, Point, Promise
+from .points import COMBINED, GIVEN, REFERENCE, WANTED_ERRORS, Promise, Setting
 from .report import write
 from .state import Tell, Trade
 
 SETTINGS = ("budget", "quantities", "knobs", "repeat", "device", "threads", "scheduler", "workers", "progress")
-FRESH = 3
+FRESH_SEEDS = 3
 """Number of fresh seeds with which a promised error is tested, in addition to the seeds on which it is based."""
-ALONE_UNTIL, FINEST_UNTIL, COMBINED_UNTIL = 0.55, 0.8, 0.9
+SINGLE_KNOBS_UNTIL, FINEST_UNTIL, COMBINED_UNTIL = 0.55, 0.8, 0.9
 """Fractions of the budget at which three phases end: single knobs, the finest setting, and combinations."""
 
 
@@ -100,8 +100,8 @@ def run_trade(
     seeded = _random(scene)
     if repeat is not None and repeat > 1 and not seeded:
         refuse("repeat", repeat, "must be 1, because nothing in this scene is random", "leave it out")
-    if repeat is not None and repeat > MOST_CASES:
-        refuse("repeat", repeat, f"must be at most {MOST_CASES}")
+    if repeat is not None and repeat > MAX_CASES:
+        refuse("repeat", repeat, f"must be at most {MAX_CASES}")
     if repeat is not None and repeat < (2 if seeded else 1):
         refuse("repeat", repeat, "must be at least 2, to measure the scatter between seeds" if seeded else "must be 1")
     positive("budget", budget, "s")
@@ -129,7 +129,7 @@ def run_trade(
                 "provenance": made_by,
             }
             write_json(out / "trade.json", record)
-            return _go_on(Trade(out, module, read_json(out / "trade.json")), budget, cluster, progress)
+            return _continue(Trade(out, module, read_json(out / "trade.json")), budget, cluster, progress)
 
 
 def _machine(
@@ -197,16 +197,16 @@ def resume_trade(
     # Use all GPUs that are present, because the number of the earlier GPU means nothing on another machine.
     device = unnumbered(trade.device)
     _check_cores(scheduler, workers, device, trade.threads)
-    with held(folder, "trade.json"), open_cluster(scheduler, workers, device, trade.threads) as cluster:
+    with locked_folder(folder, "trade.json"), open_cluster(scheduler, workers, device, trade.threads) as cluster:
         if cluster is not None and (here := cluster.hardware(device)) != trade.hardware:
             raise RunFolderError(
                 f"'{folder}': contains times of {trade.hardware}, but the workers have {here}, so "
                 "times cannot be compared; use the same hardware"
             )
-        return _go_on(trade, budget, cluster, progress)
+        return _continue(trade, budget, cluster, progress)
 
 
-def _go_on(trade: Trade, budget: float, cluster: Cluster | None, progress: Tell | None) -> Trade:
+def _continue(trade: Trade, budget: float, cluster: Cluster | None, progress: Tell | None) -> Trade:
     trade.budget, trade.cluster = budget, cluster
     _measure(trade, progress or (lambda phase, fraction, figures: None))
     trade.cluster = None
@@ -231,7 +231,7 @@ def _measure(trade: Trade, tell: Tell) -> None:
         write(trade)
 
 
-def _phases(trade: Trade, given: Point, tell: Tell) -> None:
+def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
     if not trade.run(given, trade.seeds[:1], tell):
         if given.failure:
             refuse("scene", trade.scene_name, f"does not run as given: {given.failure}")
@@ -254,20 +254,20 @@ def _phases(trade: Trade, given: Point, tell: Tell) -> None:
         return
     _one_at_a_time(trade, tell)
     if not trade.exact:
-        _finest(trade, tell)
+        _run_reference(trade, tell)
     trade.judge()
-    _combine(trade, tell)
+    _run_combinations(trade, tell)
     trade.judge()
-    _promise(trade, tell)
+    _find_promises(trade, tell)
 
 
 def _one_at_a_time(trade: Trade, tell: Tell) -> None:
     """Run the scene with each level of each accuracy knob alone, cheap ones first."""
     alone = [trade.point(knob.name, {knob.name: k}) for knob in trade.knobs for k in range(len(knob.levels))]
-    trade.run_all(sorted(alone, key=trade.expected), trade.seeds, tell, ALONE_UNTIL)
+    trade.run_all(sorted(alone, key=trade.expected), trade.seeds, tell, SINGLE_KNOBS_UNTIL)
 
 
-def _finest(trade: Trade, tell: Tell) -> None:
+def _run_reference(trade: Trade, tell: Tell) -> None:
     """Run the reference setting: all accuracy knobs at their finest level, or as fine as the budget allows.
 
     If the budget is too short, the function coarsens the knob that saves most time per error, one level at a time. No
@@ -307,27 +307,27 @@ def _finest(trade: Trade, tell: Tell) -> None:
     point.origin = REFERENCE
 
 
-def _combine(trade: Trade, tell: Tell) -> None:
+def _run_combinations(trade: Trade, tell: Tell) -> None:
     """Run, for each wanted error, the cheapest combination of levels that is expected to stay within that error."""
     choices = {
         knob.name: [(trade.ratio(knob, k), trade.shift(knob, k)) for k in range(len(knob.levels))]
         for knob in trade.chosen_knobs
         if any(math.isfinite(trade.shift(knob, k)) for k in range(len(knob.levels)))
     }
-    wanted = [cheapest_within(choices, target) for target in TARGETS]
+    wanted = [cheapest_within(choices, target) for target in WANTED_ERRORS]
     points = [trade.point(COMBINED, levels) for levels in wanted if levels is not None]
     trade.run_all(sorted(points, key=trade.expected), trade.seeds, tell, COMBINED_UNTIL)
 
 
-def _promise(trade: Trade, tell: Tell) -> None:
+def _find_promises(trade: Trade, tell: Tell) -> None:
     """Find the cheapest setting within each wanted error, and test it with fresh seeds and in variants of the scene.
 
     If a setting fails there or exceeds the wanted error, the next cheapest one is tested.
     """
     variants = trade.module.trading.variants(trade.declared) if trade.exact else {}
     chosen = {knob.name for knob in trade.chosen_knobs}
-    fresh = [trade.seeds[-1] + 1 + k for k in range(FRESH)] if trade.has_seeds else []
-    for target in TARGETS:
+    fresh = [trade.seeds[-1] + 1 + k for k in range(FRESH_SEEDS)] if trade.has_seeds else []
+    for target in WANTED_ERRORS:
         within = [p for p in trade.measured
                   if trade.promised(p) <= target and not p.suspect and chosen.issuperset(p.levels)]  # fmt: skip
         promise = Promise(target, None)
@@ -335,7 +335,7 @@ def _promise(trade: Trade, tell: Tell) -> None:
             tried = bool(fresh) and trade.run(point, fresh, tell)
             if point.failure or point.suspect:
                 continue
-            carried, bound = _carried(trade, point, variants, target, tell)
+            carried, bound = _test_variants(trade, point, variants, target, tell)
             if bound <= target:
                 found = worst(trade.errors_of(point, fresh)) if tried else None
                 promise = Promise(target, point, found, carried, bound)
@@ -343,15 +343,15 @@ def _promise(trade: Trade, tell: Tell) -> None:
         trade.promises.append(promise)
 
 
-def _carried(
-    trade: Trade, point: Point, variants: Mapping[str, Mapping[str, Any]], target: float, tell: Tell
+def _test_variants(
+    trade: Trade, point: Setting, variants: Mapping[str, Mapping[str, Any]], target: float, tell: Tell
 ) -> tuple[dict[str, Error | None], float]:
     """Return the largest error of a setting in each variant of the scene, and the error bound that it promises.
 
     Testing stops at the first variant in which the error exceeds `target`. Workers run several variants at a time.
     """
     found: dict[str, Error | None] = {}
-    points: list[Point] = []
+    points: list[Setting] = []
     bound = trade.promised(point)
     others = [trade.carried(point, variant, changes) for variant, changes in variants.items()]
     for number, (variant, other) in enumerate(zip(variants, others)):
@@ -365,4 +365,4 @@ def _carried(
             points.append(other)
             if error.size > target:
                 return found, error.size
-    return found, max(bound, trade.carried_bound(point, points) if points else 0.0)
+    return found, max(bound, trade.bound_in_variants(point, points) if points else 0.0)

@@ -13,26 +13,28 @@ from ...core.run.files import read_json
 from ...methods import Simulation
 from ..cases import Case
 from ..cluster import hardware
-from ..running import heard, kept, run_cases, simulation_of
+from ..running import previous_outcome, run_cases, simulation_of, stop_callback
 
-FEW = 3
+MIN_RUNS_FOR_MEDIAN = 3
 """Minimum number of runs at which the median wall time ignores a single run that also loaded kernels."""
 
 
 @dataclass(frozen=True)
-class Trial:
+class WorkerJob:
     """Runs of one setting that a worker performs one after the other."""
 
     cases: list[Case]
     """Cases of the setting, one for each seed."""
-    warm: bool
+    load_kernels: bool
     """Whether to load the kernels before the first run."""
-    left: float
+    time_left: float
     """Time left for the runs [s]; the first run takes place even if there is none."""
 
 
-def run_trial(record: dict[str, Any], module: Any, folder: Path, trial: Trial, asked: Callable[[], bool]) -> list[Any]:
-    """Run the cases until the time is used up, a case fails, or the callback `asked` returns True.
+def run_worker_job(
+    record: dict[str, Any], module: Any, folder: Path, trial: WorkerJob, stop_requested: Callable[[], bool]
+) -> list[Any]:
+    """Run the cases until the time is used up, a case fails, or the callback `stop_requested` returns True.
 
     Returns the outcomes of the cases so far: the contents of result.json, the exception that ended the case, or None if
     it was stopped. Raises :class:`WarpcreteError` if the worker's processor differs from that of earlier runs.
@@ -44,14 +46,14 @@ def run_trial(record: dict[str, Any], module: Any, folder: Path, trial: Trial, a
             "be compared; use workers of one kind"
         )
     found: list[Any] = []
-    begun, warm = time.perf_counter(), trial.warm
+    start_time, load_kernels = time.perf_counter(), trial.load_kernels
     for case in trial.cases:
-        took = time.perf_counter() - begun
-        if found and took + took / len(found) > trial.left:
+        elapsed = time.perf_counter() - start_time
+        if found and elapsed + elapsed / len(found) > trial.time_left:
             break
-        outcome = kept(folder / case.name)  # a worker that was lost may have finished the case
+        outcome = previous_outcome(folder / case.name)  # a worker that was lost may have finished the case
         if outcome is None:
-            outcome, warm = _run(record, module, folder, case, warm, asked), False
+            outcome, load_kernels = _run(record, module, folder, case, load_kernels, stop_requested), False
         found.append(outcome)
         if not isinstance(outcome, dict) or not outcome.get("finished"):
             break
@@ -65,15 +67,22 @@ def warm_up(simulation: Simulation) -> None:
     simulation.release()
 
 
-def _run(record: dict[str, Any], module: Any, folder: Path, case: Case, warm: bool, asked: Callable[[], bool]) -> Any:
+def _run(
+    record: dict[str, Any],
+    module: Any,
+    folder: Path,
+    case: Case,
+    load_kernels: bool,
+    stop_requested: Callable[[], bool],
+) -> Any:
     try:
-        if warm:
-            warm_up(simulation_of(record, module, folder, case, heard(asked, []))[0])
+        if load_kernels:
+            warm_up(simulation_of(record, module, folder, case, stop_callback(stop_requested, []))[0])
     except KeyboardInterrupt:
         return None
     except Exception as error:
         return error
-    (outcome,) = run_cases(record, module, folder, [case], asked)
+    (outcome,) = run_cases(record, module, folder, [case], stop_requested)
     if isinstance(outcome, dict) and outcome.get("finished"):
         # Read the file, so that a resumed study sees exactly the same numbers.
         return read_json(folder / case.name / "result.json")
