@@ -27,7 +27,7 @@ def own_cache(tmp_path, monkeypatch):
     """Nothing is kept in the user's cache, and times, which no test here looks at, are measured hastily."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     for method in ("dem", "mps"):
-        monkeypatch.setattr(f"warpcrete.{method}.forecast.SPENT", 0.02)
+        monkeypatch.setattr(f"warpcrete.{method}.forecast.TIMING_TIME", 0.02)
 
 
 OTHERS = {"vertical": {}, "bend": dict(unit="D", elbow_radius=0.3),

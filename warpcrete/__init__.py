@@ -24,6 +24,7 @@ from .core.errors import (
 if TYPE_CHECKING:
     __version__: str
     from . import scenes
+    from .core.run.recorder import Recorder
     from .dem.scene.scene import Scene
     from .methods import Simulation
     from .studies.api import study
@@ -37,6 +38,7 @@ __all__ = [
     "ConvergenceError",
     "DeviceError",
     "InstabilityError",
+    "Recorder",
     "RunFolderError",
     "Scene",
     "SceneError",
@@ -53,6 +55,7 @@ __all__ = [
 
 _LAZY = {"Simulation": "methods", "Run": "methods", "Scene": "dem.scene.scene", "FluidScene": "mps.scene"}
 _LAZY |= {
+    "Recorder": "core.run.recorder",
     "load": "studies.loading",
     "study": "studies.api",
     "trade": "studies.tradeoffs.trade",

@@ -213,9 +213,8 @@ def links_struct(scalar):
         result: wp.array(dtype=t.vec4)
         near: wp.array(dtype=wp.vec4i)  # near links: indices in the batch of both spheres, the list entry and the link
         near_count: wp.array(dtype=wp.int32)  # number of near links, and 1 if any scene must check all its links, (2,)
-        near_list_exceeded: wp.array(
-            dtype=wp.int32
-        )  # 1 if the scene's near links may miss a contact, else 0, shape (scenes,)
+        # `near_list_exceeded` is 1 if a scene's near links may miss a contact, else 0, shape (scenes,).
+        near_list_exceeded: wp.array(dtype=wp.int32)
         near_position: wp.array(dtype=t.vec4)  # sphere positions and radii when near links were chosen [m], (spheres,)
         near_time: wp.array(dtype=wp.float64)  # time since the list rebuild when near links were chosen [s], (scenes,)
 

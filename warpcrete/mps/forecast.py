@@ -23,7 +23,7 @@ from .simulation import FluidSimulation
 
 COARSE_PARTICLES = 2500
 """Number of particles of the coarser copy."""
-SPENT = 1.0  # Wall time for which steps are timed [s].
+TIMING_TIME = 1.0  # Wall time for which steps are timed [s].
 TIMED_STEPS = 10  # Number of steps that are timed together.
 
 
@@ -124,7 +124,7 @@ def step_time(simulation: Any) -> float:
     flow = simulation.flow
     flow.take(TIMED_STEPS)  # This call captures the launch graph before steps are timed.
     times: list[float] = []
-    while sum(times) < SPENT:
+    while sum(times) < TIMING_TIME:
         times.append(timed(lambda: flow.take(TIMED_STEPS), flow.device)[1])
     # Other programs only slow steps down, and rarely during a long run, so the forecast uses the lower quartile.
     return float(np.quantile(times, 0.25)) / TIMED_STEPS

@@ -247,11 +247,11 @@ class GridFlow(Stepping):
             "solid_after": self.solid_after,
             "g": self.g,
             "pace": self.pace,
-            "late": self.event_flags,
+            "event_flags": self.event_flags,
             "count": self.count,
-            "viscous_least": self.viscosity_threshold,
-            "pressure_least": self.pressure_threshold,
-            "crowding_least": self.dispersion_threshold,
+            "viscosity_threshold": self.viscosity_threshold,
+            "pressure_threshold": self.pressure_threshold,
+            "dispersion_threshold": self.dispersion_threshold,
         }
 
     def _stages(self) -> list[Any]:
