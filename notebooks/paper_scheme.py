@@ -186,7 +186,7 @@ class PrintedScheme(MovingParticles):
 class PrintedSimulation(FluidSimulation):
     """Simulation of a channel by the printed scheme."""
 
-    def placed(self) -> MovingParticles:
+    def place_flow(self) -> MovingParticles:
         """Return the flow at its start."""
         return PrintedScheme(FluidState(self.scene, self.device, self.precision), threads=1)
 
