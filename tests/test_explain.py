@@ -208,4 +208,4 @@ def test_the_command(tmp_path):
     ):
         done = command("explain", *arguments, "--device", "cpu")
         assert done.returncode == 2 and words in done.stderr and len(done.stderr.strip().splitlines()) == 1
-    assert "before it runs" in command("explain", "--help").stdout
+    assert "beforehand" in command("explain", "--help").stdout

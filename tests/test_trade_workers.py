@@ -47,7 +47,7 @@ def small():
     """Few variants and fresh seeds; and two cores, whatever the tests beside this one leave."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(channel, "trading", replace(channel.trading, variants=lambda given: VARIANTS))
-        patched.setattr(phases, "FRESH", 1)
+        patched.setattr(phases, "FRESH_SEEDS", 1)
         patched.setattr(phases, "default_threads", lambda: 2)
         yield
 
