@@ -230,7 +230,7 @@ def test_a_worker_runs_one_case_after_the_other_while_there_is_time(tmp_path, mo
     assert isinstance(failed, SceneError)
     assert ran("stopped", asked=lambda: True) == [None]
     record["hardware"] = "an abacus"
-    with pytest.raises(WarpcreteError, match=r"has a worker on .*, where times of this trade are of an abacus"):
+    with pytest.raises(WarpcreteError, match=r"has a worker on .*, but this trade measured times on an abacus"):
         ran("other")
 
 
@@ -250,5 +250,5 @@ def test_what_it_refuses(alone, tmp_path):
     record = json.loads((tmp_path / "t" / "trade.json").read_text())
     record["provenance"] |= dict.fromkeys(("processor", "device_name"), "an abacus")
     (tmp_path / "t" / "trade.json").write_text(json.dumps(record))
-    with pytest.raises(RunFolderError, match="holds times of an abacus, workers have"):
+    with pytest.raises(RunFolderError, match="contains times of an abacus, but the workers have"):
         resume_trade(tmp_path / "t", channel, scheduler="local", workers=1)
