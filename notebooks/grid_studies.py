@@ -98,7 +98,7 @@ class GridStudies(Studies):
         self.write("slump", head, rows, "30 Pa s, 2300 kg/m3, mould lifted in 3 s.")
 
     def gone(self) -> None:
-        """Slump and spread of a cone whose mould is gone at once, as `tests/bench_newton.py` has it."""
+        """Slump and spread of a cone whose mould is gone at once, as `tests/bench/bench_newton.py` has it."""
         jobs = [
             {"concrete": "own", "density": 2300.0, "viscosity": 30.0, "yield_stress": tau, "slip_viscosity": 900.0,
              "slip_yield": 100.0, "spacing": h, "lift_time": 0.0, "duration": 15.0}

@@ -1,7 +1,7 @@
 """JSON schemas of the files that users write, derived from the declarations that also check these files.
 
 Editors use the schemas to complete and validate a file. The folder `warpcrete/schemas` holds them; a test compares it
-with the output of :func:`schemas`, and `python tests/test_schemas.py` updates it.
+with the output of :func:`schemas`, and `python tests/studies/test_schemas.py` updates it.
 """
 
 from __future__ import annotations

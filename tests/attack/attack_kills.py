@@ -1,4 +1,6 @@
-"""Kill commands at random moments, then go on with them: python tests/attack_kills.py [KILLS] [SEED] [COMMAND ...].
+"""Kill commands at random moments, then go on with them.
+
+By hand: PYTHONPATH=tests python tests/attack/attack_kills.py [KILLS] [SEED] [COMMAND ...]
 
 Each command runs once undisturbed. Then it is started again and again, killed once to three times (SIGKILL, SIGTERM or
 SIGINT), continued, and compared: the same bits, no file or process left over, nothing in the temporary directory, and
@@ -77,7 +79,7 @@ class Attack:
 
     def start(self, words: list[str]) -> subprocess.Popen:
         environment = os.environ | {
-            "PYTHONPATH": str(Path(__file__).parents[1]), "TMPDIR": str(self.temporary), "WARPCRETE_ATTACK": self.mark,
+            "PYTHONPATH": str(Path(__file__).parents[2]), "TMPDIR": str(self.temporary), "WARPCRETE_ATTACK": self.mark,
         }  # fmt: skip
         return subprocess.Popen(
             [sys.executable, "-c", CODE, *words], env=environment, cwd=self.place, start_new_session=True, text=True,

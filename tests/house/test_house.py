@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from warpcrete.cli import cli
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 METHODS = sorted(path.parent.name for path in (ROOT / "warpcrete").glob("*/method.py") if path.parent.name != "core")
 """Every method is a folder with this file, and may have kernels in a folder of its name."""
 LAYERS = {"kernels.common": 0, "core": 1, "geometry": 2, "theory": 2, "mix": 2.5, "standards": 2.5, "scenes": 4,

@@ -1,8 +1,8 @@
 """The slump test by NVIDIA Newton's implicit material points, beside which ours are set: its result and its time.
 
     pip install newton
-    python tests/bench_newton.py --yield-stress 1000 200 --cell 15 10 --viscosity 30 --duration 3
-    python tests/bench_newton.py --yield-stress 200 --cell 10 --device cuda:0 --repeats 3
+    python tests/bench/bench_newton.py --yield-stress 1000 200 --cell 15 10 --viscosity 30 --duration 3
+    python tests/bench/bench_newton.py --yield-stress 200 --cell 10 --device cuda:0 --repeats 3
 
 The cone of EN 12350-2 (200 mm wide below, 100 mm above, 300 mm high) of a Bingham fluid of 2300 kg/m3 stands free at
 t = 0, without a mould, on ground that it sticks to. `SolverImplicitMPM` with its own tolerance and limit of iterations:

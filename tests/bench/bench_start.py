@@ -1,6 +1,6 @@
 """Start-up: import, the first step of a run with a cold and with a warm kernel cache.
 
-python tests/bench_start.py --device cpu --repeats 3
+python tests/bench/bench_start.py --device cpu --repeats 3
 """
 
 import argparse

@@ -15,7 +15,7 @@ from warpcrete.mps.mixes import concrete_of
 from warpcrete.studies.lines.losses import line_of, read_line
 from warpcrete.studies.lines.run import run_line
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 N = r"(-?[\d.]+)"
 """A figure, in a pattern."""
 

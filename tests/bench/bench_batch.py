@@ -1,7 +1,7 @@
 """Batches of paper-sized pumping cases: time of one, of many side by side, and of the paper's whole parametric study.
 
-    python tests/bench_batch.py --device cuda --sizes 1 8 32 128 --steps 2000
-    python tests/bench_batch.py --device cuda --study
+    python tests/bench/bench_batch.py --device cuda --sizes 1 8 32 128 --steps 2000
+    python tests/bench/bench_batch.py --device cuda --study
 
 Prints the time of a step of 1 to N cases (clumps, bonds, analytic pipe, case A) taken at the start of pumping, as runs
 take them, samples apart: lists rebuilt, stable steps estimated; after as many untimed, in which graphs are captured.

@@ -1,6 +1,6 @@
 """Every notebook runs from top to bottom and comes to what is stored with it, which stays small.
 
-`python tests/test_notebooks.py [NAME ...]` runs notebooks and stores what they come to.
+`python tests/house/test_notebooks.py [NAME ...]` runs notebooks and stores what they come to.
 """
 
 import re
@@ -16,7 +16,7 @@ nbformat = pytest.importorskip("nbformat", reason="a GPU machine may lack what r
 NotebookClient = pytest.importorskip("nbclient").NotebookClient
 pytest.importorskip("ipykernel")
 
-NOTEBOOKS = sorted((Path(__file__).parent.parent / "notebooks").glob("*.ipynb"))
+NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 TOLERANCE = 0.01
 """Relative difference that a number may have from the stored one, beside a unit in its last place: in double precision
 and on one thread they differ by 0.004 at most."""

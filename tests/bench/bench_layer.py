@@ -1,6 +1,6 @@
 """Area on which a wall's lubrication layer acts, over that of the wall, of concrete in the level pipe.
 
-    python tests/bench_layer.py --device cuda --shapes reference spheres --layers 300 700 1200
+    python tests/bench/bench_layer.py --device cuda --shapes reference spheres --layers 300 700 1200
 
 Without gravity and friction the piston pushes against the plug's pressure and the layer alone, so what it needs besides
 is the layer's stress times the area on which it acts. Prints device, sizes, repeats (seeds) and a table; of its last

@@ -1,7 +1,7 @@
 """What each kernel of a step, an estimate of the stable step and a rebuild takes on a GPU, one by one.
 
-    python tests/bench_kernels.py --sizes 10000 100000 1000000 --kinds spheres clumps
-    python tests/bench_kernels.py --cases 24
+    python tests/bench/bench_kernels.py --sizes 10000 100000 1000000 --kinds spheres clumps
+    python tests/bench/bench_kernels.py --cases 24
 
 Scenes of `bench_speed.py`, or case A in a batch as in `bench_batch.py`. Prints tables: medians of the launches [us], by
 CUDA's events, so with some 2 us for each launch; threads of a block and registers of a thread. In a graph walls run

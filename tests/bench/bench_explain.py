@@ -1,6 +1,6 @@
 """What `explain` foretells beside what runs take: wall time, steps, memory, of twelve scenes.
 
-python tests/bench_explain.py [--device cuda] [--only WORD]
+python tests/bench/bench_explain.py [--device cuda] [--only WORD]
 """
 
 import argparse
