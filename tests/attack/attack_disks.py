@@ -2,8 +2,8 @@
 
 By hand, as root: PYTHONPATH=tests python tests/attack/attack_disks.py [SCENE ...] [KIB ...].
 
-Each run writes into a tmpfs of its own. When that is full, the command must end within ten seconds with one line; with more room, --resume must complete the folder, with
-the bits of a run that always had room.
+Each run writes into a tmpfs of its own. When that is full, the command must end within ten seconds with one line; with
+more room, --resume must complete the folder, with the bits of a run that always had room.
 """
 
 import json

@@ -2,9 +2,10 @@
 
 By hand: PYTHONPATH=tests python tests/attack/attack_inputs.py [WORD ...]
 
-Words choose the inputs whose label holds one of them. Each input runs in this process, in a folder of its own, as a user types it. It must end within ten seconds with the exit code that
-its table states, with one line that begins with "error:" where it is refused, without any line but warnings and notes
-beside it, and without a file that was not there before.
+Words choose the inputs whose label holds one of them. Each input runs in this process, in a folder of its own, as a
+user types it. It must end within ten seconds with the exit code that its table states, with one line that begins with
+"error:" where it is refused, without any line but warnings and notes beside it, and without a file that was not there
+before.
 """
 
 import io

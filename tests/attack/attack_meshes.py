@@ -2,8 +2,9 @@
 
 By hand: PYTHONPATH=tests python tests/attack/attack_meshes.py FOLDER [CAD_FOLDER]
 
-With a second folder, pipes as a CAD user draws them are written there first and tried, too. Meshes that others made come, for example, from the folder models of trimesh's
-repository. Nothing is simulated: scenes are made, which is where meshes are read, followed and checked.
+With a second folder, pipes as a CAD user draws them are written there first and tried, too. Meshes that others made
+come, for example, from the folder models of trimesh's repository. Nothing is simulated: scenes are made, which is where
+meshes are read, followed and checked.
 """
 
 import signal
