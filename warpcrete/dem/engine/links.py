@@ -36,7 +36,7 @@ def rows_of(features: Features) -> int:
 
 
 def make_links(batch: BatchArrays) -> Any:
-    """Allocate empty links for all list entries of a :class:`Batch`; on a CPU the arrays have length 0."""
+    """Allocate empty links for all pairs of the lists of a :class:`Batch`; on a CPU the arrays have length 0."""
     struct = links_struct(batch.scalar)
     lists = int(batch.capacity.sum()) if batch.parallel else 0
     few = {

@@ -67,7 +67,7 @@ class _Drive:
         self._members = {number: _Scene(*pair) for number, pair in scenes.items()}
         self._stream = stream
         self._regroup = Regrouping() if regroups else None
-        self._launched: Batch | None = None  # the batch of the latest launch
+        self._launched: Batch | None = None  # The batch of the latest launch.
         self.stop: KeyboardInterrupt | None = None
 
     @property
@@ -129,7 +129,7 @@ class _Drive:
                     what()
             except KeyboardInterrupt as interruption:
                 self.stop = interruption
-            except CapacityError as full:  # the neighbour lists are full, which affects all scenes of the batch
+            except CapacityError as full:  # The neighbour lists are full, which affects all scenes of the batch.
                 for member in self.waiting:
                     self._proceed(member, full)
             if self.stop is not None:
