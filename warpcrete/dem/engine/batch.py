@@ -291,8 +291,7 @@ class Batch(JointArrays):
 
         try:
             for count in launch_sizes:
-                # On a GPU, the steps up to the next estimate and the estimate itself form one graph, which saves
-                # launches.
+                # On a GPU, one graph holds the steps up to the next estimate and the estimate; this saves launches.
                 whole = self.parallel and count in (interval, DEVICE_CHECK_INTERVAL) and count <= largest
                 sizes = [count] if whole else graph_sizes(count, largest)
                 appended = between_pieces if whole and self.device.is_cuda else None

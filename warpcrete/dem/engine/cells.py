@@ -18,7 +18,7 @@ SAMPLED_SPHERES = 4_000
 FARTHEST_CELL = 1e6
 """Maximum distance of a sphere from the middle of its scene, in cell widths; larger distances are clipped to this."""
 OUTSIDE_PERCENT = 0.1
-"""Percentage of a scene's spheres that may lie outside its cells at either end of each axis."""
+"""Percentage of a scene's spheres that may lie outside the scene's cells, at either end of each axis."""
 CELLS = 8
 """Maximum number of cells per sphere; every rebuild clears all cells, so many empty ones cost time."""
 FEWEST_CELLS = 4096

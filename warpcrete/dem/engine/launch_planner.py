@@ -40,7 +40,7 @@ Lists that became stale are expected to last `LIFETIME_DECREASE` times as many s
 grows by the factor `LIFETIME_INCREASE` when lists were still valid at its end.
 """
 SHARED_REBUILD_AGE = 0.6
-"""Fraction of the expected lifetime of neighbour lists, after which they are rebuilt together with another scene's."""
+"""Age of neighbour lists, divided by their expected lifetime, from which they join the rebuild of another scene."""
 NO_SCENES = np.zeros(0, dtype=np.int64)
 DEVICE_CHECK_INTERVAL = 20
 """Maximum number of steps after which a GPU checks by itself whether its lists are stale."""
@@ -163,8 +163,8 @@ class LaunchPlanner:
             while sum(sizes) < count and sum(sizes) + piece <= most:
                 sizes.append(min(piece, count - sum(sizes)))
             return sizes
-        # When the lists become stale, the rest of the queued steps is idle. The launch therefore ends where the lists
-        # are expected to become stale, judging by their last lifetime.
+        # Once the lists are stale, the device skips the rest of the queued steps. The launch therefore ends when the
+        # lists are expected to become stale, judging by their last lifetime.
         if self.rebuilds_on_device:
             every = max(int(rows["sort_every"][0]), 0) or NEVER
             count = min(count, every - slots[0][int(STEPS)] % every)

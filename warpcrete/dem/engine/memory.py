@@ -50,9 +50,9 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     estimate = 4 * 6 * scalar
     probes = 8 * int(CONTACT_COLUMNS) + listed * scalar
     if model.features.half_list:
-        listing += 4 * listed + 4  # Number of neighbours found by the search, and the index of the first.
+        listing += 4 * listed + 4  # Neighbours that the search finds, and the index of each sphere's first one.
     else:
-        listing += 4 * MOST_KEPT  # neighbours found by the search, at most MOST_KEPT
+        listing += 4 * MOST_KEPT  # Neighbours that the search stores, at most MOST_KEPT per sphere.
         # One link for two list entries: its pair, scene and state, a copy of the pair if the link is near, its index at
         # both entries, and its result rows. Per sphere: the position at the last selection of near links, and the bits
         # that mark touching neighbours.

@@ -33,13 +33,13 @@ from .stages import MANY_SPHERES, near_stages, tasks
 from .state import PAIR_ARRAYS, pair_bytes
 
 DRIFT_LANES = 64
-"""Threads per scene that sum the spheres' velocities to find the common drift."""
+"""Threads per scene that sum the spheres' velocities to find their mean, the common drift."""
 OCTANTS = 8
-"""GPU threads that search and fill the row of one sphere if spheres are few: one thread per octant around it."""
+"""GPU threads that search for one sphere's neighbours if spheres are few: one for each octant around the sphere."""
 KEPT = 32
 """Neighbours per sphere that the search stores for the fill kernel; a sphere with more is searched a second time."""
 MOST_KEPT = 64
-"""Larger number of stored neighbours, used once some sphere had more than `KEPT` but no more than this."""
+"""Larger number of stored neighbours, used once some sphere had more than `KEPT` but at most `MOST_KEPT` neighbours."""
 
 
 class NeighborLists:

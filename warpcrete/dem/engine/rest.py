@@ -63,7 +63,10 @@ class Structure:
         )  # fmt: skip
 
     def grow(self, s: int, begun: float) -> None:
-        """Add the gain at rest to the layer of scene `s`, minus the wear by slip since a travel of `begun` [m]."""
+        """Add the gain at rest to the layer of scene `s`, minus the wear by slip.
+
+        Slip counts from the time at which the wall had travelled `begun` [m].
+        """
         self._set(s, self.batch.models[s].scene.rest.layer_gained, begun)
 
     def take(self, s: int, other: Structure, index: int) -> None:

@@ -72,12 +72,12 @@ class _Drive:
 
     @property
     def waiting(self) -> list[_Scene]:
-        """Scenes that have a goal ahead, in the order of their places in the batch."""
+        """Scenes that have not yet reached their goal, in the order of their places in the batch."""
         return sorted((m for m in self._members.values() if m.waiting), key=lambda member: member.stepper.index)
 
     @property
     def is_running(self) -> bool:
-        """True if any scene has a goal ahead."""
+        """True if any scene has not yet reached its goal."""
         return any(member.waiting for member in self._members.values())
 
     @property

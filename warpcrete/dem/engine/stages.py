@@ -25,9 +25,9 @@ from .links import rows_of
 MANY_SPHERES = 200_000
 """Number of spheres above which one thread per sphere keeps a GPU busy while lists are built."""
 NEAR_LINK_INTERVAL = 20
-"""Steps between two selections of the near links, equal to the steps between two estimates of the stable step."""
+"""Steps between two selections of the near links (pairs that may touch soon), and between two stable step estimates."""
 THREADS_PER_LINK = 0.5
-"""Ratio of the link kernel's threads to all links of the lists; if more links are near, a thread takes several."""
+"""Threads of the link kernel, divided by the number of all links; if more links are near, a thread takes several."""
 WALL_LANE_BITS = 3
 """Base-2 logarithm of the largest number of GPU threads that share the planes and pipes of one sphere."""
 WALL_THREADS = 100_000
@@ -74,7 +74,7 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
 
 
 def near_stages(batch: Batch) -> list[Stage]:
-    """Return the stages that select a GPU's near links; empty for half lists."""
+    """Return the stages that select a GPU's near links (pairs that may touch soon); empty for half lists."""
     b = batch
     if b.features.half_list:
         return []

@@ -225,7 +225,7 @@ class State:
         self.batch = None
 
     def launches(self, version: int) -> dict[str, Any]:
-        """Return the recorded launches of probes by name, valid for this version of the batch's arrays."""
+        """Return the recorded launches of probes (device measurements) by name, for this version of the arrays."""
         if self._launches[0] != version:
             self._launches = version, {}
         return self._launches[1]

@@ -70,7 +70,7 @@ def state_hash(state: State) -> str:
     reach = position[i, 3] + position[j, 3]
     kept = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
     bond = state.pairs.bond.numpy()[place] if features.bonds else np.zeros(len(place), np.int32)
-    # Only listed pairs remember that their bond is broken. Without healing this has no effect on the motion.
+    # Only listed pairs remember that their bond is broken. Without healing, a broken bond acts like no bond.
     if not features.healing:
         bond = np.maximum(bond, 0)
     kept |= bond > 0

@@ -173,7 +173,7 @@ class Stepper:
         return made
 
     def apply_rest(self) -> float:
-        """Apply the scene's rest to bonds and wall layer; return the travel from which slip counts [m]."""
+        """Apply the scene's rest to bonds and wall layer; return the wall travel [m] from which slip counts."""
         scene, model, batch = self.model.scene, self.model, self.batch
         assert scene.rest is not None
         if scene.bonds is not None:
@@ -186,7 +186,7 @@ class Stepper:
         return travel_at_rest
 
     def set_layer_gain(self, travel_at_rest: float) -> None:
-        """Give the wall layer its gain from the rest, minus the wear by slip since a travel of `travel_at_rest` [m]."""
+        """Set the layer's gain at rest, minus the wear by slip since the wall had travelled `travel_at_rest` [m]."""
         if self.batch.structure is not None:
             self.batch.structure.grow(self.index, travel_at_rest)
 
@@ -293,7 +293,7 @@ class Stepper:
         """Advance to a goal: a time, reached to within one step, or a number of steps of the current size.
 
         The coroutine yields while the batch must step. It continues once the scene has halted, because it has reached
-        the goal or because its stable step must be estimated and the device has not done that itself.
+        the goal or because its stable step must be estimated and the device has not estimated it.
         """
         if isinstance(goal, Steps):
             yield from self._take_steps(goal.count)
@@ -317,7 +317,7 @@ class Stepper:
             yield
 
     def wants_estimate(self) -> bool:
-        """Return whether a scene that has taken a number of steps will estimate the stable step before more steps."""
+        """Return whether a scene that has taken a number of steps estimates the stable step before it takes more."""
         self._set_step()
         return self._goal_is_steps and self._steps_since_estimate() >= self.time_step.interval
 

@@ -29,7 +29,7 @@ MARGIN = 1.1
 ROUND_BLOCK = 128
 """Threads per block of the GPU kernel that takes all rounds of a step."""
 RESIDENT_BLOCKS = 2
-"""Number of blocks of that kernel that always fit on one multiprocessor, however many registers a block needs."""
+"""Blocks of the all-rounds kernel that always fit on one multiprocessor, however many registers a block needs."""
 OF_BODIES = ("position", "orientation")
 """Arrays of the sub-cycled bodies on which the next step depends, in addition to the state."""
 OF_ENDS = ("force", "torque")
@@ -193,7 +193,7 @@ class Subcycles:
         self._body_place = wp.zeros(b.body_count if self.pair_count else 0, dtype=wp.int32, device=b.device)
 
     def _rows(self, s: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return a scene's sub-cycled bodies by permanent number, the number of pair ends of each, and these ends."""
+        """Return a scene's sub-cycled bodies by number, the number of pair ends of each body, and all ends by body."""
         pairs = self._by_scene[s]
         if not pairs:
             return np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros(0, dtype=int)
