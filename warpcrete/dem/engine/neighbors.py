@@ -35,7 +35,7 @@ from .state import PAIR_ARRAYS, pair_bytes
 DRIFT_LANES = 64
 """Threads per scene that sum the spheres' velocities to find their mean, the common drift."""
 OCTANTS = 8
-"""GPU threads that search for one sphere's neighbours if spheres are few: one for each octant around the sphere."""
+"""GPU threads that search and fill one sphere's row if spheres are few: one for each octant around the sphere."""
 KEPT = 32
 """Neighbours per sphere that the search stores for the fill kernel; a sphere with more is searched a second time."""
 MOST_KEPT = 64

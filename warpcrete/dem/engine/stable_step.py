@@ -60,7 +60,7 @@ class StableStep:
         self._estimate_for([s])
 
     def precompute(self, scenes: list[int]) -> None:
-        """Estimate several scenes that need it before their next step; a GPU does all in the time of one."""
+        """Estimate the stable steps of several scenes in advance; on a GPU this takes as long as a single one."""
         if len(scenes) > 1 and self.batch.parallel:
             self._estimate_for(scenes)
             self._precomputed = set(scenes)

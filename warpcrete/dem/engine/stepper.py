@@ -317,7 +317,7 @@ class Stepper:
             yield
 
     def wants_estimate(self) -> bool:
-        """Return whether a scene that has taken a number of steps estimates the stable step before it takes more."""
+        """Return whether a scene whose goal is a number of steps must estimate the stable step before its next step."""
         self._set_step()
         return self._goal_is_steps and self._steps_since_estimate() >= self.time_step.interval
 
