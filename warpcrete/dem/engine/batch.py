@@ -50,7 +50,7 @@ In a small pipe, two threads took 0.67 to 1.0 of one thread's time for 1000 sphe
 
 
 def batch_key(model: Model) -> tuple:
-    """Return a key of the features that kernels depend on; models with equal keys can share a batch."""
+    """Return a key of the scene features that kernels depend on; models with equal keys can share a batch."""
     worn = len(model.walls) if model.features.wear else 0
     return model.features, model.analytic_walls, worn, model.scalar, str(model.device)
 
@@ -279,7 +279,8 @@ class Batch(JointArrays):
 
     def _launch(self, launch_sizes: list[int], interval: int) -> None:
         """Launch `launch_sizes` of steps, each followed by what a GPU does between steps; see :meth:`use_step`."""
-        rounds = 0 if self.parallel else self.subcycles.rounds  # a GPU runs all rounds of a step in one kernel
+        # A GPU runs all sub-cycling rounds of a step in one kernel.
+        rounds = 0 if self.parallel else self.subcycles.rounds
         largest = self.planner.largest_graph(self.threads, rounds)
         flags = np.empty((0, 0)) if self.parallel else self.host_flags()
         assert self._step is not None
@@ -290,15 +291,14 @@ class Batch(JointArrays):
 
         try:
             for count in launch_sizes:
-                # On a GPU, the steps up to the next estimate and the estimate itself form one graph, which saves
-                # launches.
+                # On a GPU, one graph holds the steps up to the next estimate and the estimate; this saves launches.
                 whole = self.parallel and count in (interval, DEVICE_CHECK_INTERVAL) and count <= largest
                 sizes = [count] if whole else graph_sizes(count, largest)
                 appended = between_pieces if whole and self.device.is_cuda else None
                 self._launcher.replay(self._step, self._single_thread_step, sizes, ended, appended)
                 if between_pieces is not None and appended is None:
                     between_pieces()
-        finally:  # the bodies must match their spheres even after an interruption
+        finally:  # Bodies must match their spheres even after an interruption.
             for stage in self.sync_stages():
                 stage()
 

@@ -21,7 +21,7 @@ from .links import copy_links, make_even, make_links
 from .model import Model
 from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
 
-MAXIMUM_ENTRIES = 2**31 - 2**20  # maximum length of a list, whose indices are 32-bit integers
+MAXIMUM_ENTRIES = 2**31 - 2**20  # Maximum length of a neighbour list: its indices are 32-bit integers.
 FULL = 0.9
 """Fill level above which a scene's arrays grow when those of another scene of the batch must grow.
 
@@ -66,9 +66,9 @@ class JointArrays:
     drive_axis: wp.array
     """First and end index of the segments of each group's axis, shape (groups, 2)."""
     drive_force: wp.array
-    """Driving force on each body of a group along that axis [N], shape (groups,)."""
+    """Driving force on each body of a group along the group's axis [N], shape (groups,)."""
     rows: np.ndarray
-    """Host copy of `scenes.row`."""
+    """Host copy of `scenes.row`, the parameters of all scenes."""
     slot_scene: wp.array
     """Scene index of every entry of `pairs.start`, shape (spheres + scenes,)."""
 
@@ -154,7 +154,7 @@ class JointArrays:
         joint = wp.empty((sum(len(a) for a in arrays), *arrays[0].shape[1:]), dtype=arrays[0].dtype, device=self.device)
         first = 0
         for part, array in zip(parts, arrays):
-            if array.size:  # arrays of a scene without walls may have no columns
+            if array.size:  # Arrays of a scene without walls may have no columns.
                 view = joint[first : first + len(array)]
                 wp.copy(view, array)
                 setattr(part, name, view)
@@ -222,7 +222,7 @@ class JointArrays:
         row["wall_stiffness"][s] = np.pi * model.stress_scale * state.largest_radius
 
     def _concatenate(self, arrays: list[wp.array]) -> wp.array:
-        """Return the arrays joined end to end; they are constants, so a single one is shared, not copied."""
+        """Return the arrays joined end to end; constant arrays need no copy, so a single array is shared."""
         if len(arrays) == 1:
             return arrays[0]
         joint = wp.empty(sum(len(a) for a in arrays), dtype=arrays[0].dtype, device=self.device)
@@ -300,7 +300,7 @@ class JointArrays:
         old = np.concatenate([[0], np.cumsum(capacity)])
         grown = wanted > FULL * capacity
         capacity[grown] = (wanted[grown] + wanted[grown] // 4 + 64) // 2 * 2
-        if struct == "pairs" and self.features.healing:  # every entry has a numbered row of load
+        if struct == "pairs" and self.features.healing:  # Every list entry has a numbered row of load.
             np.minimum(capacity, MOST_ROWS, out=capacity)
         new = np.concatenate([[0], np.cumsum(capacity)])
         # On a GPU, two entries share a link with up to four rows of results, so there are twice as many rows as

@@ -18,7 +18,7 @@ SAMPLED_SPHERES = 4_000
 FARTHEST_CELL = 1e6
 """Maximum distance of a sphere from the middle of its scene, in cell widths; larger distances are clipped to this."""
 OUTSIDE_PERCENT = 0.1
-"""Percentage of a scene's spheres that may lie outside its cells at either end of each axis."""
+"""Percentage of a scene's spheres that may lie outside the scene's cells, at either end of each axis."""
 CELLS = 8
 """Maximum number of cells per sphere; every rebuild clears all cells, so many empty ones cost time."""
 FEWEST_CELLS = 4096
@@ -34,11 +34,11 @@ class Cells:
     """
 
     shift: wp.array
-    """Displacement from each scene's own position to its block of cells [m], shape (scenes,)."""
+    """Displacement that moves each scene's positions into its block of cells [m], shape (scenes,)."""
     grid: Any
     """Device arrays of the grid, a struct `Grid`."""
     made: int
-    """Number of times the grid was allocated; a change means that recorded launches refer to old arrays."""
+    """Number of times the grid was allocated; a change means that launches recorded earlier refer to old arrays."""
 
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
@@ -82,8 +82,8 @@ class Cells:
             self._bounds[s] = self._extent(s, width)
         self._fitted |= due
         low, high = np.floor(self._bounds / width).astype(int).transpose(1, 0, 2)
-        sizes = high - low + 2  # one empty cell separates a block from the next
-        # The blocks of all scenes follow one another along the axis in which the largest block is shortest.
+        sizes = high - low + 2  # One empty cell separates a block from the next.
+        # The blocks of all scenes follow one another along the axis with the smallest maximum block size.
         axis = int(np.argmin(sizes.max(0)))
         dims = sizes.max(0)
         dims[axis] = sizes[:, axis].sum()

@@ -24,7 +24,7 @@ LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 64}
 """Maximum number of steps in one recorded graph.
 
 On a CPU, recording a graph costs as much as several steps and replaying a graph costs almost nothing. Several CPU
-threads get longer graphs, because they lose time when they meet again between two graphs.
+threads get longer graphs, because they lose time when they wait for each other between two graphs.
 """
 STABLE_CHUNK_STEPS = 256
 """Steps launched without a change of the chunks, after which several CPU threads may use longer graphs.
@@ -40,7 +40,7 @@ Lists that became stale are expected to last `LIFETIME_DECREASE` times as many s
 grows by the factor `LIFETIME_INCREASE` when lists were still valid at its end.
 """
 SHARED_REBUILD_AGE = 0.6
-"""Fraction of the expected lifetime of neighbour lists, after which they are rebuilt together with another scene's."""
+"""Age of neighbour lists, divided by their expected lifetime, from which they join the rebuild of another scene."""
 NO_SCENES = np.zeros(0, dtype=np.int64)
 DEVICE_CHECK_INTERVAL = 20
 """Maximum number of steps after which a GPU checks by itself whether its lists are stale."""
@@ -91,7 +91,7 @@ class LaunchPlanner:
         """Return the numbers of the scenes whose neighbour lists should be rebuilt now.
 
         These are the scenes with stale lists. Several scenes on a GPU share the launches of a rebuild, so scenes of
-        `among` whose lists will soon be stale are included: a launch takes almost as long when one of its scenes waits.
+        `among` whose lists will soon be stale are included: a launch takes almost as long for fewer scenes.
         `flags` are the control flags of all scenes; `sort_every` is the number of steps between sortings.
         """
         if not flags[:, int(STALE)].any() and (self.scenes == 1 or not self.parallel):
@@ -130,8 +130,8 @@ class LaunchPlanner:
         After each piece a GPU estimates the stable time step of the scenes that need an estimate, and rebuilds the
         lists that it rebuilds by itself. `flags`, `clock` and `rows` hold one row for each scene of the batch.
         """
-        # Convert to plain Python numbers: for one scene they are ten times as fast as NumPy, and the GPU idles
-        # meanwhile.
+        # Convert to plain Python numbers: for one scene, arithmetic on them is ten times as fast as with NumPy, and
+        # the GPU idles meanwhile.
         untils, intervals, slots, clocks = (
             rows["until"].tolist(),
             rows["interval"].tolist(),
@@ -163,8 +163,8 @@ class LaunchPlanner:
             while sum(sizes) < count and sum(sizes) + piece <= most:
                 sizes.append(min(piece, count - sum(sizes)))
             return sizes
-        # When the lists become stale, the rest of the queued steps is idle. The launch therefore ends where the lists
-        # are expected to become stale, judging by their last lifetime.
+        # Once the lists are stale, the device skips the rest of the queued steps. The launch therefore ends when the
+        # lists are expected to become stale, judging by their last lifetime.
         if self.rebuilds_on_device:
             every = max(int(rows["sort_every"][0]), 0) or NEVER
             count = min(count, every - slots[0][int(STEPS)] % every)

@@ -36,7 +36,7 @@ def rows_of(features: Features) -> int:
 
 
 def make_links(batch: BatchArrays) -> Any:
-    """Allocate empty links for all list entries of a :class:`Batch`; on a CPU the arrays have length 0."""
+    """Allocate empty links for all pairs of the lists of a :class:`Batch`; on a CPU the arrays have length 0."""
     struct = links_struct(batch.scalar)
     lists = int(batch.capacity.sum()) if batch.parallel else 0
     few = {
@@ -71,7 +71,7 @@ def copy_links(before: Any, old: np.ndarray, links: Any, capacity: np.ndarray) -
     """
     wp.copy(links.later_touching, before.later_touching)
     first, behind = (np.append(0, np.cumsum(each // 2)) for each in (capacity, old))
-    for name, entries in (("link", 1), ("state", 1), ("end", 2)):  # array and its number of elements per link
+    for name, entries in (("link", 1), ("state", 1), ("end", 2)):  # Each array, and its number of elements per link.
         target, source = getattr(links, name), getattr(before, name)
         for s in np.flatnonzero(old):
             wp.copy(target, source, entries * int(first[s]), entries * int(behind[s]), entries * int(old[s]) // 2)

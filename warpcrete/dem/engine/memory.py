@@ -50,9 +50,9 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     estimate = 4 * 6 * scalar
     probes = 8 * int(CONTACT_COLUMNS) + listed * scalar
     if model.features.half_list:
-        listing += 4 * listed + 4  # neighbours found by the search, and the index of the first
+        listing += 4 * listed + 4  # Neighbours that the search finds, and the index of each sphere's first one.
     else:
-        listing += 4 * MOST_KEPT  # neighbours found by the search, at most MOST_KEPT
+        listing += 4 * MOST_KEPT  # Neighbours that the search stores, at most MOST_KEPT per sphere.
         # One link for two list entries: its pair, scene and state, a copy of the pair if the link is near, its index at
         # both entries, and its result rows. Per sphere: the position at the last selection of near links, and the bits
         # that mark touching neighbours.
@@ -61,7 +61,7 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
         # Sub-cycled pairs and bodies: a sphere has at most three pairs, of which the hydrated fraction is stiff.
         listing += 3 * model.scene.hydration.fraction * (44 * scalar + 80) + 30 * scalar
     if model.features.analytic:
-        listing += 4 * scalar  # position of the sphere when its distance to walls was last measured
+        listing += 4 * scalar  # Position of the sphere when its distance to walls was last measured.
     body = size("bodies") + 3 * 4 + 8 * int(BODY_COLUMNS) + 2 * 8 + 4 * 4
     return float(body), size("spheres", "slots") / state.sphere_count + listing + estimate + probes
 

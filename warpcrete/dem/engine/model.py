@@ -42,17 +42,17 @@ class Features:
     clumps: bool
     """Whether bodies are moved as clumps: some have several spheres, or sub-cycling requires it."""
     rotation: bool
-    """Whether bodies rotate; single spheres without friction, shear damping and bonds do not."""
+    """Whether bodies rotate; single spheres do not if they have no friction, shear damping or bonds."""
     drives: bool
     """Whether forces along a pipe's axis act on groups of bodies."""
     walls: bool
     analytic: bool
-    """Whether there are planes or pipes among the walls."""
+    """Whether some walls are planes or pipes, whose contacts are computed by formulas instead of meshes."""
     meshes: bool
     strokes: bool
     """Whether the prescribed motion of some wall is interrupted by stops, as between pump strokes."""
     structure: bool
-    """Whether the lubrication layer on the walls gains strength at rest, which slip then wears off."""
+    """Whether the lubrication layer on the walls gains strength at rest; slip then wears off this gain."""
     growth: bool
     """Whether the sizes of bodies grow, as during packing."""
     half_list: bool
@@ -76,7 +76,7 @@ class Model:
     groups: tuple[str, ...]
     """Name of each body group, by group number; number 0 means no group."""
     bond_kinds: tuple[Bonds, ...]
-    """Properties of the bond kinds 1, 2, ...; bonds that gained strength at rest are the last kind."""
+    """Properties of the bond kinds 1, 2, ...; bonds that have gained strength at rest form the last kind."""
     walls: tuple[Wall, ...]
     """Walls of the scene in device order: planes and pipes first, then meshes."""
     analytic_walls: int
@@ -96,7 +96,7 @@ class Model:
     drive_axis: wp.array
     """First and end index of the segments of each group's axis, shape (groups, 2); both 0 without a drive."""
     drive_force: wp.array
-    """Driving force on each body of a group along that axis [N], shape (groups,)."""
+    """Driving force on each body of a group along the group's axis [N], shape (groups,)."""
     meshes: tuple[Any, ...]
     """The ``wp.Mesh`` objects, kept alive because the wall table refers to them by number."""
 

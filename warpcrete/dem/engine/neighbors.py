@@ -33,13 +33,13 @@ from .stages import MANY_SPHERES, near_stages, tasks
 from .state import PAIR_ARRAYS, pair_bytes
 
 DRIFT_LANES = 64
-"""Threads per scene that sum the spheres' velocities to find the common drift."""
+"""Threads per scene that sum the spheres' velocities to find their mean, the common drift."""
 OCTANTS = 8
-"""GPU threads that search and fill the row of one sphere if spheres are few: one thread per octant around it."""
+"""GPU threads that search and fill one sphere's row if spheres are few: one for each octant around the sphere."""
 KEPT = 32
 """Neighbours per sphere that the search stores for the fill kernel; a sphere with more is searched a second time."""
 MOST_KEPT = 64
-"""Larger number of stored neighbours, used once some sphere had more than `KEPT` but no more than this."""
+"""Larger number of stored neighbours, used once some sphere had more than `KEPT` but at most `MOST_KEPT` neighbours."""
 
 
 class NeighborLists:
@@ -132,7 +132,7 @@ class NeighborLists:
         wanted, longest = self._found_of(self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
             b.reserve_pairs(np.maximum(wanted, self._entries))
-            # The larger arrays hold the scenes' rows at other places, so copy the old lists again.
+            # The rows of the scenes start at other places in the larger arrays, so copy the old lists again.
             self._keep_old(np.flatnonzero(stale))
         self._entries[stale] = wanted[stale]
         if b.features.meshes:
@@ -142,7 +142,7 @@ class NeighborLists:
         self._rebuild(sort).launch("fill", "near")
         if len(self._finds) < longest <= MOST_KEPT:
             self._finds = wp.empty((MOST_KEPT, b.sphere_count), dtype=wp.int32, device=b.device)
-            self._version = ()  # record all launches anew at the next build, with the enlarged array
+            self._version = ()  # Record all launches anew at the next build, with the enlarged array.
             if b.planner.rebuilds_on_device:
                 b.invalidate_graphs()
 
@@ -182,7 +182,7 @@ class NeighborLists:
         return self._rebuild(False)
 
     def lay_out_cells(self) -> None:
-        """Lay out grid cells for scenes whose lists were loaded, so that the host has built none for them."""
+        """Lay out grid cells for scenes whose lists were loaded instead of built by the host."""
         width = self._cells.width()
         self._cells.fit(width, np.zeros(self.batch.count, dtype=bool))
         self._cells.use_width(width)
@@ -217,7 +217,7 @@ class NeighborLists:
         whole = 4 * len(scenes) > b.count > 1 or (b.count == 1 and b.parallel)
         for name in PAIR_ARRAYS:
             array, kept = getattr(b.pairs, name), getattr(self._old, name)
-            if name not in self._kept:  # no kernel reads this array of the old lists, so a reference is enough
+            if name not in self._kept:  # No kernel reads this array of the old lists, so a reference is enough.
                 if kept is not array:
                     setattr(self._old, name, array)
                     self._recorded.clear()
@@ -231,13 +231,13 @@ class NeighborLists:
                 continue
             for s in scenes:
                 first, count = int(b.rows["pairs"][s]), int(self._entries[s])
-                if count:  # for a count of 0 `wp.copy` would copy the whole array
+                if count:  # For a count of 0, `wp.copy` would copy the whole array.
                     wp.copy(kept, array, first, first, count)
 
     def _rebuild(self, sorted_now: bool, searchers: int | None = None) -> Rebuild:
         """Return the recorded phases of a rebuild on the batch's current arrays, with or without a re-sorting.
 
-        `searchers` is the number of threads that search for one sphere's neighbours; default: as many as now.
+        `searchers` is the number of threads that search for one sphere's neighbours; by default the present number.
         """
         version = self.batch.version, self._cells.made
         if self._version != version:
@@ -279,7 +279,7 @@ class NeighborLists:
             Phase("search", search),
             # Turn the lengths of the rows into their starts by a prefix sum.
             Phase("count", [*scan, *count_faces]),
-            # Write the starts of the rows, which ends the validity of the previous lists.
+            # Write the starts of the rows; from here on the previous lists are invalid.
             Phase("starts", [self._starts(self.scanned, b.pairs.start, self._total), *face_starts]),
             # Write the neighbours into the rows, with the contact history of the previous lists.
             Phase("fill", [*fill, self._transfer(old)]),

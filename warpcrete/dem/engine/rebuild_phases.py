@@ -40,8 +40,8 @@ class Chunks:
 class Rebuild:
     """All phases of a rebuild, recorded on the arrays that exist now.
 
-    Every rebuild launches sections of this one list: the host, a CUDA graph that decides by itself, and a restart from
-    a checkpoint. Between two sections it checks whether the new lists fit the arrays.
+    Every rebuild launches sections of this one list: the host, a CUDA graph that decides by itself when to rebuild,
+    and a restart from a checkpoint. Between two sections, the host or the graph checks whether the new lists fit.
     """
 
     def __init__(self, phases: Sequence[Phase], device: Any) -> None:

@@ -16,16 +16,19 @@ from .state import State
 from .stepper_protocol import SceneStepper
 
 LARGEST_SHARE = 0.5
-"""Largest share of a batch's spheres that running scenes may hold for the batch to be regrouped."""
+"""A batch is regrouped only if its running scenes hold at most this share of its spheres."""
 LAUNCHES_BEFORE_REGROUPING = 20
-"""Number of launches with few running spheres before a batch is regrouped; scenes that end soon do not repay it."""
+"""Number of launches with few running spheres before a batch is regrouped.
+
+If the remaining scenes end soon, regrouping costs more than it saves.
+"""
 MEMORY_SHARE = 0.5
 """Share of the free memory that the new batch may take, since the old batch stays in memory and other batches grow."""
 SETTINGS = (
     "local_damping", "skin", "mesh_skin", "sphere_allowance", "growth_rate", "growth_end", "safety", "largest_step",
     "fixed_step", "until", "interval", "expected_speed", "held",
 )  # fmt: skip
-"""Settings of a scene's row that may change during a run and must be carried over."""
+"""Settings of a scene's row that may change during a run, so a new batch takes them over."""
 
 
 class Regrouping:

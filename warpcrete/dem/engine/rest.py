@@ -25,7 +25,7 @@ def bonds_after_rest(scene: Scene) -> Bonds | None:
 
 
 def has_layer(scene: Scene, law: type) -> bool:
-    """Return whether the scene rests and the walls' contact `law` has a layer, whose yield stress then grows."""
+    """Return whether the scene rests and the walls' contact `law` has a layer, whose yield stress grows at rest."""
     return scene.rest is not None and issubclass(law, LubricationLayer)
 
 
@@ -38,7 +38,8 @@ class Structure:
     def __init__(self, batch: Any) -> None:
         """Set up the layers of a :class:`Batch` of scenes that all have a growing layer."""
         self.batch = batch
-        batch.wall_parameters = wp.clone(batch.wall_parameters)  # a model's own parameters must never change
+        # The model's own parameters must never change, so the batch changes a copy.
+        batch.wall_parameters = wp.clone(batch.wall_parameters)
         own = [law["yield_stress"] for law in batch.wall_parameters.numpy()]
         self._own_yield = wp.array(np.array(own, dtype=float), dtype=batch.scalar, device=batch.device)
         walls = [
@@ -62,7 +63,10 @@ class Structure:
         )  # fmt: skip
 
     def grow(self, s: int, begun: float) -> None:
-        """Add the gain at rest to the layer of scene `s`, minus the wear by slip since a travel of `begun` [m]."""
+        """Add the gain at rest to the layer of scene `s`, minus the wear by slip.
+
+        Slip counts from the time at which the wall had travelled `begun` [m].
+        """
         self._set(s, self.batch.models[s].scene.rest.layer_gained, begun)
 
     def take(self, s: int, other: Structure, index: int) -> None:

@@ -67,17 +67,17 @@ class _Drive:
         self._members = {number: _Scene(*pair) for number, pair in scenes.items()}
         self._stream = stream
         self._regroup = Regrouping() if regroups else None
-        self._launched: Batch | None = None  # the batch of the latest launch
+        self._launched: Batch | None = None  # The batch of the latest launch.
         self.stop: KeyboardInterrupt | None = None
 
     @property
     def waiting(self) -> list[_Scene]:
-        """Scenes that have a goal ahead, in the order of their places in the batch."""
+        """Scenes that have not yet reached their goal, in the order of their places in the batch."""
         return sorted((m for m in self._members.values() if m.waiting), key=lambda member: member.stepper.index)
 
     @property
     def is_running(self) -> bool:
-        """True if any scene has a goal ahead."""
+        """True if any scene has not yet reached its goal."""
         return any(member.waiting for member in self._members.values())
 
     @property
@@ -129,7 +129,7 @@ class _Drive:
                     what()
             except KeyboardInterrupt as interruption:
                 self.stop = interruption
-            except CapacityError as full:  # the neighbour lists are full, which affects all scenes of the batch
+            except CapacityError as full:  # The neighbour lists are full, which affects all scenes of the batch.
                 for member in self.waiting:
                     self._proceed(member, full)
             if self.stop is not None:

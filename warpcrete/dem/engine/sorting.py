@@ -17,7 +17,7 @@ SORTED = {
     "spheres": ("scene", "body", "force", "moment"),
     "slots": (),
 }
-"""Structs whose rows a re-sorting moves, with the arrays that it leaves out: recomputed, unaffected or zero ones."""
+"""Structs whose rows a re-sorting moves, with the arrays that it skips (recomputed, unaffected or zero)."""
 
 
 def sort_bodies(batch: Batch, due: np.ndarray, old_place: wp.array, new_place: wp.array) -> None:

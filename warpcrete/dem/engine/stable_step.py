@@ -27,9 +27,9 @@ from .batch import Batch
 class StableStep:
     """Estimate of a scene's largest stable step from its masses and current stiffness, bonds included.
 
-    It sets the scene's `clock[STABLE]` and, from that and the settings in the scene's row, `clock[DT]`. An automatic
-    step is also short enough that impacts with little dissipation keep their energy to about 1 %, and that fast bodies
-    move by no more than a fraction of their radius per step.
+    It sets the scene's `clock[STABLE]` and derives `clock[DT]`, the step size, from this value and the scene's
+    settings. An automatic step is also short enough that impacts with little dissipation keep their energy to about
+    1 %, and that fast bodies move by no more than a fraction of their radius per step.
     """
 
     def __init__(self, batch: Batch) -> None:
@@ -60,7 +60,7 @@ class StableStep:
         self._estimate_for([s])
 
     def precompute(self, scenes: list[int]) -> None:
-        """Estimate several scenes that need it before their next step; a GPU does all in the time of one."""
+        """Estimate the stable steps of several scenes in advance; on a GPU this takes as long as a single one."""
         if len(scenes) > 1 and self.batch.parallel:
             self._estimate_for(scenes)
             self._precomputed = set(scenes)
@@ -90,7 +90,7 @@ class StableStep:
         return [stage for phase in self._phases(-1 if self.batch.parallel else 0, False) for stage in phase]
 
     def _launch(self, s: int) -> Callable[[], None]:
-        if self._version != self.batch.version:  # old launches would keep outdated arrays in memory
+        if self._version != self.batch.version:  # Old launches would keep outdated arrays in memory.
             self._recorded.clear()
             self._version = self.batch.version
         # A CPU estimates one scene at a time, chunk by chunk; a GPU estimates all scenes with the same launch.

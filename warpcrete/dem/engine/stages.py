@@ -25,14 +25,14 @@ from .links import rows_of
 MANY_SPHERES = 200_000
 """Number of spheres above which one thread per sphere keeps a GPU busy while lists are built."""
 NEAR_LINK_INTERVAL = 20
-"""Steps between two selections of the near links, equal to the steps between two estimates of the stable step."""
+"""Steps between two selections of the near links (pairs that may touch soon), and between two stable step estimates."""
 THREADS_PER_LINK = 0.5
-"""Ratio of the link kernel's threads to all links of the lists; if more links are near, a thread takes several."""
+"""Threads of the link kernel, divided by the number of all links; if more links are near, a thread takes several."""
 WALL_LANE_BITS = 3
 """Base-2 logarithm of the largest number of GPU threads that share the planes and pipes of one sphere."""
 WALL_THREADS = 100_000
 """Largest number of GPU threads for walls when threads share a sphere. More threads would not hide more memory latency:
-a hundred thousand spheres with eight threads each took a tenth longer."""
+a hundred thousand spheres with eight threads each took a tenth longer than with this limit."""
 LANE_BITS = 2
 """Base-2 logarithm of the number of GPU threads per clump if clumps are few, or if a link has many values to read."""
 
@@ -74,7 +74,7 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
 
 
 def near_stages(batch: Batch) -> list[Stage]:
-    """Return the stages that select a GPU's near links; empty for half lists."""
+    """Return the stages that select a GPU's near links (pairs that may touch soon); empty for half lists."""
     b = batch
     if b.features.half_list:
         return []
@@ -99,7 +99,8 @@ def _full_step(batch: Batch) -> list[Stage]:
     if f.meshes:
         stages.append(_meshes(b, 0, 0, n, on_side_stream=True))
     kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
-    threads = -(-math.ceil(THREADS_PER_LINK * len(b.links.link)) // width) * width  # rounded up to whole warps
+    # The number of threads is rounded up to whole warps.
+    threads = -(-math.ceil(THREADS_PER_LINK * len(b.links.link)) // width) * width
     stages += [
         b.stage(kernel, threads, threads=threads),
         _motion(b, 0, b.body_count),
@@ -117,7 +118,7 @@ def _full_step(batch: Batch) -> list[Stage]:
 def wall_lane_bits(batch: Batch) -> int:
     """Return the base-2 logarithm of the number of GPU threads that share the planes and pipes of one sphere."""
     most = int(batch.rows["analytic"].max())
-    if warp_width(batch.device) == 1 or most <= 2:  # a single thread evaluates two walls as fast
+    if warp_width(batch.device) == 1 or most <= 2:  # A single thread evaluates two walls as fast as several threads do.
         return 0
     bits = min((most - 1).bit_length(), WALL_LANE_BITS)
     return min(bits, max((WALL_THREADS // max(batch.sphere_count, 1)).bit_length() - 1, 0))

@@ -207,7 +207,7 @@ class State:
                 yield struct, name, getattr(getattr(self, struct), name)
 
     def scratch(self, name: str, shape: tuple[int, ...], dtype: Any) -> wp.array:
-        """Return uninitialised memory for a probe, the same array at every call with this name and shape."""
+        """Return uninitialised memory for a probe; every call with the same name and shape returns the same array."""
         if name not in self._scratch or self._scratch[name].shape != shape:
             self._scratch[name] = wp.empty(shape, dtype=dtype, device=self.model.device)
         return self._scratch[name]
@@ -225,7 +225,7 @@ class State:
         self.batch = None
 
     def launches(self, version: int) -> dict[str, Any]:
-        """Return the recorded launches of probes by name, valid for this version of the batch's arrays."""
+        """Return the recorded launches of probes (device measurements) by name, for this version of the arrays."""
         if self._launches[0] != version:
             self._launches = version, {}
         return self._launches[1]

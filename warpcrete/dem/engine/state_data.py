@@ -56,8 +56,8 @@ def restore_state(model: Model, stored: dict[str, Any]) -> State:
 def state_hash(state: State) -> str:
     """Return the SHA-256 hash of bodies, contacts, bonds, walls and clock, in the order of permanent numbers.
 
-    Two states with the same hash will move alike to the bit. The hash does not depend on the order of bodies in memory,
-    on listed pairs that do not touch, or on bonds that are permanently broken.
+    Two states with the same hash will move identically, bit for bit. The hash does not depend on the order of bodies in
+    memory, on listed pairs that do not touch, or on bonds that are permanently broken.
     """
     digest = hashlib.sha256()
     features = state.model.features
@@ -70,7 +70,7 @@ def state_hash(state: State) -> str:
     reach = position[i, 3] + position[j, 3]
     kept = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
     bond = state.pairs.bond.numpy()[place] if features.bonds else np.zeros(len(place), np.int32)
-    # Only listed pairs remember that their bond is broken. Without healing this has no effect on the motion.
+    # Only listed pairs remember that their bond is broken. Without healing, a broken bond acts like no bond.
     if not features.healing:
         bond = np.maximum(bond, 0)
     kept |= bond > 0
@@ -97,5 +97,6 @@ def state_hash(state: State) -> str:
         digest.update(np.ascontiguousarray(array.numpy()[by_sphere]).tobytes())
     for name in ("position_exact", "velocity_exact", "orientation", "spin", "impulse", "travel", "work"):
         digest.update(getattr(state.walls, name).numpy().tobytes())
-    digest.update(state.scenes.clock.numpy()[0, :3].tobytes())  # simulated time, next and last step size
+    # Simulated time, and the sizes of the next and the last step.
+    digest.update(state.scenes.clock.numpy()[0, :3].tobytes())
     return digest.hexdigest()

@@ -35,11 +35,11 @@ from .subcycling import MARGIN, rounds_for
 # 0.7, 1.0, 1.4 and 2.0. From 100,000 spheres on, 1.0 is 2 to 3 % slower than 0.7.
 SKIN = {"cpu": 0.5, "cuda": 0.7, "few": 1.0}
 FEW_SPHERES = 50_000
-MESH_SKIN = 4  # skin of mesh candidates as a multiple of the skin of pairs
+MESH_SKIN = 4  # Skin of mesh candidates as a multiple of the skin of pairs.
 SORT_EVERY = {"cpu": 1000, "cuda": 4000, "few": 16_000}
 """Steps between two re-sortings of the bodies by the host, which correspond to 13 to 55 builds of the lists. Few bodies
-fit the cache in any order: for 28,000 spheres a step takes 1.3 us less with 16,000 than with 4000, and as long as
-without sorting."""
+fit the cache in any order: for 28,000 spheres a step takes 1.3 us less with a value of 16,000 than with 4000, and as
+long as without sorting."""
 
 
 class Stepper:
@@ -72,7 +72,8 @@ class Stepper:
             batch = Batch([model], [state], threads=threads)
             among = NeighborLists(batch), StableStep(batch), 0
             load_kernels(*among[:2])
-        self.running = False  # an unstable fixed step is a SceneError before the run and an InstabilityError in it
+        # An unstable fixed step raises a SceneError before the run and an InstabilityError during the run.
+        self.running = False
         self._skin, self._sort_every = skin, sort_every
         self._estimated = self._goal_is_steps = False
         self._horizon_speed = -1.0, 0.0
@@ -80,7 +81,7 @@ class Stepper:
         self._longest_wall_step = (
             LEAP * state.smallest_radius / top_speed if top_speed and state.sphere_count else math.inf
         )
-        """Longest step in which a prescribed wall moves no farther than the smallest sphere may [s]."""
+        """Longest step in which a prescribed wall moves no farther than `LEAP` times the smallest sphere radius [s]."""
         self.join(*among, resumed=resumed)
 
     def join(
@@ -172,7 +173,7 @@ class Stepper:
         return made
 
     def apply_rest(self) -> float:
-        """Apply the scene's rest to bonds and wall layer; return the travel from which slip counts [m]."""
+        """Apply the scene's rest to bonds and wall layer; return the wall travel [m] from which slip counts."""
         scene, model, batch = self.model.scene, self.model, self.batch
         assert scene.rest is not None
         if scene.bonds is not None:
@@ -185,7 +186,7 @@ class Stepper:
         return travel_at_rest
 
     def set_layer_gain(self, travel_at_rest: float) -> None:
-        """Give the wall layer its gain from the rest, minus the wear by slip since a travel of `travel_at_rest` [m]."""
+        """Set the layer's gain at rest, minus the wear by slip since the wall had travelled `travel_at_rest` [m]."""
         if self.batch.structure is not None:
             self.batch.structure.grow(self.index, travel_at_rest)
 
@@ -193,7 +194,7 @@ class Stepper:
         """Choose the number of rounds in which hydrated bonds are sub-cycled within a step."""
         subcycles, step = self.batch.subcycles, self.time_step
         subcycles.collect(self.index)
-        unbonded_step = self.estimate()  # an estimate without hydrated bonds, as long as they have no rounds
+        unbonded_step = self.estimate()  # This estimate leaves out the hydrated bonds, as long as they have no rounds.
         dt = step.fixed or min(step.safety * SUBCYCLED_STEP_FRACTION * unbonded_step, step.largest)
         ratio = MARGIN * dt / (step.safety * subcycles.stable_step(self.index))
         subcycles.set_rounds(self.index, step.rounds or rounds_for(ratio))
@@ -270,7 +271,7 @@ class Stepper:
     def _fastest_wall(self, model: Model) -> float:
         """Return the speed of the fastest prescribed wall [m/s].
 
-        Raises :class:`SceneError` if one goes further than the smallest radius in a fixed step.
+        Raises :class:`SceneError` if a wall moves further than the smallest sphere radius in a fixed step.
         """
         speeds = {wall.name: wall.top_speed() for wall in model.walls}
         fixed, radius = self.time_step.fixed, self.state.smallest_radius
@@ -292,7 +293,7 @@ class Stepper:
         """Advance to a goal: a time, reached to within one step, or a number of steps of the current size.
 
         The coroutine yields while the batch must step. It continues once the scene has halted, because it has reached
-        the goal or because its stable step must be estimated and the device has not done that itself.
+        the goal or because its stable step must be estimated and the device has not estimated it.
         """
         if isinstance(goal, Steps):
             yield from self._take_steps(goal.count)
@@ -316,7 +317,7 @@ class Stepper:
             yield
 
     def wants_estimate(self) -> bool:
-        """Return whether a scene that has taken a number of steps will estimate the stable step before more steps."""
+        """Return whether a scene whose goal is a number of steps must estimate the stable step before its next step."""
         self._set_step()
         return self._goal_is_steps and self._steps_since_estimate() >= self.time_step.interval
 
@@ -333,7 +334,7 @@ class Stepper:
         yield goal
 
     def failure(self, flags: np.ndarray) -> Exception | None:
-        """Return the exception that a scene's flags call for, or None."""
+        """Return the exception to raise for a scene with these flags; None if the scene has not failed."""
         failed = int(flags[int(FAILED)])
         if failed < 0:
             wall = self.model.walls[-1 - failed].name

@@ -42,7 +42,7 @@ class SceneStepper(Protocol):
         ...
 
     def failure(self, flags: np.ndarray) -> Exception | None:
-        """Return the exception that a scene's flags call for, or None."""
+        """Return the exception to raise for a scene with these flags; None if the scene has not failed."""
         ...
 
     def reached(self, flags: np.ndarray) -> bool:

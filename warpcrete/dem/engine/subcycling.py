@@ -1,4 +1,4 @@
-"""Sub-cycling of stiff bonds: hydrated bonds and their bodies take several rounds within a step of all other contacts.
+"""Sub-cycling of stiff bonds: hydrated bonds and their bodies take several rounds within each step of other contacts.
 
 This is a form of multiple time stepping. The forces of all other contacts stay constant during the rounds of a step;
 `kernels/dem/subcycling.py` explains the method. This module keeps the list of sub-cycled pairs and bodies, the number
@@ -25,11 +25,11 @@ from .pairs import listed_pairs
 from .state import pair_bytes
 
 MARGIN = 1.1
-"""Allowed growth of the step, as a factor on its initial size, before sub-cycling rounds limit it."""
+"""Factor by which the step may exceed its initial size before sub-cycling rounds limit it."""
 ROUND_BLOCK = 128
 """Threads per block of the GPU kernel that takes all rounds of a step."""
 RESIDENT_BLOCKS = 2
-"""Number of blocks of that kernel that always fit on one multiprocessor, however many registers a block needs."""
+"""Blocks of the all-rounds kernel that always fit on one multiprocessor, however many registers a block needs."""
 OF_BODIES = ("position", "orientation")
 """Arrays of the sub-cycled bodies on which the next step depends, in addition to the state."""
 OF_ENDS = ("force", "torque")
@@ -52,7 +52,7 @@ def rounds_for(ratio: float) -> int:
 
 
 def round_blocks(count: int, multiprocessors: int, concurrent_batches: int) -> int:
-    """Return the number of GPU blocks for rounds of `count` pairs or bodies, for each of `concurrent_batches` batches.
+    """Return the number of GPU blocks for rounds of `count` pairs or bodies, for each of the `concurrent_batches`.
 
     The blocks wait for each other after every round, so the blocks of all these batches must be resident together.
     """
@@ -193,7 +193,7 @@ class Subcycles:
         self._body_place = wp.zeros(b.body_count if self.pair_count else 0, dtype=wp.int32, device=b.device)
 
     def _rows(self, s: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return a scene's sub-cycled bodies by permanent number, the number of pair ends of each, and these ends."""
+        """Return a scene's sub-cycled bodies by number, the number of pair ends of each body, and all ends by body."""
         pairs = self._by_scene[s]
         if not pairs:
             return np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros(0, dtype=int)
