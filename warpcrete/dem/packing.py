@@ -266,7 +266,7 @@ class _Growth:
         gain, looks_off_target = (
             1.0,
             0,
-        )  # `looks_off_target` counts evaluations in a row with the pressure off on the same side
+        )  # `looks_off_target` counts consecutive evaluations with the pressure too high, or too low
         looks = RELAX_STEPS // CHUNK
         for number in range(looks if pressure is None else 2 * looks):
             if pressure is not None:

@@ -1,4 +1,4 @@
-"""Segregation of aggregate in a pipe: volume fractions near axis and wall, in front and rear; place of large stones."""
+"""Segregation of aggregate in a pipe: volume fractions at axis and wall, front and rear; position of large stones."""
 
 from __future__ import annotations
 
