@@ -35,13 +35,13 @@ RELAX_STEPS = 3000
 CHUNK = 50  # steps between two evaluations of the pressure
 # ratio of pressure to contact modulus that freshly placed aggregates may cause before they have moved apart
 TRANSIENT_LOOKS = 0.005
-CLOSE_FRACTION = 0.75  # a solid fraction that no packing of these shapes reaches under kilopascals
+CLOSE_FRACTION = 0.75  # a solid fraction that no packing of these shapes reaches at pressures of kilopascals
 # consecutive evaluations with the pressure too high, or too low, after which sizes change faster
 LOOKS_BEFORE_GAIN = 45
 MOST_GAIN = 16.0  # largest factor by which size changes are sped up
-NEAR_TARGET = (
-    0.15  # relative error of the pressure that ends the relaxation after RELAX_STEPS; else it may take twice as many
-)
+# Relative error of the pressure below which the relaxation ends after RELAX_STEPS; with a larger error it may take
+# twice as many steps.
+NEAR_TARGET = 0.15
 MOST_BODIES = 2**25  # limit at which the bodies' arrays still fit the memory of today's largest GPU
 
 

@@ -21,7 +21,7 @@ half of the radius; Lacey's mixing index of large and small stones."""
 POINTS = 64
 """Number of points in each sphere among which its volume is distributed."""
 ENDS = 0.05
-"""Fraction of the aggregate left out at either end of the concrete, where it is packed less densely."""
+"""Fraction of the aggregate left out at either end of the concrete, where the aggregate is packed less densely."""
 RINGS, STATIONS = 3, 5
 """Cells of the mixing index: rings of equal area across, and stretches with equal numbers of stones along the pipe."""
 
