@@ -33,10 +33,10 @@ def run_batch(
 ) -> list[Outcome]:
     """Run simulations on one device, in parallel where they share features and fit into its memory.
 
-    Returns one entry for each simulation: its :class:`Run`, or the error that ended it. The failure of a simulation
-    does not affect the others. `checkpoints` gives, for each simulation, the checkpoint to resume from, or None. After
-    Ctrl-C unfinished runs are returned as they are, and simulations that had not begun return `KeyboardInterrupt`.
-    `progress` is called with the name of a phase and the fraction completed.
+    Returns one entry for each simulation: its :class:`Run`, or the error that ended the simulation. The failure of a
+    simulation does not affect the others. `checkpoints` gives, for each simulation, the checkpoint to resume from, or
+    None. After Ctrl-C unfinished runs are returned as they are, and simulations that had not begun return
+    `KeyboardInterrupt`. `progress` is called with the name of a phase and the fraction completed.
     """
     tell = progress or (lambda phase, fraction: None)
     try:
@@ -96,7 +96,7 @@ def _run_batch(
             break
         if done + 1 < len(turns):
             for part in members:
-                part.release()  # the batches of the next turn need the memory
+                part.release()  # free this memory, because the batches of the next turn need it
     return [outcomes.get(number, KeyboardInterrupt()) for number in range(len(simulations))]
 
 
@@ -199,13 +199,13 @@ class _BatchMember:
 
 
 def _packing_key(simulation: ElementSimulation) -> tuple:
-    """Return a key of everything that packing depends on; simulations with equal keys share one packing."""
+    """Return a key made of all settings that packing depends on; simulations with equal keys share one packing."""
     scene = simulation.scene
     return fingerprint(scene.fill), fingerprint(scene.contact), scene.seed, simulation.precision, str(simulation.device)
 
 
 def _packed(simulations: Sequence[ElementSimulation], tell: Callable[[float], None]) -> dict[tuple, tuple[Any, float]]:
-    """Compute each distinct packing once.
+    """Pack each distinct fill once, although several simulations may share it.
 
     Returns, by packing key, the result of :func:`pack_many` and this packing's share of the elapsed time [s].
     """
@@ -255,7 +255,7 @@ def _split_by_memory(
 def _turns(
     simulations: Sequence[ElementSimulation], parts: list[tuple[list[int], float]]
 ) -> list[list[tuple[list[int], float]]]:
-    """Group the batches into turns; a GPU runs as many batches at the same time as fit its memory, a CPU one."""
+    """Group the batches into turns that run together: as many as fit a GPU's memory, or one on a CPU."""
     turns: list[list[tuple[list[int], float]]] = []
     used = 0.0
     for numbers, needed in parts:

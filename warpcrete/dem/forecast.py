@@ -40,7 +40,8 @@ MAXIMUM_SPHERES = {True: 400_000, False: 40_000}
 # Distance that concrete moves between two list rebuilds, divided by the skin. The distance is shorter in a bend,
 # because neighbours move relative to each other there, while concrete in a straight pipe moves as a plug.
 STRAIGHT, BENT = 1.25, 0.5
-BONDS_AFTER_SETTLING = 1.2  # number of bonds in a settled packing over that in an unsettled one; tests show 1.2 to 1.3
+# ratio of the number of bonds in a settled packing to that in an unsettled packing; tests show 1.2 to 1.3
+BONDS_AFTER_SETTLING = 1.2
 SETTLING_BUILDS = 1 / 40  # list rebuilds per step while a packing settles
 # A packing has settled after this number of passages of a pressure wave along the pipe, plus a constant time [s].
 PASSAGES, SETTLING_OFFSET = 2.4, 0.19
@@ -203,7 +204,7 @@ class _ShortenedCopy:
         return self.step_time()
 
     def builds(self, steps: float) -> float:
-        """Return the expected number of list rebuilds of a run of `steps` steps."""
+        """Return the expected number of neighbour list rebuilds in a run of `steps` steps."""
         pipe, skin = self.scene.pipe, self.stepper.skin
         if pipe is None:
             return self._built * steps
@@ -305,7 +306,7 @@ class _ShortenedCopy:
         return stepper.estimate()
 
     def _smallest(self) -> str:
-        """Return a text on the lightest bodies, which limit the time step because they oscillate fastest."""
+        """Return a text about the lightest bodies, which limit the time step because they oscillate fastest."""
         spheres = self.simulation.state.spheres.position.numpy()[:, 3]
         table = self.simulation.state.table()
         least = int(np.argmin(table.mass))

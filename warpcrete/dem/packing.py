@@ -1,8 +1,8 @@
 """Packing: fill a pipe or any closed mesh with aggregates by growing them in place.
 
-Aggregates are sown at a low solid fraction and grow at a constant rate, without friction and with damping, as in the
-method of Lubachevsky and Stillinger (J. Stat. Phys. 60 (1990) 561). They then come to rest at the wanted solid
-fraction, or with sizes adjusted until the wanted pressure is met.
+Small aggregates are placed ("sown") at a low solid fraction and grow at a constant rate, without friction and with
+damping, as in the method of Lubachevsky and Stillinger (J. Stat. Phys. 60 (1990) 561). They then come to rest at the
+wanted solid fraction, or with sizes adjusted until the wanted pressure is met.
 """
 
 from __future__ import annotations
@@ -29,17 +29,19 @@ from .scene.bodies import BodyTable
 from .scene.containers import Fill, MeshContainer, PipeContainer
 from .scene.scene import Scene
 
-START_FRACTION = 0.10  # solid fraction at which aggregates are sown
+START_FRACTION = 0.10  # solid fraction at which small aggregates are placed before they grow
 GROWTH_STEPS = 1500
 RELAX_STEPS = 3000
 CHUNK = 50  # steps between two evaluations of the pressure
-TRANSIENT_LOOKS = 0.005  # pressure over contact modulus that sown aggregates may cause before they have moved apart
-CLOSE_FRACTION = 0.75  # a solid fraction that no packing of these shapes reaches under kilopascals
-LOOKS_BEFORE_GAIN = 45  # evaluations in a row with the pressure off on the same side before sizes change faster
+# ratio of pressure to contact modulus that freshly placed aggregates may cause before they have moved apart
+TRANSIENT_LOOKS = 0.005
+CLOSE_FRACTION = 0.75  # a solid fraction that no packing of these shapes reaches at pressures of kilopascals
+# consecutive evaluations with the pressure too high, or too low, after which sizes change faster
+LOOKS_BEFORE_GAIN = 45
 MOST_GAIN = 16.0  # largest factor by which size changes are sped up
-NEAR_TARGET = (
-    0.15  # relative error of the pressure that ends the relaxation after RELAX_STEPS; else it may take twice as many
-)
+# Relative error of the pressure below which the relaxation ends after RELAX_STEPS; with a larger error it may take
+# twice as many steps.
+NEAR_TARGET = 0.15
 MOST_BODIES = 2**25  # limit at which the bodies' arrays still fit the memory of today's largest GPU
 
 
@@ -54,7 +56,7 @@ class PackingReport:
     coordination_number: float
     """Mean number of touching neighbours per body; walls do not count."""
     mean_overlap: float
-    """Mean overlap of touching spheres over the smaller radius."""
+    """Mean over touching pairs of spheres of the overlap divided by the smaller radius."""
     largest_overlap: float
     pressure: float
     """Mean pressure from the contact forces between bodies [Pa]; contacts with the container's walls do not count."""
@@ -71,7 +73,7 @@ def random_orientations(count: int, random: np.random.Generator) -> np.ndarray:
 def draw(
     fill: Fill, container: PipeContainer | MeshContainer, fraction: float, random: np.random.Generator
 ) -> BodyTable:
-    """Return aggregates with a total volume of `fraction` times the container's, sown at well spread points.
+    """Return aggregates at well spread points, with a total volume of `fraction` times that of the container.
 
     Raises :class:`CapacityError` if the container would take too many aggregates.
     """
@@ -88,7 +90,7 @@ def draw(
     total = np.cumsum(np.pi / 6 * sizes**3)
     count = int(np.searchsorted(total, wanted)) + 1
     if count > 1 and abs(total[count - 2] - wanted) < abs(total[count - 1] - wanted):
-        count -= 1  # leave out the last aggregate if that comes nearer to the wanted volume
+        count -= 1  # leave out the last aggregate if the sum is then closer to the wanted volume
     sizes = sizes[:count]
     # Sizes do not depend on the shape, so fractions by number are fractions by volume.
     template = random.choice(len(fill.templates), size=count, p=fill.fractions)
@@ -264,7 +266,7 @@ class _Growth:
         gain, looks_off_target = (
             1.0,
             0,
-        )  # `looks_off_target` counts evaluations in a row with the pressure off on the same side
+        )  # `looks_off_target` counts consecutive evaluations with the pressure too high, or too low
         looks = RELAX_STEPS // CHUNK
         for number in range(looks if pressure is None else 2 * looks):
             if pressure is not None:

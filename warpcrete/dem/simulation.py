@@ -82,7 +82,7 @@ class ElementSimulation(Simulation):
         return unit_of(column, self.model.walls)
 
     def display(self, colouring: str | None = None) -> ElementDisplay:
-        """Return the object from which recorders take what they draw."""
+        """Return the object that supplies recorders with the colours, lines, plots and walls to draw."""
         return ElementDisplay(self, colouring)
 
     # Preparation up to t = 0.
@@ -180,7 +180,7 @@ class ElementSimulation(Simulation):
         self.tell("settling", 1.0)
 
     def bond(self) -> None:
-        """Bond the scene's contacts as they are now, and hydrate some of the bonds."""
+        """Bond all pairs of spheres close enough now, if the scene has bonds, and hydrate some of the bonds."""
         scene = self.scene
         if scene.bonds is None:
             return

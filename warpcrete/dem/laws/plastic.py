@@ -24,7 +24,7 @@ from .base import ContactLaw
 from .mortar import BinghamMortar, shell_functions
 
 WALL_BENDING = 4 / math.sqrt(3) / math.pi
-"""Moment limit over tau_0 A r of contacts with a gripping wall: that of a mortar disc, as in :class:`BinghamMortar`."""
+"""Moment limit of contacts with a gripping wall, divided by tau_0 A r: that of a disc in :class:`BinghamMortar`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ class PlasticMortar(BinghamMortar):
     def gripped(self, grip: float) -> ContactLaw:
         return replace(
             super().gripped(grip), bending=WALL_BENDING
-        )  # otherwise a lone sphere would roll away on the wall
+        )  # without this moment, a lone sphere would roll away on the wall
 
     @classmethod
     def device_functions(cls, scalar: Any, parameters: Any) -> dict[str, Any]:

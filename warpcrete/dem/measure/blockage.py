@@ -19,9 +19,9 @@ from .probes import pair_forces
 PARTS = 20
 """Number of consecutive parts of equal volume into which the concrete is divided; fewer if there are few aggregates."""
 STONES = 5
-"""Minimum number of aggregates in a part."""
+"""Minimum number of aggregates in each part of the concrete."""
 CHECKS_PER_WINDOW = 8
-"""Number of checks during the piston travel for which a part must stand still before the pipe counts as blocked."""
+"""Number of checks in one window: the piston travel after which a standing part means that the pipe is blocked."""
 STANDING_RATIO = 0.2
 """Ratio of a part's advance to the piston's advance, below which the part counts as standing still.
 
@@ -152,7 +152,7 @@ def least_advance(before: np.ndarray, after: np.ndarray, volume: np.ndarray, end
     parts = max(1, min(PARTS, len(inside) // STONES))
     part = (parts * rank / volume[order].sum()).astype(int)
     way, weight = (after - before)[order], volume[order]
-    edges = np.flatnonzero(np.diff(part)) + 1  # aggregates of one part are contiguous after sorting
+    edges = np.flatnonzero(np.diff(part)) + 1  # after sorting, the aggregates of one part are neighbours in the array
     return min(map(_median, np.split(way, edges), np.split(weight, edges)))
 
 
@@ -183,7 +183,7 @@ def axial_forces(model: Model, state: State, axis: Any) -> tuple[np.ndarray, np.
 
 
 def last_loaded(stations: np.ndarray, forces: np.ndarray, places: np.ndarray) -> float:
-    """Return the last station [m] whose cross-section still carries half of the largest axial force.
+    """Return the last station [m] whose cross-section carries at least half of the largest axial force.
 
     `stations` are arc lengths [m]; `forces` [N] and `places` [m] are axial forces and arc lengths as from
     `axial_forces`.

@@ -1,4 +1,4 @@
-"""Display of discrete elements: the data that recorders and viewers draw of a run."""
+"""Display of a discrete element run: the colours, lines, plots and walls that recorders and viewers draw."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ WEAR_PALETTE = "magma_r"
 """Colour map of wear, different from that of aggregates and pale where a wall is not worn."""
 NANOMETRES = 1e9
 WEAR_QUANTILE = 0.99
-"""Quantile of worn depth at the top of the colour scale, because single patches are worn several times as deep."""
+"""Quantile of worn depth at the top of the colour scale, because single patches are worn far deeper than the rest."""
 BONDS = (230, 140, 30)
 OURS, MEAN = (215, 95, 30), (90, 120, 170)
 ALONG = (("along the pipe", "axial_stress", OURS), ("mean normal", "pressure", MEAN))
-"""Stresses plotted along the pipe: label, column of the stations' table, and colour."""
+"""Stresses plotted along the pipe: label, column in the table of the stations (slices of the pipe), and colour."""
 MAX_LINE_RADIUS, MIN_LINE_RATIO = 0.12, 0.04
 """Radii of the lines that show contact forces.
 

@@ -15,7 +15,7 @@ import numpy as np
 FINE = 0.25
 """Distance between the vertical rays, divided by the largest sphere radius."""
 DIRECTIONS = 36
-"""Number of directions in which the spread is measured; with fewer the mean depends on where single aggregates lie."""
+"""Number of directions in which the spread is measured; with fewer, single aggregates change the mean."""
 
 Range = tuple[float, float]
 

@@ -27,7 +27,7 @@ class ContactSums:
     coordination_number: float
     """Mean number of touching neighbours per body; NaN if it was not requested."""
     mean_overlap: float
-    """Mean overlap over the smaller radius of the pair."""
+    """Mean over touching pairs of the overlap divided by the smaller radius."""
     largest_overlap: float
     deepest: float
     """Largest overlap, relative to the depth beyond which a contact law loses its meaning.

@@ -48,10 +48,10 @@ class Known:
     mass: float
     """Total mass of all bodies [kg]."""
     contacts: ContactSums
-    """Contacts at the end of the run, coordination number included."""
+    """Sums over the contacts at the end of the run, coordination number included."""
     wear: WearMap | None = None
     blocked: dict[str, float] | None = None
-    """Findings of a :class:`BlockageWatch`; empty if the pipe was not blocked, None if nobody watched."""
+    """Findings of a :class:`BlockageWatch`; empty if the pipe was not blocked, None if the run had no such watch."""
     log: StationLog | None = None
     """Measurements at stations along the pipe."""
 

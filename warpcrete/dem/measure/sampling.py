@@ -104,7 +104,7 @@ class Sampler:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from a `state_dict`."""
+        """Restore the values stored in a `state_dict`."""
         self.rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
         self._impulse, self._mean = state["impulse"], state["mean"]
         self._half_time, self._power = float(state["half_time"]), float(state["power"])

@@ -1,4 +1,4 @@
-"""Segregation of aggregate in a pipe: volume fractions near axis and wall, in front and rear; place of large stones."""
+"""Segregation of aggregate in a pipe: volume fractions at axis and wall, front and rear; position of large stones."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ half of the radius; Lacey's mixing index of large and small stones."""
 POINTS = 64
 """Number of points in each sphere among which its volume is distributed."""
 ENDS = 0.05
-"""Fraction of the aggregate left out at either end of the concrete, where it is packed less densely."""
+"""Fraction of the aggregate left out at either end of the concrete, where the aggregate is packed less densely."""
 RINGS, STATIONS = 3, 5
 """Cells of the mixing index: rings of equal area across, and stretches with equal numbers of stones along the pipe."""
 
@@ -114,7 +114,7 @@ def mixing(s: np.ndarray, apart: np.ndarray, large: np.ndarray) -> float:
     """
     p = float(large.mean())
     if not 0 < p < 1:
-        return 1.0  # stones of one size cannot segregate
+        return 1.0  # stones of equal size cannot segregate
     ring = np.minimum((RINGS * apart**2).astype(int), RINGS - 1)
     rank = np.argsort(np.argsort(s, kind="stable"), kind="stable")
     cell = ring * STATIONS + rank * STATIONS // len(s)

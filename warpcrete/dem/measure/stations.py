@@ -102,8 +102,8 @@ STRESS_RESOLUTION = 2.0**-40
 def body_stresses(model: Model, state: State, unit: float) -> wp.array:
     """Return force times branch vector of every body's contacts, half of each pair's, as integers, shape (bodies, 6).
 
-    The columns are xx, yy, zz, xy, yz and zx in multiples of `STRESS_RESOLUTION` times `unit` [J], in the order of the
-    state's arrays. The array is on the device, and the next call overwrites it.
+    The columns are xx, yy, zz, xy, yz and zx in multiples of `STRESS_RESOLUTION` times `unit` (stress times volume,
+    [J]), in the order of the state's arrays. The array is on the device, and the next call overwrites it.
     """
     stress = state.scratch("body stresses", (state.body_count, int(STRESSES)), wp.int64)
     if state.sphere_count:
@@ -136,8 +136,9 @@ def stresses_along(
     These are the first two columns of :func:`measured`, except that each body's stress is spread evenly over its size.
     Slices that concrete does not fill are NaN.
 
-    The arguments describe bodies: `stress` (n, 6) [J] as from :func:`body_stresses`, arc lengths `s` (n,) [m], the
-    `tangent` of the axis there (n, 3), `size` (n,) [m], and `fills` (n,), which is False for bodies of a plug.
+    The arguments describe bodies: `stress` (n, 6) (stress times volume, [J]) as from :func:`body_stresses`, arc lengths
+    `s` (n,) [m], the `tangent` of the axis there (n, 3), `size` (n,) [m], and `fills` (n,), which is False for bodies
+    of a plug.
     """
     edges, t = np.array(stations.edges), tangent
     along = np.einsum("ij,ij,ij->i", stress[:, :3], t, t)
@@ -275,7 +276,7 @@ class _Spheres:
         return _filled_slices(edges, travel, self.s, self.share)
 
     def in_slices(self, edges: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return sums over slices of columns (n, k), shape (slices, k), weighted with solid volume [m3].
+        """Return, for each slice, the sums of the columns (n, k) weighted with solid volume [m3], shape (slices, k).
 
         The weight is the part of a sphere's solid volume inside the slice, which planes across the axis cut out.
         """
@@ -307,7 +308,7 @@ class _Spheres:
 
 
 def _stresses(stations: Stations, seen: StationArrays, spheres: _Spheres) -> np.ndarray:
-    """Return contact sums of each slice [J], shape (slices, 2): isotropic part and axial component of the stress.
+    """Return stress times volume of each slice [J], shape (slices, 2): isotropic part and axial component.
 
     The columns are a third of the sum of force times branch vector, and its component along the pipe. Both are
     positive where contacts push.
@@ -386,7 +387,7 @@ def _arrays(state: State) -> tuple[wp.array, wp.array, wp.array]:
 
 
 def _probe(model: Model, state: State) -> None:
-    """Compute the contact forces into their arrays."""
+    """Compute the contact forces and store them in the arrays for forces."""
     launch_recorded(state, "forces", lambda: _force_stages(model, state))
 
 

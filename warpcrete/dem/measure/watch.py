@@ -13,11 +13,13 @@ from ..engine.state import State
 from .probes import deepest_sphere, farthest_body, fastest_body
 from .sampling import STORED
 
-MAX_ROUNDING = 1e-3  # largest rounding of positions over the smallest radius; an overlap of 1 % then keeps one digit
+MAX_ROUNDING = (
+    1e-3  # largest ratio of rounding of positions to the smallest radius; an overlap of 1 % then keeps one digit
+)
 
 
 class Watch:
-    """Check of every row of the series against the scene's limits; the device checks speeds in every step.
+    """Check of every row of the series against the scene's limits; the device also checks the speeds in every step.
 
     The checks cost a few additions per sample, because the series contains overlaps and energies anyway.
     """
@@ -30,14 +32,14 @@ class Watch:
         mass = state.total_mass
         self.floor = 0.01 * mass * float(np.linalg.norm(model.scene.gravity)) * state.smallest_radius
         self.least = math.inf
-        self.scale = 0.0  # largest energy in play so far [J]
+        self.scale = 0.0  # largest energy of motion and springs, or work, up to the last row [J]
 
     def state_dict(self) -> dict[str, float]:
         """Return the reference energies with which later rows are compared."""
         return {"least": self.least, "scale": self.scale}
 
     def load_state_dict(self, state: dict[str, float]) -> None:
-        """Continue from a `state_dict`."""
+        """Restore the values stored in a `state_dict`."""
         self.least, self.scale = state["least"], state["scale"]
 
     def _resolution(self, row: dict[str, float]) -> float:

@@ -126,7 +126,7 @@ class PipePatches(Patches):
 
 
 class MeshPatches(Patches):
-    """Triangles of a mesh as patches; of coincident triangles the first takes all the wear."""
+    """Triangles of a mesh as patches; if triangles coincide, the first one receives all the wear."""
 
     def __init__(self, wall: MeshWall) -> None:
         self._wall = wall
@@ -140,7 +140,7 @@ class MeshPatches(Patches):
         return self._origin[np.maximum(faces_at(self._cleaned, points, self._reach), 0)]
 
     def seen_from(self, axis: Axis) -> np.ndarray:
-        """Return a mask of the triangles that are visible from an axis, shape (f,); in a thick wall the inner ones."""
+        """Return a mask of the triangles visible from an axis, shape (f,); in a thick wall, the inner triangles."""
         middle = self._cleaned.vertices[self._cleaned.faces].mean(axis=1)
         nearest = axis.nearest(middle)
         apart = np.linalg.norm(middle - nearest, axis=1)
@@ -206,7 +206,7 @@ class WearMap:
         ]
 
     def take(self, state: State) -> None:
-        """Move the spheres' contributions since the last call to the patches, in the order of permanent numbers."""
+        """Add the spheres' contributions since the last call to their patches, in the order of permanent numbers."""
         order = np.argsort(state.spheres.id.numpy())
         worn, points = state.slots.worn.numpy()[order], state.slots.worn_at.numpy()[order].astype(float)
         state.slots.worn.zero_()
@@ -231,7 +231,7 @@ class WearMap:
         return {wall.name: wall.done for wall in self.walls}
 
     def load_state_dict(self, state: dict[str, np.ndarray]) -> None:
-        """Continue from a `state_dict`."""
+        """Restore the values stored in a `state_dict`."""
         for wall in self.walls:
             wall.done = np.array(state[wall.name])
 

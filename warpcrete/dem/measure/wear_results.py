@@ -13,7 +13,7 @@ from .wear import HOUR, MeshPatches, PipePatches, PlanePatch, WornWall
 
 
 def _of(of: Callable[[WornWall, Any], float | None]) -> Callable[[Any], float | None]:
-    """Return a function of a run's data that applies `of` to the wall that holds the concrete, or gives None."""
+    """Return a function of a run's data: `of` applied to the wall that holds the concrete, or None without one."""
 
     def found(known: Any) -> float | None:
         wall = known.wear.main if known.wear is not None else None
@@ -101,7 +101,7 @@ QUANTITIES = (
 
 
 def report(run: Any) -> Iterator[tuple[str, str]]:
-    """Yield a line about the wear of a run that measured it."""
+    """Yield a line that describes the wear, if the run measured wear."""
     result = run.result
     if "wear_depth_per_hour" not in result:
         return

@@ -130,7 +130,7 @@ def _distribution(given: AggregateParameters) -> Sizes:
 
 
 def fractions_of(text: str | None) -> tuple[float, ...] | None:
-    """Return volume fractions of the shapes from numbers joined by commas, or None without a text."""
+    """Return the shapes' volume fractions from a text of numbers separated by commas, or None if there is no text."""
     if text is None:
         return None
     try:
@@ -145,7 +145,7 @@ MOST_BALLS = 600_000
 
 @dataclass(frozen=True)
 class Plug:
-    """Closure of the concrete's front: bonded balls with a drive, a plate, or nothing."""
+    """Closure of the concrete's front: bonded balls on which a force acts, a plate, or nothing."""
 
     bodies: tuple[Bodies, ...] = ()
     drives: tuple[AxisDrive, ...] = ()

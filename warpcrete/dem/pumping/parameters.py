@@ -27,9 +27,9 @@ UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 OTHER_NAMES = dict(zip("ABCD", UNITS, strict=True)) | {"elbow-up": UNITS[2], "elbow-down": UNITS[3]}
 """Other accepted names of pipe units: the paper's letters, and words of earlier versions."""
 UPRIGHT = 0.4
-"""Thickness over diameter at which a plug stays upright at the end of a bend; a plug of 0.13 tips over (measured)."""
+"""Ratio of thickness to diameter at which a plug stays upright at the end of a bend; at 0.13 it tipped over in runs."""
 WIDEST_STONE = 0.4
-"""Largest rounded aggregate that can be pumped, over the pipe's diameter (ACI 304.2R; a third if crushed)."""
+"""Ratio of the largest pumpable rounded aggregate to the pipe's diameter (ACI 304.2R; for crushed aggregate, 1/3)."""
 
 
 def names_meshes(shapes: str) -> bool:
@@ -472,7 +472,7 @@ class PipeParameters(
 
 
 def stiffness_of(given: Any) -> float:
-    """Return the stress that a deep contact carries [Pa]: the modulus, or the value of another contact law."""
+    """Return the stress that a deep contact carries [Pa]: the linear law's modulus, or another law's own value."""
     return given.modulus if given.contact is None else given.contact.stress_scale
 
 

@@ -28,12 +28,18 @@ LAWS = ("linear", "bonds", "mortar", "plastic", "rolling")
 LAW_MODULUS = {"mortar": 1e6, "plastic": 1e6}
 """Contact modulus [Pa] of laws that cannot use Zhan's 1e5 Pa: mortar needs cores that are stiffer than its shells."""
 LAW_FRACTION = {"mortar": 0.66, "plastic": 0.66}
-"""Solid fraction of packings by law, where it is not LOOSE: the shells of mortar must overlap on all sides."""
+"""Solid fraction of packings by contact law, for laws that do not use LOOSE.
+
+Shells of mortar must overlap on all sides.
+"""
 DEFAULT_FRACTION = 0.6
 LAW_FRICTION = {"mortar": 0.0, "plastic": 0.0, "rolling": 0.5}
-"""Friction coefficient by law, where it is not Zhan's 0.05: spheres that resist rolling must not slide instead."""
+"""Friction coefficient by contact law, for laws that do not use Zhan's 0.05.
+
+Spheres that resist rolling must not slide instead.
+"""
 CONTACTS = 6.9
-"""Touching neighbours of a sphere in a packing of mortar spheres, shells included; measured 6.7 to 6.9."""
+"""Mean number of neighbours whose shells touch a mortar sphere's shell in a packing; packings had 6.7 to 6.9."""
 
 WITH_BONDS = Needs("law", lambda law: law == "bonds", "is bonds")
 WITH_MORTAR = Needs("law", lambda law: law in ("mortar", "plastic"), "is mortar or plastic")
@@ -176,8 +182,10 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
     """Parameters that all tests of fresh concrete in a vessel have in common."""
 
     HOLDING: ClassVar[dict[str, float]] = {}
-    """Default grip of the mould by law, where it is not 0. Without grip, mortar falls out of a funnel in two seconds
-    whatever its viscosity."""
+    """Default grip of the mould for each contact law whose default is not 0.
+
+    Without grip, mortar falls out of a funnel in two seconds whatever its viscosity.
+    """
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -249,7 +257,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         )  # fmt: skip
 
     def vessel(self, test: StandardTest, opened: float) -> Vessel:
-        """Return the vessel of a test that nothing holds closed from the time `opened` [s] on."""
+        """Return the vessel of a test; from the time `opened` [s] on, nothing holds the concrete back."""
         return Vessel(test=test, opened=opened, rest_speed=self.rest_speed, dimensions=test.sizes(self))
 
     def fill(self, inside: Solid) -> Fill:
@@ -397,7 +405,7 @@ CURES = {
 
 @with_cures(CURES)
 def check_vessel(run: Run) -> dict[str, tuple[bool, str]]:
-    """Return the checks of a run in a vessel by name: whether each one passed, and what it found."""
+    """Return the checks of a run in a vessel by name: whether the check passed, and the values it found."""
     result, test = run.result, run.scene.vessel.test
     balance, overlap, grains = result["momentum_balance_error"], result["largest_overlap"], result["bodies"]
     found = {

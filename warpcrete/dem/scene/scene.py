@@ -32,8 +32,10 @@ __all__ = [
 
 
 MUCH_STIFFER = 200.0
-"""Smallest ratio of the hydrated bonds' modulus to the largest other modulus at which sub-cycling pays off; at a ratio
-of 100 it takes as long as single steps."""
+"""Smallest ratio of the hydrated bonds' modulus to the largest other modulus at which sub-cycling pays off.
+
+At a ratio of 100, sub-cycling takes as long as ordinary single steps.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -287,7 +289,7 @@ class PipeUnit:
         return self.travel / (1 + self.stops.count if self.stops is not None else 1)
 
     def begun(self, travel: float) -> float:
-        """Return the travel at which the stroke begins that the piston is in, or enters next, at this travel [m]."""
+        """Return the travel [m] at which the current stroke began; during a stop, the start of the next stroke."""
         if self.stops is None:
             return 0.0
         return min(math.floor(travel / self.stroke + 1e-6), self.stops.count) * self.stroke
@@ -299,7 +301,7 @@ class Vessel:
 
     test: StandardTest
     opened: float
-    """Time from which nothing holds the concrete back any more [s]."""
+    """Time at which the vessel is opened and the concrete can flow [s]."""
     rest_speed: float
     """Speed limit for rest [m/s]: all bodies of the main heap must stay below it for a second."""
     dimensions: Mapping[str, float]

@@ -54,7 +54,7 @@ class Stations:
         return np.array([self.bores.surface(a, b) for a, b in pairwise(self.edges)])
 
     def clear(self, low: float, high: float) -> np.ndarray:
-        """Return a mask of the slices between two arc lengths [m] and at least one radius off both, shape (slices,)."""
+        """Return a mask of the slices between two arc lengths [m], a radius or more from both, shape (slices,)."""
         off = CLEAR * self.bores.at([low, high])
         return (self.places > low + off[0]) & (self.places < high - off[1])
 
