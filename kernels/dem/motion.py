@@ -17,8 +17,8 @@ from .structs import DT, DT_PREVIOUS, SINCE_BUILD, array_structs, links_struct
 def motion_options(half: bool) -> dict:
     """Return the compiler options of a motion kernel.
 
-    On a GPU, `fast_math` speeds up division as for contacts, see :func:`contacts.contact_options`. It makes sines,
-    which only drives along bends use, inexact by 4e-7.
+    On a GPU, `fast_math` speeds up division as for contacts, see :func:`contacts.contact_options`. It also gives sines
+    an error of 4e-7; only drives along bends use sines.
     """
     return {"fast_math": not half}
 
@@ -171,7 +171,8 @@ def motion_functions(scalar, dissipation: bool):
 def clearing_function(scalar, half: bool):
     """Return the function `clear_forces`, which clears a sphere's force and moment for the next step.
 
-    On a GPU only walls write to these arrays, so the function writes zeros only where a value is not zero.
+    On a GPU only walls write to these arrays, so the function saves memory traffic by writing zeros only where a value
+    is not zero.
     """
     t = types(scalar)
     Spheres = array_structs(scalar).Spheres

@@ -92,7 +92,8 @@ def near_kernels(scalar) -> SimpleNamespace:
             a, b = read_vec4(spheres.position, first + link[0]), read_vec4(spheres.position, first + link[1])
             reach = a[3] + b[3] + scalar(wp.static(NEAR)) * scenes.row[s].skin
             near = wp.length_sq(xyz(b) - xyz(a)) < reach * reach
-            # A link that touched must be visited again, so that its parting is noticed. Bonded links count as touching.
+            # A link that touched must be evaluated again, so that the end of its contact is noticed. Bonded links count
+            # as touching.
             near = near or links.state[p] != APART
         place = take_place(links.near_count, near)
         if near:

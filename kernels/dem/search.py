@@ -92,8 +92,8 @@ kernel.
 def close_function(scalar):
     """Return the function `is_close`: true if the gap between two spheres is below a limit.
 
-    On a GPU it gives the same answer wherever it is called. A bond exactly at the edge of the skin is therefore neither
-    lost nor listed twice.
+    On a GPU the function gives the same answer wherever it is called. A bond exactly at the edge of the skin is
+    therefore neither lost nor listed twice.
     """
     t = types(scalar)
     name, letter = ("double", "d") if scalar is wp.float64 else ("float", "f")
@@ -348,7 +348,7 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
     ``search`` counts the neighbours of each sphere (`count` must be zero before) and stores them in `finds` as far as
     there is room. After a prefix sum has given the row starts, ``fill`` writes the neighbours to their rows in
     sorted order. If there are few spheres, each has eight threads (`lanes`), which search one octant each. The last
-    element of `total` receives the length of the longest row without room.
+    element of `total` receives the length of the longest row that does not fit into `finds`.
 
     Pairs that a bond holds across more than the skin are taken from the old list. A wider search in the grid would make
     a few threads slow and let all others wait for them.

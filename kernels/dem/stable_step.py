@@ -11,8 +11,8 @@ This is half the stability limit of leapfrog for a body between fixed neighbours
 half a step ago. The factor of a half allows neighbours of equal mass to move in opposition. For one contact, dt equals
 PFC's sqrt(m/k) (sqrt(1 + beta^2) - beta). For several contacts, dt includes all dashpots, which PFC's formula does not.
 
-An automatic step obeys two more limits. Impacts that lose little energy are resolved finely enough not to gain any, and
-no sphere moves further in a step than a fraction LEAP of its radius.
+An automatic step obeys two more limits. The step resolves impacts that lose little energy finely enough that they gain
+none, and no sphere moves further in a step than a fraction LEAP of its radius.
 """
 
 import functools

@@ -133,7 +133,7 @@ def stress_probe(scalar):
     """Return the kernel over spheres of scene `s` that adds force times branch vector of contacts to the bodies.
 
     The forces come from :func:`force_probe`. Each body of a pair receives half of the product; compression is positive.
-    Sums are integers in units of 1 / `scale` joules, so they are the same in any order.
+    Sums are integers in units of 1 / `scale` newton metres, so the order of the summation cannot change them.
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -78,7 +78,7 @@ def stiffness_functions(scalar):
 
     @wp.func
     def row_sum(m: t.mat33, scale: t.vec3):
-        """Return the largest absolute row sum of the matrix m[r, c] / sqrt(scale[r] scale[c])."""
+        """Return the largest absolute row sum of the matrix with elements m[r, c] / sqrt(scale[r] scale[c])."""
         largest = scalar(0.0)
         for r in range(3):
             total = scalar(0.0)

@@ -1,4 +1,4 @@
-"""Sub-cycling of stiff bonds: a time step is split into rounds for the bodies that have them (multiple time stepping).
+"""Sub-cycling of stiff bonds: bodies with stiff bonds move in several rounds per time step (multiple time stepping).
 
 Bonds of hydrated contacts are so stiff that leapfrog needs a tenth or a hundredth of the step that all other contacts
 allow. A step with sub-cycling has three parts. First, the contact kernels evaluate all contacts other than pairs in a

@@ -1,4 +1,4 @@
-"""Wear of walls, by sphere and wall: work of sliding, energy loss of impacts, and load times sliding distance."""
+"""Wear of walls for each sphere and wall: work of sliding, energy loss of impacts, load times sliding distance."""
 
 import functools
 from types import SimpleNamespace
