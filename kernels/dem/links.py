@@ -1,10 +1,9 @@
 """Contact forces between spheres on a GPU: one thread a pair, and sums for each sphere in a fixed order.
 
 Neighbour lists hold every pair at both spheres; a *link* represents both entries of a pair, so each pair has one link.
-A step evaluates only the near links (see
-:mod:`near`), because most links of a list do not touch. The kernel that moves bodies adds up the results of each
-sphere's links in the order of its list. Forces therefore need no atomic operations, and results do not depend on the
-order in which threads run. :mod:`surfaces` handles planes and pipes.
+A step evaluates only the near links (see :mod:`near`), because most links of a list do not touch. The kernel that moves
+bodies adds up the results of each sphere's links in the order of its list. Forces therefore need no atomic operations,
+and results do not depend on the order in which threads run. :mod:`surfaces` handles planes and pipes.
 """
 
 import functools
@@ -37,8 +36,7 @@ def result_functions(scalar, count: int):
     """Return functions that write the results of a link (`count` rows) and that add them up for a sphere.
 
     `store_result` writes the rows of a link, and `store_loss` writes the energy loss of a link whose spheres have just
-    separated. `sum_of_links`
-    returns the sums over the links of a sphere: force [N], moment [N m] and lost energy [J].
+    separated. `sum_of_links` returns the sums over the links of a sphere: force [N], moment [N m] and lost energy [J].
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -171,8 +171,7 @@ def motion_functions(scalar, dissipation: bool):
 def clearing_function(scalar, half: bool):
     """Return the function `clear_forces`, which clears a sphere's force and moment for the next step.
 
-    On a GPU only walls write to these arrays, so the function saves memory traffic by writing zeros only where a value
-    is not zero.
+    On a GPU only walls write to these arrays, so the function writes zeros only if the force or the moment is not zero.
     """
     t = types(scalar)
     Spheres = array_structs(scalar).Spheres

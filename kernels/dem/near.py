@@ -1,10 +1,11 @@
-"""Kernels that choose the near links of a GPU: the pairs that may touch within the next few steps.
+"""Kernels that choose the near links of a GPU: the pairs close enough to touch within a few steps.
 
-Near links are a second, shorter neighbour list. The main list holds all pairs within a skin that lasts for a hundred
-steps or more, and most of these pairs do not touch. Near links are the pairs within a fraction NEAR of the skin. They
-stay valid for a correspondingly shorter time, and a step evaluates only them. The device chooses them anew at a fixed
-interval (`CHOSEN` in `warpcrete/dem/engine/stages.py`), without the host. If a sphere moves too far before the next
-choice, its scene evaluates all links until then. No contact is missed, and the results are the same either way.
+Near links form a second, shorter neighbour list of pairs (links). The main list holds all pairs within a skin that
+lasts for a hundred steps or more, and most of these pairs do not touch. Near links are the pairs within a fraction NEAR
+of the skin. They stay valid for a correspondingly shorter time, and a step evaluates only them. The device chooses them
+anew at a fixed interval (`CHOSEN` in `warpcrete/dem/engine/stages.py`), without the host. If a sphere moves too far
+before the next choice, its scene evaluates all links until then. No contact is missed, and the results are the same
+either way.
 """
 
 import functools
@@ -46,7 +47,7 @@ TAKE_PLACES = """
 
 @wp.func_native(TAKE_PLACES)
 def take_place(count: wp.array(dtype=wp.int32), wants: wp.bool) -> wp.int32:
-    """Return a free index in the list of near links to each thread that wants one, else -1; a whole block calls this.
+    """Return a free index in the list of near links to each thread with a near link, else -1; a whole block calls this.
 
     One atomic addition per block reserves the indices. Blocks run in any order, so the order of the list varies.
     """

@@ -8,8 +8,9 @@ over all bodies of
     dt = 2 m / (c + sqrt(c^2 + 4 m k)).
 
 This is half the stability limit of leapfrog for a body between fixed neighbours, with dashpots that use the velocity of
-half a step ago. The factor of a half allows neighbours of equal mass to move in opposition. For one contact, dt equals
-PFC's sqrt(m/k) (sqrt(1 + beta^2) - beta). For several contacts, dt includes all dashpots, which PFC's formula does not.
+half a step ago. The factor of a half allows neighbours of equal mass to move in opposition. For a body with one
+contact, dt equals the step of the program PFC, sqrt(m/k) (sqrt(1 + beta^2) - beta). For several contacts, dt takes all
+dashpots into account, unlike PFC's formula.
 
 An automatic step obeys two more limits. The step resolves impacts that lose little energy finely enough that they gain
 none, and no sphere moves further in a step than a fraction LEAP of its radius.
@@ -36,10 +37,10 @@ DEFAULT_SAFETY = 0.8
 LEAP = 0.4
 """Largest motion of a sphere in an automatic step, as a fraction of its radius.
 
-Two spheres that approach each other may close in by twice that distance.
+The gap between two spheres that approach each other may shrink by twice that distance in a step.
 """
 LONGEST = 1.0e30
-"""Step size that stands for "no limit" [s]."""
+"""Step size [s] that means that no limit applies."""
 
 
 def estimate_options(half: bool) -> dict:

@@ -15,7 +15,7 @@ from .structs import array_structs
 
 @functools.cache
 def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool):
-    """Return the kernel over spheres of scene `s` that writes the force vector of each pair and wall contact.
+    """Return the kernel over spheres of scene `s` that writes the force vector of each contact with spheres or walls.
 
     The force acts on the sphere whose row lists the contact, and includes the bond. Shear springs and bonds are as the
     last step left them; gaps and velocities are the current ones.
