@@ -329,8 +329,8 @@ def link_kernel(
 ):
     """Return the kernel that computes the contact forces of all links whose spheres touch.
 
-    The launch has `threads` threads. They first share the near links. Then they share all links of those scenes whose
-    near links may miss a contact; for these scenes the near links are skipped.
+    The launch has `threads` threads, which first divide the near links among them. Then they divide all links of those
+    scenes whose near links may miss a contact; for these scenes the near links are skipped.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs

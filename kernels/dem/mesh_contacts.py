@@ -227,7 +227,7 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
         slot_history: wp.array2d(dtype=t.vec3),
         slot_rolling: wp.array2d(dtype=t.vec3),
     ):
-        """Store the contacts of this step in the slots from `first` onwards, for the next step."""
+        """Store the contacts of this step in the slots from `first` onwards, where the next step finds them."""
         for s in range(MESH_SLOTS):
             if s < found:
                 slot_wall[i, first + s] = owners[s] - first_wall

@@ -117,7 +117,7 @@ def motion_functions(scalar, dissipation: bool):
     def new_position(x: t.vec3, displacement: t.vec3, rounding: t.vec3):
         """Return the new position and its rounding error, which the next step adds again (compensated summation).
 
-        In double precision the compensation is left out.
+        In double precision the rounding error is not compensated.
         """
         if wp.static(single):
             displacement = displacement + rounding

@@ -140,7 +140,7 @@ def recording_functions(scalar):
 def floor_function(scalar, pair_law, wall_law):
     """Return the function `floor_of`: the least stiffness and damping for which the step must be stable.
 
-    They cover a body in free flight, which must survive its next contact.
+    They apply to a body in free flight, whose step must already be stable for its next contact.
     """
     t = types(scalar)
     Pair, pair_stiffness = pair_law.functions(scalar).Parameters, pair_law.functions(scalar).stiffness

@@ -43,7 +43,7 @@ RELAXATION = 0.01
 def stiff_pair_function(scalar, law, history: bool, dissipation: bool):
     """Return the function `stiff_pair`, which computes the forces of a stiff pair and steps its contact and bond.
 
-    The function returns the force on the lower sphere [N] and the moment of the bond [N m].
+    The function returns the force [N] on the sphere with the lower permanent number, and the moment of the bond [N m].
     """
     t = types(scalar)
     Subcycled = subcycled_struct(scalar)
