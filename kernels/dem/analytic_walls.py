@@ -1,7 +1,7 @@
 """Contact of spheres with planes and pipe surfaces, and the summation of forces on all walls.
 
-Forces on walls are summed in fixed point (int64, `clock[FORCE_SCALE]` units per newton), so the sum has the same bits
-in any order. A sphere has one contact slot for each plane or pipe, followed by the slots for meshes.
+Forces on walls are summed as 64-bit integers (`clock[FORCE_SCALE]` units per newton), so the order of the summation
+cannot change the result. A sphere has one contact slot for each plane or pipe, followed by the slots for meshes.
 """
 
 import functools
@@ -20,7 +20,8 @@ from .wear import wear_functions
 
 # Distance [m] larger than any distance from a wall. The square of this number still fits into single precision.
 FARTHEST = 1.0e15
-# Number of walls that have a bit in the mask of touched walls; the history of all other walls is read in every step.
+# Number of walls that have a bit in a sphere's mask of touched walls. Walls with higher indices have no bit, so every
+# step reads their contact history.
 WALL_BITS = wp.constant(31)
 LEADER = """
 #if defined(__CUDA_ARCH__)
@@ -94,7 +95,7 @@ def warp_force_function(scalar):
         step_force: wp.array3d(dtype=wp.int64), touches: wp.bool, thread: wp.int32, lanes: wp.int32, w: wp.int32,
         f: t.vec3, m: t.vec3, scale: wp.float64,
     ):  # fmt: skip
-        """Add the forces of a warp's threads to walls; all threads must call, with zero `f`, `m` if they touch none."""
+        """Add the forces of a warp to walls; all threads must call this, with zero `f` and `m` if they touch none."""
         first = leader(touches, w, lanes)
         for c in range(3):
             force = warp_total(wp.int64(wp.round(wp.float64(f[c]) * scale)), lanes)
@@ -142,8 +143,8 @@ def surface_touch_function(scalar):
 def contact_function(scalar, law, dissipation: bool, wear: bool):
     """Return the function `wall_contact_of`, which evaluates the contact of a sphere with one plane or pipe.
 
-    The result is the distance to the surface, whether they touch, force and moment on the sphere, moment on the wall,
-    and energy lost. The function also steps the contact history.
+    The result is the distance to the surface, True if sphere and wall touch, the force and moment on the sphere, the
+    moment on the wall, and the energy lost. The function also steps the contact history.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -221,7 +222,8 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
     passes `here` False.
 
     Most spheres are far from all fixed walls. Each sphere stores the position where it last measured its distance to
-    the nearest fixed wall, and that distance. `far_from_walls` uses them to decide if the sphere can skip these walls.
+    the nearest fixed wall, and that distance. `far_from_walls` uses this position and distance to decide if the sphere
+    can skip the fixed walls.
     """
     t = types(scalar)
     SceneRow = scene_struct(scalar)
@@ -322,8 +324,8 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
 def wall_kernel(scalar, law, dissipation: bool, wear: bool):
     """Return the CPU kernel that adds the forces of planes and pipes to the spheres.
 
-    This kernel is separate from the kernel for contacts between spheres because that is faster: clang inlines a contact
-    law that a kernel calls once, but not a law that it calls twice.
+    Two separate kernels, for walls and for contacts between spheres, are faster than a joint one: clang inlines a
+    contact law that a kernel calls once, but not a law that it calls twice.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Slots, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Walls

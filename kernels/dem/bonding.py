@@ -1,4 +1,4 @@
-"""Kernels that create bonds at existing contacts and assign another bond kind to a random share of them."""
+"""Kernels that create bonds at existing contacts and assign another bond kind to a random share of the bonds."""
 
 import functools
 

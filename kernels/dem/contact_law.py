@@ -100,13 +100,13 @@ def contact_functions(scalar):
 
     @wp.func
     def shear_spring(touch: Touch, history: t.vec3, stiffness: scalar, limit: scalar, dt: scalar):
-        """Step the spring that sliding loads, and return the same results as `plane_spring`."""
+        """Step the shear spring, which sliding loads, and return the same results as `plane_spring`."""
         vn = wp.dot(touch.velocity, touch.normal)
         return plane_spring(touch, touch.velocity - vn * touch.normal, history, stiffness, limit, dt)
 
     @wp.func
     def spring_energy(history: t.vec3, stiffness: scalar):
-        """Return the elastic energy of a spring with force or moment `history` [J]; zero for zero stiffness."""
+        """Return the elastic energy of a spring with force or moment `history` [J]; zero if the stiffness is zero."""
         square = wp.length_sq(history)
         stored = scalar(0.0)
         if square > scalar(0.0):

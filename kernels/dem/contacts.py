@@ -7,8 +7,8 @@ and store the same bits.
 
 The kernel goes through each row of the list twice. The first pass computes distances and sets one bit for each contact.
 The second pass gathers these contacts into lanes (see `lanes`) and evaluates the lanes whenever they are full. The bits
-of the first BLOCK entries are kept for the next step. They show which contacts have parted without reading the history
-of pairs that never touched.
+of the first BLOCK entries are kept for the next step. With these bits, the next step finds the contacts that have ended
+without reading the history of other pairs.
 """
 
 import functools
@@ -27,8 +27,8 @@ from .structs import DT_PREVIOUS, array_structs
 def contact_options(half: bool) -> dict:
     """Return the compiler options of a contact kernel.
 
-    On a GPU, exact division and square root are subroutines that take most of a contact's time. With `fast_math` they
-    are inexact by up to two units in the last place, in single precision only.
+    On a GPU, exact division and square root are subroutines that take most of a contact's time. `fast_math` replaces
+    them in single precision by faster operations with errors of up to two units in the last place.
     """
     return {"fast_math": not half, "cpu_compiler_flags": cpu_flags()}
 

@@ -20,7 +20,7 @@ ESTIMATE_LANES = 4
 
 @functools.cache
 def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcycling: bool, lanes: int):
-    """Return the kernel over spheres from `begin` on that adds stiffness and damping of their contacts to `estimate`.
+    """Return the kernel over spheres from `begin` on that adds stiffness and damping of contacts to `estimate`.
 
     With `stiff` it counts only pairs that are stepped in sub-cycling rounds. With half lists, `first` and `last` bound
     the chunk of spheres whose pairs are counted. `part` is the number of the CPU thread; it is 0 on a GPU, where

@@ -13,7 +13,7 @@ import warp as wp
 from ..common.types import module_of, types
 
 FARTHEST = 1.0e9
-"""Largest distance from the origin, in cells, that is still distinguished; twice that fits into 32 bits."""
+"""Largest cell index in each direction; coordinates farther out are clamped. Twice this number fits into 32 bits."""
 
 
 @functools.cache

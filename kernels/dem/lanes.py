@@ -156,8 +156,8 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
                     pairs.bond[k] = bond
             kind = kind_of(bond)
             put_int(ints, wp.static(int_at["bond"]), lane, kind)
-            # The loop has no branches, so an unbonded lane computes with the parameters of kind 1; its result is
-            # discarded.
+            # The loop has no branches, so a lane without a bond computes with the parameters of bond kind 1. Its bond
+            # force is discarded.
             write_bond(columns, lane, bond_parameters[first_bond + wp.max(kind, 1)])
             force, moment, at_row = t.vec4(), t.vec4(), wp.int32(-1)
             if bond > 0:
@@ -270,7 +270,8 @@ def scatter_function(scalar, law, history: bool, bonds: bool, dissipation: bool)
     ):
         """Add the results of the lanes to spheres and pairs.
 
-        The CPU thread owns spheres `first` to `last`. A pair across the border of that range has a copy on either side.
+        The CPU thread owns spheres `first` to `last`. A pair across the border of that range is listed and evaluated on
+        both sides.
         Only the copy at the sphere with the lower permanent number counts energy and broken bonds.
         """
         lane = wp.int32(0)

@@ -66,7 +66,7 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
         flags: wp.array2d(dtype=wp.int32), scenes: Scenes, pairs: Pairs, count: wp.array(dtype=wp.int32),
         spheres: Spheres, links: Links,
     ):  # fmt: skip
-        """Count the first entries of pairs (not the twins) in each row, and clear the touching bits of stale scenes."""
+        """Count the pairs whose first entry is in each row, and clear the touching bits of scenes with stale lists."""
         i = wp.tid()
         s = spheres.scene[i]
         own = wp.int32(0)

@@ -1,9 +1,9 @@
 """Contact forces between spheres on a GPU: one thread a pair, and sums for each sphere in a fixed order.
 
-Neighbour lists hold every pair at both spheres; a *link* is a pair once. A step evaluates only the near links (see
-:mod:`near`), because most links of a list do not touch. The kernel that moves bodies adds up the results of each
-sphere's links in the order of its list. Forces therefore need no atomic operations, and results do not depend on the
-order in which threads run. :mod:`surfaces` handles planes and pipes.
+Neighbour lists hold every pair at both spheres; a *link* represents both entries of a pair, so each pair has one link.
+A step evaluates only the near links (see :mod:`near`), because most links of a list do not touch. The kernel that moves
+bodies adds up the results of each sphere's links in the order of its list. Forces therefore need no atomic operations,
+and results do not depend on the order in which threads run. :mod:`surfaces` handles planes and pipes.
 """
 
 import functools
@@ -35,8 +35,8 @@ def result_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
 def result_functions(scalar, count: int):
     """Return functions that write the results of a link (`count` rows) and that add them up for a sphere.
 
-    `store_result` writes the rows of a link, and `store_loss` those of a link that has just parted. `sum_of_links`
-    returns the sums over the links of a sphere: force [N], moment [N m] and lost energy [J].
+    `store_result` writes the rows of a link, and `store_loss` writes the energy loss of a link whose spheres have just
+    separated. `sum_of_links` returns the sums over the links of a sphere: force [N], moment [N m] and lost energy [J].
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -134,8 +134,8 @@ def result_functions(scalar, count: int):
                 if found > 3:
                     r = row_of(row / 2, w)
                     g, h = read_vec4(links.result, r), read_vec4(links.result, r + 1)
-                # The sums run strictly one after the other. A link that has just parted adds zero, which then cannot
-                # change the rounding of the rest.
+                # The sums run strictly one after the other. A link whose spheres have just separated adds zeros, which
+                # do not change the rounding of the other terms.
                 force = (((force + force_on_end(q, a)) + force_on_end(u, c)) + force_on_end(v, e)) + force_on_end(w, g)
                 moment = (moment + moment_on_end(q, a, b)) + moment_on_end(u, c, d)
                 moment = (moment + moment_on_end(v, e, f)) + moment_on_end(w, g, h)
@@ -160,7 +160,7 @@ def result_functions(scalar, count: int):
 def contact_update_function(
     scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool
 ):
-    """Return the function `update_contact`: check for contact or a bond, and clear the history if it parted."""
+    """Return the function `update_contact`: check a link for contact or a bond; clear an ended contact's history."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
@@ -179,7 +179,7 @@ def contact_update_function(
         scenes: Scenes, spheres: Spheres, pairs: Pairs, parameters: wp.array(dtype=Parameters), s: wp.int32,
         i: wp.int32, j: wp.int32, k: wp.int32, twin: wp.int32,
     ):  # fmt: skip
-        """Clear the history of a pair that parted, and return the elastic energy left in its springs [J]."""
+        """Clear the history of a pair that has separated, and return the elastic energy left in its springs [J]."""
         lost = scalar(0.0)
         if wp.static(history):
             if wp.static(dissipation):
@@ -226,7 +226,7 @@ def contact_update_function(
                 close = close and not held_apart
         after = wp.where(close, TOUCHING, APART)
         if held_apart:
-            after = STIFF  # the pair may part at the first check after the bond broke
+            after = STIFF  # the spheres may already be apart at the first check after the bond broke
         if state != after:
             lost = scalar(0.0)
             row = scenes.row[s].pairs
@@ -250,7 +250,7 @@ def contact_update_function(
 def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissipation: bool, mixed: bool):
     """Return the function `evaluate`, which computes force and moments of a link and steps its history and bond.
 
-    `mixed` says that the spheres have several materials.
+    `mixed` is True if the spheres have several materials.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -327,10 +327,10 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
 def link_kernel(
     scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool, mixed: bool
 ):
-    """Return the kernel over links that computes the contacts of those links that touch.
+    """Return the kernel that computes the contact forces of all links whose spheres touch.
 
-    The launch has `threads` threads. They first share the near links. Then they share all links of those scenes whose
-    near links may miss a contact; for these scenes the near links are skipped.
+    The launch has `threads` threads, which first divide the near links among them. Then they divide all links of those
+    scenes whose near links may miss a contact; for these scenes the near links are skipped.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs

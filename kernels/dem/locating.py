@@ -1,4 +1,4 @@
-"""Kernels that find the new rows of stiff pairs and their bodies after a list rebuild; see :mod:`subcycling`."""
+"""Kernels that find the new rows of pairs with stiff bonds and of their bodies after a list rebuild."""
 
 import functools
 from types import SimpleNamespace

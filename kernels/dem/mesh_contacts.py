@@ -8,8 +8,8 @@ Minima whose normals differ by less than `MERGE_ANGLE` therefore count as one co
 
 A surface also hides what lies behind it. The farther of two contacts is dropped if its point lies behind the plane
 through the nearer contact point, perpendicular to the nearer normal. A tolerance of BEHIND allows for rounded corners.
-The outer skin of a wall that is thinner than the overlap thus adds no force. The same holds for edges of coincident
-faces that do not share corners. Where the overlap is small, no true contact is hidden.
+The outer skin of a wall that is thinner than the overlap thus adds no force. Edges of coincident faces that do not
+share corners are hidden in the same way. Where the overlap is small, no true contact is hidden.
 
 The kernel takes the arrays of walls and slots one by one and searches an old contact's history in its own loop. With
 structs, or with a function for the search, CUDA's compiler unrolls the loops differently and the kernel takes 5 %
@@ -42,7 +42,7 @@ Owners = wp.types.vector(MESH_SLOTS, wp.int32)
 
 @functools.cache
 def surface_functions(scalar) -> SimpleNamespace:
-    """Return functions for a face: its closest point, the test for a minimum of the surface, and the normal."""
+    """Return functions for a face: its closest point, the test for a local minimum of the distance, and the normal."""
     t = types(scalar)
     Wall = wall_struct(scalar)
     closest_on_triangle = triangle_functions(scalar).closest_on_triangle
@@ -227,7 +227,7 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
         slot_history: wp.array2d(dtype=t.vec3),
         slot_rolling: wp.array2d(dtype=t.vec3),
     ):
-        """Store the contacts of this step in the slots from `first` onwards, for the next step."""
+        """Store the contacts of this step in the slots from `first` onwards, where the next step finds them."""
         for s in range(MESH_SLOTS):
             if s < found:
                 slot_wall[i, first + s] = owners[s] - first_wall
@@ -376,7 +376,8 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
             for s in range(found):
                 n = normals[s]
                 w = owners[s]
-                # A contact inherits the history of the old contact on the same wall whose normal is nearest.
+                # A contact inherits the history of the old contact with the same wall whose normal is most nearly
+                # parallel.
                 history = t.vec3()
                 rolling = t.vec3()
                 best = scalar(wp.static(MERGE_COSINE))

@@ -17,8 +17,8 @@ from .structs import DT, DT_PREVIOUS, SINCE_BUILD, array_structs, links_struct
 def motion_options(half: bool) -> dict:
     """Return the compiler options of a motion kernel.
 
-    On a GPU, `fast_math` speeds up division as for contacts, see :func:`contacts.contact_options`. It makes sines,
-    which only drives along bends use, inexact by 4e-7.
+    On a GPU, `fast_math` speeds up division as for contacts, see :func:`contacts.contact_options`. It also gives sines
+    an error of 4e-7; only drives along bends use sines.
     """
     return {"fast_math": not half}
 
@@ -117,7 +117,7 @@ def motion_functions(scalar, dissipation: bool):
     def new_position(x: t.vec3, displacement: t.vec3, rounding: t.vec3):
         """Return the new position and its rounding error, which the next step adds again (compensated summation).
 
-        In double precision the compensation is left out.
+        In double precision the rounding error is not compensated.
         """
         if wp.static(single):
             displacement = displacement + rounding
@@ -171,7 +171,7 @@ def motion_functions(scalar, dissipation: bool):
 def clearing_function(scalar, half: bool):
     """Return the function `clear_forces`, which clears a sphere's force and moment for the next step.
 
-    On a GPU only walls write to these arrays, so the function writes zeros only where a value is not zero.
+    On a GPU only walls write to these arrays, so the function writes zeros only if the force or the moment is not zero.
     """
     t = types(scalar)
     Spheres = array_structs(scalar).Spheres

@@ -1,10 +1,11 @@
-"""Kernels that choose the near links of a GPU: the pairs that may touch within the next few steps.
+"""Kernels that choose the near links of a GPU: the pairs close enough to touch within a few steps.
 
-Near links are a second, shorter neighbour list. The main list holds all pairs within a skin that lasts for a hundred
-steps or more, and most of these pairs do not touch. Near links are the pairs within a fraction NEAR of the skin. They
-stay valid for a correspondingly shorter time, and a step evaluates only them. The device chooses them anew at a fixed
-interval (`CHOSEN` in `warpcrete/dem/engine/stages.py`), without the host. If a sphere moves too far before the next
-choice, its scene evaluates all links until then. No contact is missed, and the results are the same either way.
+Near links form a second, shorter neighbour list of pairs (links). The main list holds all pairs within a skin that
+lasts for a hundred steps or more, and most of these pairs do not touch. Near links are the pairs within a fraction NEAR
+of the skin. They stay valid for a correspondingly shorter time, and a step evaluates only them. The device chooses them
+anew at a fixed interval (`CHOSEN` in `warpcrete/dem/engine/stages.py`), without the host. If a sphere moves too far
+before the next choice, its scene evaluates all links until then. No contact is missed, and the results are the same
+either way.
 """
 
 import functools
@@ -46,7 +47,7 @@ TAKE_PLACES = """
 
 @wp.func_native(TAKE_PLACES)
 def take_place(count: wp.array(dtype=wp.int32), wants: wp.bool) -> wp.int32:
-    """Return a free index in the list of near links to each thread that wants one, else -1; a whole block calls this.
+    """Return a free index in the list of near links to each thread with a near link, else -1; a whole block calls this.
 
     One atomic addition per block reserves the indices. Blocks run in any order, so the order of the list varies.
     """
@@ -92,7 +93,8 @@ def near_kernels(scalar) -> SimpleNamespace:
             a, b = read_vec4(spheres.position, first + link[0]), read_vec4(spheres.position, first + link[1])
             reach = a[3] + b[3] + scalar(wp.static(NEAR)) * scenes.row[s].skin
             near = wp.length_sq(xyz(b) - xyz(a)) < reach * reach
-            # A link that touched must be visited again, so that its parting is noticed. Bonded links count as touching.
+            # A link that touched must be evaluated again, so that the end of its contact is noticed. Bonded links count
+            # as touching.
             near = near or links.state[p] != APART
         place = take_place(links.near_count, near)
         if near:

@@ -1,4 +1,4 @@
-"""Functions for the entries of neighbour lists: a pair's geometry, its bond, and which pairs touch or have parted."""
+"""Functions for the entries of neighbour lists: geometry and bond of a pair, and pairs that touch or separated."""
 
 import functools
 from types import SimpleNamespace
@@ -13,7 +13,7 @@ from .structs import array_structs
 
 # Number of list entries that are checked at a time: one bit per entry in an int32, without its sign bit.
 BLOCK = wp.constant(31)
-# Mask with all bits set. After a rebuild, every entry counts as having touched in the previous step.
+# Mask with all bits set. It is stored after a list rebuild, so that every entry counts as having touched before.
 ALL_TOUCHED = 2**31 - 1
 
 
@@ -94,7 +94,7 @@ def pair_functions(scalar):
 
 @functools.cache
 def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool, dissipation: bool):
-    """Return the function `part_entries`, which clears the history of pairs that parted in this step.
+    """Return the function `part_entries`, which clears the history of pairs that separated in this step.
 
     `bits` marks these pairs among the list entries from `block` to `end`. The function returns the energy lost [J].
     """
@@ -125,7 +125,7 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
         lost = wp.float64(0.0)
         if wp.static(history):
             if wp.static(dissipation):
-                # A spring that is still loaded when the surfaces part loses its elastic energy.
+                # A spring that is still loaded when the surfaces separate loses its elastic energy.
                 entry = pairs.other[k]
                 j = base + decode(entry)
                 counts = entry >= 0 or (j >= first and j < last)
@@ -253,7 +253,7 @@ def bond_pull_functions(scalar, dissipation: bool):
 
 @functools.cache
 def bonded_function(scalar, healing: bool, dissipation: bool):
-    """Return the function `bonded`, which adds the bond's force to that of the contact and updates the bond."""
+    """Return the function `bonded`, which adds a bond's force to the contact force and updates the bond."""
     t = types(scalar)
     Pairs = array_structs(scalar).Pairs
     PairTouch = pair_functions(scalar).PairTouch
@@ -309,8 +309,8 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
 def closeness_function(scalar, bonds: bool, subcycling: bool):
     """Return the function `close_entries`, which checks a block of list entries for contacts of sphere i.
 
-    The first result has a bit set for each entry that touches sphere i or is bonded to it. With `subcycling`, stiff
-    pairs are left out of it and have their bits in the second result.
+    The first result has a bit set for each entry that touches sphere i or is bonded to it. With `subcycling`, pairs
+    with stiff bonds have their bits in the second result instead of the first.
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -1,4 +1,4 @@
-"""Kernels that measure sums over contacts, bodies and walls; each column is summed in a fixed order."""
+"""Kernels that measure contacts, bodies and walls and sum each measured quantity (a column) in a fixed order."""
 
 import functools
 
@@ -21,7 +21,7 @@ OVERLAP_MAX = wp.constant(2)
 ELASTIC_ENERGY = wp.constant(3)  # energy of contact springs, walls included, at the middle of the last step [J]
 BOND_ENERGY = wp.constant(4)  # elastic energy of bonds [J]
 BONDED = wp.constant(5)  # number of bonded pairs
-VIRIAL = wp.constant(6)  # sum over pairs of normal spring force times branch vector between the bodies [J]
+VIRIAL = wp.constant(6)  # sum over pairs: normal spring force times distance of centroids along the normal [N m]
 BONDED_HYDRATED = wp.constant(7)  # number of bonded pairs with hydrated (stiff) bonds
 # DEPTH_MAX is the largest overlap relative to its limit. Between spheres the limit is the overlap that swallows the
 # smaller sphere or halves the distance of the centres; at a wall it is the radius.
@@ -58,7 +58,7 @@ LANES = 256  # Number of partial sums of a column. The order of a sum depends on
 def column_kernels():
     """Return two kernels that sum every column, or take its maximum where its bit in `maxima` is set.
 
-    The first kernel reduces the rows to LANES partial results, the second reduces those to one.
+    The first kernel reduces the rows to LANES partial results. The second kernel reduces these to one result.
     """
 
     @wp.kernel(module=module_of("columns"), enable_backward=False)
@@ -113,7 +113,7 @@ def wall_probe(scalar):
 
 @functools.cache
 def body_probe(scalar):
-    """Return the kernel over the bodies of scene `s` that writes one row of values each, by permanent number."""
+    """Return the kernel that measures bodies of scene `s`: one row of values each, sorted by permanent number."""
     structs = array_structs(scalar)
     Scenes, Bodies = structs.Scenes, structs.Bodies
     axis = axis_functions(scalar)
@@ -273,7 +273,7 @@ def load_probe(scalar):
 
 @functools.cache
 def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool):
-    """Return the kernel over spheres of scene `s` that writes one row of contact sums each, by permanent number.
+    """Return the kernel that writes contact sums of scene `s`: one row per sphere, sorted by permanent number.
 
     It also writes the normal force of each pair.
     """

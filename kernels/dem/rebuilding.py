@@ -14,8 +14,8 @@ def rebuilding_kernels(scalar) -> SimpleNamespace:
     """Return two kernels of one thread each, for a scene that runs alone: ``ask`` and ``fit``.
 
     ``ask`` decides if the device must rebuild the lists now. It leaves rebuilds with sorting, and scenes that have
-    failed, to the host. ``fit`` decides if the arrays have room for the new lists. If they have not, the host rebuilds
-    the lists.
+    failed, to the host. ``fit`` decides if the arrays have room for the new lists. If the arrays are too small, the
+    host rebuilds the lists.
     """
     Scenes = array_structs(scalar).Scenes
 

@@ -18,13 +18,13 @@ from .structs import array_structs
 
 @functools.cache
 def find_function(scalar, half: bool):
-    """Return the function `find`: the entry of a pair in a list, or -1; a half list may hold it at either sphere."""
+    """Return the function `find`, which finds a pair's list entry; a half list may hold it at either sphere."""
     Pairs = array_structs(scalar).Pairs
     read_int = row_functions(scalar).read_int
 
     @wp.func
     def find(pairs: Pairs, s: wp.int32, base: wp.int32, first: wp.int32, i: wp.int32, j: wp.int32):
-        """Return the list entry of spheres i and j, or -1.
+        """Return the list entry of the pair of spheres i and j, or -1 if the list lacks the pair.
 
         `base` is the scene's first sphere, and `first` is its first list entry.
         """
@@ -92,8 +92,8 @@ kernel.
 def close_function(scalar):
     """Return the function `is_close`: true if the gap between two spheres is below a limit.
 
-    On a GPU it gives the same answer wherever it is called. A bond exactly at the edge of the skin is therefore neither
-    lost nor listed twice.
+    On a GPU the function gives the same answer wherever it is called. A bond exactly at the edge of the skin is
+    therefore neither lost nor listed twice.
     """
     t = types(scalar)
     name, letter = ("double", "d") if scalar is wp.float64 else ("float", "f")
@@ -207,11 +207,11 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
 def half_search_kernel(scalar, bonds: bool):
     """Return the kernel ``search`` for half lists (CPU).
 
-    A pair inside a chunk is listed at its larger sphere, or at the one with the lower index if both are equal. The
+    A pair inside a chunk is listed at its larger sphere; of two equal spheres, at that with the lower index. The
     search then reaches no further than a sphere's own diameter plus the margin. Pairs across two chunks are listed at
     both spheres, so a search near another chunk must reach as far as the largest sphere. Each task searches one chunk,
-    writes the rows one after the other into the chunk's part `room` of a buffer, and counts the entries. `wanted`
-    returns the room that the chunk needs.
+    writes the rows one after the other into the chunk's part `room` of a buffer, and counts the entries. The output
+    `wanted` is the number of entries for which the chunk needs room.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -346,9 +346,9 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
     """Return the kernels ``search`` and ``fill`` for full lists (GPU).
 
     ``search`` counts the neighbours of each sphere (`count` must be zero before) and stores them in `finds` as far as
-    there is room. After a prefix sum has given the row starts, ``fill`` writes the neighbours to their rows in
-    sorted order. If there are few spheres, each has eight threads (`lanes`), which search one octant each. The last
-    element of `total` receives the length of the longest row without room.
+    there is room. After a prefix sum has given the row starts, ``fill`` writes the neighbours to their rows in sorted
+    order. If there are few spheres, eight threads (`lanes`) share each sphere, and each thread searches one octant. The
+    last element of `total` receives the length of the longest row that does not fit into `finds`.
 
     Pairs that a bond holds across more than the skin are taken from the old list. A wider search in the grid would make
     a few threads slow and let all others wait for them.

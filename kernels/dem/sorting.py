@@ -44,8 +44,8 @@ def permute_kernels(scalar) -> dict:
 def order_kernels(scalar):
     """Return kernels that re-sort bodies and spheres: ``corner``, ``keys``, ``counts``, ``place_spheres``, ``invert``.
 
-    Scenes keep their rows. Within a scene to be sorted (`sort[s]`), bodies are ordered by the Morton code of their
-    cell. In the other scenes, bodies stay where they are.
+    Each scene keeps its range of rows. Within a scene to be sorted (`sort[s]`), bodies are ordered by the Morton code
+    of their cell. In the other scenes, bodies stay where they are.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -58,7 +58,7 @@ def order_kernels(scalar):
 
     @wp.kernel(module=module_of("sorting", scalar), enable_backward=False)
     def corner(scenes: Scenes, bodies: Bodies, lowest: wp.array2d(dtype=wp.int32)):
-        """Find the lowest cell index of each scene in each direction."""
+        """Find the lowest cell index along each axis among the bodies of each scene."""
         b = wp.tid()
         s = bodies.scene[b]
         for c in range(3):
@@ -113,7 +113,7 @@ def order_kernels(scalar):
         spheres: Spheres,
         old_place: wp.array(dtype=wp.int32),
     ):
-        """Compute the old places of spheres in the new order, and update `spheres.body` and `bodies.first`."""
+        """Compute the old place of the sphere at each new place; update `spheres.body` and `bodies.first`."""
         i = wp.tid()
         s = bodies.scene[i]
         base = scenes.row[s].spheres

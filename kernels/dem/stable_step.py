@@ -8,11 +8,12 @@ over all bodies of
     dt = 2 m / (c + sqrt(c^2 + 4 m k)).
 
 This is half the stability limit of leapfrog for a body between fixed neighbours, with dashpots that use the velocity of
-half a step ago. The factor of a half allows neighbours of equal mass to move in opposition. For one contact, dt equals
-PFC's sqrt(m/k) (sqrt(1 + beta^2) - beta). For several contacts, dt includes all dashpots, which PFC's formula does not.
+half a step ago. The factor of a half allows neighbours of equal mass to move in opposition. For a body with one
+contact, dt equals the step of the program PFC, sqrt(m/k) (sqrt(1 + beta^2) - beta). For several contacts, dt takes all
+dashpots into account, unlike PFC's formula.
 
-An automatic step obeys two more limits. Impacts that lose little energy are resolved finely enough not to gain any, and
-no sphere moves further in a step than a fraction LEAP of its radius.
+An automatic step obeys two more limits. The step resolves impacts that lose little energy finely enough that they gain
+none, and no sphere moves further in a step than a fraction LEAP of its radius.
 """
 
 import functools
@@ -36,10 +37,10 @@ DEFAULT_SAFETY = 0.8
 LEAP = 0.4
 """Largest motion of a sphere in an automatic step, as a fraction of its radius.
 
-Two spheres that approach each other may close in by twice that distance.
+The gap between two spheres that approach each other may shrink by twice that distance in a step.
 """
 LONGEST = 1.0e30
-"""Step size that stands for "no limit" [s]."""
+"""Step size [s] that means that no limit applies."""
 
 
 def estimate_options(half: bool) -> dict:
@@ -139,7 +140,7 @@ def recording_functions(scalar):
 def floor_function(scalar, pair_law, wall_law):
     """Return the function `floor_of`: the least stiffness and damping for which the step must be stable.
 
-    They cover a body in free flight, which must survive its next contact.
+    They apply to a body in free flight, whose step must already be stable for its next contact.
     """
     t = types(scalar)
     Pair, pair_stiffness = pair_law.functions(scalar).Parameters, pair_law.functions(scalar).stiffness

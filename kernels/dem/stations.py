@@ -15,7 +15,7 @@ from .structs import array_structs
 
 @functools.cache
 def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool):
-    """Return the kernel over spheres of scene `s` that writes the force vector of each pair and wall contact.
+    """Return the kernel over spheres of scene `s` that writes the force vector of each contact with spheres or walls.
 
     The force acts on the sphere whose row lists the contact, and includes the bond. Shear springs and bonds are as the
     last step left them; gaps and velocities are the current ones.
@@ -133,7 +133,7 @@ def stress_probe(scalar):
     """Return the kernel over spheres of scene `s` that adds force times branch vector of contacts to the bodies.
 
     The forces come from :func:`force_probe`. Each body of a pair receives half of the product; compression is positive.
-    Sums are integers in units of 1 / `scale` joules, so they are the same in any order.
+    Sums are integers in units of 1 / `scale` newton metres, so the order of the summation cannot change them.
     """
     t = types(scalar)
     structs = array_structs(scalar)

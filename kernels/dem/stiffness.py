@@ -25,7 +25,7 @@ def estimate_struct(scalar):
 
     @wp.struct
     class Estimate:
-        sums: wp.array2d(dtype=vec6)  # one row a sphere, shape (spheres, 4); zero between estimates
+        sums: wp.array2d(dtype=vec6)  # one row per sphere, shape (spheres, 4); all zero between estimates
         # stiffness [mN/m] and damping [mN s/m] of the contacts of each wall, shape (parts, walls, 2)
         wall_load: wp.array3d(dtype=wp.int64)
         smallest: wp.array2d(dtype=wp.float64)  # smallest stable step of any body, shape (parts, scenes) [s]
@@ -42,8 +42,8 @@ def stiffness_functions(scalar):
     """Return functions for the matrices of one contact and for the stable step that a matrix allows.
 
     `outer` and `turning` build stiffness or damping matrices; `full`, `row_sum` and `stable` derive the step from them.
-    Matrices are symmetric and stored as six components xx, yy, zz, yz, xz, xy until `full` expands them. This storage
-    saves registers, because each GPU thread holds four sums.
+    Matrices are symmetric and stored as six components xx, yy, zz, yz, xz, xy until `full` expands them. Six components
+    save registers, because each GPU thread holds four such matrices.
     """
     t = types(scalar)
     vec6 = wp.types.vector(6, scalar)
@@ -78,7 +78,7 @@ def stiffness_functions(scalar):
 
     @wp.func
     def row_sum(m: t.mat33, scale: t.vec3):
-        """Return the largest absolute row sum of the matrix m[r, c] / sqrt(scale[r] scale[c])."""
+        """Return the largest absolute row sum of the matrix with elements m[r, c] / sqrt(scale[r] scale[c])."""
         largest = scalar(0.0)
         for r in range(3):
             total = scalar(0.0)

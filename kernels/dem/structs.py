@@ -30,8 +30,8 @@ CLOCK = 8
 # States of a link, in `links.state`.
 APART = wp.constant(0)  # the spheres do not touch
 TOUCHING = wp.constant(1)  # the spheres touch or are bonded, or a new list has taken over their contact history
-PARTED = wp.constant(2)  # just parted with energy left in the springs; the sums of the next step count this loss
-STIFF = wp.constant(3)  # in a stiff bond, which sub-cycling rounds step
+PARTED = wp.constant(2)  # contact just ended; energy left in its springs counts as lost in the next step
+STIFF = wp.constant(3)  # the spheres have a stiff bond, which sub-cycling rounds step
 
 
 @functools.cache
@@ -46,7 +46,7 @@ def scene_struct(scalar):
         speed_limit: scalar  # body speed above which the scene fails [m/s]
         skin: scalar  # margin of the pair lists beyond contact [m]
         mesh_skin: scalar  # margin of the sphere-triangle candidate lists [m]
-        # part of the mesh skin that motion of spheres may use up; motion of meshes may use up the rest [m]
+        # share of the mesh skin for motion of spheres; the rest is for motion of meshes [m]
         sphere_allowance: scalar
         growth_rate: scalar  # increase of the size scale factor per step, during growth in packing
         growth_end: scalar  # size scale factor at which the growth stops

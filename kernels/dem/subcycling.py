@@ -1,18 +1,19 @@
-"""Sub-cycling of stiff bonds: a time step is split into rounds for the bodies that have them (multiple time stepping).
+"""Sub-cycling of stiff bonds: bodies with stiff bonds move in several rounds per time step (multiple time stepping).
 
 Bonds of hydrated contacts are so stiff that leapfrog needs a tenth or a hundredth of the step that all other contacts
-allow. A step with sub-cycling has three parts. First, the contact kernels evaluate all contacts other than pairs in a
-stiff bond. Second, bodies without stiff bonds move by one leapfrog step, as always. Third, bodies with stiff bonds go
-through several rounds of velocity Verlet, from the middle of the previous step to the middle of this one. Each round
-recomputes the forces of the stiff pairs (contact and bond); all other forces stay constant through the step.
+allow. A time step with sub-cycling has three parts. First, the contact kernels evaluate all contacts other than pairs
+in a stiff bond. Second, bodies without stiff bonds move by one leapfrog step, as without sub-cycling. Third, bodies
+with stiff bonds go through several rounds of velocity Verlet, from the middle of the previous step to the middle of
+this one. Each round recomputes the forces of the stiff pairs (contact and bond); all other forces stay constant through
+the step.
 
 The contact kernels need positions at the end of a step. For a body with stiff bonds they use its position extrapolated
 with its velocity. For a group of bodies that moves as a whole this scheme equals leapfrog (half a drift, kick, half a
 drift). Momentum is conserved, because both bodies of a contact receive the same impulse.
 
 An alternative was tried and rejected: the usual scheme that applies all other forces as one kick per step (Tuckerman et
-al. 1992). A kick loads a stiff bond with the force multiplied by the number of bond periods in a step, which broke
-bonds that survive without sub-cycling. Forces held constant, as used here, have a drawback too. They feed energy into
+al. 1992). Such a kick loads a stiff bond with the force times the number of bond periods in a step. Bonds that survive
+without sub-cycling then broke. Forces held constant, as used here, have a drawback too. They feed energy into
 vibrations with periods between half a step and a full step, mostly through the dashpots of ordinary contacts, which act
 when the velocity has already changed. Therefore the step is limited to half of what ordinary contacts allow
 (`SUBCYCLED_STEP_FRACTION`), and stiff bonds have dashpots (`RELAXATION`).
@@ -33,7 +34,7 @@ from .pairs import bonded_function, broken_function, pair_functions
 from .structs import DT, DT_PREVIOUS, array_structs, links_struct, subcycled_struct
 
 SUBCYCLED_STEP_FRACTION = 0.5
-"""Largest step with sub-cycling, as a fraction of the stable step of all other contacts."""
+"""Largest step with sub-cycling, as a fraction of the stable step of all contacts without stiff bonds."""
 RELAXATION = 0.01
 """Relaxation time of a stiff bond's dashpots (damping / stiffness), as a fraction of the time step."""
 
@@ -42,7 +43,7 @@ RELAXATION = 0.01
 def stiff_pair_function(scalar, law, history: bool, dissipation: bool):
     """Return the function `stiff_pair`, which computes the forces of a stiff pair and steps its contact and bond.
 
-    The function returns the force on the lower sphere [N] and the moment of the bond [N m].
+    The function returns the force [N] on the sphere with the lower permanent number, and the moment of the bond [N m].
     """
     t = types(scalar)
     Subcycled = subcycled_struct(scalar)

@@ -1,7 +1,7 @@
 """Contacts of spheres with planes and pipes on a GPU, with one or a few threads for each sphere.
 
-Most spheres touch no wall. These contacts have a kernel of their own, which runs concurrently with the kernel of
-`links.py`.
+Most spheres touch no wall. Contacts with planes and pipes have a kernel of their own, which runs concurrently with the
+kernel of `links.py`.
 """
 
 import functools

@@ -24,7 +24,7 @@ def ramped(time: wp.float64, ramp: wp.float64):
 
 @wp.func
 def stopped(time: wp.float64, ramp: wp.float64, stroke: wp.float64, pause: wp.float64, stops: wp.float64):
-    """Return the distance of a motion that first makes `stops` strokes and then keeps its final speed of 1.
+    """Return the distance of a motion that first makes `stops` strokes and then continues at a constant speed of 1.
 
     Each stroke goes from rest to rest and is followed by a pause.
     """
@@ -135,8 +135,8 @@ def advance_kernel(scalar, strokes: bool):
         kick = wp.float64(0.5) * (dt + previous)
         motion = walls.table[w].motion
         unit = wp.float64(1.0) / scenes.clock[s, FORCE_SCALE]
-        # All loads are issued before the first store. Alternating loads and stores would add up memory latencies and
-        # delay the kernels that wait for the walls.
+        # All loads are issued before the first store. If loads and stores alternated, their memory latencies would add
+        # up and delay the kernels that wait for the walls.
         velocity, spin = wp.vec3d(walls.velocity_exact[w]), wp.vec3d(walls.spin[w])
         impulse, angular_impulse = wp.vec3d(walls.impulse[w]), wp.vec3d(walls.angular_impulse[w])
         work = wp.float64(walls.work[w])
@@ -153,7 +153,7 @@ def advance_kernel(scalar, strokes: bool):
         walls.moment[w] = m
         walls.impulse[w] = impulse + kick * f
         walls.angular_impulse[w] = angular_impulse + kick * m
-        # The wall's work on the concrete is added in two halves. The first half, added here, belongs to the previous
+        # The wall's work on the concrete is added up in two halves. The first half, added here, belongs to the previous
         # step, with the velocity of that step. The second half, for the coming step, is added below.
         work = work - wp.float64(0.5) * previous * (wp.dot(f, velocity) + wp.dot(m, spin))
         now = scenes.clock[s, TIME] + dt - walls.table[w].start_time

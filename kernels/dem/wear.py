@@ -1,4 +1,4 @@
-"""Wear of walls, by sphere and wall: work of sliding, energy loss of impacts, and load times sliding distance."""
+"""Wear of walls for each sphere and wall: work of sliding, energy loss of impacts, load times sliding distance."""
 
 import functools
 from types import SimpleNamespace
@@ -22,8 +22,8 @@ def wear_functions(scalar, law) -> SimpleNamespace:
         """Return a contact's work of sliding [J], impact loss [J] and load times sliding distance [N m] in a step.
 
         `f` is the contact force and `lost` the contact's total energy loss. The split works for any contact law: the
-        law is evaluated once more without sliding. The loss of that contact is due to the impact, and the rest is due
-        to sliding.
+        law is evaluated once more without sliding. The loss without sliding is due to the impact, and the rest of
+        `lost` is due to sliding.
         """
         n = touch.normal
         along = wp.dot(touch.velocity, n)
