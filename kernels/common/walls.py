@@ -1,4 +1,4 @@
-"""Wall data that all methods share, and distances of points from planes and pipes, the walls given by a formula.
+"""Wall data that all methods share, and distances of points from planes and pipes (walls given by a formula).
 
 To add a wall shape with a formula, add a branch to both functions of :func:`wall_functions` and a class to
 `geometry/walls.py`.

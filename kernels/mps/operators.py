@@ -31,8 +31,8 @@ def wall_law_function(scalar, dimensions: int):
     def wall_force(flow: FlowConstants, x: t.vec, v: t.vec, area: scalar, compliance: scalar, force: t.vec):
         """Return `force` with the slip layer's force added, the layer's resistance, and the wall's shear stress [Pa].
 
-        The slip law is Eq. 8 of Xu, Li & Jiang 2021. `area` is the wall's area over the particle's volume [1/m]. The
-        resistance is the derivative of the layer's force with respect to the particle's velocity [kg/m3/s].
+        The slip law is Eq. 8 of Xu, Li & Jiang 2021. `area` is the wall's area divided by the particle's volume [1/m].
+        The resistance is the derivative of the layer's force with respect to the particle's velocity [kg/m3/s].
         """
         resist = scalar(0.0)
         stress = scalar(0.0)
@@ -56,7 +56,7 @@ def wall_law_function(scalar, dimensions: int):
 
 @functools.cache
 def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
-    """Build the kernel that computes forces at the known velocities and the matrix of their implicit change.
+    """Build the kernel that computes forces at the known velocities, and the matrix of the implicit solve.
 
     The implicit forces are those of viscosity and of the slip layer. The pressure gradient and gravity are explicit.
     """

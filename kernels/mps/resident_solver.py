@@ -46,7 +46,7 @@ def sum_functions(width: int) -> SimpleNamespace:
     def accumulate(
         thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64
     ) -> wp.float64:
-        """Return the part of `own` that the thread itself must add up: all of it in a single block, else 0.
+        """Return what the thread itself must add up: `own` if there is a single block, else 0.
 
         If there are several blocks, the sum of the chunk is stored in `partial` instead.
         """

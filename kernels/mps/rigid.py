@@ -168,8 +168,8 @@ def share_function(scalar, dimensions: int):
     """Build `share`, which applies the preconditioner to the residual of one rigid grain.
 
     Only the resultant force and moment of the residual matter. The function writes the preconditioned residual of the
-    grain's particles. It returns the inner product of both, and the square of the residual after its projection onto
-    rigid motions.
+    grain's particles. It returns the inner product of the two residuals, and the square of the residual after its
+    projection onto rigid motions.
     """
     t = mps_types(scalar, dimensions)
     body = body_functions(scalar, dimensions)

@@ -115,8 +115,8 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     Particles slowly accumulate in some places and become sparse in others, because divergence-free velocities in the
     cells do not prevent it. A share of the excess or lack is corrected by a displacement that does not change
-    velocities. It follows from a solve with the matrix of the pressure, before and after which the kernels run. Each
-    kernel has one task per cell.
+    velocities. It follows from a solve with the matrix of the pressure. `source` runs before the solve, `disperse`
+    after it. Each kernel has one task per cell.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)

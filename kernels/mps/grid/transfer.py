@@ -28,7 +28,7 @@ from .cells import (
 )
 
 CLEAR = wp.constant(0.02)
-"""Minimum distance of particles from a wall, over the width of a cell."""
+"""Minimum distance of particles from a wall, divided by the width of a cell."""
 
 LIGHT = wp.constant(0.1)
 """Inertia of a ghost face inside a wall, relative to a face that lies wholly in the concrete."""
