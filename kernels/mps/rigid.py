@@ -113,7 +113,7 @@ def body_functions(scalar, dimensions: int) -> SimpleNamespace:
         borne: wp.array(dtype=t.vec), mean: t.vec, place: wp.array(dtype=t.vec), centre: t.vec, begin: wp.int32,
         end: wp.int32,
     ) -> vec3:  # fmt: skip
-        """Return the moment about `centre` of vectors at the particles, of which the uniform `mean` has no moment."""
+        """Return the moment about `centre` of vectors at the particles minus `mean`, which contributes no moment."""
         sum = vec3()
         for i in range(begin, end):
             sum += wp.cross(to_3d(place[i] - centre), to_3d(borne[i] - mean))

@@ -64,7 +64,7 @@ class GridKind(NamedTuple):
     cut: bool = False
     """True if walls may pass through cells (cut cells)."""
     thixotropic: bool = False
-    """True if the concrete of a periodic pipe has gained structure at rest, which flow breaks down."""
+    """True if the concrete of a periodic pipe has gained structure at rest and flow breaks it down."""
 
     @property
     def pairs(self) -> int:
@@ -142,8 +142,9 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         traction_slope: wp.array(dtype=scalar)  # Derivative of `traction` with respect to the face's velocity [Pa s/m].
         # Velocity of concrete at a pipe's wall, or velocity of the face if there is no wall [m/s].
         slip: wp.array(dtype=scalar)
-        # Walls in cut cells: force of a wall between a face and the next face along an axis, over the velocity at the
-        # wall. Shape (axes^2 * slots,), ordered by the face's axis, then by the axis along which the next face lies.
+        # Walls in cut cells: force of a wall between a face and the next face along an axis, divided by the velocity
+        # at the wall. Shape (axes^2 * slots,), ordered by the face's axis, then by the axis along which the next face
+        # lies.
         wall_stiffness: wp.array(dtype=scalar)
         # Wall force in a cut cell at the known velocity, in the layout of `wall_stiffness`.
         wall_force: wp.array(dtype=scalar)
@@ -177,7 +178,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # Open volume around a cell's centre, weighted by the same function of distance as particles, shape (slots,).
         weighted_volume: wp.array(dtype=scalar)
         opens: wp.array(dtype=scalar)  # Time at which the gate in a cell opens [s], shape (slots,); empty without gate.
-        inlet: wp.array(dtype=t.vec)  # Positions at which particles that have left re-enter [m]; may be empty.
+        inlet: wp.array(dtype=t.vec)  # Positions where particles re-enter the grid [m]; may be empty.
         gap: wp.array(dtype=scalar)  # Distance of each face's centre from the nearest wall [m], shape (axes * slots,).
         part: wp.array(dtype=scalar)  # Fraction of each face's area free of wall, shape (axes * slots,).
         shut: wp.array(dtype=wp.int32)  # Kind of each face that is closed, FIXED or INSIDE, shape (axes * slots,).

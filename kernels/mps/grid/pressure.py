@@ -130,7 +130,7 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def missing(g: Grid, mesh: Fields, c: whole) -> scalar:
         """Return by how much a cell's particle density is below 1 because the cells around it are not full.
 
-        Concrete in the cells around is taken to be spread evenly.
+        Concrete in the surrounding cells is assumed to be spread evenly.
         """
         sum = scalar(0.0)
         for n in range(wp.static(3**dims)):
