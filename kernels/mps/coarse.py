@@ -29,8 +29,8 @@ MIDDLE, REACH = 1.0 + 1.0 / RATIO, 1.0 - 1.0 / RATIO
 def slot_function(scalar, dimensions: int):
     """Build `slot_of`, which numbers the 3^d cubes around a cube; the cube itself has the middle number.
 
-    Both cubes must be adjacent or equal. This holds for the cubes of neighbouring particles, because a cube is at least
-    as wide as the reach of a particle.
+    The two cubes must be adjacent or equal. This holds for the cubes of neighbouring particles, because a cube is at
+    least as wide as the reach of a particle.
     """
     Matrix = array_structs(scalar, dimensions).Matrix
 
