@@ -13,7 +13,7 @@ import warp as wp
 GATE = 3
 """Length of a barrier's integer array, which counts arrived threads, completed rounds and sleeping threads."""
 SPINS = 2000
-"""Number of times a waiting thread checks the barrier before it sleeps, which takes about 30 microseconds."""
+"""Number of times a waiting thread checks the barrier before it sleeps; the checks take about 30 microseconds."""
 
 MEET = """
     int* here = &gate.data[0];

@@ -68,8 +68,8 @@ def axis_functions(scalar):
 def triangle_functions(scalar):
     """Build the function for the closest point on a triangle, in one precision.
 
-    It uses distances to the triangle's plane and edges. These stay exact to rounding on triangles that are hundreds of
-    times longer than wide (a straight pipe in an STL file), where barycentric coordinates lose accuracy.
+    The function uses distances to the triangle's plane and edges. They stay exact to rounding on triangles that are
+    hundreds of times longer than wide (a straight pipe in an STL file), where barycentric coordinates lose accuracy.
     """
     t = types(scalar)
 

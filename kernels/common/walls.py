@@ -1,4 +1,4 @@
-"""Wall data that all methods share, and distances of points from planes and pipes, the walls given by a formula.
+"""Wall data that all methods share, and distances of points from planes and pipes (walls given by a formula).
 
 To add a wall shape with a formula, add a branch to both functions of :func:`wall_functions` and a class to
 `geometry/walls.py`.
@@ -17,8 +17,8 @@ PLANE = wp.constant(0)
 PIPE = wp.constant(1)
 MESH = wp.constant(2)
 
-# Codes for the far side of an edge of a mesh face, if there is not exactly one other face: BORDER if there is none, and
-# SHARED minus a row number if there are several. That row of the array of corner rings lists these faces.
+# Codes for an edge of a mesh face, unless exactly one other face shares the edge: BORDER if no other face does, and
+# SHARED minus a row number if several do. That row of the array of corner rings lists these faces.
 BORDER = wp.constant(-1)
 SHARED = wp.constant(-2)
 

@@ -3,8 +3,8 @@
 Conjugate gradients with a diagonal preconditioner reduce errors that are smooth over many particles only slowly. The
 particles are therefore grouped into cubes about four spacings wide. With P the matrix that assigns each particle the
 value of its cube, the coarse matrix is A_c = P^T A P (Nicolaides 1987). The preconditioner is D^-1 + P A_c^-1 P^T,
-where D is the diagonal of A and a Chebyshev polynomial approximates A_c^-1. With it the number of iterations hardly
-grows with the number of particles.
+where D is the diagonal of A and a Chebyshev polynomial approximates A_c^-1. With this preconditioner the number of
+iterations hardly grows with the number of particles.
 """
 
 import functools
@@ -20,7 +20,7 @@ DEGREE = 4
 third of the iterations for tall columns, but every iteration takes longer, so a GPU gains nothing."""
 RATIO = 20.0
 """Ratio of the largest to the smallest eigenvalue for which the Chebyshev polynomial is made. The eigenvalues are those
-of the coarse matrix over its diagonal, which are at most 2."""
+of the coarse matrix divided by its diagonal, which are at most 2."""
 MIDDLE, REACH = 1.0 + 1.0 / RATIO, 1.0 - 1.0 / RATIO
 """Centre and half-width of the interval of eigenvalues, which extends from 2 / RATIO to 2."""
 
@@ -29,8 +29,8 @@ MIDDLE, REACH = 1.0 + 1.0 / RATIO, 1.0 - 1.0 / RATIO
 def slot_function(scalar, dimensions: int):
     """Build `slot_of`, which numbers the 3^d cubes around a cube; the cube itself has the middle number.
 
-    Both cubes must be adjacent or equal. This holds for the cubes of neighbouring particles, because a cube is at least
-    as wide as the reach of a particle.
+    The two cubes must be adjacent or equal. This holds for the cubes of neighbouring particles, because a cube is at
+    least as wide as the reach of a particle.
     """
     Matrix = array_structs(scalar, dimensions).Matrix
 

@@ -1,8 +1,8 @@
 """Kernels that build the neighbour lists of the moving particle method.
 
-Every fluid particle has three rows: `near` for fluid particles within the reach of the operators, `far` for those that
-only the density reaches, and `wall` for wall particles. A skin is added to every reach, so that the lists stay valid
-for many steps.
+Every fluid particle has three rows: `near` for fluid particles within the reach of the operators, `far` for those
+within the density's reach only, and `wall` for wall particles. A skin is added to every reach, so that the lists stay
+valid for many steps.
 """
 
 import functools
@@ -77,7 +77,7 @@ def list_kernels(scalar, dimensions: int, serial: bool):
                 if fars < lists.far_capacity:
                     lists.far[entry(i, fars, flow.count, lists.far_capacity)] = j
                 fars += 1
-        # Entries over capacity, in per mille: one number shows how much more capacity the fullest of the rows needs.
+        # Entries divided by capacity, in per mille, of the fullest row; this shows how much more capacity is needed.
         needed = wp.max(nears * 1000 / lists.near_capacity, fars * 1000 / lists.far_capacity)
         needed = wp.max(needed, walls * 1000 / lists.wall_capacity)
         if nears > lists.near_capacity or fars > lists.far_capacity or walls > lists.wall_capacity:

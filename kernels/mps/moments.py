@@ -12,11 +12,11 @@ from ..common.control import HALTED
 from .structs import array_structs, flow_struct, mps_functions, mps_types, row_place, span
 
 FREE = wp.constant(0.9)
-"""Sum of weights, over that inside a regular lattice, below which a particle may belong to the free surface."""
+"""Sum of weights, relative to the sum in a regular lattice, below which a particle may be at the free surface."""
 BENEATH = {2: 0.2, 3: 0.15}
-"""How far the neighbours of a surface particle must lie below it on average, by number of dimensions: minus the first
-moment of their weights, over the spacing and over the lattice's sum of weights. In the surface of a lattice this
-number is 0.33 in two and 0.28 in three dimensions. Below a hole of one particle inside the fluid, which is no free
+"""How far the neighbours of a surface particle must lie below it on average, by number of dimensions. It is minus the
+first moment of their weights, divided by the spacing and by the lattice's sum of weights. In the surface of a lattice
+this number is 0.33 in two and 0.28 in three dimensions. Below a hole of one particle inside the fluid, which is no free
 surface, it is 0.17 and 0.08."""
 
 
@@ -220,9 +220,10 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
             matrix.free[i] = surface
             excess = m.dense / flow.lattice_density - scalar(1.0)
             shifting.residual[i] = flow.correction * wp.clamp(excess, scalar(-0.01), scalar(0.01))
-            # Predict the pressure by a least-squares fit of a linear function to the pressures around. This filters out
-            # checkerboard modes, which the gradient operator does not see. The gradient is eliminated from the normal
-            # equations, which leaves one equation for the change of the particle's own pressure (Schur complement).
+            # Predict the pressure by a least-squares fit of a linear function to the neighbours' pressures. This
+            # filters out checkerboard modes, which the gradient operator does not see. The gradient is eliminated from
+            # the normal equations, which leaves one equation for the change of the particle's own pressure (Schur
+            # complement).
             bent = back * m.first
             own = flow.cutoff / flow.spacing  # Weight of the particle's own pressure in the least-squares fit.
             weight = own + m.number - wp.dot(m.first, bent)

@@ -8,7 +8,7 @@ from ..common.control import FAILED, HALTED, STALE, STEPS
 from .structs import LOST, array_structs, flow_struct, mps_functions, mps_types, row_place, span
 
 CROWDED = wp.constant(0.95)
-"""Distance, over the initial spacing, below which two particles are pushed apart."""
+"""Distance, divided by the initial spacing, below which two particles are pushed apart."""
 
 
 @functools.cache

@@ -22,17 +22,17 @@ twice the undamped diagonal, and the pressure would oscillate from step to step.
 
 @functools.cache
 def wall_law_function(scalar, dimensions: int):
-    """Build `wall_force`, the law of the slip layer between the wall and a particle beside it."""
+    """Build `wall_force`, the law of the slip layer between the wall and a particle beside the wall."""
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
     FlowConstants = flow_struct(scalar)
 
     @wp.func
     def wall_force(flow: FlowConstants, x: t.vec, v: t.vec, area: scalar, compliance: scalar, force: t.vec):
-        """Return `force` with the slip layer's force added, the layer's resistance, and the wall's shear stress [Pa].
+        """Return three values: `force` plus the slip layer's force, the layer's resistance, the wall's stress [Pa].
 
-        The slip law is Eq. 8 of Xu, Li & Jiang 2021. `area` is the wall's area over the particle's volume [1/m]. The
-        resistance is the derivative of the layer's force with respect to the particle's velocity [kg/m3/s].
+        The slip law is Eq. 8 of Xu, Li & Jiang 2021. `area` is the wall's area divided by the particle's volume [1/m].
+        The resistance is the derivative of the layer's force with respect to the particle's velocity [kg/m3/s].
         """
         resist = scalar(0.0)
         stress = scalar(0.0)
@@ -56,7 +56,7 @@ def wall_law_function(scalar, dimensions: int):
 
 @functools.cache
 def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
-    """Build the kernel that computes forces at the known velocities and the matrix of their implicit change.
+    """Build the kernel that computes forces at the known velocities, and the matrix of the implicit solve.
 
     The implicit forces are those of viscosity and of the slip layer. The pressure gradient and gravity are explicit.
     """
@@ -221,7 +221,7 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
 
 @functools.cache
 def gradient_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
-    """Build the kernel that ends the projection: it makes velocities divergence-free and updates the pressure."""
+    """Build the kernel of the projection's last stage: it makes velocities divergence-free and updates the pressure."""
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
     FlowConstants = flow_struct(scalar)

@@ -26,7 +26,7 @@ WIDE, SMALL = 1024, 40_000
 
 
 def resident_blocks(device, rows: int, near_capacity: int, abreast: int) -> tuple[int, int]:
-    """Return the threads per block and the number of blocks of a solve, if `abreast` solves share the device."""
+    """Return the numbers of threads per block and of blocks of a solve, when `abreast` solves share the device."""
     if rows * near_capacity <= SMALL:
         return WIDE, 1
     room = RESIDENT * device.sm_count // abreast if device.is_cuda else 1
@@ -46,7 +46,7 @@ def sum_functions(width: int) -> SimpleNamespace:
     def accumulate(
         thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64
     ) -> wp.float64:
-        """Return the part of `own` that the thread itself must add up: all of it in a single block, else 0.
+        """Return what the thread itself must add up: `own` if there is a single block, else 0.
 
         If there are several blocks, the sum of the chunk is stored in `partial` instead.
         """

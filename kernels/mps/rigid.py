@@ -113,7 +113,7 @@ def body_functions(scalar, dimensions: int) -> SimpleNamespace:
         borne: wp.array(dtype=t.vec), mean: t.vec, place: wp.array(dtype=t.vec), centre: t.vec, begin: wp.int32,
         end: wp.int32,
     ) -> vec3:  # fmt: skip
-        """Return the moment about `centre` of vectors at the particles, of which the uniform `mean` has no moment."""
+        """Return the moment about `centre` of vectors at the particles minus `mean`, which contributes no moment."""
         sum = vec3()
         for i in range(begin, end):
             sum += wp.cross(to_3d(place[i] - centre), to_3d(borne[i] - mean))
@@ -168,8 +168,8 @@ def share_function(scalar, dimensions: int):
     """Build `share`, which applies the preconditioner to the residual of one rigid grain.
 
     Only the resultant force and moment of the residual matter. The function writes the preconditioned residual of the
-    grain's particles. It returns the inner product of both, and the square of the residual after its projection onto
-    rigid motions.
+    grain's particles. It returns the inner product of the two residuals, and the square of the residual after its
+    projection onto rigid motions.
     """
     t = mps_types(scalar, dimensions)
     body = body_functions(scalar, dimensions)

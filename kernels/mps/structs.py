@@ -95,7 +95,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.struct
     class Fields:
-        pair_weight: wp.array(dtype=scalar)  # Weight of each entry of `near` over its squared distance [1/m2].
+        pair_weight: wp.array(dtype=scalar)  # Weight of each entry of `near` divided by its squared distance [1/m2].
         fluid_inverse: wp.array(dtype=t.mat)  # Inverse moment matrix of the fluid neighbours [1/m2], shape (n,).
         all_inverse: wp.array(dtype=t.mat)  # Inverse moment matrix of all neighbours, walls included [1/m2].
         inverse_number: wp.array(dtype=scalar)  # Calibration factor of the Laplacian at each particle, shape (n,).
@@ -137,7 +137,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         # holds 1 over the diagonal.
         coefficient: wp.array(dtype=scalar)
         diagonal: wp.array(dtype=scalar)  # Diagonal of the coarse matrix, shape (count,).
-        pair: wp.array(dtype=scalar)  # Coupling of each particle with the cubes around, shape (3^d * n,); GPU only.
+        pair: wp.array(dtype=scalar)  # Coupling of each particle with the cubes around it, shape (3^d * n,); GPU only.
 
     @wp.struct
     class Matrix:
@@ -157,13 +157,14 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         @wp.struct
         class Solve:
             residual: wp.array(dtype=value)  # Residual of the equations, shape (n,).
-            direction: wp.array(dtype=value)  # Search direction, shape (n,); on a GPU old and new one, shape (2n,).
+            # Search direction, shape (n,); on a GPU the old and the new direction, shape (2n,).
+            direction: wp.array(dtype=value)
             product: wp.array(dtype=value)  # Product of the matrix and the search direction, shape (n,).
-            preconditioned: wp.array(dtype=value)  # Residual over the diagonal, shape (n,); GPU only.
+            preconditioned: wp.array(dtype=value)  # Residual divided by the diagonal, shape (n,); GPU only.
             load: wp.array(dtype=value)  # Sum of the residual in each cube of the coarse grid, shape (cubes,).
             lift: wp.array(dtype=value)  # Coarse solution in two buffers, used alternately, shape (2 cubes,).
             change: wp.array(dtype=value)  # Last change of the coarse solution, shape (cubes,).
-            inner: wp.array(dtype=wp.float64)  # Product of load and coarse solution in each cube, shape (cubes,).
+            inner: wp.array(dtype=wp.float64)  # Residual sum times coarse solution of each cube, shape (cubes,).
             partial: wp.array(dtype=wp.float64)  # Partial sums of each block or thread, for up to three different sums.
             stop_norm: wp.array(dtype=wp.float64)  # Residual norm at which the solve stops, shape (1,).
             outcome: wp.array(dtype=wp.float64)  # Iterations, then first and last residual norm, shape (OUTCOME,).

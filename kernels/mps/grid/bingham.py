@@ -1,8 +1,8 @@
 """The regularised Bingham law (Xu, Li & Jiang 2021, Eq. 15), and its means over cells in which the stress varies.
 
 The stress varies linearly across a pipe. The mean velocity of a cell is therefore an integral of the shear rate over
-the stress, which has a closed form here. A sheared layer at the wall, or the edge of a plug, may thus be thinner than a
-cell and is still computed as accurately as the stress.
+the stress, which has a closed form here. Even a layer thinner than a cell that is sheared at a wall or beside a plug
+is therefore computed as accurately as the stress.
 """
 
 import functools
@@ -17,8 +17,9 @@ from .cells import grid_parameters_struct
 def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
     """Build the functions of the law: viscosity as a function of the rate, and rate as a function of the stress.
 
-    `apparent` follows the regularised law. `rate_of` replaces its inverse by two straight lines, one below and one
-    above the yield stress; `rate_slope` is its derivative, `rate_integral` and `double_integral` are its integrals.
+    `apparent` follows the regularised law. `rate_of` replaces the inverse of this law by two straight lines, one below
+    and one above the yield stress; `rate_slope` is its derivative, `rate_integral` and `double_integral` are its
+    integrals.
     """
     Grid = grid_parameters_struct(scalar, dimensions)
 

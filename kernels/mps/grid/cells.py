@@ -1,15 +1,15 @@
-"""Parameters, arrays and small functions of a staggered grid: in a plane, about an axis, or in space.
+"""Parameters, arrays and small functions of a staggered grid, which is plane, axisymmetric or three-dimensional.
 
 Cells are counted from the lowest cell, (0, 0) or (0, 0, 0); the last coordinate runs upwards or along the pipe. A frame
 one cell wide surrounds the grid, and `slots` is the number of cells including this frame. Cells, faces and edges share
 one numbering. Face c of axis a is the lower side of cell c along that axis; its row is c + a * slots. Edge c of the
 pair of axes a and b is the lowest edge of cell c that is parallel to neither axis; its row is c + (a + b - 1) * slots.
 In a plane an edge is a corner, and edge c is the lower left corner of cell c. Velocities are relative to the room.
-Volumes and areas are per metre of depth in a plane, and per radian about an axis.
+Volumes and areas are per metre of depth in plane flow, and per radian in axisymmetric flow.
 
 Walls coincide with sides of cells or, if `GridKind.cut`, pass through cells (cut cells). Then each face stores its
-distance from the nearest wall and the open part of its area, and cells and edges store the part of their volume that is
-not wall. Concrete flows in and out of a cell through the open parts of its faces (Ng, Min & Gibou 2009). Shear and
+distance from the nearest wall and the open part of its area, and cells and edges store the fraction of their volume
+free of wall. Concrete flows in and out of a cell through the open parts of its faces (Ng, Min & Gibou 2009). Shear and
 stretch are weighted with the open volumes of edges and cells (Batty & Bridson 2008). They also need velocities of some
 faces inside walls. These ghost faces are unknowns too. The friction of the wall acts on the velocity at the wall
 itself, which is interpolated between a ghost face and the next face in the concrete.
@@ -64,7 +64,7 @@ class GridKind(NamedTuple):
     cut: bool = False
     """True if walls may pass through cells (cut cells)."""
     thixotropic: bool = False
-    """True if the concrete of a periodic pipe has gained structure at rest, which flow breaks down."""
+    """True if the concrete of a periodic pipe has gained structure at rest and flow breaks it down."""
 
     @property
     def pairs(self) -> int:
@@ -118,7 +118,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         velocity: wp.array(dtype=t.vec)  # Velocity of each particle [m/s], shape (n,).
         gradient: wp.array(dtype=t.mat)  # Velocity gradient at each particle [1/s], shape (n,).
         pressure: wp.array(dtype=scalar)  # Pressure at each particle [Pa], shape (n,).
-        # Mass of each particle over the mass of the mean particle; 0 if the particle has left the grid.
+        # Mass of each particle divided by the mean mass of particles; 0 if the particle has left the grid.
         mass: wp.array(dtype=scalar)
 
     @wp.struct
@@ -126,12 +126,12 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         solid: wp.array(dtype=wp.int32)  # Number of the wall that fills each cell, or OPEN, shape (slots,).
         liquid: wp.array(dtype=wp.int32)  # 1 for cells with concrete that can flow, else 0, shape (slots,).
         particle_density: wp.array(dtype=scalar)  # Particle density at a cell's centre, 1 if full, shape (slots,).
-        fill: wp.array(dtype=scalar)  # Part of a cell's open volume that concrete fills, shape (slots,).
+        fill: wp.array(dtype=scalar)  # Fraction of a cell's open volume that concrete fills, shape (slots,).
         count: wp.array(dtype=wp.int32)  # Number of particles in each cell, shape (slots,).
         begin: wp.array(dtype=wp.int32)  # Index of each cell's first particle in `sorted_particles`, shape (slots,).
         reserved_places: wp.array(dtype=wp.int32)  # Number of places of `sorted_particles` reserved so far, shape (1,).
         cell_of_particle: wp.array(dtype=wp.int32)  # Cell of each particle, -1 if it has left the grid, shape (n,).
-        place: wp.array(dtype=wp.int32)  # Number of each particle among those of its cell, shape (n,).
+        place: wp.array(dtype=wp.int32)  # Rank of each particle among the particles of its cell, shape (n,).
         sorted_particles: wp.array(dtype=wp.int32)  # Particles sorted by cell, shape (n,).
         kind: wp.array(dtype=wp.int32)  # Kind of each face, such as LIQUID, shape (axes * slots,).
         velocity: wp.array(dtype=scalar)  # Velocity across each face [m/s], shape (axes * slots,).
@@ -142,11 +142,14 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         traction_slope: wp.array(dtype=scalar)  # Derivative of `traction` with respect to the face's velocity [Pa s/m].
         # Velocity of concrete at a pipe's wall, or velocity of the face if there is no wall [m/s].
         slip: wp.array(dtype=scalar)
-        # Walls in cut cells: force of a wall between a face and the next face along an axis, over the velocity at the
-        # wall. Shape (axes^2 * slots,), ordered by the face's axis, then by the axis along which the next face lies.
+        # Walls in cut cells: force of a wall between a face and the next face along an axis, divided by the velocity
+        # at the wall. Shape (axes^2 * slots,), ordered by the face's axis, then by the axis along which the next face
+        # lies.
         wall_stiffness: wp.array(dtype=scalar)
-        wall_force: wp.array(dtype=scalar)  # Force of a wall in a cut cell at the known velocity, as `wall_stiffness`.
-        wall_weight: wp.array(dtype=scalar)  # Weight of the next face in the velocity at the wall, as `wall_stiffness`.
+        # Wall force in a cut cell at the known velocity, in the layout of `wall_stiffness`.
+        wall_force: wp.array(dtype=scalar)
+        # Weight of the next face in the velocity at the wall, in the layout of `wall_stiffness`.
+        wall_weight: wp.array(dtype=scalar)
         shift: wp.array(dtype=scalar)  # Velocity that moves particles out of crowded regions [m/s], one per face.
         pressure: wp.array(dtype=scalar)  # Pressure in each cell [Pa], shape (slots,).
         increment: wp.array(dtype=scalar)  # Change of the pressure in this step [Pa], shape (slots,).
@@ -155,11 +158,12 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         in_corner: wp.array(dtype=scalar)  # Apparent viscosity at each edge [Pa s], shape (pairs * slots,).
         stress: wp.array(dtype=scalar)  # Shear stress at corners and walls of a pipe's cells in the previous step [Pa].
         strain: wp.array(dtype=scalar)  # Square of each cell's shear rate [1/s2], shape (slots,).
-        # Square of each cell's shear rate without the part of one pair of axes [1/s2], shape (pairs * slots,).
+        # Square of each cell's shear rate without the contribution of one pair of axes [1/s2], shape (pairs * slots,).
         strain_without_pair: wp.array(dtype=scalar)
         gained: wp.array(dtype=scalar)  # Yield stress gained at rest in each cell [Pa], shape (slots,), or empty.
         layer: wp.array(dtype=scalar)  # Yield stress that the slip layer gained at rest [Pa], one per face, or empty.
-        drive: wp.array(dtype=wp.float64)  # Driving force of a pipe in FORCE to VELOCITY_CORRECTION, shape (DRIVE,).
+        # Driving force of a pipe, in the slots FORCE to VELOCITY_CORRECTION, shape (DRIVE,).
+        drive: wp.array(dtype=wp.float64)
         clock: wp.array(dtype=wp.float64)  # Time and step control in the slots DT to LAST, shape (CLOCK,).
 
     @wp.struct
@@ -167,22 +171,23 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # Distance from the nearest wall, negative inside it [m], at 2^axes points of each cell: a quarter and three
         # quarters of the cell along each axis. Shape (slots * 2^axes,), in which the first axis varies fastest.
         depth: wp.array(dtype=scalar)
-        room: wp.array(dtype=scalar)  # Part of each cell's volume that is not wall, shape (slots,).
-        # Part of each quarter of a cell that is not wall; for each pair of axes the quarters adjoin the four edges.
+        room: wp.array(dtype=scalar)  # Fraction of each cell's volume that is free of wall, shape (slots,).
+        # Fraction of each quarter of a cell that is free of wall. Each pair of axes divides a cell into four quarters.
         # Shape (slots * pairs * 4,), in which the pair's first axis varies fastest.
         quarter_fraction: wp.array(dtype=scalar)
-        weighted_volume: wp.array(dtype=scalar)  # Open volume around a cell, weighted like particles, shape (slots,).
+        # Open volume around a cell's centre, weighted by the same function of distance as particles, shape (slots,).
+        weighted_volume: wp.array(dtype=scalar)
         opens: wp.array(dtype=scalar)  # Time at which the gate in a cell opens [s], shape (slots,); empty without gate.
-        inlet: wp.array(dtype=t.vec)  # Positions at which particles that have left re-enter [m]; may be empty.
+        inlet: wp.array(dtype=t.vec)  # Positions where particles re-enter the grid [m]; may be empty.
         gap: wp.array(dtype=scalar)  # Distance of each face's centre from the nearest wall [m], shape (axes * slots,).
-        part: wp.array(dtype=scalar)  # Open part of each face's area, shape (axes * slots,).
+        part: wp.array(dtype=scalar)  # Fraction of each face's area free of wall, shape (axes * slots,).
         shut: wp.array(dtype=wp.int32)  # Kind of each face that is closed, FIXED or INSIDE, shape (axes * slots,).
         surface: wp.array(dtype=wp.int32)  # Number of the wall nearest to each face, shape (axes * slots,).
 
     @wp.struct
     class Walls:
         velocity: wp.array(dtype=t.vec)  # Velocity of each wall [m/s], indexed by its number; row 0 is unused.
-        spin: wp.array(dtype=vec3)  # Angular velocity of each wall about `pivot` [rad/s]; about y in a plane.
+        spin: wp.array(dtype=vec3)  # Angular velocity of each wall about `pivot` [rad/s]; in plane flow about y.
         pivot: wp.array(dtype=t.vec)  # Point about which each wall rotates [m].
         slip_viscosity: wp.array(dtype=scalar)  # Viscous constant of a wall's slip layer [Pa s/m]; < 0 if frictionless.
         slip_yield: wp.array(dtype=scalar)  # Yield stress of a wall's slip layer [Pa].
@@ -237,7 +242,7 @@ def place_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def reached(g: Grid, c: whole) -> wp.bool:
-        """Return whether a face or edge with the indices `c` exists, if a periodic grid continues without end."""
+        """Return whether a face or edge with the indices `c` exists; a periodic grid counts as endless."""
         found = wp.bool(True)
         for b in range(wp.static(last if of.periodic else dims)):
             if c[b] < 0 or c[b] > g.n[b]:
@@ -342,7 +347,7 @@ def grid_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def wetness(g: Grid, mesh: Fields, geometry: Geometry, c: whole, pair: wp.int32) -> scalar:
-        """Return the part of the volume around an edge that concrete fills."""
+        """Return the fraction of the volume around an edge that concrete fills."""
         a = wp.where(pair == 2, 1, 0)
         b = wp.where(pair == 0, 1, 2)
         sum = scalar(0.0)

@@ -33,7 +33,8 @@ def level_functions(scalar, of: GridKind) -> SimpleNamespace:
     def level(particle_density: scalar) -> scalar:
         """Return the height of a flat free surface in a cell, from 0 at the bottom to 1 at the top.
 
-        `particle_density` is the value at the cell's centre, weighted linearly with the distance from it.
+        `particle_density` is the value at the cell's centre; a particle's weight falls linearly with the distance from
+        it.
         """
         # With a linear weight of the particles, a surface at height h < 1/2, below the centre, gives a density of
         # (h + 1/2)^2 / 2, and a surface above the centre gives 1 - (3/2 - h)^2 / 2. Solve for h.

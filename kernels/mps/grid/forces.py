@@ -1,4 +1,4 @@
-"""Viscous forces, pressure and weight on the faces of a grid, and the matrix of their implicit change.
+"""Viscous forces, pressure and weight on the faces of a grid, and the matrix of the implicit solve for velocities.
 
 The viscous forces result from stretch in cells and shear at edges. They are derivatives of a single dissipation
 function. The matrix is therefore symmetric, and every force has its reaction on the neighbouring faces, however the
@@ -17,7 +17,7 @@ from .cells import DT, FORCE, LIQUID, GridKind, grid_functions, grid_parameters_
 from .structure import with_gain_function
 
 STIFFENING = wp.constant(2.0)
-"""Factor on the change of the logarithm of a viscosity in a step, for unyielded concrete in flows with a free
+"""Factor by which a step multiplies the change of a viscosity's logarithm, for unyielded concrete in flows with a free
 surface; 1 would be the whole change."""
 
 
@@ -36,8 +36,8 @@ def relaxed_viscosity_function(scalar, of: GridKind):
 
         Flows that may have a free surface also stop and start. In such flows, concrete that yields gets the value
         `now`. In concrete below the yield stress, a step can reduce the shear rate only by the ratio of stress to yield
-        stress, so that concrete would come to rest the later, the longer the time steps are. Its viscosity is therefore
-        extrapolated to ``before * (now / before) ** STIFFENING``.
+        stress, so that longer time steps would delay the moment at which concrete comes to rest. Its viscosity is
+        therefore extrapolated to ``before * (now / before) ** STIFFENING``.
         """
         if before > scalar(0.0):
             if wp.static(not of.periodic):
@@ -226,7 +226,7 @@ def store_coefficient_function(scalar, serial: bool, of: GridKind):
 
 @functools.cache
 def momentum_kernel(scalar, serial: bool, of: GridKind):
-    """Build the kernel that computes forces on faces at the known velocities, and the matrix of their implicit change.
+    """Build the kernel that computes forces on faces at the known velocities, and the matrix of the implicit solve.
 
     The matrix has a row for each face. The kernel runs with one task per cell.
     """

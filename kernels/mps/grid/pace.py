@@ -32,7 +32,8 @@ from .cells import (
 COURANT = wp.constant(wp.float64(1.0))
 """Maximum number of cells that the fastest concrete crosses in a step (Courant number)."""
 LONGER, SHORTER = wp.constant(wp.float64(1.25)), wp.constant(wp.float64(0.2))
-"""Maximum ratio of a step to the step wanted before, and minimum ratio of a step to the previous step."""
+"""Maximum ratio of two successive wanted steps. Minimum ratio of a step, shortened because of its error, to the
+previous step."""
 SAFETY = wp.constant(wp.float64(0.9))
 LEAST = wp.constant(wp.float64(1.0e-4))
 """Ratio of the shortest to the longest time step."""
@@ -43,8 +44,9 @@ class Pace:
     """Parameters of the step control."""
 
     longest: wp.float64  # Longest time step [s].
-    error: wp.float64  # Allowed error of a step over the rms speed; 0 means that all steps are the longest.
-    floor: wp.float64  # Lower limit of the rms speed with which errors are compared [m/s].
+    # Allowed error of a step divided by the rms speed; 0 means that every step has the longest duration.
+    error: wp.float64
+    floor: wp.float64  # Lower limit of the rms speed by which errors are divided [m/s].
     viscous: wp.float64  # Residual norm at which the viscous solve stops, for the longest time step.
     pressure: wp.float64  # Residual norm at which the pressure solve stops, for the longest time step.
     crowding: wp.float64  # Residual norm at which the solve that disperses particles stops, for the longest time step.

@@ -115,8 +115,8 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     Particles slowly accumulate in some places and become sparse in others, because divergence-free velocities in the
     cells do not prevent it. A share of the excess or lack is corrected by a displacement that does not change
-    velocities. It follows from a solve with the matrix of the pressure, before and after which the kernels run. Each
-    kernel has one task per cell.
+    velocities. It follows from a solve with the matrix of the pressure. `source` runs before the solve, `disperse`
+    after it. Each kernel has one task per cell.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)
@@ -130,7 +130,7 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def missing(g: Grid, mesh: Fields, c: whole) -> scalar:
         """Return by how much a cell's particle density is below 1 because the cells around it are not full.
 
-        Concrete in the cells around is taken to be spread evenly.
+        Concrete in the surrounding cells is assumed to be spread evenly.
         """
         sum = scalar(0.0)
         for n in range(wp.static(3**dims)):

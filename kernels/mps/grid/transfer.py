@@ -28,10 +28,10 @@ from .cells import (
 )
 
 CLEAR = wp.constant(0.02)
-"""Minimum distance of particles from a wall, over the width of a cell."""
+"""Minimum distance of particles from a wall, divided by the width of a cell."""
 
 LIGHT = wp.constant(0.1)
-"""Inertia of a ghost face inside a wall, relative to a face that lies wholly in the concrete."""
+"""Inertia of a ghost face inside a wall, relative to the inertia of a face that lies wholly in concrete."""
 
 
 @functools.cache
@@ -213,7 +213,7 @@ def extend_kernel(scalar, of: GridKind):
             after[r] = value
             known_after[r] = good
             if final != 0 and good != 0 and mesh.kind[r] == AIR:
-                mesh.velocity[r] = value  # Concrete can reach a face before its particles bring a velocity.
+                mesh.velocity[r] = value  # Concrete can reach a face before its particles bring a velocity to the face.
 
     return extend
 

@@ -19,8 +19,7 @@ from .cells import (
 from .structure import with_gain_function
 
 STICKY = wp.constant(20.0)
-"""Maximum stiffness of a slip layer on which concrete sticks, over the stiffness of the concrete's shear across a
-cell."""
+"""Maximum stiffness of a slip layer to which concrete sticks, relative to the shear stiffness of a cell of concrete."""
 
 
 @functools.cache
