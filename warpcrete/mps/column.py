@@ -26,7 +26,7 @@ SHEARED: dict[str, Any] = {
     "concrete": "own", "viscosity": 30.0, "yield_stress": 40.0, "slip_viscosity": 1000.0, "slip_yield": 20.0,
     "density": 2350.0,
 }  # fmt: skip
-"""Name of a self-compacting concrete; in the paper's case, slip carries only 0.7 of its flow."""
+"""Name of a self-compacting concrete; in the paper's case, slip makes up only 0.7 of its flow rate."""
 MIN_SLIP_RATIO = 0.9
 """Minimum ratio of slip to mean velocity for a column on a piston to keep its volume and force balance."""
 MIN_PARTICLES_ACROSS = 4
@@ -68,7 +68,7 @@ class ConcreteParameters:
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        """Return the section of a concrete file that holds these parameters, and the names that it may contain."""
+        """Return the name of the section of a concrete file for these parameters, and the names allowed in it."""
         return "flow", CONSTANTS
 
     @classmethod
@@ -233,7 +233,7 @@ ACCURACY = {2: 0.01, 3: 0.02}
 TWO_PHASE_ACCURACY = 0.03
 """Accepted error of the pressure in two phases, which may deviate more from the theory of one fluid."""
 WALL_ACCURACY = {True: 0.05, False: 0.03}
-"""Accepted error of the wall stress in two phases (True) and in one (False).
+"""Accepted error of the wall stress in two phases (key True) and in one phase (key False).
 
 Weight dominates the pressure and would hide an error of the wall stress there.
 """

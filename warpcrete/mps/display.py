@@ -28,7 +28,7 @@ class FlowDisplay(Display):
 
     @property
     def preferred(self) -> str:
-        """Colouring that is used unless another one is chosen."""
+        """Default colouring of the particles."""
         return "speed" if self.simulation.scene.aggregates is None else "phase"
 
     @property
@@ -52,7 +52,9 @@ class FlowDisplay(Display):
         x[:, -1] += self.simulation.scene.velocity * self.time
         if self.simulation.scene.dimensions == 2:
             return np.insert(x, 1, 0.0, axis=1)
-        if x.shape[1] == 2:  # A flow about the axis is two-dimensional; each particle is drawn at an angle of its own.
+        if (
+            x.shape[1] == 2
+        ):  # An axisymmetric flow has two coordinates; each particle is drawn at its own angle about the axis.
             angle = GOLDEN_ANGLE * np.arange(len(x))
             return np.stack([x[:, 0] * np.cos(angle), x[:, 0] * np.sin(angle), x[:, 1]], 1)
         return x

@@ -252,7 +252,7 @@ class MovingParticles(Stepping):
         return step_by_one_thread(self)
 
     def solves(self) -> dict[int, Any]:
-        """Return the working arrays of the linear systems, by what they solve for."""
+        """Return the working arrays of the linear systems, by the name of the unknown."""
         return {VISCOSITY: self.viscous, PRESSURE: self.projection, DENSITY: self.shifting}
 
     def state_arrays(self) -> dict[str, np.ndarray]:

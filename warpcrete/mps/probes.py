@@ -135,7 +135,7 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
 def window(part: np.ndarray, weight: np.ndarray | float = 1.0) -> float:
     """Return the number of particles, weighted with a factor that falls smoothly with height.
 
-    The number stays as at the start if the concrete neither loses nor gains volume.
+    The number keeps its initial value if the concrete neither loses nor gains volume.
     """
     lower, upper = WINDOW
     return float(np.sum(weight * 0.5 * (1 + np.cos(np.pi * np.clip((part - lower) / (upper - lower), 0, 1)))))

@@ -74,7 +74,7 @@ class FluidSimulation(FlowRun):
 
     @property
     def _structure_breaks(self) -> bool:
-        """True if slip breaks the structure that the layer gained at rest, within a reasonable time."""
+        """True if slip breaks, within a reasonable time, the structure that the slip layer gained at rest."""
         scene = self.scene
         return bool(scene.gained) and scene.theory().slip_velocity > MIN_SLIP_RATIO * scene.velocity
 
@@ -93,7 +93,7 @@ class FluidSimulation(FlowRun):
         return UNITS[column]
 
     def display(self, colouring: str | None = None) -> FlowDisplay:
-        """Return the display that recorders draw."""
+        """Return the display, which tells recorders what to draw: particles, walls, colours and curves."""
         return FlowDisplay(self, colouring)
 
     def place_flow(self) -> MovingParticles | GridFlow:

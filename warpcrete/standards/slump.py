@@ -44,7 +44,7 @@ def _spread_of_long_heap(k: Outcome) -> float | None:
 
 
 def _heap(k: Outcome) -> tuple[float, float] | None:
-    """Return radius and depth of a heap that resists being stretched [m]; None unless it is wider than high."""
+    """Return radius and depth of a heap that resists stretching [m]; None unless the heap is wider than high."""
     if k.concrete.yield_stress == 0:
         return None
     reach, depth = heap_at_rest(k.whole, k.concrete.yield_stress, k.concrete.density, k.gravity)

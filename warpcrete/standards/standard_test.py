@@ -1,4 +1,4 @@
-"""Record of a standard test of fresh concrete: what is measured, when the test ends, and which closed forms hold."""
+"""Class that describes a standard test of fresh concrete: measurements, end of the test, and closed forms."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from ..core.run.run import Run
 from ..core.units import number
 
 RESTED = 1.0
-"""Simulated time for which concrete must be slow to count as being at rest [s]."""
+"""Simulated time [s] that concrete must stay slow before it counts as being at rest."""
 FORMATS = {"m": (1e3, " mm", 1, 0), "s": (1.0, " s", 2, 2), "1": (1.0, "", 2, 2)}
-"""Factor and unit in the report by SI unit, and the decimals of a result and of its closed forms."""
+"""For each SI unit: factor and unit in the report, decimals of a result, and decimals of its closed forms."""
 Sizes = Mapping[str, float]
 """Dimensions of a vessel by name [m]."""
 Row = Mapping[str, float]
@@ -55,7 +55,7 @@ class Outcome:
     fill_height: float | None = None
     """Height of settled concrete in a mould before it is lifted [m]; None if concrete fills the mould exactly."""
     concrete: Any = None
-    """Bingham fluid, a :class:`warpcrete.theory.pipe.Concrete`; closed forms use it, and what follows."""
+    """Bingham fluid, a :class:`warpcrete.theory.pipe.Concrete`, for the closed forms."""
     gravity: float = 9.81
     whole: float = 0.0
     """Volume of all concrete [m3]."""
@@ -84,7 +84,10 @@ class ClosedForm:
     of: Callable[[Any], float | None]
     """Function that computes the value from an :class:`Outcome`; it returns None where the form does not hold."""
     is_estimate: bool = True
-    """True if calibrations may start from this value; the last form of a quantity that holds has priority."""
+    """True if calibrations may start from this value.
+
+    Of several such forms of a quantity, the last one that holds has priority.
+    """
 
     @property
     def name(self) -> str:
@@ -217,7 +220,7 @@ def report_unrest(run: Run, test: StandardTest | None) -> Iterator[tuple[str, st
 
 
 def _beside(quantity: Quantity, forms: Sequence[ClosedForm]) -> Callable[[Run], str]:
-    """Return a function that prints a result, and in parentheses what closed forms give."""
+    """Return a function that formats a result, followed by the values of closed forms in parentheses."""
     factor, unit, digits, fewer = FORMATS[quantity.unit]
 
     def words(run: Run) -> str:

@@ -63,12 +63,12 @@ class FreeSettings(Declared):
 class FreeScene(Parametrised, FreeSettings):
     """Concrete in a vessel, about an axis, in a plane or in space; SI units.
 
-    Polygons are sections, which extend through the whole depth of the room.
+    Each polygon is a section of a body that extends through the whole depth of the room.
     """
 
     name: str
     test: StandardTest | None = None
-    """Test whose outcome is measured, if there is one."""
+    """Standard test whose results are measured; None without a test."""
     concrete: Concrete
     axial: bool
     """True for a flow about the axis x = 0; otherwise it is in a plane, per metre of depth, or in space."""
