@@ -18,8 +18,8 @@ def plot_flow(
 ) -> Any:
     """Return a figure of the pressure over time and of velocity profiles, both with theory.
 
-    `particles` (positions, RGB bytes, spacing) are drawn next to them, with a colour bar for `scale` (label, lowest and
-    highest value).
+    `particles` (positions, RGB bytes, spacing) are drawn next to the curves with a colour bar for `scale` (label,
+    lowest and highest value).
     """
     from matplotlib.figure import Figure
 

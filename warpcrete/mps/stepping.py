@@ -57,7 +57,7 @@ class Stepping(ABC):
 
     @abstractmethod
     def solves(self) -> dict[int, Any]:
-        """Return the working arrays of the linear systems, by the name of the unknown."""
+        """Return the working arrays of the linear systems, by solve: VISCOSITY, PRESSURE or DENSITY."""
 
     def stage(self, kernel: Any, dim: Size, *, block: int | None = None, **named: Any) -> Stage:
         """Return a stage that launches `kernel`; parameters not in `named` receive the arrays of the flow."""

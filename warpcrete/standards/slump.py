@@ -7,7 +7,7 @@ from ..theory.vessels import heap_at_rest, long_heap_spread, tall_cone_slump
 from .standard_test import ClosedForm, Outcome, Sizes, Specimen, StandardTest
 
 T500 = 0.5
-"""Spread at which T500 is measured [m] (EN 12350-8)."""
+"""Spread [m] at which the time T500 is read (EN 12350-8)."""
 BESIDE = 0.025
 """Width of the annulus around the J-ring over which the height outside the ring is averaged [m]."""
 MOULD = ("top_diameter", "base_diameter", "mould_height")

@@ -85,14 +85,14 @@ class FreeScene(Parametrised, FreeSettings):
     blocks: tuple[Points, ...] = ()
     """Polygons that are walls."""
     walls: tuple[Wall, ...] = ()
-    """Walls of any shape in space, at rest; concrete is on the side of a closed mesh where the point `amid` lies."""
+    """Three-dimensional walls at rest; concrete is on the side of a closed mesh where the point `amid` lies."""
     amid: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Point of the room where concrete may be [m]."""
+    """Point [m] in the part of the room that is free of walls."""
     sides: Mapping[str, str] = field(default_factory=dict)
     """Kind of each side of the room, by the names in SIDES.
 
     A side is a "wall", a "mirror" (plane of symmetry) or "open" (concrete that reaches it is gone). Sides that are not
-    named are walls, except for the top, which is open, and for an axis.
+    named are walls, with two exceptions: the top is open, and the left side of an axisymmetric flow is the axis.
     """
     gate: Points = ()
     """Polygon of the gate or mould that is lifted; empty if nothing holds the concrete back."""

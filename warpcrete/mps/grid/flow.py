@@ -213,7 +213,7 @@ class GridFlow(Stepping):
 
     @property
     def holdings(self) -> dict[str, Any]:
-        """Objects that hold the flow's memory, by the name of their part."""
+        """Objects that hold the flow's device arrays, by the name under which their memory is reported."""
         systems = self._systems.values()
         return {
             "particles": self.particles, "grid": self.mesh, "walls": [self.geometry, self.state.opened],
@@ -222,7 +222,7 @@ class GridFlow(Stepping):
 
     @property
     def _systems(self) -> dict[int, System]:
-        """Linear systems of velocity, pressure and crowding, by the name of the unknown."""
+        """Linear systems of velocity, pressure and crowding, by solve: VISCOSITY, PRESSURE or DENSITY."""
         found = {VISCOSITY: self.viscous, PRESSURE: self.projection}
         return found if self.dispersion is None else found | {DENSITY: self.dispersion}
 
@@ -407,7 +407,7 @@ class GridFlow(Stepping):
         return [Stage(kernel, tasks, {name: named[name] for name in parameter_names(kernel)}, self.device, block=block)]
 
     def solves(self) -> dict[int, Any]:
-        """Return the working arrays of the linear systems, by the name of the unknown."""
+        """Return the working arrays of the linear systems, by solve: VISCOSITY, PRESSURE or DENSITY."""
         return {what: system.arrays for what, system in self._systems.items()}
 
     def state_arrays(self) -> dict[str, np.ndarray]:

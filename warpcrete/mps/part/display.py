@@ -82,7 +82,7 @@ class PartDisplay(Display):
         return np.tile(palette_colours(values[self._drawn_particles], upper, lower), (len(self._mirror_signs), 1))
 
     def plots(self) -> tuple[Plot, ...]:
-        """Return curves over time of the pressure and of the friction in both straight stretches."""
+        """Return curves over time: the pressure at the start, and the friction gradient in both straight stretches."""
         return (
             Plot("pressure", "Pressure", (
                 Curve("pressure", "at the start [kPa]", lambda row: 1e-3 * row["pressure"], OURS),
