@@ -28,7 +28,7 @@ SHEARED: dict[str, Any] = {
 }  # fmt: skip
 """Name of a self-compacting concrete; in the paper's case, slip makes up only 0.7 of its flow rate."""
 MIN_SLIP_RATIO = 0.9
-"""Minimum ratio of slip to mean velocity for a column on a piston to keep its volume and force balance."""
+"""Minimum ratio of slip to mean velocity at which a column on a piston keeps its volume and force balance."""
 MIN_PARTICLES_ACROSS = 4
 """Minimum number of particles across a pipe when a trade-off between accuracy and run time coarsens the spacing."""
 FLOW = 1500e-6
@@ -222,7 +222,7 @@ def column_scene(
 
 
 def _is_reference_case(given: FlowParameters) -> bool:
-    """Return whether the scene is the paper's own case, with one phase and a slip layer of zero thickness."""
+    """Return whether the scene is the paper's own case: one phase, and a slip layer of zero thickness."""
     free = {"concrete", "spacing", "flow", *(f.name for f in fields(FlowSettings))} - {"gravity", "rest"}
     other = [f.name for f in fields(given) if f.name not in free and getattr(given, f.name) != f.default]
     return not other and given.flow in (None, FLOW)
@@ -273,7 +273,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
         "volume": (abs(result["volume_error"]) < 1e-3, f"largest error {100 * result['volume_error']:+.3f} %"),
         "balance of forces": (abs(balance) < 5e-3, f"{100 * balance:+.2f} % of the piston's force is not balanced"),
     }  # fmt: skip
-    if scene.gained:  # The closed-form theory does not cover structure that partly survives in the bulk.
+    if scene.gained:  # The closed-form theory does not cover thixotropic structure that partly survives in the bulk.
         found = {name: found[name] for name in ("volume", "balance of forces")}
         peak, least, most = (
             number(result["restart_pressure"]),

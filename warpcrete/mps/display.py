@@ -16,7 +16,7 @@ GRAIN = np.array([120, 118, 112], np.uint8)
 MORTAR = np.array([214, 204, 184], np.uint8)
 PIPE = (150, 165, 180, 40)
 GOLDEN_ANGLE = np.pi * (3 - 5**0.5)
-"""Golden angle [rad], by which successive particles are turned about the axis of a tube."""
+"""Golden angle [rad] between successive particles, as they are drawn about the axis of a tube."""
 OURS, THEORY = (215, 95, 30), (150, 150, 150)
 
 
@@ -156,7 +156,7 @@ class FlowDisplay(Display):
         return self.simulation.scene.velocity * (0.05 if duration is None else duration)
 
     def bounds(self) -> np.ndarray:
-        """Return the lowest and highest corner of all that the column passes through [m], shape (2, 3)."""
+        """Return the lowest and highest corner of the space that the column passes through [m], shape (2, 3)."""
         size = self.simulation.state.layout.height + self._travel()
         # Long columns fill the picture by their length, short ones by their width.
         across = max(0.0, 4 * self.simulation.scene.radius - size)

@@ -29,17 +29,17 @@ class Specimen:
     """Concrete in a vessel at one moment, as a simulation method measures it; all lengths are in metres."""
 
     top: Callable[[float], float]
-    """Height of the surface within a radius of the axis."""
+    """Function of a radius: height of the surface within this radius of the axis."""
     spread: Callable[[], float]
     """Diameter of a heap."""
     height_around: Callable[[float, float], float]
-    """Mean height of the surface between two radii about the axis."""
+    """Function of two radii about the axis: mean height of the surface between them."""
     depth: Callable[[float, float, float], float]
-    """Depth between two places along a box, whose width is the third argument."""
+    """Function of two places along a box and the box's width: depth of the concrete between the places."""
     front: Callable[[], float]
     """Distance that the concrete reaches along a box."""
     screen: Callable[[float, float], float]
-    """Fraction of an outlet of this width and breadth through which no light is seen from above."""
+    """Function of an outlet's width and breadth: covered fraction of the outlet, seen from above."""
     inside: float
     """Fraction of the concrete that is still in the vessel."""
 

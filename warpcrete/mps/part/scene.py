@@ -65,7 +65,7 @@ class PartSettings(Declared):
 
 @dataclass(frozen=True)
 class Section:
-    """Piece of a part of a line, such as a bend or a taper, between two arc lengths of the axis."""
+    """Piece of a part, such as a bend or a taper, between two arc lengths of the axis."""
 
     kind: str
     """Kind of the piece, such as "straight", "bend" or "taper"."""
