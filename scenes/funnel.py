@@ -49,7 +49,7 @@ def scene(parameters: FunnelParameters) -> FreeScene:
     if given.spacing > min(given.outlet_width, given.breadth) / 4:
         refuse("spacing", given.spacing, "must leave room for four cells across the outlet",
                f"use {min(given.outlet_width, given.breadth) / 4:.2g} m or less")  # fmt: skip
-    # Fit a whole number of cells into the height of the funnel; a few more rows lie above it.
+    # Fit a whole number of cells into the height of the funnel; a few more rows of cells lie above the funnel.
     rows = max(8, round(whole / given.spacing))
     cell = whole / rows
     width, out = cell * math.ceil(max(brim, narrow) / cell + 1), 10 * cell

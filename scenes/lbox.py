@@ -111,7 +111,7 @@ def scene(parameters: BoxParameters) -> FreeScene:
 
 def _bars(given: BoxParameters, place: float) -> Iterator[MeshWall]:
     """Yield the upright bars in the simulated half of the box; a bar in the middle plane is complete."""
-    import trimesh  # importing takes half a second, which other scenes avoid
+    import trimesh  # A local import, because it takes half a second.
 
     pitch = GAPS[given.bars] + given.bar_diameter
     first = 0.0 if given.bars % 2 else pitch / 2

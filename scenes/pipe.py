@@ -50,9 +50,9 @@ PUBLISHED = {
 PAPER_CONCRETES = ("zhan", "zhan-table1")
 """Concretes for which reports show the paper's results."""
 MIN_AGGREGATES = 30
-"""Minimum number of aggregates; fewer of them do not represent concrete."""
+"""Minimum number of aggregates; a smaller number does not represent concrete."""
 MAX_LEAK = 0.01
-"""Largest fraction of the aggregates that may slip past the plug."""
+"""Maximum fraction of the aggregates that may slip past the plug."""
 PAUSE_LEFT_AT_REST = 0.05
 """Fraction of the last pause that is still to come when the long rest begins."""
 SLICES, MAX_SLICES = 2.0, 1000

@@ -21,7 +21,7 @@ With a width of 3 the solves take a tenth fewer iterations but need twice as man
 quarter more iterations.
 """
 LEAST = 12.0
-"""Minimum height of a column, in cubes, for a coarse grid; for lower columns the diagonal preconditioner is as fast."""
+"""Minimum height of a column, in cubes, for a coarse grid; lower columns are solved as fast without one."""
 ABOVE = 1.1
 """Height of the grid of cubes, relative to the column's height; particles above the grid belong to the topmost
 cubes.
@@ -29,7 +29,7 @@ cubes.
 
 
 class CoarseGrid:
-    """Grid of cubes around a column; all neighbours of a particle lie in its own cube or in those around it."""
+    """Grid of cubes around a column; all neighbours of a particle lie in its own cube or in an adjacent cube."""
 
     def __init__(self, structs: Any, scalar: Any, layout: Any, radius: float, reach: float, device: Any) -> None:
         """Build the cubes for the `layout` of a column, the pipe's `radius` [m] and the neighbours' `reach` [m]."""
@@ -48,7 +48,7 @@ class CoarseGrid:
         self.arrays.neighbour = wp.array(self._neighbours().ravel(), dtype=wp.int32, device=device)
 
     def _neighbours(self) -> np.ndarray:
-        """Return the cubes around each cube, the first axis fastest, -1 where there is none; shape (3^axes, cubes)."""
+        """Return indices of the cubes around each cube, -1 if missing; first axis fastest, shape (3^axes, cubes)."""
         axes, found = len(self.cells), []
         at = np.stack(np.unravel_index(np.arange(self.count), self.cells, order="F"), 1)
         for step in np.ndindex((3,) * axes):

@@ -26,9 +26,9 @@ SHEARED: dict[str, Any] = {
     "concrete": "own", "viscosity": 30.0, "yield_stress": 40.0, "slip_viscosity": 1000.0, "slip_yield": 20.0,
     "density": 2350.0,
 }  # fmt: skip
-"""Name of a self-compacting concrete; in the paper's case, slip carries only 0.7 of its flow."""
+"""Name of a self-compacting concrete; in the paper's case, slip makes up only 0.7 of its flow rate."""
 MIN_SLIP_RATIO = 0.9
-"""Minimum ratio of slip to mean velocity for a column on a piston to keep its volume and force balance."""
+"""Minimum ratio of slip to mean velocity at which a column on a piston keeps its volume and force balance."""
 MIN_PARTICLES_ACROSS = 4
 """Minimum number of particles across a pipe when a trade-off between accuracy and run time coarsens the spacing."""
 FLOW = 1500e-6
@@ -68,7 +68,7 @@ class ConcreteParameters:
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        """Return the section of a concrete file that holds these parameters, and the names that it may contain."""
+        """Return the name of the section of a concrete file for these parameters, and the names allowed in it."""
         return "flow", CONSTANTS
 
     @classmethod
@@ -222,7 +222,7 @@ def column_scene(
 
 
 def _is_reference_case(given: FlowParameters) -> bool:
-    """Return whether the scene is the paper's own case, with one phase and a slip layer of zero thickness."""
+    """Return whether the scene is the paper's own case: one phase, and a slip layer of zero thickness."""
     free = {"concrete", "spacing", "flow", *(f.name for f in fields(FlowSettings))} - {"gravity", "rest"}
     other = [f.name for f in fields(given) if f.name not in free and getattr(given, f.name) != f.default]
     return not other and given.flow in (None, FLOW)
@@ -233,7 +233,7 @@ ACCURACY = {2: 0.01, 3: 0.02}
 TWO_PHASE_ACCURACY = 0.03
 """Accepted error of the pressure in two phases, which may deviate more from the theory of one fluid."""
 WALL_ACCURACY = {True: 0.05, False: 0.03}
-"""Accepted error of the wall stress in two phases (True) and in one (False).
+"""Accepted error of the wall stress in two phases (key True) and in one phase (key False).
 
 Weight dominates the pressure and would hide an error of the wall stress there.
 """
@@ -273,7 +273,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
         "volume": (abs(result["volume_error"]) < 1e-3, f"largest error {100 * result['volume_error']:+.3f} %"),
         "balance of forces": (abs(balance) < 5e-3, f"{100 * balance:+.2f} % of the piston's force is not balanced"),
     }  # fmt: skip
-    if scene.gained:  # The closed-form theory does not cover structure that partly survives in the bulk.
+    if scene.gained:  # The closed-form theory does not cover thixotropic structure that partly survives in the bulk.
         found = {name: found[name] for name in ("volume", "balance of forces")}
         peak, least, most = (
             number(result["restart_pressure"]),

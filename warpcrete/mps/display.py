@@ -16,7 +16,7 @@ GRAIN = np.array([120, 118, 112], np.uint8)
 MORTAR = np.array([214, 204, 184], np.uint8)
 PIPE = (150, 165, 180, 40)
 GOLDEN_ANGLE = np.pi * (3 - 5**0.5)
-"""Golden angle [rad], by which successive particles are turned about the axis of a tube."""
+"""Golden angle [rad] between successive particles, as they are drawn about the axis of a tube."""
 OURS, THEORY = (215, 95, 30), (150, 150, 150)
 
 
@@ -28,7 +28,7 @@ class FlowDisplay(Display):
 
     @property
     def preferred(self) -> str:
-        """Colouring that is used unless another one is chosen."""
+        """Default colouring of the particles."""
         return "speed" if self.simulation.scene.aggregates is None else "phase"
 
     @property
@@ -52,7 +52,9 @@ class FlowDisplay(Display):
         x[:, -1] += self.simulation.scene.velocity * self.time
         if self.simulation.scene.dimensions == 2:
             return np.insert(x, 1, 0.0, axis=1)
-        if x.shape[1] == 2:  # A flow about the axis is two-dimensional; each particle is drawn at an angle of its own.
+        if (
+            x.shape[1] == 2
+        ):  # An axisymmetric flow has two coordinates; each particle is drawn at its own angle about the axis.
             angle = GOLDEN_ANGLE * np.arange(len(x))
             return np.stack([x[:, 0] * np.cos(angle), x[:, 0] * np.sin(angle), x[:, 1]], 1)
         return x
@@ -154,7 +156,7 @@ class FlowDisplay(Display):
         return self.simulation.scene.velocity * (0.05 if duration is None else duration)
 
     def bounds(self) -> np.ndarray:
-        """Return the lowest and highest corner of all that the column passes through [m], shape (2, 3)."""
+        """Return the lowest and highest corner of the space that the column passes through [m], shape (2, 3)."""
         size = self.simulation.state.layout.height + self._travel()
         # Long columns fill the picture by their length, short ones by their width.
         across = max(0.0, 4 * self.simulation.scene.radius - size)

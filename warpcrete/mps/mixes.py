@@ -15,7 +15,7 @@ from ..mix.mix import completed, mix_named
 from ..theory.pipe import SLIP_VISCOSITY_BY_THICKNESS, Concrete
 
 CONSTANTS = ("density", "viscosity", "yield_stress", "slip_viscosity", "slip_yield")
-"""Names of the constants of a concrete; a given value replaces that of a named concrete."""
+"""Names of the constants of a concrete; a value given as a parameter replaces the named concrete's value."""
 AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mortar_yield")
 """Names of the parameters of the coarse aggregate in a two-phase flow."""
 
@@ -23,9 +23,9 @@ AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mo
 def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | None) -> Concrete:
     """Return a concrete by name or from a file, or `own` with all five :data:`CONSTANTS`.
 
-    Given constants replace those of the named concrete. If the thickness [m] of the slip layer is listed in Table 3 of
-    Xu, Li & Jiang 2021, eta_L is taken from that table. Raises :class:`SceneError` if constants are missing, also that
-    of the layer.
+    Given constants replace those of the named concrete. For a concrete in Table 3 of Xu, Li & Jiang 2021, the slip
+    viscosity is taken from that table if the slip layer has a thickness [m] and no slip viscosity is given. Raises
+    :class:`SceneError` if constants are missing, or if the table does not list the thickness.
     """
     given = {key: value for key, value in constants.items() if value is not None}
     named = {} if len(given) == len(CONSTANTS) else _flow_of(name)

@@ -25,7 +25,8 @@ from .stages import step_by_one_thread, step_stages
 from .state import DENSITY_REACH, OPERATOR_REACH, FluidState, flow_numbers
 from .stepping import Stepping
 
-SKIN = 0.1  # Skin of the neighbour lists in spacings. The column moves as a whole, so lists last some eighty steps.
+# Skin of the neighbour lists in particle spacings. The column moves as a whole, so lists last some eighty steps.
+SKIN = 0.1
 CORRECTION = 0.2  # Fraction of the density error that one step removes.
 HISTORY = 256  # Maximum number of iterations of a solve whose residuals are kept.
 
@@ -110,8 +111,8 @@ class MovingParticles(Stepping):
     def _coarse(self) -> CoarseGrid | None:
         """Return the coarse grid that preconditions the solves, or None if a coarse grid is of no use.
 
-        The coarse grid cannot serve rigid grains, which are larger than its cubes. For short columns the diagonal
-        preconditioner alone is as fast.
+        The coarse grid cannot serve rigid grains, which are larger than its cubes. Short columns are
+        solved as fast with the diagonal preconditioner alone.
         """
         layout, reach = self.state.layout, self._list_reach[0]
         if self.grains is not None or layout.height < LEAST * WIDTH * layout.spacing:
@@ -137,7 +138,7 @@ class MovingParticles(Stepping):
 
     @property
     def holdings(self) -> dict[str, Any]:
-        """Objects that hold the flow's memory, by the name of their part."""
+        """Objects that hold the flow's device arrays, by the name under which their memory is reported."""
         solves = self.viscous, self.projection, self.shifting
         return {"particles": self.particles, "neighbours": self.lists, "matrix": self.matrix, "solves": solves}
 
@@ -155,7 +156,7 @@ class MovingParticles(Stepping):
         return (OPERATOR_REACH + SKIN) * self.state.layout.spacing, (DENSITY_REACH + SKIN) * self.state.layout.spacing
 
     def _reserve(self) -> None:
-        """Allocate list rows for 1.6 times the neighbours that the lattice has, to leave room for crowded regions."""
+        """Allocate list rows for 1.6 times the neighbours of the initial lattice, to leave room for crowded regions."""
         d, n = self.scene.dimensions, self.count
         ball = math.pi if d == 2 else 4 / 3 * math.pi
         near, whole = (ball * (reach / self.state.layout.spacing) ** d for reach in self._list_reach)
@@ -252,7 +253,7 @@ class MovingParticles(Stepping):
         return step_by_one_thread(self)
 
     def solves(self) -> dict[int, Any]:
-        """Return the working arrays of the linear systems, by what they solve for."""
+        """Return the working arrays of the linear systems, by solve: VISCOSITY, PRESSURE or DENSITY."""
         return {VISCOSITY: self.viscous, PRESSURE: self.projection, DENSITY: self.shifting}
 
     def state_arrays(self) -> dict[str, np.ndarray]:

@@ -18,8 +18,8 @@ def plot_flow(
 ) -> Any:
     """Return a figure of the pressure over time and of velocity profiles, both with theory.
 
-    `particles` (positions, RGB bytes, spacing) are drawn next to them, with a colour bar for `scale` (label, lowest and
-    highest value).
+    `particles` (positions, RGB bytes, spacing) are drawn next to the curves with a colour bar for `scale` (label,
+    lowest and highest value).
     """
     from matplotlib.figure import Figure
 
@@ -45,7 +45,7 @@ def _pressure(axes: Any, run: Run) -> None:
         )
     piston = run.scene.ends == "piston"
     axes.set(xlabel="time [s]", ylabel=f"pressure {'on the piston' if piston else 'over the stretch'} [kPa]")
-    # The first rows are far below the others and would spoil the range of the axis.
+    # The pressures of the first rows are far below all later ones and would stretch the axis.
     shown = np.append(run.series["pressure"][2:] / 1e3, theory)
     lowest, highest = np.nanmin(shown), np.nanmax(shown)
     if np.isfinite(lowest + highest):

@@ -15,7 +15,7 @@ MIDDLE = (0.4, 0.6)
 STRAIGHT = (0.2, 0.8)
 """Range of heights, relative to the column's height, in which the pressure gradient is measured."""
 LOWEST = 0.1
-"""Height, relative to the column's, up to which pressures are fitted and extrapolated to the piston."""
+"""Height, relative to the column's height, of the zone whose pressures are extrapolated to the piston."""
 WINDOW = (0.65, 0.85)
 """Heights, relative to the column's, between which a particle's weight in the volume measurement falls from one to
 zero.
@@ -71,7 +71,7 @@ class Snapshot:
 
 
 def section(flow: MovingParticles) -> float:
-    """Return the cross section of the pipe [m2], or that of a channel per metre of depth."""
+    """Return the cross section of the pipe [m2]; for a channel, the cross section per metre of depth [m]."""
     return 2 * flow.scene.radius if flow.scene.dimensions == 2 else math.pi * flow.scene.radius**2
 
 
@@ -135,7 +135,7 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
 def window(part: np.ndarray, weight: np.ndarray | float = 1.0) -> float:
     """Return the number of particles, weighted with a factor that falls smoothly with height.
 
-    The number stays as at the start if the concrete neither loses nor gains volume.
+    The number keeps its initial value if the concrete neither loses nor gains volume.
     """
     lower, upper = WINDOW
     return float(np.sum(weight * 0.5 * (1 + np.cos(np.pi * np.clip((part - lower) / (upper - lower), 0, 1)))))

@@ -26,7 +26,7 @@ class FlowRun(Simulation):
         """Start an empty series; the particles are placed later, because they take memory."""
         self._rows: list[dict[str, float]] = []
         self.steady = False
-        """True once the flow has reached the state at which it ends: it is steady or at rest."""
+        """True once the flow has become steady or, with a free surface, come to rest."""
 
     @abstractmethod
     def place_flow(self) -> Any:

@@ -30,7 +30,7 @@ TYPICAL_DURATION = 0.03
 PROFILE_HEIGHTS = (0.2, 0.5, 0.8)
 """Heights of the result's velocity profiles, relative to the column's height (Xu et al. 2021, Fig. 18)."""
 MAX_BREAKDOWN_TIMES = 6.0
-"""Maximum duration of a flow, in units of the time in which slip breaks the layer's structure down to 1/e."""
+"""Maximum duration of a flow, in units of the time in which slip reduces the layer's structure to 1/e."""
 MIN_SLIP_RATIO = 0.1
 """Ratio of slip to mean velocity below which a run does not wait until the layer's structure is broken."""
 MAX_STRUCTURE_LEFT = 0.01
@@ -74,7 +74,7 @@ class FluidSimulation(FlowRun):
 
     @property
     def _structure_breaks(self) -> bool:
-        """True if slip breaks the structure that the layer gained at rest, within a reasonable time."""
+        """True if slip breaks, within a reasonable time, the structure that the slip layer gained at rest."""
         scene = self.scene
         return bool(scene.gained) and scene.theory().slip_velocity > MIN_SLIP_RATIO * scene.velocity
 
@@ -93,7 +93,7 @@ class FluidSimulation(FlowRun):
         return UNITS[column]
 
     def display(self, colouring: str | None = None) -> FlowDisplay:
-        """Return the display that recorders draw."""
+        """Return the display, which tells recorders what to draw: particles, walls, colours and curves."""
         return FlowDisplay(self, colouring)
 
     def place_flow(self) -> MovingParticles | GridFlow:

@@ -190,7 +190,7 @@ class StepPart:
 
     @property
     def rate(self) -> float:
-        """Force per volume that changes a velocity by 1 m/s within a step [kg/m3/s]."""
+        """Density divided by the time step [kg/m3/s]: force per volume that changes a velocity by 1 m/s in a step."""
         return self.scene.concrete.density / self.scene.time_step
 
     def solve(self, system: Any, what: int, x: Any, tolerance: float, absolute: float) -> list[Any]:

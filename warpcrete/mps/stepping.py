@@ -29,7 +29,7 @@ LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}  # Maximum number of steps 
 GRAPHS_PER_CHECK = 4  # Number of graphs of the largest size that are launched between two reads of the flags.
 SOLVE_NAMES = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
 MAX_CONCURRENT_FLOWS = 64
-"""Maximum number of flows that run on one GPU at a time."""
+"""Maximum number of flows that run on one GPU at the same time."""
 
 
 class Stepping(ABC):
@@ -57,7 +57,7 @@ class Stepping(ABC):
 
     @abstractmethod
     def solves(self) -> dict[int, Any]:
-        """Return the working arrays of the linear systems, by what they solve for."""
+        """Return the working arrays of the linear systems, by solve: VISCOSITY, PRESSURE or DENSITY."""
 
     def stage(self, kernel: Any, dim: Size, *, block: int | None = None, **named: Any) -> Stage:
         """Return a stage that launches `kernel`; parameters not in `named` receive the arrays of the flow."""
@@ -228,10 +228,10 @@ def run_abreast(
 ) -> list[Run | BaseException]:
     """Run flows of one device and return the run or the error of each.
 
-    On a GPU as many flows as it has room for run at the same time, each on its own stream; on a CPU they run in turn.
+    On a GPU, as many flows as fit run at the same time, each on its own stream. On a CPU the flows run in turn.
     All flows launch together and are checked together, because reading an array waits for the whole device. Each flow
     gives the same bits as when it runs alone, and a failure does not affect the others. After an interruption (Ctrl-C)
-    unfinished runs are returned as such, and `KeyboardInterrupt` stands for those that had not begun.
+    unfinished runs are returned unfinished; `KeyboardInterrupt` takes the place of runs that had not begun.
     """
     if len(simulations) < 2 or not parallel(simulations[0].device):
         return run_in_turn(simulations, checkpoints, progress)

@@ -7,7 +7,7 @@ from ..theory.vessels import heap_at_rest, long_heap_spread, tall_cone_slump
 from .standard_test import ClosedForm, Outcome, Sizes, Specimen, StandardTest
 
 T500 = 0.5
-"""Spread at which T500 is measured [m] (EN 12350-8)."""
+"""Spread [m] at which the time T500 is read (EN 12350-8)."""
 BESIDE = 0.025
 """Width of the annulus around the J-ring over which the height outside the ring is averaged [m]."""
 MOULD = ("top_diameter", "base_diameter", "mould_height")
@@ -44,7 +44,7 @@ def _spread_of_long_heap(k: Outcome) -> float | None:
 
 
 def _heap(k: Outcome) -> tuple[float, float] | None:
-    """Return radius and depth of a heap that resists being stretched [m]; None unless it is wider than high."""
+    """Return radius and depth of a heap that resists stretching [m]; None unless the heap is wider than high."""
     if k.concrete.yield_stress == 0:
         return None
     reach, depth = heap_at_rest(k.whole, k.concrete.yield_stress, k.concrete.density, k.gravity)

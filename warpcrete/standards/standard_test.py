@@ -1,4 +1,4 @@
-"""Record of a standard test of fresh concrete: what is measured, when the test ends, and which closed forms hold."""
+"""Class that describes a standard test of fresh concrete: measurements, end of the test, and closed forms."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from ..core.run.run import Run
 from ..core.units import number
 
 RESTED = 1.0
-"""Simulated time for which concrete must be slow to count as being at rest [s]."""
+"""Simulated time [s] that concrete must stay slow before it counts as being at rest."""
 FORMATS = {"m": (1e3, " mm", 1, 0), "s": (1.0, " s", 2, 2), "1": (1.0, "", 2, 2)}
-"""Factor and unit in the report by SI unit, and the decimals of a result and of its closed forms."""
+"""For each SI unit: factor and unit in the report, decimals of a result, and decimals of its closed forms."""
 Sizes = Mapping[str, float]
 """Dimensions of a vessel by name [m]."""
 Row = Mapping[str, float]
@@ -29,17 +29,17 @@ class Specimen:
     """Concrete in a vessel at one moment, as a simulation method measures it; all lengths are in metres."""
 
     top: Callable[[float], float]
-    """Height of the surface within a radius of the axis."""
+    """Function of a radius: height of the surface within this radius of the axis."""
     spread: Callable[[], float]
     """Diameter of a heap."""
     height_around: Callable[[float, float], float]
-    """Mean height of the surface between two radii about the axis."""
+    """Function of two radii about the axis: mean height of the surface between them."""
     depth: Callable[[float, float, float], float]
-    """Depth between two places along a box, whose width is the third argument."""
+    """Function of two places along a box and the box's width: depth of the concrete between the places."""
     front: Callable[[], float]
     """Distance that the concrete reaches along a box."""
     screen: Callable[[float, float], float]
-    """Fraction of an outlet of this width and breadth through which no light is seen from above."""
+    """Function of an outlet's width and breadth: covered fraction of the outlet, seen from above."""
     inside: float
     """Fraction of the concrete that is still in the vessel."""
 
@@ -55,7 +55,7 @@ class Outcome:
     fill_height: float | None = None
     """Height of settled concrete in a mould before it is lifted [m]; None if concrete fills the mould exactly."""
     concrete: Any = None
-    """Bingham fluid, a :class:`warpcrete.theory.pipe.Concrete`; closed forms use it, and what follows."""
+    """Bingham fluid, a :class:`warpcrete.theory.pipe.Concrete`, for the closed forms."""
     gravity: float = 9.81
     whole: float = 0.0
     """Volume of all concrete [m3]."""
@@ -84,7 +84,10 @@ class ClosedForm:
     of: Callable[[Any], float | None]
     """Function that computes the value from an :class:`Outcome`; it returns None where the form does not hold."""
     is_estimate: bool = True
-    """True if calibrations may start from this value; the last form of a quantity that holds has priority."""
+    """True if calibrations may start from this value.
+
+    Of several such forms of a quantity, the last one that holds has priority.
+    """
 
     @property
     def name(self) -> str:
@@ -217,7 +220,7 @@ def report_unrest(run: Run, test: StandardTest | None) -> Iterator[tuple[str, st
 
 
 def _beside(quantity: Quantity, forms: Sequence[ClosedForm]) -> Callable[[Run], str]:
-    """Return a function that prints a result, and in parentheses what closed forms give."""
+    """Return a function that formats a result, followed by the values of closed forms in parentheses."""
     factor, unit, digits, fewer = FORMATS[quantity.unit]
 
     def words(run: Run) -> str:

@@ -25,7 +25,7 @@ MAX_SHOWN_SHEAR_RATE = 5.0
 class FreeDisplay(Display):
     """Display of a free-surface flow: particles coloured by shear rate, by speed or by pressure.
 
-    About an axis a particle stands for a ring. At a plane of symmetry the mirror image is drawn as well.
+    In axisymmetric flow a particle stands for a ring. At a plane of symmetry the mirror image is drawn as well.
     """
 
     colourings: ClassVar = ("shear", "speed", "pressure")
@@ -42,7 +42,7 @@ class FreeDisplay(Display):
 
     @property
     def _mirrored(self) -> list[tuple[float, float]]:
-        """Signs of x and y for each image that is drawn of a room in space, the original included."""
+        """Signs of x and y for each mirror image of a three-dimensional room, the original included."""
         sides = self.simulation.scene.sides
         if not self._solid:
             return [(1.0, 1.0)]
@@ -124,7 +124,7 @@ class FreeDisplay(Display):
         return np.tile(palette_colours(values[found], upper, lower), (copies, 1))
 
     def plots(self) -> tuple[Plot, ...]:
-        """Return curves of the concrete's width, height and speed over time, or for a funnel of what remains in it."""
+        """Return curves over time: the concrete's width, height and speed, or for a funnel the concrete left in it."""
         word = "spread" if self._axial else "position of the front"
         test = self.simulation.scene.test
         if test and test.outflow:
@@ -144,7 +144,7 @@ class FreeDisplay(Display):
 
     @property
     def cut(self) -> float | None:
-        """Coordinate y [m] of the cutting plane of a room in space; None for others, whose section is open already."""
+        """Coordinate y [m] of the cutting plane of a room in space; None for two-dimensional rooms."""
         return super().cut if self._solid else None
 
     def walls(self) -> list[DrawnWall]:

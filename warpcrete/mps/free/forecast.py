@@ -14,7 +14,7 @@ from .scene import FreeScene
 from .simulation import FreeSimulation
 
 DURATION_FACTOR = 1.2
-"""Ratio of a funnel's emptying time to its estimate, which ignores stretching in the taper; measured 1.0 to 1.3."""
+"""Ratio of a funnel's emptying time to an estimate without stretching in the taper; measured 1.0 to 1.3."""
 COARSE_CELLS_HIGH = 12
 """Number of cells over the concrete's initial height in the coarser copy."""
 
@@ -57,7 +57,7 @@ def course_of(simulation: FreeSimulation) -> Course:
     spacing = min(max(scene.spacing, height / COARSE_CELLS_HIGH), min(np.ptp(scene.extent, axis=0)) / 4)
     run, reached, remarks = coarser_run(simulation, "the concrete is not at rest", spacing=spacing)
     if run is not None and scene.step_error:
-        # The finer flow has the same error in a step, but its concrete crosses the smaller cells in less time.
+        # The finer flow has the same error per step, but its concrete crosses the smaller cells in less time.
         passed = np.diff(run.series["time"]) * run.series["fastest"][1:] / scene.spacing
         mean = reached / float(np.maximum(np.diff(run.series["steps"]), passed).sum())
     return Course(reached, mean, remarks)

@@ -34,13 +34,13 @@ A flow with a free surface needs more particles than a pipe flow.
 THREE_POINTS = 0.125, 0.5, 0.875
 """Positions of three particles along a cell, in cell widths.
 
-There their hat-function weights add up to those of an evenly filled cell: 0.75 about its own middle and 0.125 about the
-middle of each neighbour.
+At these positions, the particles' hat-function weights add up to the weights of an evenly filled cell: 0.75 about the
+cell's own middle and 0.125 about the middle of each neighbour.
 """
 SAMPLES_PER_CELL = {2: 8, 3: 4}
 """Number of sample points of a cell along each axis for the fraction that concrete fills."""
 MAX_MASS = 3.0
-"""Maximum mass of a particle, relative to a whole particle; the minimum is the inverse."""
+"""Maximum mass of a particle, relative to a particle of normal mass; the minimum is 1 / MAX_MASS."""
 NEVER_OPENS = 1e30
 """Opening time [s] that stands for cells that never open."""
 

@@ -9,7 +9,7 @@ from ..grid.flow import GridFlow
 from ..grid.layout import GridLayout
 
 HALF = 0.5
-"""Minimum filled fraction of a cell whose velocity counts."""
+"""Minimum filled fraction of a cell for its velocity to enter the measured speeds."""
 UNITS = {
     "time": "s",
     "top": "m",
@@ -37,7 +37,7 @@ def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
 def bases(flow: GridFlow) -> np.ndarray:
     """Return the height at which the concrete in each column of cells begins [m], 0 where there is none.
 
-    The part of a partly filled cell that is wall counts as lying below the concrete.
+    In a cell that a wall cuts, the wall's part counts as lying below the concrete.
     """
     step, room = flow.state.layout.step, flow.state.cells("room")
     full = flow.state.cells("fill") * room
@@ -57,7 +57,7 @@ def reach(flow: GridFlow) -> float:
 
 
 def volume(flow: GridFlow) -> float:
-    """Return the volume of the concrete in the cells [m3], in a plane per metre of depth, about an axis per radian."""
+    """Return the concrete's volume [m3]: in plane flow per metre of depth, in axisymmetric flow per radian."""
     layout = flow.state.layout
     full = flow.state.cells("fill") * flow.state.cells("room")
     if layout.axial:

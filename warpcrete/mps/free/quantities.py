@@ -22,11 +22,11 @@ SAMPLES = 30
 
 
 def outcome(scene: FreeScene, series: Mapping[str, np.ndarray], volume: float) -> Outcome | None:
-    """Return the data of a run from which the results of its test follow; None if there is no test.
+    """Return the data from which the results of a run's test are computed; None if there is no test.
 
     `volume` is the initial volume of the concrete [m3], in a plane per metre of depth and about an axis per radian.
     """
-    # Planes of symmetry double the concrete.
+    # Each plane of symmetry doubles the volume, because only one half is simulated.
     around = 2 * math.pi if scene.axial else 2 ** list(scene.sides.values()).count(MIRROR)
     concrete = dict(concrete=scene.concrete, gravity=scene.gravity, whole=around * volume)
     return Outcome(scene.test, scene.dimensions, series, **concrete) if scene.test else None
@@ -71,7 +71,7 @@ def expected(scene: FreeScene) -> dict[str, float]:
 def start_volume(scene: FreeScene) -> float:
     """Return the initial volume of the concrete [m3].
 
-    About an axis the volume is that per radian, in a plane that per metre of depth, in space the whole.
+    The volume is per radian in axisymmetric flow, per metre of depth in plane flow, and the whole in space.
     """
     held = (*scene.blocks, scene.gate) if scene.gate else scene.blocks
     area = section_area(scene.outline, held, width=scene.width, height=scene.height, axial=scene.axial)

@@ -63,12 +63,12 @@ class FreeSettings(Declared):
 class FreeScene(Parametrised, FreeSettings):
     """Concrete in a vessel, about an axis, in a plane or in space; SI units.
 
-    Polygons are sections, which extend through the whole depth of the room.
+    Each polygon is a section of a body that extends through the whole depth of the room.
     """
 
     name: str
     test: StandardTest | None = None
-    """Test whose outcome is measured, if there is one."""
+    """Standard test whose results are measured; None without a test."""
     concrete: Concrete
     axial: bool
     """True for a flow about the axis x = 0; otherwise it is in a plane, per metre of depth, or in space."""
@@ -85,14 +85,14 @@ class FreeScene(Parametrised, FreeSettings):
     blocks: tuple[Points, ...] = ()
     """Polygons that are walls."""
     walls: tuple[Wall, ...] = ()
-    """Walls of any shape in space, at rest; concrete is on the side of a closed mesh where the point `amid` lies."""
+    """Three-dimensional walls at rest; concrete is on the side of a closed mesh where the point `amid` lies."""
     amid: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Point of the room where concrete may be [m]."""
+    """Point [m] in the part of the room that is free of walls."""
     sides: Mapping[str, str] = field(default_factory=dict)
     """Kind of each side of the room, by the names in SIDES.
 
     A side is a "wall", a "mirror" (plane of symmetry) or "open" (concrete that reaches it is gone). Sides that are not
-    named are walls, except for the top, which is open, and for an axis.
+    named are walls, with two exceptions: the top is open, and the left side of an axisymmetric flow is the axis.
     """
     gate: Points = ()
     """Polygon of the gate or mould that is lifted; empty if nothing holds the concrete back."""

@@ -40,7 +40,7 @@ class FreeSimulation(FlowRun):
         return UNITS.get(column) or self.scene.test.columns[column]  # type: ignore[union-attr]
 
     def display(self, colouring: str | None = None) -> FreeDisplay:
-        """Return the display that recorders draw."""
+        """Return the display, which tells recorders what to draw: particles, walls, colours and curves."""
         return FreeDisplay(self, colouring)
 
     def place_flow(self) -> GridFlow:
@@ -48,7 +48,7 @@ class FreeSimulation(FlowRun):
         check_memory(free_cells(self.scene), self.device, self.precision)
         layout = free_layout(self.scene)
         self.volume = float(np.sum(layout.mass)) * layout.volume
-        """Initial volume of the concrete [m3], in a plane per metre of depth and about an axis per radian."""
+        """Initial volume of the concrete [m3]; in plane flow per metre of depth, in axisymmetric flow per radian."""
         return GridFlow(GridState(self.scene, layout, self.device, self.precision))
 
     def measured(self) -> dict[str, float]:
@@ -70,7 +70,7 @@ class FreeSimulation(FlowRun):
 
     @property
     def lift_end(self) -> float:
-        """Time from which on no gate holds the concrete back [s]."""
+        """Time at which the gate stops holding the concrete back [s]."""
         scene = self.scene
         return max(y for _, y in scene.gate) / scene.lift_speed if scene.gate else 0.0
 

@@ -48,7 +48,7 @@ EXTRAPOLATED_CELLS = 3  # Number of cells beyond the concrete, in air and walls,
 DISPERSION_TOLERANCES = 0.1, 1e-5
 MIN_RELATIVE_SPEED = 0.05
 """Minimum speed, relative to the typical speed of the flow, to which the error of a step is compared."""
-UNREACHABLE_STEPS = 2**31 - 1  # This number of steps is never reached by a run.
+UNREACHABLE_STEPS = 2**31 - 1  # Number of steps that no run ever reaches.
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class GridFlow(Stepping):
     """Flow on a grid, which advances its state in time."""
 
     next_step: float
-    """Length of the next step, unless it must end earlier [s]."""
+    """Length of the next step [s], unless the step must end earlier to meet the goal."""
     threads = 1
     """Number of CPU threads that work on the flow."""
     rebuilds = 0
@@ -213,7 +213,7 @@ class GridFlow(Stepping):
 
     @property
     def holdings(self) -> dict[str, Any]:
-        """Objects that hold the flow's memory, by the name of their part."""
+        """Objects that hold the flow's device arrays, by the name under which their memory is reported."""
         systems = self._systems.values()
         return {
             "particles": self.particles, "grid": self.mesh, "walls": [self.geometry, self.state.opened],
@@ -222,7 +222,7 @@ class GridFlow(Stepping):
 
     @property
     def _systems(self) -> dict[int, System]:
-        """Linear systems of velocity, pressure and crowding, by what they solve for."""
+        """Linear systems of velocity, pressure and crowding, by solve: VISCOSITY, PRESSURE or DENSITY."""
         found = {VISCOSITY: self.viscous, PRESSURE: self.projection}
         return found if self.dispersion is None else found | {DENSITY: self.dispersion}
 
@@ -319,13 +319,13 @@ class GridFlow(Stepping):
 
     @property
     def _rounding(self) -> float:
-        """Norm of the rounding error of the divergence, below which no solve can get."""
+        """Norm of the rounding error of the divergence; no solve can reduce its residual below this norm."""
         part = ROUNDING["float64" if self.scalar is wp.float64 else "float32"]
         return part * self._force / min(self.state.layout.room.width)
 
     @property
     def _volume(self) -> float:
-        """Volume of a cell [m3], in a plane per metre of depth and about an axis per radian."""
+        """Volume of a cell [m3]; in plane flow per metre of depth, in axisymmetric flow per radian."""
         layout = self.state.layout
         return math.prod(layout.room.width) * (layout.length if layout.axial else 1.0)
 
@@ -407,7 +407,7 @@ class GridFlow(Stepping):
         return [Stage(kernel, tasks, {name: named[name] for name in parameter_names(kernel)}, self.device, block=block)]
 
     def solves(self) -> dict[int, Any]:
-        """Return the working arrays of the linear systems, by what they solve for."""
+        """Return the working arrays of the linear systems, by solve: VISCOSITY, PRESSURE or DENSITY."""
         return {what: system.arrays for what, system in self._systems.items()}
 
     def state_arrays(self) -> dict[str, np.ndarray]:

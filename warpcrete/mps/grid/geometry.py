@@ -1,4 +1,4 @@
-"""Geometry of walls on a grid: their signed distances, and the open parts of cells, faces and edges that they cut.
+"""Geometry of walls on a grid: signed distances, and the open fractions of cells, faces and edges cut by walls.
 
 Walls may pass through cells (cut cells). The signed distance of the walls at the corners of a cell, interpolated
 linearly, gives the open fraction of its volume and of its faces, through which concrete flows (Ng, Min & Gibou 2009).
@@ -44,7 +44,7 @@ AXIS_PAIRS = (0, 1), (0, 2), (1, 2)
 """Pairs of axes, each of which spans a plane of shear."""
 
 Distance = Callable[[np.ndarray], np.ndarray]
-"""Signed distance from a wall [m] of points, shape (n, axes); positive where concrete may be."""
+"""Function of points, shape (n, axes), that gives the signed distance from a wall [m]; positive outside the wall."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Room:
 
 
 def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool = False) -> Geometry:
-    """Return the open parts of cells, faces and edges that walls leave of a box of cells.
+    """Return the parts of the cells, faces and edges of a box that walls leave open.
 
     `walls` are pairs of a distance function and a wall number. Sides of the room that are walls have the number PLATE.
     If `axial`, the room is a section whose volumes are weighted by the radius.
@@ -288,7 +288,7 @@ def _corner_values(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
 
 
 def _positive_fraction(corners: np.ndarray, ends: int) -> np.ndarray:
-    """Return the part of cells with positive values, which are linear between corners along the last `ends` axes."""
+    """Return the fraction of each cell with positive values, linear between corners along the last `ends` axes."""
     if ends == 1:
         a, b = corners[..., 0], corners[..., 1]
         high, low = np.maximum(a, b), np.minimum(a, b)

@@ -115,7 +115,7 @@ class GridLayout:
 
     @property
     def volume(self) -> float:
-        """Volume of the mean particle [m3], in a plane per metre of depth and about an axis per radian."""
+        """Mean volume of a particle [m3]; in plane flow per metre of depth, in axisymmetric flow per radian."""
         radius = float(self.fluid[:, 0].mean()) if self.axial else 1.0
         return radius * float(np.prod([self.particle_spacing * h / self.spacing for h in self.room.width]))
 

@@ -69,7 +69,7 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
 
 
 def _structure(flow: GridFlow, beside: list[int]) -> dict[str, float]:
-    """Return the mean gain of yield stress [Pa] at rest that the slip layer and the concrete beside it still have."""
+    """Return the yield stress gained at rest that slip layer and concrete at the wall still have, as a mean [Pa]."""
     if not flow.state.layout.kind.thixotropic:
         return {}
     layer, bulk = flow.state.faces("layer")[1], flow.state.faces("gained")[0]
@@ -79,7 +79,7 @@ def _structure(flow: GridFlow, beside: list[int]) -> dict[str, float]:
 def _mass_in_window(layout: GridLayout, places: np.ndarray, scene: FluidScene) -> float:
     """Return the mass of concrete, weighted with a factor that falls smoothly from the middle to the wall.
 
-    The result stays as at the start unless particles accumulate in the wrong places.
+    The result keeps its initial value unless particles accumulate in the wrong places.
     """
     part = (np.abs(places[:, 0]) / scene.radius) ** (2 if layout.axial else 1)
     return window(part, layout.mass)

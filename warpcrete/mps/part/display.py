@@ -64,7 +64,7 @@ class PartDisplay(Display):
         return ("speed [m/s]", 0.0, fastest) if self.colouring == "speed" else ("rate of shear [1/s]", 0.0, 5.0)
 
     def fields(self) -> dict[str, np.ndarray]:
-        """Return speed [m/s] and pressure, weight left out [Pa], of the drawn particles."""
+        """Return speed [m/s] and pressure without hydrostatic part [Pa] of the drawn particles."""
         speed = np.linalg.norm(self.read("particles.velocity").astype(float), axis=1)
         found = {"speed": speed, "pressure": self.read("particles.pressure").astype(float)}
         return {name: np.tile(values[self._drawn_particles], len(self._mirror_signs)) for name, values in found.items()}
@@ -82,7 +82,7 @@ class PartDisplay(Display):
         return np.tile(palette_colours(values[self._drawn_particles], upper, lower), (len(self._mirror_signs), 1))
 
     def plots(self) -> tuple[Plot, ...]:
-        """Return curves over time of the pressure and of the friction in both straight stretches."""
+        """Return curves over time: the pressure at the start, and the friction gradient in both straight stretches."""
         return (
             Plot("pressure", "Pressure", (
                 Curve("pressure", "at the start [kPa]", lambda row: 1e-3 * row["pressure"], OURS),
@@ -100,7 +100,7 @@ class PartDisplay(Display):
         )),)  # fmt: skip
 
     def _friction_ahead(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return arc lengths [m] and the frictional loss that is still to come downstream of each [Pa]."""
+        """Return arc lengths [m] and, for each, the frictional loss from there to the end of the part [Pa]."""
         return self.snapshot_value("friction ahead", lambda: friction_ahead(self.simulation.flow))
 
     def _pressures(self) -> tuple[np.ndarray, np.ndarray]:
@@ -114,7 +114,7 @@ class PartDisplay(Display):
 
     @cached_property
     def _friction(self) -> tuple[np.ndarray, np.ndarray]:
-        """Arc lengths [m] and the frictional loss downstream of each by theory [Pa]."""
+        """Arc lengths [m] and, for each, the theoretical frictional loss from there to the end of the part [Pa]."""
         end = self._scene.axis.length
         s = np.linspace(0, end, RING_COUNT)
         return s, np.array([self._scene.friction(each, end) for each in s[:-1]] + [0.0])

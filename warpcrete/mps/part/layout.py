@@ -154,7 +154,7 @@ def part_layout(scene: PartScene) -> GridLayout:
 
 
 def _area(geometry, room: Room, way: np.ndarray) -> float:
-    """Return the area of the inlet plane as represented by cells [m2]: the volume flow over the plane's speed.
+    """Return the area of the inlet plane as represented by cells [m2]: the volume flow divided by the plane's speed.
 
     The unit vector `way` is the plane's normal.
     """
@@ -171,7 +171,7 @@ def _area(geometry, room: Room, way: np.ndarray) -> float:
 
 
 def stations(scene: PartScene, room: Room, chosen: np.ndarray) -> np.ndarray:
-    """Return the arc length of the middle of each chosen cell [m].
+    """Return the arc length at the middle of each chosen cell [m].
 
     `chosen` is a mask with the shape of the state's cells, last axis first.
     """

@@ -40,7 +40,7 @@ def plot_part(run: Run) -> Any:
 
 
 def _shaded(scene: PartScene) -> Iterator[tuple[str, float, float]]:
-    """Yield name, begin and end of each stretch that is not straight pipe; only the first has a (legend) name."""
+    """Yield legend name, begin and end of each stretch that is not straight pipe; only the first has a name."""
     odd = [section for section in scene.sections if not section.straight]
     if not odd and scene.middle[1] > scene.middle[0]:
         yield "other bore", *scene.middle

@@ -30,7 +30,7 @@ FULL = 0.3
 
 
 def friction_ahead(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
-    """Return arc lengths [m] and the mean pressure without weight of the cross section there [Pa].
+    """Return arc lengths [m] and the mean pressure of the section at each, without its hydrostatic part [Pa].
 
     Without weight, the pressure is the frictional loss that is still to come downstream.
     """

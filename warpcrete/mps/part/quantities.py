@@ -33,7 +33,7 @@ class RunData:
 
     @property
     def as_straight(self) -> float:
-        """Frictional loss that theory gives for the middle of the part if it were straight [Pa]."""
+        """Theoretical frictional loss of straight pipe with the length and bores of the part's middle [Pa]."""
         return self.scene.friction(*self.scene.middle)
 
 

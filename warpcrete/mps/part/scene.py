@@ -65,7 +65,7 @@ class PartSettings(Declared):
 
 @dataclass(frozen=True)
 class Section:
-    """Piece of a part of a line, such as a bend or a taper, between two arc lengths of the axis."""
+    """Piece of a part, such as a bend or a taper, between two arc lengths of the axis."""
 
     kind: str
     """Kind of the piece, such as "straight", "bend" or "taper"."""
@@ -104,7 +104,7 @@ class PartScene(Parametrised, PartSettings):
     parts: tuple[Section, ...] = ()
     """Parts of a line whose losses are reported; if empty, they follow from axis and bores."""
     wall: MeshWall | None = None
-    """Mesh that replaces the round pipe; the bore is the surface that the axis sees (:class:`InnerSurface`)."""
+    """Mesh that replaces the round pipe; the bore is the inner surface, seen from the axis (:class:`InnerSurface`)."""
     insert: tuple[float, float] | None = None
     """Arc lengths of the ends of a mesh that is shorter than the part [m]; None if it is as long as the part.
 

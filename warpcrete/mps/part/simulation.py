@@ -38,7 +38,7 @@ class PartSimulation(FlowRun):
         return UNITS[column]
 
     def display(self, colouring: str | None = None) -> PartDisplay:
-        """Return the display that recorders draw."""
+        """Return the display, which tells recorders what to draw: particles, walls, colours and curves."""
         return PartDisplay(self, colouring)
 
     def place_flow(self) -> GridFlow:
