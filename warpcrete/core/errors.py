@@ -18,7 +18,7 @@ LONGEST_MESSAGE = 2000
 LONGEST_NUMBER = 128
 """Maximum number of bits of an integer that a message writes out."""
 MOST_NAMES_LISTED = 12
-"""Maximum number of names that a message lists in full in addition to the suggested name."""
+"""Maximum number of names that a message lists in addition to the suggested name."""
 
 
 class WarpcreteError(Exception):
@@ -99,7 +99,7 @@ def quoted(value: Any) -> str:
 
 
 def warn_in_one_line() -> None:
-    """Print each different warning of this process once, as one line on stderr without its place in the code."""
+    """Print each distinct warning of this process once, as one line on stderr without file name and line number."""
     shown: set[str] = set()
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:

@@ -235,7 +235,8 @@ class Launcher:
         self.threads, self.device = threads, device
         self._graphs: dict[tuple[int, bool, GraphLaunch | None], list[Any]] = {}
         self._periodic_launch: Callable[[], None] | None = None
-        self._steps_without_periodic = 0  # number of steps since the stages last ran that are not part of every step
+        # number of steps since the last run of the stages that do not run in every step
+        self._steps_without_periodic = 0
         self.gate = wp.zeros(GATE, dtype=wp.int32, device=device)
         """Counters of the barrier at which the threads wait for one another, shape (GATE,)."""
         self.contention = CoreContention()
@@ -307,8 +308,8 @@ class Launcher:
             self.contention.register_thread()
         for size in sizes:
             wp.capture_launch(self._graphs[size, contended, appended][part])
-            # `ended` gives all threads the same answer: a thread that goes on waits for the others at the next barrier,
-            # and the flags that `ended` reads change only after that barrier.
+            # `ended` gives all threads the same answer: a thread that continues waits for the others at the next
+            # barrier, and the flags that `ended` reads change only after that barrier.
             if not parallel(self.device) and ended():
                 return
 

@@ -1,4 +1,4 @@
-"""Acceptance checks of finished runs, with the option that usually cures a failed check."""
+"""Acceptance checks of finished runs, with the command option that usually cures a failed check."""
 
 from __future__ import annotations
 

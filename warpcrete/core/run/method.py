@@ -119,12 +119,12 @@ class Method:
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """All quantities that runs may have, those of standard tests that were defined later included."""
+        """All quantities that runs may have, including quantities of standard tests that were defined later."""
         return self.list_quantities()
 
     @property
     def compared(self) -> tuple[Quantity, ...]:
-        """Quantities that studies show in their table and figure."""
+        """Quantities that studies compare in their table and figure."""
         return tuple(each for each in self.quantities if each.compared)
 
 

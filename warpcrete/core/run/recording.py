@@ -42,7 +42,7 @@ class Recording:
             self._call(recorder, method, *arguments)
 
     def states(self) -> dict[str, Any]:
-        """Return the data that each recorder needs to go on from this time, by the recorder's class name.
+        """Return, by class name of each recorder, the data that the recorder needs to go on from this time.
 
         A recorder that was dropped keeps its data from an earlier checkpoint.
         """
@@ -58,7 +58,7 @@ class Recording:
                 raise
             self.active.remove(recorder)
             self._warn(recorder, error)
-            with suppress(Exception):  # Keep what the failed recorder has recorded so far.
+            with suppress(Exception):  # Keep the data that the failed recorder has recorded so far.
                 recorder.finish(self.simulation, None)  # type: ignore[arg-type]
             return self._states.get(class_name_of(recorder))
 
