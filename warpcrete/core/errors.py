@@ -69,7 +69,7 @@ class ConvergenceError(InstabilityError):
 
 
 class CapacityError(WarpcreteError):
-    """List of fixed size that was too short and could not grow."""
+    """Preallocated list that was too short and could not be enlarged."""
 
 
 class PlausibilityWarning(UserWarning):

@@ -56,7 +56,8 @@ class CoreContention:
     """Monitor of core contention, which decides whether one thread should do the work of all threads.
 
     Two successive windows in which threads waited too long for cores count as contention. One thread then does all
-    work for some time. This time lies within `BACKOFF_TIMES` and doubles after each failed attempt with several threads.
+    work for some time. This time lies within `BACKOFF_TIMES` and doubles after each failed attempt with several
+    threads.
     """
 
     def __init__(self) -> None:
@@ -73,7 +74,7 @@ class CoreContention:
 
     @property
     def is_uncertain(self) -> bool:
-        """Whether it is still unknown if there are enough cores; the caller should then take few steps at a time."""
+        """Whether it is unknown if the threads have enough cores; the caller should then take few steps at a time."""
         return not self.contended and not self._cores_suffice
 
     def use_one_thread(self) -> bool:
@@ -99,7 +100,6 @@ class CoreContention:
         else:
             self.contended, self._suspected = True, False
             self._backoff_end = time.monotonic() + self._backoff_time
-            self._backoff_time = min(
-                2 * self._backoff_time, BACKOFF_TIMES[1]
-            )  # Each failed attempt with several threads doubles the time until the next attempt.
+            # Each failed attempt with several threads doubles the time until the next attempt.
+            self._backoff_time = min(2 * self._backoff_time, BACKOFF_TIMES[1])
         self._window_time, self._waited_before = 0.0, waited_time

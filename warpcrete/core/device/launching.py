@@ -62,7 +62,7 @@ def bound(kernel: Any, named: Mapping[str, Any]) -> list[Any]:
 
 
 def completed(kernel: Any, named: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments `named`, and from `common` those of the kernel's other parameters, by parameter name."""
+    """Return, by parameter name, the arguments `named`, and arguments from `common` for the other parameters."""
     return {**{name: common[name] for name in parameter_names(kernel) if name in common}, **named}
 
 

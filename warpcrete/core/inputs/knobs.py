@@ -79,4 +79,4 @@ class Trading:
     """Function that takes the scene's parameters and returns parameters of similar scenes, by a description of the
     difference. Recommended settings are also tested on these scenes."""
     tolerance: str = ""
-    """Name of the scene's parameter that sets the error which its checks accept; empty if there is none."""
+    """Name of the parameter that sets the largest error that the scene's checks accept; empty if there is none."""

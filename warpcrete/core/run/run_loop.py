@@ -59,8 +59,8 @@ class Simulation:
     :class:`warpcrete.core.run.frames.Frames`. `progress` is True for a progress bar, or a callback.
 
     The file `checkpoint_path` is written at the start, then every `checkpoint_every` seconds of wall time (0: at every
-    sample), at an interruption and at the end. The file is removed when all other data is on disk. The `recorders` of a run
-    with checkpoints must be of different classes, because a resumed run identifies them by class.
+    sample), at an interruption and at the end. The file is removed when all other data is on disk. In a run with
+    checkpoints, all `recorders` must be of different classes, because a resumed run identifies recorders by class.
 
     Raises :class:`SceneError` and :class:`DeviceError`. A run may raise :class:`InstabilityError`, and
     :class:`DiskFullError` if the disk is full.
@@ -306,7 +306,7 @@ class Simulation:
     def abandon(self, refused: bool = False) -> None:
         """Release the resources that `claim` took, unless the run has begun.
 
-        For a scene that is `refused`, remove the checkpoint too.
+        If `refused` is true, the scene was refused: remove the checkpoint of a new run too, but not of a resumed run.
         """
         if not self._has_run:
             if refused and not self.resumes and self.checkpoint_path is not None:
@@ -363,9 +363,9 @@ class Simulation:
     def _end(self, finished: bool, interrupted: bool) -> Run:
         """Write everything to disk, the most important data first; remove the checkpoint if nothing is missing.
 
-        The last state takes effect as a checkpoint when all recorders have finished. A run that is then killed while
-        its recordings are joined need not repeat the last steps. If a recorder fails, the run can go on from the
-        previous checkpoint without loss of data.
+        The last state takes effect as a checkpoint when all recorders have finished. Recorders then
+        join the files of their recordings; a run that is killed meanwhile need not repeat its last steps. If a
+        recorder fails, the run can go on from the previous checkpoint without loss of data.
         """
         recording, path = self._recording, self.checkpoint_path
         written = False
