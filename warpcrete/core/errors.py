@@ -69,7 +69,7 @@ class ConvergenceError(InstabilityError):
 
 
 class CapacityError(WarpcreteError):
-    """Preallocated list that was too short and could not be enlarged."""
+    """Scene that needs more entries in a list than the list can hold at its maximum size."""
 
 
 class PlausibilityWarning(UserWarning):

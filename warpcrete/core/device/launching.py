@@ -194,7 +194,7 @@ def _compilers() -> ThreadPoolExecutor:
 
 
 def _in_order(wanted: Iterable[tuple[Any, int]]) -> list[tuple[Any, int]]:
-    """Return modules with their block sizes, most kernel parameters first, because these compile longest."""
+    """Return modules with their block sizes; modules with the most kernel parameters, which compile longest, first."""
     return sorted(wanted, key=lambda each: -sum(len(kernel.adj.args) for kernel in each[0].kernels.values()))
 
 

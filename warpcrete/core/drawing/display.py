@@ -155,7 +155,7 @@ class Display(ABC):
         return self.snapshot_value(path, lambda: attrgetter(path)(self.simulation.state))
 
     def snapshot_value(self, name: str, source: Callable[[], Any]) -> Any:
-        """Return the result of `source`, which depends on the state at the time that is drawn.
+        """Return the result of calling `source`, which depends on the state at the time that is drawn.
 
         While a snapshot is drawn, the value stored under `name` in the snapshot is returned instead. All displays of a
         simulation share the values of a snapshot, so do not write to them. A Warp array is returned as a NumPy array.

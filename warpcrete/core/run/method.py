@@ -101,7 +101,7 @@ class Method:
     report: Callable[[Run], Iterator[tuple[str, str]]]
     """Function that takes a run and yields label and text of each line that the command prints after the quantities."""
     forecast: Callable[[Any, Any, str, int | None, Probe], Forecast]
-    """Function that takes (scene, device, precision, threads, probe) and returns the expected cost of a run. The probe
+    """Function that takes (scene, device, precision, threads, probe) and returns the expected cost of a run. `probe`
     measures times of a prepared simulation."""
     run_many: Callable[[Sequence[Any], Sequence[Path | None], Progress], list[Run | BaseException]]
     """Function that runs several simulations on one device, each from its checkpoint if it has one. It returns a run or

@@ -22,7 +22,7 @@ class Recording:
         self.active: list[Recorder] = []
         """Recorders that have started and have not failed, in the order in which they are called."""
         self.failures: list[Exception] = []
-        """Errors of recorders that kept the run from writing its data to disk or from ending properly."""
+        """Errors of recorders because of which the run could not write its data to disk or end properly."""
         self._states: dict[str, Any] = {}  # recorders' states at the last checkpoint, by class name
 
     def begin(self, states: dict[str, Any]) -> None:
