@@ -18,7 +18,7 @@ LONGEST_MESSAGE = 2000
 LONGEST_NUMBER = 128
 """Maximum number of bits of an integer that a message writes out."""
 MOST_NAMES_LISTED = 12
-"""Maximum number of names that a message lists in addition to the suggested name."""
+"""Maximum number of known names up to which a message with a suggested name also lists all known names."""
 
 
 class WarpcreteError(Exception):
@@ -129,7 +129,7 @@ def suggested(word: Any, known: Iterable[Any]) -> str:
 def known_names(word: Any, known: Iterable[Any]) -> str:
     """Return a text that lists the `known` words and suggests the one closest to `word`.
 
-    If there are many words and one of them is close, the text only suggests that one.
+    If there are more than `MOST_NAMES_LISTED` words and one of them is close, the text only suggests that word.
     """
     names = [str(each) for each in known]
     suggestion = suggested(word, names)
