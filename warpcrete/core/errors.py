@@ -18,7 +18,7 @@ LONGEST_MESSAGE = 2000
 LONGEST_NUMBER = 128
 """Maximum number of bits of an integer that a message writes out."""
 MOST_NAMES_LISTED = 12
-"""Maximum number of names that a message lists in full in addition to the suggested name."""
+"""Maximum number of known names up to which a message with a suggested name also lists all known names."""
 
 
 class WarpcreteError(Exception):
@@ -69,7 +69,7 @@ class ConvergenceError(InstabilityError):
 
 
 class CapacityError(WarpcreteError):
-    """List of fixed size that was too short and could not grow."""
+    """Scene that needs more entries in a list than the list can hold at its maximum size."""
 
 
 class PlausibilityWarning(UserWarning):
@@ -99,7 +99,7 @@ def quoted(value: Any) -> str:
 
 
 def warn_in_one_line() -> None:
-    """Print each different warning of this process once, as one line on stderr without its place in the code."""
+    """Print each distinct warning of this process once, as one line on stderr without file name and line number."""
     shown: set[str] = set()
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
@@ -129,7 +129,7 @@ def suggested(word: Any, known: Iterable[Any]) -> str:
 def known_names(word: Any, known: Iterable[Any]) -> str:
     """Return a text that lists the `known` words and suggests the one closest to `word`.
 
-    If there are many words and one of them is close, the text only suggests that one.
+    If there are more than `MOST_NAMES_LISTED` words and one of them is close, the text only suggests that word.
     """
     names = [str(each) for each in known]
     suggestion = suggested(word, names)

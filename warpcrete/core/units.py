@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 DISPLAY_UNITS = {"Pa": (1e-3, "kPa"), "m/s": (100.0, "cm/s"), "m": (1e3, "mm"), "1": (100.0, "%")}
-"""Factor and unit by which a quantity is displayed, by its SI unit."""
+"""Display unit of each SI unit: the SI unit is the key, and the value is (factor, display unit)."""
 
 
 def quantity(value: float, unit: str) -> dict[str, Any]:

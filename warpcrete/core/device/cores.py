@@ -18,7 +18,7 @@ from pathlib import Path
 WINDOW = 0.01
 """Stepping time between two checks for core contention [s]."""
 CONTENTION_FRACTION = 0.4
-"""Fraction of the stepping time that the threads together may wait for a core; more counts as contention."""
+"""Fraction of the stepping time that all threads in total may wait for a core; a larger fraction is contention."""
 BACKOFF_TIMES = 0.5, 8.0
 """Shortest and longest time for which one thread does all work before several threads are tried again [s]."""
 
@@ -36,7 +36,7 @@ def thread_pinner(threads: int) -> Callable[[], None]:
     def pin_to_core() -> None:
         if len(cores) == threads:
             with contextlib.suppress(OSError):  # The process may have lost this core in the meantime.
-                os.sched_setaffinity(0, {next(places)})  # The number 0 means the calling thread.
+                os.sched_setaffinity(0, {next(places)})  # The thread number 0 stands for the calling thread.
 
     return pin_to_core
 
@@ -55,8 +55,9 @@ def core_waiting_time(thread: int) -> float:
 class CoreContention:
     """Monitor of core contention, which decides whether one thread should do the work of all threads.
 
-    Two late windows in a row count as contention. One thread then does all work for a time `BACKOFF_TIMES`, which
-    doubles after each new attempt with several threads that fails.
+    Two successive windows in which threads waited too long for cores count as contention. One thread then does all
+    work for some time. This time lies within `BACKOFF_TIMES` and doubles after each failed attempt with several
+    threads.
     """
 
     def __init__(self) -> None:
@@ -73,7 +74,7 @@ class CoreContention:
 
     @property
     def is_uncertain(self) -> bool:
-        """Whether it is still unknown if there are enough cores; the caller should then take few steps at a time."""
+        """Whether it is unknown if the threads have enough cores; the caller should then take few steps at a time."""
         return not self.contended and not self._cores_suffice
 
     def use_one_thread(self) -> bool:
@@ -95,9 +96,10 @@ class CoreContention:
         if waited_time - self._waited_before <= CONTENTION_FRACTION * self._window_time:
             self._cores_suffice, self._suspected, self._backoff_time = True, False, BACKOFF_TIMES[0]
         elif not self._suspected:
-            self._cores_suffice, self._suspected = False, True  # A single late window may be a coincidence.
+            self._cores_suffice, self._suspected = False, True  # A single window with long waits may be a coincidence.
         else:
             self.contended, self._suspected = True, False
             self._backoff_end = time.monotonic() + self._backoff_time
-            self._backoff_time = min(2 * self._backoff_time, BACKOFF_TIMES[1])  # Each failed attempt doubles the wait.
+            # Each failed attempt with several threads doubles the time until the next attempt.
+            self._backoff_time = min(2 * self._backoff_time, BACKOFF_TIMES[1])
         self._window_time, self._waited_before = 0.0, waited_time

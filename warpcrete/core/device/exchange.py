@@ -69,7 +69,7 @@ class PinnedBuffers:
 
 
 class _Copying:
-    """Stage that copies arrays into page-locked memory."""
+    """Stage that copies device arrays into page-locked host memory."""
 
     def __init__(self, buffers: PinnedBuffers, arrays: Sequence[wp.array]) -> None:
         self._buffers, self._arrays = buffers, arrays
@@ -82,7 +82,7 @@ class _Copying:
 
 
 class LaunchAndRead:
-    """Launch of several stages, followed by copies of the arrays that they write to the host."""
+    """Launch of several stages, followed by copies to the host of the arrays that the stages write."""
 
     def __init__(self, stages: Sequence[Any], arrays: Sequence[wp.array], device: Any) -> None:
         self._device, self._arrays = device, tuple(arrays)
@@ -153,7 +153,7 @@ class Exchange:
         return [view.copy() for view in self._pending_buffers.views]
 
     def write(self, *pairs: tuple[wp.array, np.ndarray]) -> None:
-        """Set arrays to values, after all work launched so far."""
+        """Set arrays to values; the device does this after all work launched so far."""
         if not self.device.is_cuda:
             for array, values in pairs:
                 array.assign(values)

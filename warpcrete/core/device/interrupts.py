@@ -42,7 +42,7 @@ def defer_interrupts() -> Iterator[None]:
 
 
 class StopAtSample:
-    """Context in which a first Ctrl-C ends all `simulations` at their next sample, and a second one at once.
+    """Context in which a first Ctrl-C ends all `simulations` at their next sample, and a second Ctrl-C at once.
 
     Ctrl-C has no effect while all simulations are writing their results. Outside the main thread, this context does
     nothing.

@@ -62,7 +62,7 @@ def bound(kernel: Any, named: Mapping[str, Any]) -> list[Any]:
 
 
 def completed(kernel: Any, named: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the arguments `named`, and from `common` those of the kernel's other parameters, by parameter name."""
+    """Return, by parameter name, the arguments `named`, and arguments from `common` for the other parameters."""
     return {**{name: common[name] for name in parameter_names(kernel) if name in common}, **named}
 
 
@@ -194,7 +194,7 @@ def _compilers() -> ThreadPoolExecutor:
 
 
 def _in_order(wanted: Iterable[tuple[Any, int]]) -> list[tuple[Any, int]]:
-    """Return modules with their block sizes, most kernel parameters first, because these compile longest."""
+    """Return modules with their block sizes; modules with the most kernel parameters, which compile longest, first."""
     return sorted(wanted, key=lambda each: -sum(len(kernel.adj.args) for kernel in each[0].kernels.values()))
 
 
@@ -235,7 +235,8 @@ class Launcher:
         self.threads, self.device = threads, device
         self._graphs: dict[tuple[int, bool, GraphLaunch | None], list[Any]] = {}
         self._periodic_launch: Callable[[], None] | None = None
-        self._steps_without_periodic = 0  # number of steps since the stages last ran that are not part of every step
+        # number of steps since the last run of the stages that do not run in every step
+        self._steps_without_periodic = 0
         self.gate = wp.zeros(GATE, dtype=wp.int32, device=device)
         """Counters of the barrier at which the threads wait for one another, shape (GATE,)."""
         self.contention = CoreContention()
@@ -307,8 +308,8 @@ class Launcher:
             self.contention.register_thread()
         for size in sizes:
             wp.capture_launch(self._graphs[size, contended, appended][part])
-            # `ended` gives all threads the same answer: a thread that goes on waits for the others at the next barrier,
-            # and the flags that `ended` reads change only after that barrier.
+            # `ended` gives all threads the same answer: a thread that continues waits for the others at the next
+            # barrier, and the flags that `ended` reads change only after that barrier.
             if not parallel(self.device) and ended():
                 return
 

@@ -17,8 +17,8 @@ MAXIMUM_JOBS = 8
 class RecorderThread:
     """Queue that runs jobs of recorders one after the other, in a thread of its own if `in_thread` is set.
 
-    Without `in_thread`, the caller runs each job at once. After a job fails, every call raises its error, and no other
-    job runs. With `yields_to_run`, the thread lets the run use Python's interpreter first: see
+    Without `in_thread`, the caller runs each job at once. After a job fails, every call raises the job's error, and no
+    other job runs. With `yields_to_run`, the thread lets the run use Python's interpreter first: see
     :mod:`.interpreter_priority`.
     """
 
@@ -33,8 +33,8 @@ class RecorderThread:
     def for_simulation(cls, simulation: Any) -> RecorderThread:
         """Return the queue for a simulation, with a thread of its own on a GPU or if a CPU core is free.
 
-        Threads of a run that wait for one another at barriers need a core each, so the recorder thread must not share
-        these.
+        Threads of a run that wait for one another at barriers need a core each, so the recorder thread must not
+        share these cores.
         """
         spare = not simulation.shares_cores and simulation.threads < default_threads()
         return cls(parallel(simulation.device) or spare, simulation.device.is_cuda)

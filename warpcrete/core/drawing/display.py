@@ -1,4 +1,4 @@
-"""Data that recorders draw of a run by any method: bodies, walls, plots over time and space, and a camera view."""
+"""Displays, which give recorders the data to draw a run: bodies, walls, plots over time and space, a camera view."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Points:
-    """Curve of a quantity over a spatial coordinate, at the time that is drawn."""
+    """Curve of a quantity over a spatial coordinate, at one time."""
 
     name: str
     """Last part of the curve's path in a recording, after the path of its profile."""
@@ -129,7 +129,7 @@ class Lines:
 
 
 class Display(ABC):
-    """Simulation as recorders draw it, with bodies coloured by the quantity `colouring`.
+    """View of a simulation that gives recorders the data to draw; the quantity `colouring` colours the bodies.
 
     `colouring` is one of `colourings`; None selects the attribute `preferred`. Raises :class:`SceneError` for another
     value.
@@ -155,7 +155,7 @@ class Display(ABC):
         return self.snapshot_value(path, lambda: attrgetter(path)(self.simulation.state))
 
     def snapshot_value(self, name: str, source: Callable[[], Any]) -> Any:
-        """Return the result of `source`, which depends on the state at the time that is drawn.
+        """Return the result of calling `source`, which depends on the state at the time that is drawn.
 
         While a snapshot is drawn, the value stored under `name` in the snapshot is returned instead. All displays of a
         simulation share the values of a snapshot, so do not write to them. A Warp array is returned as a NumPy array.
@@ -187,8 +187,8 @@ class Display(ABC):
     def draw(self, later: RecorderThread, job: Callable[[float, int], None]) -> None:
         """Let `job` draw the present state; its arguments are the simulated time [s] and the number of steps.
 
-        The first job runs at once and shows which values it reads. For a later job, these values are read now into a
-        snapshot, and the recorder thread `later` runs the job.
+        The first job runs at once, and the display notes which values the job reads. For each later job, this
+        method reads the same values into a snapshot, and the recorder thread `later` runs the job.
         """
         time, steps = self.simulation.stepper.time, self.simulation.stepper.steps
         if not later.in_thread or not self._complete:
@@ -263,7 +263,7 @@ class Display(ABC):
     """Direction from the scene to the camera."""
 
     def paint(self) -> Paint | None:
-        """Return the colours of painted walls, such as worn ones, on a scale that only grows.
+        """Return the colour scale of painted walls, such as worn walls; the upper end of the scale only grows.
 
         Return None if no wall is painted.
         """

@@ -71,8 +71,8 @@ class Paint:
     def steps(self, values: np.ndarray) -> np.ndarray:
         """Return the nearest step of each value in the displayed unit, with the shape of `values`.
 
-        All values that have the scale's first colour get the same step. The viewer interpolates steps between vertices,
-        and distant steps would give colours between the vertices that neither vertex has.
+        All values that have the scale's first colour get the same step. The viewer interpolates steps between
+        vertices, so distant steps at two vertices would show other colours between these vertices.
         """
         least = max(SMALLEST_VALUE, self.upper / COLOURS)
         place = STEPS_PER_DECADE * np.log10(np.maximum(values, least) / SMALLEST_VALUE)

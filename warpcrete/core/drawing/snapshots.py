@@ -64,7 +64,7 @@ class PinnedPool:
 
 
 class PendingCopies:
-    """Copies of GPU arrays, made in stream order: after the work launched before, and before the work launched later.
+    """Copies of GPU arrays in stream order: after all work launched earlier, and before all work launched later.
 
     The last copy is a flag, and a reader polls this flag in page-locked memory. The reader therefore makes no call to
     the driver, which refuses calls while the run captures a graph. The memory returns to the pool when this object is
@@ -107,7 +107,7 @@ class Snapshot:
     """Simulated time of the snapshot [s]."""
     steps: int
     found: dict[str, Any]
-    """Values by name; for a copy that is still in flight, the :class:`PendingCopies` object that contains it."""
+    """Values by name; for a copy that is in flight, the value is the :class:`PendingCopies` object with the copy."""
     derived: dict[Hashable, Any] = field(default_factory=dict)
     """Results computed from the values, by name, shared by all displays of this snapshot."""
 

@@ -82,7 +82,7 @@ class ByName(CompositeRule):
         return hash(tuple(self.classes.items()))
 
     def fields(self, field: Field, value: Any) -> dict[str, Field]:
-        """Return the fields of the class that `value` names or belongs to, as parameters by name."""
+        """Return the fields of a class as parameters by name; `value` is the class's name or an instance."""
         kind = self.class_of(field, value)
         return {} if kind is None else own_fields(field.name, kind)
 
@@ -125,7 +125,7 @@ class ByName(CompositeRule):
         return short.get(kind, f"{kind.__module__}:{kind.__qualname__}")
 
     def class_of(self, field: Field, value: Any) -> type | None:
-        """Return the class that a value of `field` names or belongs to; return None if the value is None.
+        """Return the class of which a value of `field` is the name or an instance; return None for the value None.
 
         Raises :class:`SceneError` if the name leads to no class of the kind that `field` requires.
         """

@@ -73,10 +73,10 @@ class Trading:
     quantities: tuple[str, ...]
     """Quantities whose errors are computed, unless the user names others."""
     closed_form: Callable[[Any], bool] = lambda given: False
-    """Function that takes the scene's parameters and returns whether theory is exact for them. If so, results have an
-    entry `NAME_error` for each quantity NAME."""
+    """Function that takes the scene's parameters and returns whether theory is exact for these parameters. If so,
+    results have an entry `NAME_error` for each quantity NAME."""
     variants: Callable[[Any], Mapping[str, Mapping[str, Any]]] = lambda given: {}
     """Function that takes the scene's parameters and returns parameters of similar scenes, by a description of the
     difference. Recommended settings are also tested on these scenes."""
     tolerance: str = ""
-    """Name of the scene's parameter that sets the error which its checks accept; empty if there is none."""
+    """Name of the parameter that sets the largest error that the scene's checks accept; empty if there is none."""

@@ -77,7 +77,7 @@ LIMITS = {
     "spread": Limit(1e-2, 10.0, "the cone spreads to 0.2 to 0.9 m", (0.1, 2.0), "m"),
     "rest": Limit(1e-6, 1e6, "concrete sets within a day, 1e5 s", (1e-3, 4e4), "s"),
 }  # fmt: skip
-"""Limits by the name of a quantity, or by its unit for all other quantities."""
+"""Limits of quantities: by name for some quantities, by unit for all others."""
 LARGEST_INTEGER = 2**31 - 1
 """Largest integer that a parameter may have, because kernels and arrays count with 32 bits."""
 LARGEST_SEED = 2**63 - 1
@@ -143,7 +143,7 @@ def _meant(value: float, unit: str, limit: Limit) -> str:
     """Return another unit in which a number would be usual, as a question; empty if there is none."""
     low, high = limit.usual or (limit.low, limit.high)
     if limit.usual is None and limit_of("", unit) is limit:
-        return ""  # Limits by unit are too wide to suggest another unit.
+        return ""  # Limits that belong to a unit are too wide to suggest another unit.
     if not 1e-2 <= abs(value) <= 1e6:
         return ""  # A number of this size is unusual in any unit.
     for other, factor in UNITS.get(unit, {}).items():

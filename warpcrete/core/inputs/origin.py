@@ -114,7 +114,7 @@ def changed_fields(scene: Any) -> list[str]:
 
 
 def arguments_of(scene: Any) -> Mapping[str, Any]:
-    """Return the arguments from which a scene can be made again; empty if it was changed or built by hand."""
+    """Return the arguments from which a scene can be made again; empty for a scene changed or built by hand."""
     return {} if changed_fields(scene) else scene.parameters
 
 

@@ -172,7 +172,7 @@ class Field:
         if self.kind is int and isinstance(value, int) and not isinstance(value, bool):
             check_whole(name, value)
         if self.kind is float and isinstance(value, float):
-            return value + 0.0  # The sum turns -0.0 into 0.0.
+            return value + 0.0  # Adding 0.0 turns -0.0 into 0.0.
         if self.kind is str and hasattr(value, "__fspath__"):
             return str(value)
         if not isinstance(value, self.kind) or (isinstance(value, bool) and self.kind is not bool):
@@ -246,7 +246,7 @@ class Declared:
         return {}
 
     def check_needed(self) -> None:
-        """Refuse parameters that differ from their defaults although they have no effect."""
+        """Refuse parameters that have no effect but differ from their defaults."""
         for name, field in declared_fields(type(self)).items():
             for rule in field.of_kind(Needs):
                 if getattr(self, name) != field.default and not rule.test(getattr(self, rule.field)):

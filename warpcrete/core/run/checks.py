@@ -1,4 +1,4 @@
-"""Acceptance checks of finished runs, with the option that usually cures a failed check."""
+"""Acceptance checks of finished runs, with the command option that usually cures a failed check."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from functools import wraps
 from .run import Run
 
 Check = Callable[[Run], dict[str, tuple[bool, str]]]
-"""Function that takes a finished run. It returns, by the name of each check, whether the run passed and a text with the
-finding."""
+"""Function that takes a finished run. It returns, by the name of each check, whether the run passed this check, and a
+text with the finding."""
 
 
 def with_cures(cures: Mapping[str, str]) -> Callable[[Check], Check]:

@@ -69,7 +69,7 @@ def is_full(error: BaseException) -> bool:
 
 
 def space_error(folder: Path, needed: int = 0) -> OSError | None:
-    """Return the system's error if a small file, or one of `needed` bytes, does not fit into a folder, else None."""
+    """Return the system's error if a small file, or a file of `needed` bytes, does not fit into a folder, else None."""
     probe = partial_of(folder / "probe")
     try:
         with probe.open("wb") as file:

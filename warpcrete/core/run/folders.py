@@ -20,7 +20,7 @@ except ImportError:  # Folders are not locked on systems other than POSIX.
     fcntl = None
 
 KILL_GRACE = 2.0
-"""Time that the processes of a run that was just killed get to end [s]."""
+"""Time allowed for the processes of a killed run to end [s]."""
 
 
 class FolderLock:
@@ -70,7 +70,7 @@ class FolderLock:
             self._file = -1
 
     def remove(self) -> None:
-        """Release the folder, then remove those folders that were created for it and are empty."""
+        """Release the lock, then remove the folders that were created for this lock and are still empty."""
         self.release()
         for path in reversed(self.created):
             with suppress(OSError):

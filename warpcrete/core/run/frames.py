@@ -36,7 +36,7 @@ class Frames:
         return time >= self.next - 1e-9
 
     def due_before(self, sample: float) -> bool:
-        """Return whether a frame is due before the sample at time `sample` [s], and the run can stop for it."""
+        """Return whether a frame is due before the sample at time `sample` [s], and the run can stop for this frame."""
         return self.next < sample - self._time_step
 
     def schedule_next(self, time: float) -> None:

@@ -101,7 +101,7 @@ class Method:
     report: Callable[[Run], Iterator[tuple[str, str]]]
     """Function that takes a run and yields label and text of each line that the command prints after the quantities."""
     forecast: Callable[[Any, Any, str, int | None, Probe], Forecast]
-    """Function that takes (scene, device, precision, threads, probe) and returns the expected cost of a run. The probe
+    """Function that takes (scene, device, precision, threads, probe) and returns the expected cost of a run. `probe`
     measures times of a prepared simulation."""
     run_many: Callable[[Sequence[Any], Sequence[Path | None], Progress], list[Run | BaseException]]
     """Function that runs several simulations on one device, each from its checkpoint if it has one. It returns a run or
@@ -119,12 +119,12 @@ class Method:
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """All quantities that runs may have, those of standard tests that were defined later included."""
+        """All quantities that runs may have, including quantities of standard tests that were defined later."""
         return self.list_quantities()
 
     @property
     def compared(self) -> tuple[Quantity, ...]:
-        """Quantities that studies show in their table and figure."""
+        """Quantities that studies compare in their table and figure."""
         return tuple(each for each in self.quantities if each.compared)
 
 

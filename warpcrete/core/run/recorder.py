@@ -59,7 +59,7 @@ class Recorder:
         """
 
     def tidy(self, simulation: Any, run: Run) -> None:
-        """Remove or join the files that only a resumed run needs, because the run is complete."""
+        """Remove or join the files that only a resumed run would need; called when the run is complete."""
 
     def close(self, simulation: Any) -> None:
         """Release all resources, however the run ended."""

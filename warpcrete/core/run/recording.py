@@ -22,7 +22,7 @@ class Recording:
         self.active: list[Recorder] = []
         """Recorders that have started and have not failed, in the order in which they are called."""
         self.failures: list[Exception] = []
-        """Errors of recorders that kept the run from writing its data to disk or from ending properly."""
+        """Errors of recorders because of which the run could not write its data to disk or end properly."""
         self._states: dict[str, Any] = {}  # recorders' states at the last checkpoint, by class name
 
     def begin(self, states: dict[str, Any]) -> None:
@@ -42,7 +42,7 @@ class Recording:
             self._call(recorder, method, *arguments)
 
     def states(self) -> dict[str, Any]:
-        """Return the data that each recorder needs to go on from this time, by the recorder's class name.
+        """Return, by class name of each recorder, the data that the recorder needs to go on from this time.
 
         A recorder that was dropped keeps its data from an earlier checkpoint.
         """
@@ -58,7 +58,7 @@ class Recording:
                 raise
             self.active.remove(recorder)
             self._warn(recorder, error)
-            with suppress(Exception):  # Keep what the failed recorder has recorded so far.
+            with suppress(Exception):  # Keep the data that the failed recorder has recorded so far.
                 recorder.finish(self.simulation, None)  # type: ignore[arg-type]
             return self._states.get(class_name_of(recorder))
 

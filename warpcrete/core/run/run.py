@@ -44,7 +44,7 @@ class Run:
     """Whether an interruption (Ctrl-C) ended the run at once instead of at a sample."""
     folder: Path | None = None
     tables: dict[str, Table] = field(default_factory=dict)
-    """Tables of quantities over another coordinate than time, by file name."""
+    """Tables of quantities over a coordinate other than time, by file name."""
 
     def __repr__(self) -> str:
         ended = "finished" if self.finished else "not finished"

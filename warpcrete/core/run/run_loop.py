@@ -53,14 +53,14 @@ class Simulation:
     """Simulation of a scene on a device, with recorders, from t = 0 to its end; the scene's type selects the method.
 
     `device` is Warp's name of a device; None selects a GPU if there is one, else the CPU. `precision` is `float32` or
-    `float64`; None takes the scene's own. `threads` is the number of threads on a CPU; None takes one for each core,
-    and equal numbers give results that are equal to the bit. `frame_interval` is the simulated time between two
-    recorded frames [s]; None takes the default of :class:`warpcrete.core.run.frames.Frames`. `progress` is True for a
-    progress bar, or a callback.
+    `float64`; None takes the precision that the scene states. `threads` is the number of threads on a CPU; None takes
+    one thread for each core. Runs with equal numbers of threads give bitwise identical results. `frame_interval` is
+    the simulated time between two recorded frames [s]; None takes the default of
+    :class:`warpcrete.core.run.frames.Frames`. `progress` is True for a progress bar, or a callback.
 
     The file `checkpoint_path` is written at the start, then every `checkpoint_every` seconds of wall time (0: at every
-    sample), at an interruption and at the end. It is removed when everything else is on disk. The `recorders` of a run
-    with checkpoints must be of different classes, because a resumed run identifies them by class.
+    sample), at an interruption and at the end. The file is removed when all other data is on disk. In a run with
+    checkpoints, all `recorders` must be of different classes, because a resumed run identifies recorders by class.
 
     Raises :class:`SceneError` and :class:`DeviceError`. A run may raise :class:`InstabilityError`, and
     :class:`DiskFullError` if the disk is full.
@@ -135,8 +135,9 @@ class Simulation:
         self.resumes = False
         """Whether the run goes on from a checkpoint, in an existing folder."""
         self._checkpoint_time: float | None = None  # simulated time of the state in the checkpoint [s]
-        self._time_before_resume = 0.0  # wall time until the checkpoint from which this run goes on [s]
-        self._samples_taken = 0  # number of rows after the row at t = 0
+        # wall time that the run had taken up to the checkpoint from which it goes on [s]
+        self._time_before_resume = 0.0
+        self._samples_taken = 0  # number of rows in the series, not counting the row at t = 0
         self._resumed: dict[str, Any] | None = None
         self.frames = Frames(frame_interval, self.expected_duration, self.frame_step)
         self.set_up()
@@ -259,8 +260,8 @@ class Simulation:
     def resume(self, path: Path) -> None:
         """Restore the state from a checkpoint of the same scene, device and precision, instead of calling `prepare`.
 
-        The resumed run gives the same bits as a run without interruption. Raises :class:`RunFolderError` for a file
-        that is no complete checkpoint of this simulation.
+        The results of the resumed run are bitwise identical to those of a run without interruption. Raises
+        :class:`RunFolderError` for a file that is not a complete checkpoint of this simulation.
         """
         self.load_state_dict(self.read_checkpoint(path))
 
@@ -305,7 +306,7 @@ class Simulation:
     def abandon(self, refused: bool = False) -> None:
         """Release the resources that `claim` took, unless the run has begun.
 
-        For a scene that is `refused`, remove the checkpoint too.
+        If `refused` is true, the scene was refused: remove the checkpoint of a new run too, but not of a resumed run.
         """
         if not self._has_run:
             if refused and not self.resumes and self.checkpoint_path is not None:
@@ -337,7 +338,7 @@ class Simulation:
         full: list[Exception] = []  # errors that a full disk caused
         try:
             try:
-                if not self.rows:  # Save the state at t = 0 first: packing and settling took long.
+                if not self.rows:  # Save the state at t = 0 first, because its packing and settling took a long time.
                     self._checkpoint()
                 self._recording.begin((self._resumed or {}).get("recorders", {}))
                 finished = yield from self._loop()
@@ -348,7 +349,7 @@ class Simulation:
                     raise
                 full.append(error)
         finally:
-            # Whatever ended the run, write all results.
+            # Write all results, for whatever reason the run ended.
             failures = self._recording.failures
             self._wall_times["running"] = self._running()
             self.finishing = True
@@ -362,9 +363,9 @@ class Simulation:
     def _end(self, finished: bool, interrupted: bool) -> Run:
         """Write everything to disk, the most important data first; remove the checkpoint if nothing is missing.
 
-        The last state takes effect as a checkpoint when all recorders have finished. A run that is then killed while
-        its recordings are joined need not repeat the last steps. If a recorder fails, the run can go on from the
-        previous checkpoint without loss of data.
+        The last state takes effect as a checkpoint when all recorders have finished. Recorders then
+        join the files of their recordings; a run that is killed meanwhile need not repeat its last steps. If a
+        recorder fails, the run can go on from the previous checkpoint without loss of data.
         """
         recording, path = self._recording, self.checkpoint_path
         written = False
