@@ -28,7 +28,7 @@ from .tradeoffs.report import percent
 
 TIMED_FRAMES = 3  # number of frames that are timed for each recorder
 MAX_TIME_RATIO = 0.9
-"""A simplification is listed only if it leaves less than this fraction of the wall time."""
+"""Largest ratio of wall times, with and without a simplification, at which the simplification is listed."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def _read(path: Path) -> Forecast | None:
 
 
 def _savings(scene: Any, forecast: Forecast, trade: Path | None, on_gpu: bool) -> tuple[tuple[Saving, ...], str]:
-    """Return savings found from a trade-off record and from the limits of the time step, with the record's source."""
+    """Return savings from a trade-off record and the time step's limits, and the source of the record."""
     found = list(_time_step_savings(forecast))
     record, source = _trade_of(scene, trade, on_gpu)
     found += _knob_savings(record.get("points", []), _knobs_of(scene))

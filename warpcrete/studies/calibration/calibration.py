@@ -15,7 +15,7 @@ from .targets import Target, Task
 Outcome = dict[Target, float]
 """Values of the targets in one run; targets without a value are left out."""
 UNREACHABLE_DISTANCE = 3.0
-"""Distance of the closest reachable value from a target, in standard deviations, above which it is unreachable."""
+"""Distance between a target and the closest prediction, in standard deviations, that counts as unreachable."""
 
 
 @dataclass
@@ -27,7 +27,7 @@ class Trial:
     """Positions in the parameter ranges, one number from 0 to 1 for each free parameter."""
     seed: int
     proof: bool = False
-    """Whether this is a verification run of the likeliest parameters: it is compared with the targets, but not fitted.
+    """Whether this run only verifies the likeliest parameters, so that its results do not enter the fit.
     """
     values: Outcome = field(default_factory=dict)
     failure: str = ""
@@ -79,7 +79,7 @@ class Calibration:
         return [trial.values[target] for trial in last if target in trial.values]
 
     def off(self, target: Target) -> float:
-        """Return the best value minus the measured one, in standard deviations of the target; NaN without any value.
+        """Return the best value minus the measured one, in standard deviations of the target; NaN without a best.
 
         The best value is the mean of the verification runs, or else the prediction for the likeliest parameters.
         """

@@ -169,7 +169,7 @@ def _log_success(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.nd
 
 
 def confounded_pairs(found: Posterior, close: float = 0.9) -> list[tuple[str, str, float]]:
-    """Return pairs of parameters with a correlation of at least `close`, of which the data fix only a combination."""
+    """Return pairs of parameters so correlated (at least `close`) that the data determine only their combination."""
     names = [free.name for free in found.task.free]
     matrix = found.correlations()
     return [

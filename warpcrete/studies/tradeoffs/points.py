@@ -95,6 +95,9 @@ class Promise:
     found: Error | None = None
     """Error with fresh seeds; None if the scene has no seeds or the time ran out."""
     carried: dict[str, Error | None] = field(default_factory=dict)
-    """Largest error in each variant of the scene, by the variant's description and failed checks; None if it fails."""
+    """Largest error in each variant of the scene, by the variant's description and the names of its failed checks.
+
+    The value is None if the run of the variant failed.
+    """
     bound: float = math.inf
     """Relative error that is promised, as a fraction."""
