@@ -28,7 +28,7 @@ from .tradeoffs.report import percent
 
 TIMED_FRAMES = 3  # number of frames that are timed for each recorder
 MAX_TIME_RATIO = 0.9
-"""Largest ratio of wall times, with and without a simplification, at which the simplification is listed."""
+"""Ratio of wall time with a simplification to that without it, below which the simplification is listed."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def explain(
 ) -> Explanation:
     """Forecast memory, time step and wall time of a scene on a device, measured in a few seconds and then cached.
 
-    `scene` is a scene of a scene function, or any other that :class:`warpcrete.Simulation` accepts. `trade` is the
+    `scene` is any scene that :class:`warpcrete.Simulation` accepts. `trade` is the
     folder of a trade-off study, whose measured errors are listed with the savings (default: the most similar shipped
     record). With `cache`, results are kept in the user's cache folder. Raises the same errors as a run of the scene
     before its first step.

@@ -207,7 +207,7 @@ def outcome_of(folder: Path) -> Any:
 
 
 def previous_outcome(folder: Path) -> Any:
-    """Return a case's earlier outcome; delete its folder if that holds neither an outcome nor a checkpoint."""
+    """Return a case's earlier outcome; delete the case's folder if it has neither outcome nor checkpoint."""
     found = outcome_of(folder)
     if found is None and folder.exists() and not (folder / "checkpoint.npz").is_file():
         hold = FolderLock(folder)

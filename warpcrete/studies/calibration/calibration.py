@@ -31,7 +31,7 @@ class Trial:
     """
     values: Outcome = field(default_factory=dict)
     failure: str = ""
-    """Reason why a target has no value; empty if all fitted targets have one."""
+    """Reason why a fitted target has no value; empty if all fitted targets have a value."""
     suspect: list[str] = field(default_factory=list)
     """Names of the failed plausibility checks of the trial's runs."""
 
@@ -79,7 +79,7 @@ class Calibration:
         return [trial.values[target] for trial in last if target in trial.values]
 
     def off(self, target: Target) -> float:
-        """Return the best value minus the measured one, in standard deviations of the target; NaN without a best.
+        """Return the best value minus the measured one, in the target's standard deviations (NaN if unknown).
 
         The best value is the mean of the verification runs, or else the prediction for the likeliest parameters.
         """

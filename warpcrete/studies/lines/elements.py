@@ -68,7 +68,7 @@ class Elements:
     coarse: float | None = None
     """Factor on all stone sizes; None enlarges the largest stone to 0.3 times the narrowest bore."""
     seeds: int = 1
-    """Number of packings of each kind of part; their scatter gives the band of the pressure."""
+    """Number of random packings of each kind of part; their scatter gives the uncertainty band of the pressure."""
     stiffer: float = MODULUS_FACTOR
     """Factor on the concrete's elastic modulus."""
 
