@@ -70,9 +70,9 @@ def explain(
 ) -> Explanation:
     """Forecast memory, time step and wall time of a scene on a device, measured in a few seconds and then cached.
 
-    `scene` is any scene that :class:`warpcrete.Simulation` accepts. `trade` is the
-    folder of a trade-off study, whose measured errors are listed with the savings (default: the most similar shipped
-    record). With `cache`, results are kept in the user's cache folder. Raises the same errors as a run of the scene
+    `scene` is any scene that :class:`warpcrete.Simulation` accepts. `trade` is the folder of a trade-off study, whose
+    measured errors are listed with the savings (default: the most similar shipped record). With `cache`, results are
+    kept in the user's cache folder. Raises the same errors as a run of the scene
     before its first step.
     """
     found = find_device(device)

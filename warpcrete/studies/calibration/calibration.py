@@ -15,7 +15,7 @@ from .targets import Target, Task
 Outcome = dict[Target, float]
 """Values of the targets in one run; targets without a value are left out."""
 UNREACHABLE_DISTANCE = 3.0
-"""Distance between a target and the closest prediction, in standard deviations, that counts as unreachable."""
+"""Distance of a target from the closest prediction, in standard deviations, above which the target is unreachable."""
 
 
 @dataclass
@@ -27,8 +27,7 @@ class Trial:
     """Positions in the parameter ranges, one number from 0 to 1 for each free parameter."""
     seed: int
     proof: bool = False
-    """Whether this run only verifies the likeliest parameters, so that its results do not enter the fit.
-    """
+    """Whether this run only verifies the likeliest parameters, so that its results do not enter the fit."""
     values: Outcome = field(default_factory=dict)
     failure: str = ""
     """Reason why a fitted target has no value; empty if all fitted targets have a value."""
