@@ -1,4 +1,4 @@
-"""Option `--accuracy` of `warpcrete run`: settings chosen from a measured trade-off between speed and accuracy."""
+"""Option `--accuracy` of `warpcrete run`, which chooses settings from a measured trade-off of speed and accuracy."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..studies.tradeoffs.advice import advise, nearest_shipped
 def chosen(
     name: str, module: Any, parameters: dict[str, Any], accuracy: str | None, trade: Path | None, device: str | None
 ) -> dict[str, Any]:
-    """Return the parameters to change for the requested accuracy, from the trade-off in a folder or a shipped one.
+    """Return the parameters to change for the requested accuracy, from a trade-off in a folder or a shipped one.
 
     The function prints to stderr what was chosen, the expected error, and where this error has not been measured.
     Raises :class:`click.UsageError` if no trade-off is available or the accuracy is not a percentage.

@@ -1,4 +1,4 @@
-"""Command `warpcrete line`: the pressure that a pipeline needs."""
+"""Command `warpcrete line`: the pressure that a pipeline needs at its start."""
 
 from __future__ import annotations
 

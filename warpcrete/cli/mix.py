@@ -43,7 +43,7 @@ STIFF = 700.0
 
 
 def _cone(mix: Mix) -> str:
-    """Return a command that simulates a slump cone of the mix with discrete elements."""
+    """Return a command line that simulates a slump cone of the mix with discrete elements."""
     law = "mortar" if mix["yield stress"].value < STIFF else "plastic"
     found = f"warpcrete run slump --method dem --law {law} --bulk-density {mix['density'].value:.5g}"
     found += f" --yield-stress {mix['yield stress'].value:.4g} --viscosity {mix['viscosity'].value:.4g}"

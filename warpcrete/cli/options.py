@@ -1,4 +1,4 @@
-"""Command-line options: those built from declared parameters, and those of every run."""
+"""Command-line options that are built from declared parameters, and options that every run has."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class GroupedCommand(click.Command):
 
 
 class SceneCommand(GroupedCommand):
-    """Command of a scene, in which some options add others: `--contact LAW` adds those of the contact law."""
+    """Command of a scene, in which some options add others: `--contact LAW` adds the options of that law."""
 
     def __init__(self, name: str, scene: Any, **settings: Any) -> None:
         super().__init__(name, **settings)
@@ -135,7 +135,7 @@ def given(values: Mapping[str, Any], context: click.Context | None = None) -> di
 
 
 def check_scene(name: str | None, modules: Mapping[str, Any], more: str = "") -> None:
-    """Refuse the name of an unknown scene; `more` names other possible words for the error message."""
+    """Refuse the name of an unknown scene; the error message lists the scenes and ends with `more`."""
     if name not in modules:
         meant = suggested(name, modules)
         raise click.UsageError(

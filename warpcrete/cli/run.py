@@ -63,7 +63,7 @@ def run(
     """Run a scene into a new folder, or continue the same run in its folder.
 
     An interrupted run continues from its checkpoint, or starts again if there is none. `settings` are the values of
-    :func:`warpcrete.cli.options.run_options` by name. `going_on` states that the folder exists.
+    :func:`warpcrete.cli.options.run_options` by name. `going_on` states that the folder already holds the run.
     """
     folder = settings["out"] if settings["out"] is not None else next_folder(name)
     there = going_on or (folder / "scene.json").is_file()

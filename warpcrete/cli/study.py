@@ -45,7 +45,7 @@ def _execution_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def parsed(arguments: list[str]) -> tuple[str | None, dict[str, list[str]]]:
-    """Return the scene's name, or None, and the values that follow each `--option`."""
+    """Return the scene's name (None if missing) and the values that follow each `--option`."""
     scene = None
     options: dict[str, list[str]] = {}
     current: list[str] | None = None
@@ -110,7 +110,7 @@ def report(study: Study) -> None:
 
 
 def single(options: dict[str, list[str]], kinds: Mapping[str, Any]) -> dict[str, Any]:
-    """Remove those settings from `options` that take a single value, and return the converted values."""
+    """Remove the settings with a single value from `options`, and return their converted values."""
     found = {}
     for name in kinds.keys() & options.keys():
         values = options.pop(name)

@@ -22,7 +22,7 @@ from ..theory.pipe import Concrete, Line, measured_layer, restart_table, steady,
 from ..theory.segregated import segregation_table
 
 THIXOTROPY = 0.5
-"""A_thix [Pa/s] of a concrete between those that stiffen and those that stiffen strongly at rest (Roussel 2006)."""
+"""Default growth rate A_thix of the yield stress at rest [Pa/s], for moderate stiffening (Roussel 2006)."""
 LINE = ("length", "rise", "gravity")
 """Fields of a pipeline that are parameters of the command under the same name. The pipeline's radius is half the
 parameter `diameter`."""
@@ -58,8 +58,9 @@ def run(
 ) -> None:  # fmt: skip
     """Print the closed-form solution for the parameters `given`, with defaults for the others.
 
-    With `fit`, a file of measured points, the slip layer is fitted to these points. With `rest` [s], the restart after
-    that time is added. With `segregation`, the effect on the pressure is added, for a share `aggregate` of the volume.
+    With `fit`, a file of measured points, the slip layer is fitted to these points. With `rest` [s], the pressure for a
+    restart after that time at rest is added. With `segregation`, the effect of segregation on the pressure is added;
+    `aggregate` is the volume fraction of the aggregate.
     """
     growth = growth_of(rest, thixotropy)
     known = fields()
@@ -93,7 +94,7 @@ def run(
 
 
 def _share(given: float | None, name: str) -> float:
-    """Return the share of aggregate in the concrete's volume, as stated by the user or from the concrete's mix."""
+    """Return the volume fraction of aggregate in the concrete, stated by the user or computed from the mix."""
     if given is not None:
         return given
     mix = mix_named(name)
@@ -104,7 +105,7 @@ def _share(given: float | None, name: str) -> float:
 
 
 def growth_of(rest: float | None, thixotropy: float | None) -> float:
-    """Return A_thix [Pa/s], either stated or the usual value; refuse a stated value if no time of rest is given."""
+    """Return the stated or usual rate A_thix [Pa/s]; refuse a stated rate if no time of rest is given."""
     if thixotropy is not None and rest is None:
         refuse("thixotropy", thixotropy, "needs the time of rest", "add, for example, --rest 600")
     return THIXOTROPY if thixotropy is None else thixotropy

@@ -324,7 +324,7 @@ def slurm_cluster(device: str | None, threads: int = 1) -> Any:
 
 
 def unnumbered(device: str | None) -> str | None:
-    """Return a device name without its number, because a worker sees at most one GPU."""
+    """Return a device's name without the GPU number, because a worker sees at most one GPU."""
     return "cuda" if device is not None and device.startswith("cuda") else device
 
 

@@ -14,7 +14,7 @@ ACROSS = 3  # maximum number of panels in a row of the figure
 
 
 def draw(study: Any) -> Any:
-    """Return a Matplotlib figure of each compared quantity over each varied parameter, with its scatter.
+    """Return a Matplotlib figure of each compared quantity, with its scatter, over each varied parameter.
 
     Quantities of the same unit share a panel. Numeric values are joined by lines; words are placed side by side. The
     legend tells lines with different values of the other varied parameters apart.

@@ -28,7 +28,7 @@ from .tradeoffs.report import percent
 
 TIMED_FRAMES = 3  # number of frames that are timed for each recorder
 MAX_TIME_RATIO = 0.9
-"""A simplification is listed only if it leaves less than this fraction of the wall time."""
+"""Ratio of wall time with a simplification to that without it, below which the simplification is listed."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +70,9 @@ def explain(
 ) -> Explanation:
     """Forecast memory, time step and wall time of a scene on a device, measured in a few seconds and then cached.
 
-    `scene` is a scene of a scene function, or any other that :class:`warpcrete.Simulation` accepts. `trade` is the
-    folder of a trade-off study, whose measured errors are listed with the savings (default: the most similar shipped
-    record). With `cache`, results are kept in the user's cache folder. Raises the same errors as a run of the scene
+    `scene` is any scene that :class:`warpcrete.Simulation` accepts. `trade` is the folder of a trade-off study, whose
+    measured errors are listed with the savings (default: the most similar shipped record). With `cache`, results are
+    kept in the user's cache folder. Raises the same errors as a run of the scene
     before its first step.
     """
     found = find_device(device)
@@ -131,7 +131,7 @@ def _read(path: Path) -> Forecast | None:
 
 
 def _savings(scene: Any, forecast: Forecast, trade: Path | None, on_gpu: bool) -> tuple[tuple[Saving, ...], str]:
-    """Return savings found from a trade-off record and from the limits of the time step, with the record's source."""
+    """Return savings from a trade-off record and the time step's limits, and the source of the record."""
     found = list(_time_step_savings(forecast))
     record, source = _trade_of(scene, trade, on_gpu)
     found += _knob_savings(record.get("points", []), _knobs_of(scene))

@@ -75,7 +75,7 @@ def run_on_gpu(
     store_outcome: OutcomeCallback,
     progress: Progress,
 ) -> None:
-    """Run all cases together on a GPU: discrete elements in batches, flows on streams of their own."""
+    """Run all cases together on a GPU: discrete elements in batches, flows each on its own CUDA stream."""
     done = dict.fromkeys((c.name for c in pending), 0.0)
 
     def progress_of(case: Case) -> Progress:
@@ -189,7 +189,7 @@ def stop_callback(asked: Callable[[], bool], simulations: Sequence[Simulation]) 
 
 
 def _plain(outcome: Any) -> Any:
-    """Return the part of an outcome that can be sent to another process."""
+    """Return an outcome in a form that can be sent to another process."""
     if isinstance(outcome, Run):
         return outcome.result
     return outcome if isinstance(outcome, Exception) else None
@@ -207,7 +207,7 @@ def outcome_of(folder: Path) -> Any:
 
 
 def previous_outcome(folder: Path) -> Any:
-    """Return a case's earlier outcome; delete its folder if that holds neither an outcome nor a checkpoint."""
+    """Return a case's earlier outcome; delete the case's folder if it has neither outcome nor checkpoint."""
     found = outcome_of(folder)
     if found is None and folder.exists() and not (folder / "checkpoint.npz").is_file():
         hold = FolderLock(folder)

@@ -32,7 +32,7 @@ FOLDER = Path(__file__).parents[1] / "schemas"
 DRAFT = "http://json-schema.org/draft-07/schema#"
 """Draft of the JSON Schema standard that most editors support."""
 NUMBER = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
-"""Schema of a text entry, which YAML may have read as a number."""
+"""Schema of a text entry that YAML may have read as a number."""
 TEXT: Schema = {"type": ["string", "number"]}
 TEXT_DESCRIPTIONS = {
     "name": "name of the concrete",
@@ -190,7 +190,7 @@ def _parameters(fields: Iterable[Field]) -> dict[str, Schema]:
 
 
 def _own_parameters(fields: Mapping[str, Field]) -> Schema:
-    """Return a schema that allows the parameters of a value that has some of its own, as `contact_stiffness`."""
+    """Return a schema that allows the extra parameters which a chosen value brings, such as `contact_stiffness`."""
     prefixes = [name for name, field in fields.items() if any(field.of_kind(CompositeRule))]
     return {"patternProperties": {f"^{name}_": {} for name in prefixes}} if prefixes else {}
 

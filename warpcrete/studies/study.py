@@ -60,9 +60,9 @@ class Study:
     results: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Contents of result.json of every finished case, by case name."""
     failures: dict[str, str] = field(default_factory=dict)
-    """Message of the error that ended a case, by case name."""
+    """Messages of the errors that ended cases, by case name."""
     not_at_fault: set[str] = field(default_factory=set)
-    """Names of failed cases that are not at fault, because their process died or the disk was full."""
+    """Names of cases that failed only because their process died or the disk was full."""
 
     def __repr__(self) -> str:
         return f"<Study of scene {self.scene!r}: {self.progress}, folder '{self.folder}'>"
@@ -149,7 +149,7 @@ class Study:
         return dataframe(columns, units, "case")
 
     def plot(self) -> Any:
-        """Return a Matplotlib figure of each compared quantity over each varied parameter, with its scatter."""
+        """Return a Matplotlib figure of each compared quantity, with its scatter, over each varied parameter."""
         return draw(self)
 
     def _repr_html_(self) -> str:

@@ -53,7 +53,7 @@ class WorkerPool:
         return self
 
     def __exit__(self, *unused: Any) -> None:
-        """End all workers at once, including those that run a case."""
+        """End all workers immediately, including those that run a case."""
         for worker in self._workers:
             worker.end()
 
@@ -142,7 +142,7 @@ class _Worker:
         return f"was killed by {name}" + ("; the memory may be full: use fewer processes" if name == "SIGKILL" else "")
 
     def end(self) -> None:
-        """Close the pipe that the worker reads from; the worker then ends."""
+        """Close the pipe that the worker reads from; the worker process then ends."""
         assert self._process.stdin is not None and self._process.stdout is not None
         with suppress(OSError):
             self._process.stdin.close()

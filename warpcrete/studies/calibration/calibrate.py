@@ -36,7 +36,7 @@ Progress = Callable[[str, float, dict[str, Any]], None]
 MIN_VALUES = 3
 """Minimum number of runs that must yield a target's quantity before a posterior is computed."""
 SETTLED_ERROR_RATIO = 0.5
-"""Ratio of the emulator's standard deviation to the target's uncertainty below which more runs change nothing."""
+"""Ratio of emulator error to target uncertainty (standard deviations) below which more runs change nothing."""
 SETTLED_SHIFT = 0.25
 """Shift of the posterior mean in one round, in posterior standard deviations, below which the answer is settled."""
 
@@ -194,7 +194,7 @@ def run_round(
 ) -> bool:  # fmt: skip
     """Run all scenes of a round and store the results in `trials`; return False if the user interrupted the round.
 
-    `part` holds the fraction of all work that was done before this round, and the fraction that this round takes.
+    `part` holds two fractions of all work: the fraction done before this round, and the fraction that this round takes.
     Raises :class:`WarpcreteError` if runs were lost because a process died or the disk was full.
     """
     for group in range(len(calibration.task.groups)):

@@ -15,7 +15,7 @@ from .targets import Target, Task
 Outcome = dict[Target, float]
 """Values of the targets in one run; targets without a value are left out."""
 UNREACHABLE_DISTANCE = 3.0
-"""Distance of the closest reachable value from a target, in standard deviations, above which it is unreachable."""
+"""Distance of a target from the closest prediction, in standard deviations, above which the target is unreachable."""
 
 
 @dataclass
@@ -27,11 +27,10 @@ class Trial:
     """Positions in the parameter ranges, one number from 0 to 1 for each free parameter."""
     seed: int
     proof: bool = False
-    """Whether this is a verification run of the likeliest parameters: it is compared with the targets, but not fitted.
-    """
+    """Whether this run only verifies the likeliest parameters, so that its results do not enter the fit."""
     values: Outcome = field(default_factory=dict)
     failure: str = ""
-    """Reason why a target has no value; empty if all fitted targets have one."""
+    """Reason why a fitted target has no value; empty if all fitted targets have a value."""
     suspect: list[str] = field(default_factory=list)
     """Names of the failed plausibility checks of the trial's runs."""
 
@@ -79,7 +78,7 @@ class Calibration:
         return [trial.values[target] for trial in last if target in trial.values]
 
     def off(self, target: Target) -> float:
-        """Return the best value minus the measured one, in standard deviations of the target; NaN without any value.
+        """Return the best value minus the measured one, in the target's standard deviations (NaN if unknown).
 
         The best value is the mean of the verification runs, or else the prediction for the likeliest parameters.
         """

@@ -25,7 +25,7 @@ START_CANDIDATES = 2048
 """Number of points in the unit cube from which the best ones become the walkers' starting points."""
 WALKERS, STEPS, DISCARDED_STEPS = 64, 300, 100
 FAILURE_RADIUS = 0.15
-"""Radius in the unit cube of parameter ranges within which a failed run makes success less likely."""
+"""Radius in the unit cube within which a failed run lowers the estimated probability that runs succeed."""
 UNIFORM_DEVIATION = 1 / np.sqrt(12)
 """Standard deviation of a uniform distribution on the interval from 0 to 1."""
 
@@ -36,7 +36,7 @@ class Emulator:
     def __init__(self, points: np.ndarray, values: np.ndarray, least: float) -> None:
         """Fit the process to the `values`, shape (n,), at `points` of the unit cube, shape (n, free).
 
-        Differences between values below `least` are treated as negligible.
+        Differences smaller than `least` between the values are treated as negligible.
         """
         from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, WhiteKernel
@@ -77,7 +77,7 @@ class Posterior:
     def predicted(self, target: Target, points: np.ndarray | None = None) -> tuple[float, float]:
         """Return the mean and standard deviation of a target's quantity; NaN without an emulator.
 
-        The average is over the posterior samples, or over `points` of the unit cube, shape (n, free).
+        Both are taken over the posterior samples, or over `points` of the unit cube, shape (n, free).
         """
         if target not in self.emulators:
             return math.nan, math.nan
@@ -169,7 +169,7 @@ def _log_success(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.nd
 
 
 def confounded_pairs(found: Posterior, close: float = 0.9) -> list[tuple[str, str, float]]:
-    """Return pairs of parameters with a correlation of at least `close`, of which the data fix only a combination."""
+    """Return pairs of parameters so correlated (at least `close`) that the data determine only their combination."""
     names = [free.name for free in found.task.free]
     matrix = found.correlations()
     return [

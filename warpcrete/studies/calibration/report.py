@@ -148,7 +148,10 @@ def concrete_of(found: Calibration, modules: Mapping[str, Any]) -> dict[str, Any
 
 
 def draw(found: Calibration) -> Any:
-    """Return a Matplotlib figure of the posterior: histograms on the diagonal, pairs below, trials as points."""
+    """Return a Matplotlib figure of the posterior: histograms on the diagonal, pairs of parameters below it.
+
+    The trials are drawn as points.
+    """
     from matplotlib.figure import Figure
 
     assert found.posterior is not None

@@ -76,18 +76,18 @@ class Target:
 
     @property
     def key(self) -> str:
-        """Text that is the same for all targets that one run can answer: the scene and its parameters."""
+        """Scene and parameters as text, which is equal for all targets whose quantities come from the same run."""
         return json.dumps([self.scene, dict(self.parameters)], sort_keys=True, default=str)
 
     @property
     def label(self) -> str:
-        """Description of the quantity and its scene, for people."""
+        """Description of the quantity and its scene, for tables and messages."""
         given = ", ".join(f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
                           for name, value in self.parameters.items() if name not in ("concrete", "seed"))  # fmt: skip
         return f"{self.quantity.replace('_', ' ')} of {self.scene}" + (f" ({given})" if given else "")
 
     def words(self, value: float) -> str:
-        """Return a value of the quantity as text, in the unit that people use."""
+        """Return a value of the quantity as text, in its customary unit."""
         factor, unit = shown(self.unit)
         return f"{value * factor:.4g} {unit}".strip()
 
@@ -97,13 +97,13 @@ class Task:
     """The calibration's targets and free parameters."""
 
     base: str | None
-    """Name or file of the concrete that provides all properties that are not free; None uses each scene's own."""
+    """Concrete (name or file) that provides all properties that are not free; None: each scene's own concrete."""
     free: tuple[FreeParameter, ...]
     targets: tuple[Target, ...]
 
     @property
     def groups(self) -> list[list[Target]]:
-        """Groups of targets that one run can answer together."""
+        """Groups of targets whose quantities all come from the same run."""
         found: dict[str, list[Target]] = {}
         for target in self.targets:
             found.setdefault(target.key, []).append(target)
@@ -231,7 +231,7 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
 
 
 def _in_unit(called: str, given: Any, quantity: str) -> Any:
-    """Return a text such as "550 mm" as a number in the unit of `quantity`, and anything else unchanged."""
+    """Convert a text such as "550 mm" to a number in the unit of `quantity`; return anything else unchanged."""
     units = {each.name: each.unit for method in METHODS for each in method.quantities}
     if isinstance(given, str) and quantity not in units:
         refuse("quantity", quantity, "is not measured in any scene", known_names(quantity, units))

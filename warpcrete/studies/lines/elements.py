@@ -37,18 +37,21 @@ LARGEST_STONE_RATIO = 0.3
 MODULUS_FACTOR = 5.0
 """Default factor on the concrete's elastic modulus.
 
-Soft aggregates are still being compressed after a travel of many diameters, so that less leaves a part than enters it.
+Soft aggregates are still being compressed after they
+have travelled many pipe diameters, so that less concrete leaves a part than enters it.
 In straight pipe of 125 mm the loss is 9.48 kPa/m with the modulus of Zhan et al. (1e5 Pa), and 9.55 kPa/m with five
 times that modulus.
 """
 PRESSED_RUN = "pressed"
-"""Mark of the second simulation of straight pipe, behind a plug that presses against the concrete. The first simulation
-has a plug that hardly resists; its low pressures alone would overestimate the friction at high pressure.
+"""Mark of the second simulation of straight pipe, in which a plug presses against the concrete.
+
+The plug of the first simulation hardly resists. A friction law fitted to its low pressures alone would overestimate
+the friction at high pressure.
 """
 PLUG_PRESSURE_RATIO = 0.04
 """Pressure of the pressing plug in the second simulation of straight pipe, as a fraction of the modulus."""
 CONSTANT_FRICTION_RATIO = 0.2
-"""Ratio of pressure to modulus above which wall friction is assumed constant, as elements would overlap strongly."""
+"""Ratio of pressure to modulus above which wall friction is assumed constant, because overlaps become large."""
 STEPS = 50
 """Number of steps in which the pressure is integrated along a part."""
 MIN_FLUX_RATIO = 0.8
@@ -63,9 +66,9 @@ class Elements:
     shapes: str = "spheres"
     """Shapes of the elements, as in the scene part-dem."""
     coarse: float | None = None
-    """Factor on all stone sizes; None enlarges stones until the largest is 0.3 times as wide as the narrowest bore."""
+    """Factor on all stone sizes; None enlarges the largest stone to 0.3 times the narrowest bore."""
     seeds: int = 1
-    """Number of packings of each kind of part; their scatter gives the band of the pressure."""
+    """Number of random packings of each kind of part; their scatter gives the uncertainty band of the pressure."""
     stiffer: float = MODULUS_FACTOR
     """Factor on the concrete's elastic modulus."""
 
@@ -117,12 +120,12 @@ class SeedResult:
     laws: Mapping[float, WallLaw]
     """Friction laws of straight pipe, by its diameter [m]."""
     ratios: Mapping[tuple[Any, ...], float]
-    """Friction of each kind of bend or reducer, relative to straight pipe of its length."""
+    """Friction of each kind of bend or reducer, divided by that of straight pipe of the same length."""
     density: float
     """Bulk density of the elements that fill the pipe [kg/m3]."""
 
     def ratio(self, part: Part) -> float:
-        """Return a part's friction relative to straight pipe of its length."""
+        """Return a part's friction divided by that of straight pipe of the same length."""
         return self.ratios.get(part.loss_key, part.relative_loss)
 
     def course(self, line: PipeLine) -> list[tuple[float, float]]:

@@ -74,7 +74,7 @@ def part_simulation(
 
 
 def _same(folder: Path, scene: Any, digest: str) -> Iterator[tuple[Path, bool]]:
-    """Yield the folders of runs of the same scene, each with whether the run is complete."""
+    """Yield each folder with a run of the same scene, and whether that run is complete."""
     for here in sorted(folder.iterdir()) if folder.is_dir() else ():
         record, result = here / "scene.json", here / "result.json"
         if digest not in here.name or not record.is_file():

@@ -26,7 +26,7 @@ FINE = 200
 
 
 def friction(part: Part, concrete: Concrete, flow: float) -> float:
-    """Return a part's friction [Pa] by the closed form, as that of a straight pipe with its bore and length.
+    """Return a part's friction [Pa] by the closed form for a straight pipe of the same bore and length.
 
     For a hose, the result includes the additional loss of its bends.
     """

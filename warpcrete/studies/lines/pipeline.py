@@ -52,8 +52,9 @@ def pipeline_estimate(
     """Return a pipeline's pressure by Zhan's Eq. 13 from the plateau pressure of `run`; None without a plateau.
 
     `height` and `distance` are the lengths of vertical and horizontal pipe [m]. The run gives the pressure per metre in
-    its own direction. `other`, the result.json of a run of the other straight unit, gives that in the other direction.
-    Without it, the weight of the concrete is subtracted or added; the result states this assumption.
+    its own direction. `other`, the result.json of a run of the other straight unit, gives the pressure per metre in the
+    other direction. Without `other`, the weight of the concrete is subtracted or added, and the result states this
+    assumption.
     """
     if "plateau_pressure" not in run.result:
         return None

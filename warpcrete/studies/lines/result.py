@@ -25,7 +25,7 @@ class Loss:
     friction: float
     """Pressure loss by friction [Pa]."""
     theory: float
-    """Friction by the closed form, which treats the part as a straight pipe of its bore and length [Pa]."""
+    """Friction by the closed form, which treats the part as a straight pipe of the same bore and length [Pa]."""
     weight: float
     """Pressure due to the weight of the concrete over the part's rise [Pa]."""
 

@@ -74,7 +74,7 @@ def judge_growing(values: Sequence[float], pressures: Sequence[float]) -> tuple[
 
 
 def judge_narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Judge whether pressures are equal from the third pipe diameter on, and far higher in the narrowest pipe."""
+    """Judge whether pressures are equal from the third diameter on, but far higher in the narrowest pipe."""
     level, what = judge_equal(values[2:], pressures[2:])
     growth = pressures[0] / pressures[2] - 1
     holds = level and growth > 0.5
@@ -89,7 +89,7 @@ def judge_late_growth(values: Sequence[float], pressures: Sequence[float]) -> tu
 
 
 NEEDS_ALL_VALUES = (judge_narrow, judge_late_growth)
-"""Judging functions that need every value, so that no run may be missing."""
+"""Judging functions that need the pressure at every value, so that no run may be missing."""
 
 ZHAN = (
     Row("diameter", "diameter", (0.100, 0.125, 0.150, 0.175, 0.200),
@@ -108,7 +108,7 @@ ZHAN = (
 )  # fmt: skip
 """Parameter variations in section 5 of Zhan et al. 2019, on unit D; the pressures are peak pressures."""
 SMALLEST = {10e-3: 5e-3, 20e-3: 5e-3, 40e-3: 10e-3, 60e-3: 10e-3}
-"""Smallest aggregate size by the largest one, in the gradings of Zhan et al. [m]."""
+"""Smallest aggregate size [m] in each grading of Zhan et al., by the grading's largest size [m]."""
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 """Names of the paper's four pipe units A to D."""
 PRINTED = {"vertical": (38.93e3, 35e3), "horizontal": (15.69e3, 12e3), "bend-to-horizontal": (None, None),
@@ -117,7 +117,7 @@ PRINTED = {"vertical": (38.93e3, 35e3), "horizontal": (15.69e3, 12e3), "bend-to-
 PRINTED_TRAVEL = {"vertical": 0.08, "horizontal": 0.10}
 """Travel of the piston at the peak pressure in the paper [m]."""
 PIPELINES = {"Burj Khalifa": (576.0, 83.0, 21.15e6, 17.1e6), "Shanghai Tower": (582.0, 150.0, 22.17e6, 23.4e6)}
-"""Lengths up and along [m], pressure predicted by the paper and pressure recorded on site [Pa], by pipeline."""
+"""Vertical and horizontal length [m], predicted pressure and pressure recorded on site [Pa], by pipeline."""
 
 UNITS_ROW = "units"
 """Name of the group of runs with the four pipe units."""
@@ -127,8 +127,9 @@ CONCRETES: dict[str, dict[str, Any]] = {
     "calibrated": {"concrete": "zhan"},
     "stiff stones": {"concrete": "zhan", "modulus": 1e7, "solid_fraction": 0.62, "layer_viscosity": 1660.0},
 }
-"""Concretes of the reproduction: Table 1 of Zhan et al. as printed; the same with a wall layer and wall friction
-calibrated on units A and B; and stones of 1e7 Pa, loosely packed, with the same friction and another layer.
+"""Concretes of the reproduction: Table 1 of Zhan et al. as printed; the same concrete with a wall layer and wall
+friction calibrated on units A and B; and loosely packed stones with a modulus of 1e7 Pa, the same friction and
+another layer.
 """
 
 OPEN_ASSUMPTIONS: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {

@@ -30,7 +30,7 @@ class Reproduction:
     results: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Results of runs, by the key that :func:`key_of` forms from their parameters."""
     failures: dict[str, str] = field(default_factory=dict)
-    """Messages of the errors that ended runs, by the same keys as the results."""
+    """Messages of the errors that ended runs, by the same keys as `results`."""
     finished: bool = False
 
     def __repr__(self) -> str:
@@ -72,7 +72,7 @@ def pressures(found: Reproduction, row: Row, name: str) -> list[list[float]]:
 
 
 def verdict_of(found: Reproduction, row: Row, name: str) -> tuple[list[float], str]:
-    """Return mean peak pressures [Pa] over a varied parameter, with NaN for failed runs, and a verdict in words.
+    """Return the mean peak pressure [Pa] at each value of a parameter (NaN if runs failed), and a verdict in words.
 
     The verdict on the paper's claim is empty if the row was not run.
     """

@@ -34,9 +34,9 @@ class Advice:
     ratio: float
     """Wall time of a run with these settings, divided by that of the scene without them."""
     left_out: tuple[str, ...]
-    """Descriptions of settings that this scene cannot take; without them the promised error does not hold."""
+    """Descriptions of recommended settings that this scene cannot take; the promise does not hold without them."""
     outside: tuple[str, ...]
-    """Differences between this scene and that of the trade-off study, in words; the promise was not tested there."""
+    """Differences of this scene from the measured one, in words; the promise is untested for such differences."""
     tried: tuple[str, ...]
     """Descriptions of other scenes on which the settings were tested."""
     machine: str

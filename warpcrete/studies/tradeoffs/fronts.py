@@ -71,7 +71,7 @@ def difference(quantity: str, values: Sequence[float], reference: Sequence[float
 
 
 def prediction_bound(shifts: Sequence[float]) -> float:
-    """Return the bound that the next error stays within with a probability of 95 %, if errors are normally distributed.
+    """Return the bound of the next error with 95 % probability, for normally distributed errors.
 
     This is the prediction interval |mean| + t s sqrt(1 + 1/n) of n errors with the standard deviation s. A single error
     is its own bound.

@@ -14,7 +14,7 @@ from ...record.checks import failed_checks
 from .fronts import Error, worst
 
 WANTED_ERRORS = (0.2, 0.1, 0.05, 0.02, 0.01)
-"""Relative errors for each of which the cheapest settings are sought."""
+"""Wanted relative errors; the study looks for the cheapest setting within each wanted error."""
 GIVEN, REFERENCE, COMBINED, CARRIED = "as given", "finest", "combined", "carried"
 """Origins of settings that do not vary a single accuracy knob: the scene as given, the finest setting that the budget
 allows, a combination of knob levels, and a setting that is repeated in a variant of the scene.
@@ -39,7 +39,7 @@ class Setting:
     """Reason why the setting was not run; a later attempt may run it."""
     errors: list[Error] = field(default_factory=list)
     converted: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Conversions of quantities that mean something else at this setting; see :class:`Level`."""
+    """Conversions of quantities whose meaning differs at this setting; see :class:`Level`."""
     variant: str = ""
     """Description of how the scene differs from that of the trade-off study; empty if it does not."""
     full: dict[str, Any] = field(default_factory=dict)
@@ -95,6 +95,9 @@ class Promise:
     found: Error | None = None
     """Error with fresh seeds; None if the scene has no seeds or the time ran out."""
     carried: dict[str, Error | None] = field(default_factory=dict)
-    """Largest error in each variant of the scene, by the variant's description and failed checks; None if it fails."""
+    """Largest error in each variant of the scene, by the variant's description and the names of its failed checks.
+
+    The value is None if the run of the variant failed.
+    """
     bound: float = math.inf
     """Relative error that is promised, as a fraction."""

@@ -27,7 +27,7 @@ from .points import CARRIED, GIVEN, REFERENCE, WANTED_ERRORS, Promise, Setting
 from .trials import MIN_RUNS_FOR_MEDIAN, WorkerJob, run_worker_job, warm_up
 
 COMMAND = {"frames": 25.0, "checkpoint_every": 0.0}
-"""Recording options on workers: checkpoints are off, because a resumed run would have no valid wall time."""
+"""Recording options on workers. Checkpoints are off, because a resumed run has no valid wall time."""
 Tell = Callable[[str, float, dict[str, Any]], None]
 
 
@@ -174,7 +174,10 @@ class Trade:
         return any(as_given.get(key) != value for key, value in knob.levels[level].changes.items())
 
     def ratio(self, knob: Knob, level: int) -> float:
-        """Return the wall time with one knob at a level over that of the scene as given, measured or else estimated."""
+        """Return the wall time with one knob at a level, divided by the wall time of the scene as given.
+
+        The ratio is measured if the level was run alone, and otherwise estimated.
+        """
         alone = self._alone(knob, level)
         if alone is not None and math.isfinite(alone.cost) and not alone.failure and self.given.cost > 0:
             return alone.cost / self.given.cost
@@ -343,7 +346,7 @@ class Trade:
         for each in self.quantities if ran else ():
             values = point.values(each.name, seeds)
             if len(values) < ran:
-                found.append(Error(each.name, math.inf, 0.0))  # at least one run lacks it
+                found.append(Error(each.name, math.inf, 0.0))  # at least one run lacks the quantity
             elif self.exact:
                 errors = point.values(f"{each.name}_error", seeds)
                 scatter = float(np.std(errors)) if len(errors) > 1 else 0.0
@@ -355,10 +358,10 @@ class Trade:
         return found
 
     def shift(self, knob: Knob, level: int) -> float:
-        """Return the largest error due to a knob's level, against its finest level that ran; infinity if a run failed.
+        """Return the largest error of a knob's level against the knob's finest complete level; infinity on failure.
 
-        A difference that the scatter between seeds explains counts as zero. It is no error of the knob, and such
-        differences would accumulate over all knobs.
+        A difference that the scatter between seeds explains counts as zero. The knob does not cause such a
+        difference, and the differences would accumulate over all knobs.
         """
         point = self._alone(knob, level)
         finest = next((p for k in reversed(range(len(knob.levels))) if (p := self._alone(knob, k)) is not None

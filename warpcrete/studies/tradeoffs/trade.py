@@ -73,7 +73,7 @@ def run_trade(
     errors are measured, `knobs` the knobs that are varied (default: all of the scene), and `repeat` the number of seeds
     of each setting (default 3, or 1 if nothing is random). With a `scheduler`, runs are distributed over the `workers`
     of :func:`warpcrete.studies.cluster.open_cluster`. Each worker runs one simulation at a time and has a GPU, or
-    `threads` cores (default 1), to itself; the budget remains wall time, so more is measured. Raises
+    `threads` cores (default 1), to itself; the budget remains wall time, so more workers measure more settings. Raises
     :class:`SceneError` before anything is written if the settings are impossible, and after the first run if the
     budget is too short for a second.
     """
@@ -287,7 +287,7 @@ def _run_reference(trade: Trade, tell: Tell) -> None:
             break
         if top == trade.record.get("finest"):  # an earlier call ran this setting when the budget was larger
             break
-        # For each knob, divide the logarithm of the time factor that one coarser level saves by the error it adds.
+        # Compute for each knob: logarithm of the time factor saved by one coarser level, over the added error.
         saved = {}
         for name, usable in levels.items():
             if len(usable) > 1:
@@ -322,7 +322,7 @@ def _run_combinations(trade: Trade, tell: Tell) -> None:
 def _find_promises(trade: Trade, tell: Tell) -> None:
     """Find the cheapest setting within each wanted error, and test it with fresh seeds and in variants of the scene.
 
-    If a setting fails there or exceeds the wanted error, the next cheapest one is tested.
+    If a setting fails in a test or exceeds the wanted error, the next cheapest setting is tested.
     """
     variants = trade.module.trading.variants(trade.declared) if trade.exact else {}
     chosen = {knob.name for knob in trade.chosen_knobs}
@@ -346,7 +346,7 @@ def _find_promises(trade: Trade, tell: Tell) -> None:
 def _test_variants(
     trade: Trade, point: Setting, variants: Mapping[str, Mapping[str, Any]], target: float, tell: Tell
 ) -> tuple[dict[str, Error | None], float]:
-    """Return the largest error of a setting in each variant of the scene, and the error bound that it promises.
+    """Return the largest error of a setting in each variant of the scene, and the setting's promised error bound.
 
     Testing stops at the first variant in which the error exceeds `target`. Workers run several variants at a time.
     """
