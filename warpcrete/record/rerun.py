@@ -239,7 +239,7 @@ class RerunRecorder(Recorder):
                 self._log(path, self._rr.BarChart.from_fields(**fields))
 
     def _bars(self, values: np.ndarray) -> Any:
-        """Return heights of bars as a tensor of Rerun's.
+        """Return heights of bars as a tensor in Rerun's format.
 
         A new tensor takes ten times as long to convert as a changed one. Therefore one tensor is kept for each number
         of bars, and only its values are replaced.
@@ -299,7 +299,7 @@ class RerunRecorder(Recorder):
             raise self._recording_error(error) from error
 
     def _log_zeros(self, display: Display, time: float, steps: int) -> None:
-        """Record one point in every plot, so that its axis begins at zero."""
+        """Record one point in every plot, so that the axis of values begins at zero."""
         self._set_time(time, steps)
         for plot in display.plots():
             self._log(f"{plot.path}/zero", self._rr.SeriesLines(colors=[AXIS], names="zero"), static=True)
@@ -333,8 +333,10 @@ class RerunRecorder(Recorder):
         self._cut = [wall.name for wall in cut_walls(display)]
         self._paint: Paint | None = None
         self._legend_due = False
-        self._tensors: dict[int, Any] = {}  # Tensors of bars, by the number of bars.
-        self._places: dict[str, np.ndarray] = {}  # Last recorded positions of bars, by path.
+        self._tensors: dict[int, Any] = {}  # Tensors for bars; the key is the number of bars.
+        self._places: dict[
+            str, np.ndarray
+        ] = {}  # Last recorded positions of bars; the key is the path in the recording.
         if self.live is True:
             opened = screen_viewer(bind=self._bind)
             opened.start()

@@ -19,7 +19,7 @@ from .loading import is_finished
 
 
 def scene_record(simulation: Simulation, command: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return the contents of scene.json: the scene function's name, all arguments, and the settings of the run.
+    """Return the contents of scene.json: the name and arguments of the scene function, and the settings of the run.
 
     If a scene differs from what its function builds, because it was modified afterwards or built by hand, the fields in
     question are stored under `modified`; such a run cannot be repeated from scene.json.

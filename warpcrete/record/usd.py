@@ -20,7 +20,7 @@ from ..core.run.files import atomic_file, cannot_write
 from ..core.run.run_loop import Recorder, Run, Simulation
 from .usd_looks import Colours, Painted, bind, bodies_look, describe, light, wall_look
 
-FRAMES_PER_SECOND = 1000  # Time codes are milliseconds of simulated time.
+FRAMES_PER_SECOND = 1000  # One USD time code stands for one millisecond of simulated time.
 
 
 class UsdRecorder(Recorder):
@@ -272,7 +272,8 @@ class _Points:
 
 def _extent(places: np.ndarray, reach: np.ndarray) -> np.ndarray:
     """Return the lowest and the highest corner of the box around all bodies [m], shape (2, 3)."""
-    x = np.ascontiguousarray(places.T)  # The minimum of contiguous rows takes a tenth of the time.
+    # The minimum over contiguous rows takes a tenth of the time of the minimum over columns.
+    x = np.ascontiguousarray(places.T)
     return np.stack([(x - reach).min(1), (x + reach).max(1)]).astype(np.float32)
 
 

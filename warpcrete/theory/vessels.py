@@ -50,7 +50,7 @@ upwards, with 3 s^2 + shear^2 = tau^2; this multiplies the mean by sqrt(3).
 def heap_depth(
     inward: np.ndarray, yield_stress: float, density: float, gravity: float = 9.81, form: str = "axial"
 ) -> np.ndarray:
-    """Return the depth [m] of a heap at rest at distances `inward` from its front [m].
+    """Return the depth [m] of a heap at rest at the distances `inward` [m] behind the heap's front.
 
     The depth h follows from rho g h^2 / 2 = tau (inward + HEAPS h). The left side is the outward pressure of the weight
     over the depth. The plate resists it with tau along the distance `inward`, and the stretched section resists it with
@@ -96,7 +96,7 @@ def tall_cone_slump(
     top: float, base: float, height: float, yield_stress: float, density: float, gravity: float = 9.81,
     bears: float = math.sqrt(3),
 ) -> float:  # fmt: skip
-    """Return the fall of the top of a truncated cone [m], each layer of which widens until it bears the weight above.
+    """Return the slump of a truncated cone [m] whose layers widen until each layer bears the weight above it.
 
     A layer bears a pressure of `bears` yield stresses: the square root of 3 by von Mises, 2 by Tresca as in Murata
     (1984).

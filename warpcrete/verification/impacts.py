@@ -38,7 +38,7 @@ TEST_5_SPIN = np.array([
 
 
 def spheres_on_a_plane(law, radius, density, velocities, spins, device, precision, steps_per_contact=400):
-    """Let spheres hit a plane, each on its own, and return their final velocities and spins."""
+    """Let spheres hit a plane without touching each other, and return their final velocities and spins."""
     velocities = np.asarray(velocities, dtype=float)
     count = len(velocities)
     # The spheres just touch the plane, because in single precision a centre far from it has less accurate overlaps.
