@@ -334,9 +334,8 @@ class RerunRecorder(Recorder):
         self._paint: Paint | None = None
         self._legend_due = False
         self._tensors: dict[int, Any] = {}  # Tensors for bars; the key is the number of bars.
-        self._places: dict[
-            str, np.ndarray
-        ] = {}  # Last recorded positions of bars; the key is the path in the recording.
+        # Last recorded positions of bars; the key is the path in the recording.
+        self._places: dict[str, np.ndarray] = {}
         if self.live is True:
             opened = screen_viewer(bind=self._bind)
             opened.start()

@@ -112,7 +112,7 @@ def tall_cone_slump(
 def box_at_rest(
     volume: float, length: float, width: float, yield_stress: float, density: float, gravity: float = 9.81
 ) -> tuple[float, float, float]:
-    """Return the depths of concrete at rest at both ends of a box [m], and how far it has flowed along the box [m].
+    """Return the depths of resting concrete at the near and far end of a box and the length that it covers [m].
 
     The concrete enters at one end without inertia and sticks to floor and sides. The concrete rests where floor and
     sides bear its slope: h' = tau (b + 2 h) / (rho g b h) (Nguyen, Roussel & Coussot 2006). The equation is integrated
@@ -151,8 +151,8 @@ def root(function: Callable[[float], float], low: float, high: float) -> float:
 def duct_constants(aspect: float) -> tuple[float, float]:
     """Return the shape constants a and b of a rectangular duct (Kozicki, Chou & Tiu 1966).
 
-    `aspect` is the short side over the long one, 0 to 1. Values between the tabulated ratios are interpolated. A slot
-    has a = 1/2 and b = 1.
+    `aspect` is the short side divided by the long side, 0 to 1. Values between the tabulated ratios are interpolated. A
+    slot has a = 1/2 and b = 1.
     """
     ratio = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0)
     a, b = (0.5, 0.4132, 0.3212, 0.2440, 0.2178, 0.2121), (1.0, 0.9085, 0.8182, 0.7278, 0.6831, 0.6771)
@@ -187,9 +187,9 @@ def funnel_time(
     """Estimate the time in which a V-funnel empties [s]; infinite if the yield stress holds the concrete back.
 
     The funnel is a stack of slices, each treated as a duct, with the inertia of the jet at the outlet. `half_widths`
-    are those at the outlet and at the brim, `heights` those of the straight outlet and of the whole funnel [m]. The
-    extensional flow in the taper is left out. The sum ends when the level reaches the straight outlet, because the
-    slices would hold back the last concrete, which in fact is already falling.
+    holds the half widths at the outlet and at the brim [m]. `heights` holds the heights of the straight outlet and of
+    the whole funnel [m]. The extensional flow in the taper is left out. The sum of times ends when the level reaches
+    the straight outlet. The concrete left there is already falling, but the slices would hold it back.
     """
     narrow, brim = half_widths
     throat, whole = heights
@@ -198,8 +198,7 @@ def funnel_time(
     step, outlet = whole / SLICES_FUNNEL, 2 * narrow * depth
     area = wide * depth
     speeds = np.geomspace(1e-6, math.sqrt(2 * gravity * whole), SPEEDS)
-    # Weight above the outlet that friction and inertia leave over, for each outlet speed and each level of the
-    # concrete.
+    # Pressure of the weight above the outlet, less the losses by friction and inertia [Pa], for each outlet speed and each level of the concrete.
     left = []
     for speed in speeds:
         stress, radius = duct_stress(speed * outlet / area, wide, depth, viscosity, yield_stress)
