@@ -231,7 +231,7 @@ def _next_section(
 
     The section is turned perpendicular to the parabola through its own centre and two earlier ones. In a cone, the
     centre of a tilted section is displaced from the axis by up to the radius times the slope. The iteration therefore
-    converges only if the section is turned by a part of the remaining angle at a time.
+    converges only if each round turns the section by a fraction of the remaining angle.
     """
     way, found = tangent, None
     place = points[-1] + step * tangent

@@ -29,13 +29,13 @@ from .legend import legend, paint_legend
 PATIENCE = 4.0
 """Longest wait [s] for a viewer to receive the remaining data, or for a file that has stopped growing."""
 CLOSE_TIMEOUT = 30.0
-"""Longest time [s] for opening the file, or for closing it after a viewer did not receive the whole recording."""
+"""Longest time [s] for opening the file, or for closing the file if a viewer has not received the whole recording."""
 POLL_INTERVAL = 0.5
 """Time [s] between two checks whether the file has grown."""
 AXIS = (200, 200, 200)
 TEXTURE_MARGIN = 512
-"""Number of texels that repeat the first colour at the start of the texture. At the edges of a mesh, a renderer samples
-colours slightly outside the triangles."""
+"""Number of texels that repeat the first colour at the start of the texture. A renderer may sample colours slightly
+outside the triangles at the edges of a mesh, and therefore slightly outside the colour scale."""
 
 
 def with_values(tensor: Any, values: np.ndarray) -> Any:
@@ -208,7 +208,7 @@ class RerunRecorder(Recorder):
     def _log_scale(self, paint: Paint, painted: list[str]) -> None:
         """Record the texture of all colours and the legend, for all frames.
 
-        The viewer uses the last version of static data, so that earlier frames follow a new scale too.
+        The viewer uses the last version of static data, so that a new scale applies to earlier frames too.
         """
         rr = self._rr
         from rerun.components import ImageFormat

@@ -27,7 +27,7 @@ class UsdRecorder(Recorder):
     """Recorder that writes scene.usdc, in metres with Z up, at checkpoints and at the end of a run.
 
     The file is also written when a run is interrupted. With `velocities`, the file includes the velocities of rigid
-    bodies, which renderers need for motion blur, and is half as large again.
+    bodies, which renderers need for motion blur, and is one and a half times as large as without velocities.
     """
 
     expendable = True
@@ -234,8 +234,8 @@ class _Instances:
         position = pose.positions.astype(np.float32)
         self._instancer.CreatePositionsAttr().Set(Vt.Vec3fArray.FromNumpy(position), code)
         if self._turn:
-            # USD stores quaternions in half precision. In memory, the real part is last, in the order x, y, z, w used
-            # here.
+            # USD stores quaternions in half precision. In memory, their real part comes last, which is the order x,
+            # y, z, w that this program uses.
             orientation = np.ascontiguousarray(pose.orientations.astype(np.float16))
             self._instancer.CreateOrientationsAttr().Set(Vt.QuathArray.FromNumpy(orientation), code)
         if self._velocities:

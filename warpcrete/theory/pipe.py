@@ -71,7 +71,7 @@ MIXES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Line(Declared):
-    """Stretch of straight pipe."""
+    """Straight pipe with a slip layer at its wall."""
 
     radius: Annotated[float, "Radius R [m]; half the distance of the planes in the form `plane`", Above()] = 0.05
     length: Annotated[float, "Length L [m]", Above()] = 0.3

@@ -1,7 +1,7 @@
 """Closed forms and estimates of standard tests: slump, spread, L-box, V-funnel.
 
 A long heap comes to rest where the yield stress on the plate balances the outward pressure of its slope (Roussel &
-Coussot 2005). The next order of shallow theory adds the heap's resistance to being stretched, so the heap stops earlier
+Coussot 2005). The next order of shallow-layer theory adds the heap's resistance to stretching. This heap stops earlier
 (Dubash, Balmforth, Slim & Cochard 2009 in a plane; here also about an axis). A tall heap rests where each layer has
 grown wide enough to bear the weight above it (Murata 1984; for cones Schowalter & Christensen 1998).
 
@@ -54,7 +54,8 @@ def heap_depth(
 
     The depth h follows from rho g h^2 / 2 = tau (inward + HEAPS h). The left side is the outward pressure of the weight
     over the depth. The plate resists it with tau along the distance `inward`, and the stretched section resists it with
-    HEAPS tau h. The long heap lacks the last term. `form` is "plane" or "axial".
+    HEAPS tau h. The formula for a long heap (:func:`long_heap_spread`) lacks the last term. `form` is "plane" or
+    "axial".
     """
     bears = yield_stress / (density * gravity)
     front = HEAPS[form] * bears
@@ -87,7 +88,7 @@ def viscous_front(volume: float, viscosity: float, density: float, time: float, 
     """Return how far a viscous fluid without yield stress has spread on a plate to one side [m] (Huppert 1982).
 
     The solution for long times in a plane is 1.411 (g V^3 / (3 nu))^(1/5) t^(1/5), with the `volume` V released to this
-    side per metre of depth [m2] and the `time` t since then [s]. The fluid sticks to the plate.
+    side per metre of depth [m2] and the `time` t since then [s]. There is no slip between fluid and plate.
     """
     return 1.411 * (density * gravity * volume**3 * time / (3 * viscosity)) ** 0.2
 
@@ -121,7 +122,7 @@ def box_at_rest(
     pull = yield_stress / (density * gravity)
 
     def filled(far: float, reach: float) -> tuple[float, float]:
-        """Return the volume [m3] and the depth at the near end [m]."""
+        """Return the volume [m3] and the near end's depth [m] of concrete that is `far` deep at its far end."""
         step, depth, sum = reach / SLICES, far, 0.0
         for _ in range(SLICES):
             # Integrate the square of the depth: its slope stays finite at a front, where the depth is zero.
@@ -164,9 +165,9 @@ def duct_stress(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean wall stress [Pa] of rectangular ducts at mean speeds [m/s], and their hydraulic radii [m].
 
-    `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side. Bingham's law in the form of
-    Kozicki, Chou & Tiu, which is exact in slots and pipes, reads 2 v / R = tau / mu (1 / (a + b) - q / b + a q^(1 +
-    b/a) / (b (a + b))), with q = tau0 / tau.
+    `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side of all ducts. Bingham's law
+    in the form of Kozicki, Chou & Tiu, which is exact in slots and pipes, reads
+    2 v / R = tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a + b))), with q = tau0 / tau.
     """
     radius = wide * deep / (2 * (wide + deep))
     a, b = np.array([duct_constants(min(w, deep) / max(w, deep)) for w in wide]).T
@@ -198,7 +199,8 @@ def funnel_time(
     step, outlet = whole / SLICES_FUNNEL, 2 * narrow * depth
     area = wide * depth
     speeds = np.geomspace(1e-6, math.sqrt(2 * gravity * whole), SPEEDS)
-    # Pressure of the weight above the outlet, less the losses by friction and inertia [Pa], for each outlet speed and each level of the concrete.
+    # Pressure of the weight above the outlet, less the losses by friction and inertia [Pa], for each outlet speed
+    # and each level of the concrete.
     left = []
     for speed in speeds:
         stress, radius = duct_stress(speed * outlet / area, wide, depth, viscosity, yield_stress)

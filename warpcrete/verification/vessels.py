@@ -24,7 +24,7 @@ PASTE = Concrete(density=2000.0, viscosity=20.0, yield_stress=0.0, slip_viscosit
 INNER, OUTER, TURNS = 0.05, 0.1, 1.0
 """Radii of the inner and outer cylinder [m], and angular velocity of the inner one [rad/s]."""
 RADIUS, SPEED = 0.05, 0.19
-"""Radius of the round pipe [m], and mean velocity of its flow [m/s]."""
+"""Radius of the round pipe [m], and mean velocity of the flow in it [m/s]."""
 
 
 @dataclass(frozen=True)
