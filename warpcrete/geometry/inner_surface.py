@@ -19,8 +19,8 @@ INSET = 1e-3
 MAX_SHORTFALL = 0.02
 """Length in radii by which a mesh may be shorter than the pipeline part that the mesh represents."""
 LID_COSINE, LID_DISTANCE = 0.9, 0.1
-"""Limits that identify a facet of a lid: the cosine between its normal and the axis must exceed the first number, and
-the facet must lie beyond an end of the pipe or nearer to it than the second number in radii."""
+"""Limits that identify a facet of a lid. The cosine of the angle between the facet's normal and the axis must exceed
+the first number. The facet must lie beyond an end of the pipe, or nearer to the end than the second number in radii."""
 VISIBILITY_TOLERANCE = 1e-3
 """Distance in radii in front of a facet within which another surface does not hide the facet."""
 OFFSET = 1e-4

@@ -28,11 +28,11 @@ MEASURED = 0.01
 OVERLAP = 0.005
 """Length, in diameters, by which round pipe overlaps with the end of a mesh."""
 FINE = 0.005
-"""Distance, in diameters, between the places where a bore is measured."""
+"""Distance, in diameters, between neighbouring places at which a bore is measured."""
 STEPS = 4000
 """Largest number of places at which one bore is measured."""
 PROFILE = 0.05
-"""Distance, in diameters, between the places for which a mesh bore stores a radius."""
+"""Distance, in diameters, between neighbouring places for which a mesh bore stores a radius."""
 Way = tuple[float, float, float]
 Fields = tuple[str, str]
 WAYS: tuple[Way, ...] = (

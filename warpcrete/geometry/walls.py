@@ -132,7 +132,7 @@ class _Wall:
 
     @property
     def reference_points(self) -> np.ndarray:
-        """Points [m] at which the speed of the wall is evaluated, shape (n, 3)."""
+        """Points [m] at which `top_speed` evaluates the speed of the wall, shape (n, 3)."""
         return self.origin[None]
 
     def top_speed(self) -> float:

@@ -1,7 +1,7 @@
 """Closed forms and estimates of standard tests: slump, spread, L-box, V-funnel.
 
 A long heap comes to rest where the yield stress on the plate balances the outward pressure of its slope (Roussel &
-Coussot 2005). The next order of shallow-layer theory adds the heap's resistance to stretching. This heap stops earlier
+Coussot 2005). The next order of shallow-layer theory adds the heap's resistance to stretching, which stops it earlier
 (Dubash, Balmforth, Slim & Cochard 2009 in a plane; here also about an axis). A tall heap rests where each layer has
 grown wide enough to bear the weight above it (Murata 1984; for cones Schowalter & Christensen 1998).
 
@@ -37,7 +37,7 @@ def long_heap_spread(volume: float, yield_stress: float, density: float, gravity
 
 
 HEAPS = {"plane": math.pi / 2, "axial": math.sqrt(3) * math.pi / 4}
-"""Resistance of a heap to being stretched, in units of yield stress times depth, for the forms "plane" and "axial".
+"""Resistance of a heap to stretching, in units of yield stress times depth, for the forms "plane" and "axial".
 
 The resistance is the normal stress along the slope minus that across it, beyond what the weight causes, integrated over
 the depth. At height z, shear uses tau (1 - z / h) of the yield stress tau. The stretch takes the rest,
@@ -65,7 +65,7 @@ def heap_depth(
 def heap_at_rest(
     volume: float, yield_stress: float, density: float, gravity: float = 9.81, form: str = "axial"
 ) -> tuple[float, float]:
-    """Return the radius or half-width [m] and the central depth [m] of a wide heap that resists being stretched.
+    """Return the radius or half-width [m] and the central depth [m] of a wide heap that resists stretching.
 
     `volume` is the volume of the whole heap about an axis [m3], or in a plane the volume of one half per metre of depth
     [m2]. The theory leaves out inertia and holds for heaps wider than high.

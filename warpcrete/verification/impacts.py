@@ -184,8 +184,8 @@ def oblique(device, precision) -> list[Row]:
             label = f"test 4: {name}, worst {where}"
             rows.append(Row(label, float(ours[place]), float(published[place]), tolerance, unit, scale))
     # The error of each final spin is relative to the spin's expected value. An impact at 5 degrees causes hardly any
-    # spin. The spin then equals a small difference between the tangential restitution and 1,
-    # and the restitution is compared above.
+    # spin. The spin then follows from the small difference between the tangential restitution and 1. The restitution
+    # is compared above.
     for which, where, tolerance in ((TEST_4[:, 0] == 10, "at 10 degrees", 0.1), (~steep, "from 15 degrees on", 0.03)):
         label = f"test 4: final angular velocity {where}"
         rows.append(_largest_error(label, turning[which], TEST_4[which, 2], tolerance, "rad/s"))
