@@ -31,7 +31,7 @@ class Arc:
     towards: tuple[float, float, float]
     """Direction from the start of the bend to its centre, shape (3,).
 
-    Only the part of this vector perpendicular to the axis counts.
+    Only the component of this vector perpendicular to the axis is used.
     """
 
     def __post_init__(self) -> None:
@@ -47,7 +47,7 @@ class Arc:
 
 @dataclass(frozen=True)
 class Axis:
-    """Centreline of a pipe, with a start point [m], a unit tangent there and a row of lines and arcs.
+    """Centreline of a pipe: a start point [m], a unit tangent there and a sequence of lines and arcs.
 
     Beyond both ends the axis continues straight without limit, so that an exact pipe surface has no end caps.
     """

@@ -12,8 +12,7 @@ from .axis import Arc, Axis
 FACETS = 32
 """Number of facets around the circumference of a pipe that is drawn with triangles."""
 VOLUME_SAMPLES = 400
-"""Number of arc lengths at which the volume of a pipe is tabulated to find the arc length at which a given share of the
-volume ends.
+"""Number of arc lengths in the table of a pipe's volume, which gives the arc length for a share of the volume.
 """
 
 
@@ -22,9 +21,9 @@ class Bores:
     """Inner radius of a pipe along its axis: linear between given arc lengths, and constant beyond them."""
 
     places: tuple[float, ...]
-    """Arc lengths at which the radius is given, increasing [m]."""
+    """Arc lengths at which `radii` are given, increasing [m]."""
     radii: tuple[float, ...]
-    """Inner radii of the pipe at these arc lengths [m]."""
+    """Inner radii of the pipe at the arc lengths `places` [m]."""
 
     def __post_init__(self) -> None:
         if len(self.places) != len(self.radii) or not self.places or np.any(np.diff(self.places) <= 0):

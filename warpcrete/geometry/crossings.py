@@ -18,7 +18,7 @@ def first_crossing(axis: Axis, spans: Sequence[tuple[float, float, int]], gap: f
     """Return the indices of the first two spans of a pipe whose walls are closer than `gap` [m], or None.
 
     A span is a section of the pipe, given by its length [m], its diameter [m] and the number of points along it.
-    Between these points the axis is taken to be straight. Each span begins where the one before it ends.
+    Between these points the axis is taken to be straight. Each span begins where the previous span ends.
     """
     begin = 0.0
     places = []

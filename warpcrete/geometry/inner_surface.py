@@ -10,18 +10,17 @@ from .cleaning import clean, default_tolerance, merged_corners
 from .meshes import FARTHEST_WALL, SurfaceQueries
 
 MAX_RADIUS_ERROR = 0.1
-"""Largest difference between the bore of a mesh and the pipe that the mesh represents, as a share of the pipe's
-radius.
+"""Largest difference between the radius of a mesh's bore and the radius of its pipe, as a share of the latter.
 """
 DIRECTIONS_AROUND = 24
 """Number of directions in which the wall's distance is measured at each cross-section."""
 INSET = 1e-3
-"""Distance in radii that cross-sections keep from a rim or lid, because rays exactly there may miss the wall."""
+"""Smallest distance, in radii, of cross-sections from a rim or lid; rays exactly at a rim or lid may miss the wall."""
 MAX_SHORTFALL = 0.02
 """Length in radii by which a mesh may be shorter than the pipeline part that the mesh represents."""
 LID_COSINE, LID_DISTANCE = 0.9, 0.1
-"""Limits that identify a facet of a lid: the cosine between its normal and the axis must exceed the first number, and
-the facet must lie beyond an end of the pipe or nearer to it than the second number in radii."""
+"""Limits that identify a facet of a lid. The cosine of the angle between the facet's normal and the axis must exceed
+the first number. The facet must lie beyond an end of the pipe, or nearer to the end than the second number in radii."""
 VISIBILITY_TOLERANCE = 1e-3
 """Distance in radii in front of a facet within which another surface does not hide the facet."""
 OFFSET = 1e-4
@@ -106,7 +105,7 @@ class InnerSurface:
         return np.where(inside, 1.0, -1.0) * self._queries.distances(points)
 
     def _inside(self, s: np.ndarray) -> np.ndarray:
-        """Return arc lengths [m] limited to the mesh and kept a small distance inside its ends.
+        """Return arc lengths [m], clipped to the range that lies a small distance inside both ends of the mesh.
 
         Exactly at a rim or a lid, rays may miss the bore.
         """

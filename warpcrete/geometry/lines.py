@@ -98,7 +98,7 @@ class Part:
 
     @property
     def loss_key(self) -> tuple[Any, ...]:
-        """Key that is equal for parts with equal pressure loss; straight parts are compared by their loss per metre."""
+        """Key that is equal for parts with equal pressure loss, or for straight parts with equal loss per metre."""
         if self.is_by_length:
             return ("straight", self.diameter, self.layer)
         shape = self.mesh.digest if self.mesh else ""
@@ -107,7 +107,7 @@ class Part:
 
 @dataclass(frozen=True)
 class PipeLine:
-    """Pipeline: a row of parts with its axis in space, in SI units."""
+    """Pipeline: a sequence of parts and their common axis in space, in SI units."""
 
     name: str
     parts: tuple[Part, ...]
@@ -133,7 +133,7 @@ class PipeLine:
 
     @property
     def bores(self) -> Bores:
-        """Inner radii along the axis; a cross-section of a mesh has the radius of a circle of equal area."""
+        """Inner radii along the axis; for a cross-section of a mesh, the radius of the circle of equal area."""
         return self._profile("radii")
 
     @property
@@ -288,7 +288,7 @@ class _Course:
         self.pieces: list[Line | Arc] = []
 
     def add(self, number: int, entry: Any) -> None:
-        """Append a part, given by its entry in the pipeline file, to the line."""
+        """Append a part to the line; the argument is the part's entry in the pipeline file."""
         if not isinstance(entry, Mapping) or len(entry) != 1:
             refuse(f"part {number}", entry, f"must be one of {', '.join(PARTS)} with its properties",
                    "for example '- straight: {length: 10 m}'")  # fmt: skip

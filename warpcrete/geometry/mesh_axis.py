@@ -40,7 +40,7 @@ STRAIGHT_TOLERANCE = 0.004
 LEAST_STRAIGHT = 4
 """Smallest number of intervals between cross-sections that form a straight piece of the axis."""
 NEAREST = 1e-3
-"""Distance of the first cross-section from the start of the bore, relative to the size of the mesh."""
+"""Distance between the start of the bore and its first cross-section, relative to the size of the mesh."""
 ASIDE = 0.02
 """Largest distance, in radii, between the start of the bore and the centre of the first cross-section."""
 RADIUS_TOLERANCE = 0.02
@@ -231,7 +231,7 @@ def _next_section(
 
     The section is turned perpendicular to the parabola through its own centre and two earlier ones. In a cone, the
     centre of a tilted section is displaced from the axis by up to the radius times the slope. The iteration therefore
-    converges only if the section is turned by a part of the remaining angle at a time.
+    converges only if each round turns the section by a fraction of the remaining angle.
     """
     way, found = tangent, None
     place = points[-1] + step * tangent
@@ -294,7 +294,7 @@ def _across(tangent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _section(
     queries: SurfaceQueries, point: np.ndarray, tangent: np.ndarray, radius: float
 ) -> tuple[np.ndarray, float] | None:
-    """Return centre and radius [m] of the cross-section through a point perpendicular to `tangent`, None if open."""
+    """Return centre and radius [m] of the section perpendicular to `tangent` at a point, or None if it is open."""
     normal, side = _across(tangent)
     ways = fan(normal, side, AROUND)[0]
     area = np.zeros(AROUND)
@@ -323,7 +323,7 @@ def _longest(
     attempt: Callable[..., Curve], points: np.ndarray, tangents: np.ndarray, here: int, position: np.ndarray,
     tangent: np.ndarray, allowed: float,
 ) -> tuple[Curve, int]:  # fmt: skip
-    """Return the curve of one kind that spans the most points from point `here` on, and the last point's index."""
+    """Return the curve of one kind that spans the most points after point `here`, and the index of its last point."""
     best, reached = None, here
     step, last = 1, len(points) - 1
     while step > 0 and reached < last:

@@ -24,15 +24,15 @@ then in the radius in any direction."""
 STRAIGHT_LENGTH_TOLERANCE = 0.002
 """Largest difference, in diameters, between the length of a straight mesh and the length stated for its part."""
 MEASURED = 0.01
-"""Largest relative difference between the length stated for a bent part and the length measured in its mesh."""
+"""Largest relative difference between the stated length of a bent part and the length measured on its mesh."""
 OVERLAP = 0.005
 """Length, in diameters, by which round pipe overlaps with the end of a mesh."""
 FINE = 0.005
-"""Distance, in diameters, between the places where a bore is measured."""
+"""Distance, in diameters, between neighbouring places at which a bore is measured."""
 STEPS = 4000
-"""Largest number of places where a bore is measured."""
+"""Largest number of places at which one bore is measured."""
 PROFILE = 0.05
-"""Distance, in diameters, between the places for which a mesh bore stores a radius."""
+"""Distance, in diameters, between neighbouring places for which a mesh bore stores a radius."""
 Way = tuple[float, float, float]
 Fields = tuple[str, str]
 WAYS: tuple[Way, ...] = (
@@ -69,7 +69,7 @@ class MeshBore:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Diameters of the bore at its start and at its end [m]."""
+        """Diameters of the bore: first at its start, then at its end [m]."""
         return 2 * self.radii[0], 2 * self.radii[-1]
 
 

@@ -29,7 +29,7 @@ the edges of regular tubes. Rays that still meet no wall are repeated with the s
 ROUNDNESS_TOLERANCE = 0.01
 """Largest difference, in radii, between a pipe's wall and a cylinder for the wall to count as cylindrical."""
 MAX_FACES = 500_000
-"""Largest number of triangles of a mesh; reading such a mesh takes ten seconds."""
+"""Largest number of triangles of a mesh; reading a mesh of this size takes ten seconds."""
 MAX_EXTENT = 1e4
 """Largest distance of a mesh's corner from the origin [m]."""
 
@@ -131,7 +131,7 @@ def signed_distance(mesh: trimesh.Trimesh, points: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Bore:
-    """Size of a pipe's bore, from distances between its axis and the wall."""
+    """Size of a pipe's bore, calculated from distances between the pipe's axis and its wall."""
 
     smallest: float
     """Smallest distance between the axis and the wall [m]."""

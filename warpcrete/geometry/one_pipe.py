@@ -19,7 +19,7 @@ from .lines import PipeLine, line_file
 from .mesh_parts import WAYS, Way, bore_of
 
 MAX_LENGTH_RATIO = 10_000
-"""Largest length of a pipe that can be simulated, in diameters."""
+"""Largest length of a simulated pipe, in pipe diameters."""
 
 
 def parameters_from_line(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -49,7 +49,7 @@ def parameters_from_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) 
         return {"unit": unit}
     scale = values.get("wall_scale", 1.0)
     if not isinstance(wall, (str, Path)) or not isinstance(scale, (int, float)) or not 0 < scale < math.inf:
-        return {"unit": unit}  # The checks of the scene's parameters report what is wrong.
+        return {"unit": unit}  # An error is ignored here, because the checks of the scene's parameters report it later.
     return {
         "unit": unit,
         "diameter": float(f"{bore_of(('wall', 'wall_scale'), Path(wall), scale, ways=ways).ends[0]:.6g}"),
@@ -70,7 +70,7 @@ def check_straight_ends(line: PipeLine, name: Any) -> None:
 
 
 def joined(axis: Axis) -> Axis:
-    """Return the same axis with each row of successive straight pieces joined into one."""
+    """Return the same axis with successive straight pieces joined into one piece."""
     pieces = list(axis.pieces[:1])
     for piece in axis.pieces[1:]:
         if isinstance(piece, Line) and isinstance(pieces[-1], Line):

@@ -32,7 +32,7 @@ class Solid:
         return np.concatenate([self.sides, self.ends])
 
     def without(self, *edges: int) -> np.ndarray:
-        """Return all faces except those of some sides, shape (4 n - 2 edges, 3).
+        """Return all faces except those of the given sides, shape (4 n - 2 len(edges), 3).
 
         `edges` holds the indices of ring edges whose sides are left out; edge 0 begins at corner 0.
         """

@@ -66,7 +66,7 @@ def _levels(edges: np.ndarray) -> np.ndarray:
 
 
 def _crossings(edges: np.ndarray, y: float) -> np.ndarray:
-    """Return the x coordinates at which edges cross the height `y` [m], increasing."""
+    """Return the x coordinates [m] at which edges cross the height `y` [m], in increasing order."""
     (x0, y0), (x1, y1) = edges[:, 0].T, edges[:, 1].T
     met = (y0 <= y) != (y1 <= y)
     part = (y - y0[met]) / (y1[met] - y0[met])

@@ -39,7 +39,7 @@ def without_cavities(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def _connected(faces: np.ndarray, corners: int) -> list[np.ndarray]:
-    """Return the connected components of a mesh, each as the indices of faces that are linked by common corners."""
+    """Return the connected components of a mesh, each as the indices of its faces; common corners connect faces."""
     label = np.arange(corners)
     while True:
         lowest = label[faces].min(axis=1)

@@ -32,7 +32,7 @@ class Surfaces:
         ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1).astype(np.int64)
         far = np.roll(faces, -2, axis=1).ravel()
         edges, edge, uses = np.unique(ends @ [len(vertices), 1], return_inverse=True, return_counts=True)
-        order = np.argsort(edge, kind="stable")  # Half-edges, numbered 3 face + side, sorted by edge.
+        order = np.argsort(edge, kind="stable")  # Indices of half-edges (3 * face + side), sorted by edge.
         begin = np.concatenate([[0], np.cumsum(uses)[:-1]])
         across = np.full((len(faces), 6), int(BORDER), dtype=np.int64)
         one, two = order[begin[uses == 2]], order[begin[uses == 2] + 1]

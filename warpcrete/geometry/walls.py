@@ -132,11 +132,11 @@ class _Wall:
 
     @property
     def reference_points(self) -> np.ndarray:
-        """Points whose speed determines the wall's speed [m], shape (n, 3)."""
+        """Points [m] at which `top_speed` evaluates the speed of the wall, shape (n, 3)."""
         return self.origin[None]
 
     def top_speed(self) -> float:
-        """Return the largest speed of a prescribed motion at the reference points [m/s]; 0 without such a motion."""
+        """Return the largest speed [m/s] of a prescribed motion at the reference points; 0 without such motion."""
         motion = self.motion
         if not isinstance(motion, Prescribed):
             return 0.0

@@ -20,7 +20,7 @@ class Figure:
     value: float
     low: float
     high: float
-    """Lower and upper end of the band in which the true value is expected, in `unit`."""
+    """Upper end of the band from `low` to `high` in which the true value is expected, in `unit`."""
     unit: str
     way: str
     """Entry of the mix from which the value is calculated."""
@@ -45,7 +45,7 @@ def short(value: float) -> str:
 
 
 def around(name: str, value: float, off: float, unit: str, way: str, source: str) -> Figure:
-    """Return a property whose relative uncertainty is `off` in both directions."""
+    """Return a property with the relative uncertainty `off` above and below its value."""
     return Figure(name, value, value * (1 - off), value * (1 + off), unit, way, source)
 
 

@@ -20,7 +20,7 @@ T = TypeVar("T")
 UNITS = {"yield_stress": "Pa", "viscosity": "Pa s"}
 SLIPPED = {"speed": "m/s", "stress": "Pa"}
 SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity"}
-"""Names by which the table of limits holds the constants of a slip layer."""
+"""Names of a slip layer's constants in the table of limits."""
 SHEARED = {"rate": "1/s", "stress": "Pa"}
 """Columns of points measured with a viscometer, with their SI units."""
 
@@ -75,7 +75,7 @@ PACKING = 0.57
 """Volume fraction of equal spheres in random loose packing (Mahaut et al. 2008); no concrete has more coarse
 aggregate."""
 GRAVEL = 2650.0
-"""Density of aggregate if none is stated [kg/m3]."""
+"""Density of aggregate that is assumed if the mix states none [kg/m3]."""
 DENSITY_TOLERANCE = 0.03
 """Relative difference allowed between two densities that should be equal."""
 MORTARS = (1200.0, 2800.0)
@@ -117,7 +117,7 @@ class MixEntries:
     """Coarse aggregate as a share of the concrete's volume."""
     aggregate_density: float
     sieve: tuple[tuple[float, float], ...] | None
-    """Openings of the sieves [m], each with the mass fraction that passes it."""
+    """Openings of the sieves [m], each with the mass fraction of the aggregate that passes the sieve."""
     sizes: tuple[float, float] | None
     shape: str | None
     """Shape of the stones, as the discrete element method names it."""

@@ -23,12 +23,12 @@ DENSITIES = {
     **dict.fromkeys(("barite", "baryte"), 4200.0),
     **dict.fromkeys(("magnetite", "hematite"), 4900.0),
 }  # fmt: skip
-"""Usual density of each ingredient by a word of its name [kg/m3]."""
+"""Usual densities of ingredients [kg/m3]; the key is a word of the ingredient's name."""
 COARSE = ("gravel", "stone", "stones", "grit", "chippings", "granite", "basalt", "coarse", "pebbles")
 """Words for coarse aggregate; a mix may state the density of these ingredients."""
 VARIABLE = ("lightweight", "light", "expanded", "clay", "pumice", "perlite", "recycled", "polypropylene", "polymer",
           "plastic", "glass", "basaltic", "pigment", "rubber")  # fmt: skip
-"""Words for ingredients whose density varies too much to add up volumes."""
+"""Words for ingredients whose density varies too much for a calculation of their volume."""
 MIN_AMOUNT = 0.01
 """Smallest amount of an ingredient [kg/m3]; admixtures amount to 0.1 kg/m3 and more."""
 POSSIBLE_VOLUMES = (0.88, 1.05)

@@ -62,7 +62,7 @@ class Mix:
 
     @property
     def band(self) -> tuple[Concrete, Concrete]:
-        """Two Bingham fluids: with all constants at the lower and with all at the upper end of their bands."""
+        """Two Bingham fluids: one with all constants at the lower ends of their bands, one at the upper."""
         return self._concrete("low"), self._concrete("high")
 
     @property

@@ -1,6 +1,6 @@
 """Yield stress and viscosity of a mix's concrete, mortar and slip layer: measured, or from published relations.
 
-Rheometers of different makes give different values for the same concrete (Ferraris & Martys 2003; RILEM TC 266-MRP
+Different models of rheometers give different values for the same concrete (Ferraris & Martys 2003; RILEM TC 266-MRP
 2023), so a relation that was derived with one rheometer is at best as accurate as that.
 """
 

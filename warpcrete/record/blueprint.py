@@ -65,8 +65,8 @@ def _scenes(display: Display, network: bool) -> list[Any]:
     if kept is not None:
         import rerun as rr
 
-        # Bodies in front of the cutting plane at the start get the radius 0 in this view, so that the recording holds
-        # the positions of every body only once.
+        # Bodies that start in front of the cutting plane get the radius 0 in this view. The view therefore needs no
+        # second copy of the bodies' positions in the recording.
         hidden = {f"scene/{noun}": [rr.Points3D.from_fields(radii=np.where(kept, display.radii(), 0.0))]}
         contents = ["+ scene/**", f"- {CHAINS}/**", *(f"- scene/walls/{wall.name}" for wall in cut_walls(display))]
         found.append(_view(display, "Cut through the middle", contents, hidden))
@@ -91,7 +91,7 @@ def _view(display: Display, name: str, contents: list[str], overrides: dict[str,
 
 
 def spheres_behind_cut(display: Display) -> np.ndarray | None:
-    """Return which spheres lie behind the cutting plane, as booleans of shape (n,).
+    """Return a boolean for each sphere, true behind the cutting plane, shape (n,).
 
     The result is None without a plane, or if all spheres lie on one side of it.
     """

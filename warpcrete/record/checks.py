@@ -11,7 +11,7 @@ from ..core.run.run_loop import Recorder, Run, Simulation
 class CheckRecorder(Recorder):
     """Recorder that adds the results of the scene's `check` to the result of a finished run.
 
-    It must finish before the recorder of the table, which writes the result.
+    This recorder must finish before the recorder of tables, which writes the result.
     """
 
     def __init__(self, check: Check) -> None:

@@ -14,7 +14,7 @@ from ..core.run.viewer import rerun_tool
 
 
 def join(parts: Sequence[Path], path: Path) -> None:
-    """Join the existing parts of a recording into the file `path`, which is the first part, and remove the others.
+    """Join the parts of a recording into the file `path`, which is also the first part, and remove the other parts.
 
     Rerun's own tool joins the parts. If a killed run left a part incomplete, the tool takes its complete chunks. A
     chunk that occurs in two parts, as after a kill during a join, is stored once. Raises :class:`RunFolderError` if

@@ -24,10 +24,10 @@ TABLES = ("stations",)
 
 
 def load(folder: Path | str) -> Run:
-    """Return the run in a folder, as far as its files were written: scene, series and results.
+    """Return the run in a folder: its scene, series and results, as far as the files were written.
 
-    Data that only exists during a simulation, such as the final positions of bodies, is missing. A run that was killed
-    may lack its result, and one without samples has an empty series. The scene has only its name and its parameters if
+    Data that only exists during a simulation, such as the final positions of bodies, is missing. A killed run may
+    lack its result, and a run without samples has an empty series. The scene has only its name and its parameters if
     it was modified or built in Python, or if it cannot be built again because a file that it read is missing or has
     changed. Raises :class:`RunFolderError` if the folder is not a run folder of this version.
     """

@@ -45,7 +45,7 @@ class ParaViewRecorder(Recorder):
         self._files: dict[str, Poly] = {}
 
     def start(self, simulation: Simulation) -> None:
-        """Prepare the display, the walls and the files."""
+        """Prepare the files, the walls, and the display, which provides the data to be drawn."""
         self._display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._walls = self._display.walls()
         self._open()

@@ -1,4 +1,4 @@
-"""Recorders of a run folder, with one entry for each; the command line builds its options from these entries."""
+"""Recorders of a run folder, with one entry for each recorder. The command line builds its options from the entries."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class DrawSettings:
     """Quantity that the colours show; None selects a suitable one for the method."""
     network: bool = False
     live: bool | str = False
-    """Viewer that shows the run while it is computed: True opens a new Rerun viewer, and a URL names a running one."""
+    """Viewer that shows the run while it is computed: True opens a new Rerun viewer; a URL selects a running viewer."""
     bind: str = LOOPBACK
     """IP address on which a newly opened viewer listens."""
 

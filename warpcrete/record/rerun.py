@@ -29,13 +29,13 @@ from .legend import legend, paint_legend
 PATIENCE = 4.0
 """Longest wait [s] for a viewer to receive the remaining data, or for a file that has stopped growing."""
 CLOSE_TIMEOUT = 30.0
-"""Longest time [s] for opening the file, or for closing it after a viewer did not receive the whole recording."""
+"""Longest time [s] for opening the file, or for closing the file if a viewer has not received the whole recording."""
 POLL_INTERVAL = 0.5
 """Time [s] between two checks whether the file has grown."""
 AXIS = (200, 200, 200)
 TEXTURE_MARGIN = 512
-"""Number of texels that repeat the first colour at the start of the texture. At the edges of a mesh, a renderer samples
-colours slightly outside the triangles."""
+"""Number of texels that repeat the first colour at the start of the texture. A renderer may sample colours slightly
+outside the triangles at the edges of a mesh, and therefore slightly outside the colour scale."""
 
 
 def with_values(tensor: Any, values: np.ndarray) -> Any:
@@ -208,7 +208,7 @@ class RerunRecorder(Recorder):
     def _log_scale(self, paint: Paint, painted: list[str]) -> None:
         """Record the texture of all colours and the legend, for all frames.
 
-        The viewer uses the last version of static data, so that earlier frames follow a new scale too.
+        The viewer uses the last version of static data, so that a new scale applies to earlier frames too.
         """
         rr = self._rr
         from rerun.components import ImageFormat
@@ -239,7 +239,7 @@ class RerunRecorder(Recorder):
                 self._log(path, self._rr.BarChart.from_fields(**fields))
 
     def _bars(self, values: np.ndarray) -> Any:
-        """Return heights of bars as a tensor of Rerun's.
+        """Return heights of bars as a tensor in Rerun's format.
 
         A new tensor takes ten times as long to convert as a changed one. Therefore one tensor is kept for each number
         of bars, and only its values are replaced.
@@ -299,7 +299,7 @@ class RerunRecorder(Recorder):
             raise self._recording_error(error) from error
 
     def _log_zeros(self, display: Display, time: float, steps: int) -> None:
-        """Record one point in every plot, so that its axis begins at zero."""
+        """Record one point in every plot, so that the axis of values begins at zero."""
         self._set_time(time, steps)
         for plot in display.plots():
             self._log(f"{plot.path}/zero", self._rr.SeriesLines(colors=[AXIS], names="zero"), static=True)
@@ -333,8 +333,9 @@ class RerunRecorder(Recorder):
         self._cut = [wall.name for wall in cut_walls(display)]
         self._paint: Paint | None = None
         self._legend_due = False
-        self._tensors: dict[int, Any] = {}  # Tensors of bars, by the number of bars.
-        self._places: dict[str, np.ndarray] = {}  # Last recorded positions of bars, by path.
+        self._tensors: dict[int, Any] = {}  # Tensors for bars; the key is the number of bars.
+        # Last recorded positions of bars; the key is the path in the recording.
+        self._places: dict[str, np.ndarray] = {}
         if self.live is True:
             opened = screen_viewer(bind=self._bind)
             opened.start()

@@ -19,7 +19,7 @@ from .loading import is_finished
 
 
 def scene_record(simulation: Simulation, command: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return the contents of scene.json: the scene function's name, all arguments, and the settings of the run.
+    """Return the contents of scene.json: the name and arguments of the scene function, and the settings of the run.
 
     If a scene differs from what its function builds, because it was modified afterwards or built by hand, the fields in
     question are stored under `modified`; such a run cannot be repeated from scene.json.
@@ -42,10 +42,10 @@ def scene_record(simulation: Simulation, command: dict[str, Any] | None = None) 
 class TableRecorder(Recorder):
     """Recorder that creates the run folder and writes the tables into it.
 
-    It writes scene.json at the start, appends rows to series.csv, and writes result.json at checkpoints and at the end.
-    Every row is flushed at once, so that an interrupted or killed run keeps all its samples. `command` holds settings
-    that are stored in scene.json for a resumed run. With `going_on`, the folder is that of the same, interrupted run.
-    With `again`, an existing folder must hold the record of exactly this run.
+    The recorder writes scene.json at the start, appends rows to series.csv, and writes result.json at checkpoints
+    and at the end. Every row is flushed at once, so that an interrupted or killed run keeps all its samples.
+    `command` holds settings that are stored in scene.json for a resumed run. With `going_on`, the folder is that of
+    the same, interrupted run. With `again`, an existing folder must hold the record of exactly this run.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class TableRecorder(Recorder):
         self._writer.writerow([f"{value:.9g}" for value in row.values()])
 
     def write(self, simulation: Simulation) -> None:
-        """Write result.json of an unfinished run; the rows are already on disk."""
+        """Write result.json of an unfinished run; the rows of series.csv are already on disk."""
         write_json(self.folder / "result.json", simulation.result(False).result)
 
     def finish(self, simulation: Simulation, run: Run) -> None:
@@ -157,7 +157,7 @@ class TableRecorder(Recorder):
 
 
 def _check_same_run(path: Path, record: dict[str, Any]) -> None:
-    """Refuse a scene.json that belongs to another run than `record`."""
+    """Refuse a scene.json that belongs to a run other than the one described by `record`."""
     there, here = read_json(path), json.loads(json.dumps(record))
     for name in ("scene", "parameters", "files", "device", "precision", "command"):
         if there.get(name) != here[name]:

@@ -62,7 +62,7 @@ def light(stage: Any, display: Display) -> None:
 
 
 def bodies_look(stage: Any) -> Any:
-    """Return a material that takes its colour from `displayColor`."""
+    """Return a material that takes its colour from the USD attribute `displayColor`."""
     from pxr import Sdf
 
     material, surface = _material(stage, "Bodies")
@@ -133,10 +133,11 @@ class Colours:
 
     def __init__(self, primvar: Any) -> None:
         self._primvar = primvar
-        known = primvar.Get()  # Colour table of a file that is continued.
+        known = primvar.Get()  # If the recording of a file is continued, start with the colour table of that file.
         self._table = np.zeros((0, 3), np.float32) if known is None else np.array(known, np.float32)
         self._numbers: dict[bytes, int] = {row.tobytes(): number for number, row in enumerate(self._table)}
-        self._known: dict[int, int] = {}  # Indices of the colours used so far, by their packed RGB bytes.
+        # Indices in the table of the colours used so far; the keys are packed RGB bytes.
+        self._known: dict[int, int] = {}
 
     def set(self, colours: np.ndarray, code: Any) -> None:
         """Set the colours of all bodies, RGB bytes (n, 3), at a time code."""

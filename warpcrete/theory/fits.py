@@ -16,7 +16,7 @@ class StraightLine:
     slope: float
     offset: float
     slope_error: float
-    """Standard error of the slope; NaN if there are only two points, which a line always fits exactly."""
+    """Standard error of the slope; NaN for two points, because a line fits two points exactly."""
     offset_error: float
 
 

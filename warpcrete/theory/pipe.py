@@ -71,7 +71,7 @@ MIXES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Line(Declared):
-    """Stretch of straight pipe."""
+    """Straight pipe with a slip layer at its wall."""
 
     radius: Annotated[float, "Radius R [m]; half the distance of the planes in the form `plane`", Above()] = 0.05
     length: Annotated[float, "Length L [m]", Above()] = 0.3
@@ -121,7 +121,7 @@ def _bulk(concrete: Concrete, line: Line, stress, form: str):
 
 
 def least_stress(concrete: Concrete, line: Line) -> float:
-    """Return the wall stress [Pa] above which concrete flows, by slip of the layer or by shear of the bulk."""
+    """Return the wall stress [Pa] above which concrete moves: either its slip layer slips or its bulk is sheared."""
     return min(concrete.slip_yield, concrete.yield_stress * line.radius / (line.radius - line.slip_thickness))
 
 
@@ -178,7 +178,7 @@ def after_rest(concrete: Concrete, rest: float, thixotropy: float) -> Concrete:
 def restart(
     concrete: Concrete, line: Line, rest: float, thixotropy: float, flow: float = 0.0, form: str = "pipe"
 ) -> Steady:
-    """Return the :class:`Steady` state in which concrete starts to move after a rest, its structure still whole.
+    """Return the :class:`Steady` state in which concrete starts to move after a rest, with unbroken structure.
 
     With zero `flow` this is the limit below which nothing moves: a plug of length L in a round pipe of diameter d needs
     rho g H + 4 (tau_L0 + A_thix t) L / d, as long as its layer bears less than its bulk. A piston that starts at once
@@ -312,8 +312,8 @@ def _slip_line(concrete: Concrete, line: Line, flows: Sequence[float], pressures
 def table(concrete: Concrete, line: Line, flows: Sequence[float] = (), pressures: Sequence[float] = ()) -> str:
     """Return a text table of pressure and slip velocity at `flows` [m3/s], or of the flow at `pressures` [Pa].
 
-    Each form of the theory has a row; at given flows Kaplan's model has one more. A form in which the pressure moves
-    nothing says so in its row. Raises :class:`SceneError` if nothing flows in any form.
+    Each form of the theory has a row; at given flows Kaplan's model has one more. If the pressure is too low for flow
+    in one form, the row of this form says so. Raises :class:`SceneError` if nothing flows in any form.
     """
     lines = [
         f"{concrete.name}: density {concrete.density:g} kg/m3, viscosity {concrete.viscosity:g} Pa s, yield stress "

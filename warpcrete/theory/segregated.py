@@ -23,7 +23,7 @@ STEPS = 200
 
 @dataclass(frozen=True)
 class Segregated:
-    """Concrete in a pipe whose aggregate is unevenly shared between the outer and the inner half of the radius."""
+    """Concrete in a pipe, with aggregate shared unevenly between the outer and the inner half of the pipe's radius."""
 
     concrete: Concrete
     """Concrete with its aggregate evenly distributed."""

@@ -1,4 +1,4 @@
-"""Coarse aggregate in mortar: how it thickens the mortar, and which mortar a given concrete contains."""
+"""Coarse aggregate in mortar: how aggregate thickens mortar, and which mortar a given concrete contains."""
 
 from __future__ import annotations
 

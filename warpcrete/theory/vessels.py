@@ -1,9 +1,9 @@
 """Closed forms and estimates of standard tests: slump, spread, L-box, V-funnel.
 
 A long heap comes to rest where the yield stress on the plate balances the outward pressure of its slope (Roussel &
-Coussot 2005). The next order of shallow theory adds the heap's resistance to being stretched, so the heap stops earlier
-(Dubash, Balmforth, Slim & Cochard 2009 in a plane; here also about an axis). A tall heap rests where each layer has
-grown wide enough to bear the weight above it (Murata 1984; for cones Schowalter & Christensen 1998).
+Coussot 2005). The next order of shallow-layer theory adds the heap's resistance to stretching, which stops the heap
+earlier (Dubash, Balmforth, Slim & Cochard 2009 in a plane; here also about an axis). A tall heap rests where each layer
+has grown wide enough to bear the weight above it (Murata 1984; for cones Schowalter & Christensen 1998).
 
 Murata's concrete yields where the largest shear stress, half of the vertical pressure, reaches the yield stress
 (Tresca). A Bingham fluid in three dimensions yields by the invariant of all stresses (von Mises), which is where the
@@ -37,7 +37,7 @@ def long_heap_spread(volume: float, yield_stress: float, density: float, gravity
 
 
 HEAPS = {"plane": math.pi / 2, "axial": math.sqrt(3) * math.pi / 4}
-"""Resistance of a heap to being stretched, in units of yield stress times depth, for the forms "plane" and "axial".
+"""Resistance of a heap to stretching, in units of yield stress times depth, for the forms "plane" and "axial".
 
 The resistance is the normal stress along the slope minus that across it, beyond what the weight causes, integrated over
 the depth. At height z, shear uses tau (1 - z / h) of the yield stress tau. The stretch takes the rest,
@@ -50,11 +50,12 @@ upwards, with 3 s^2 + shear^2 = tau^2; this multiplies the mean by sqrt(3).
 def heap_depth(
     inward: np.ndarray, yield_stress: float, density: float, gravity: float = 9.81, form: str = "axial"
 ) -> np.ndarray:
-    """Return the depth [m] of a heap at rest at distances `inward` from its front [m].
+    """Return the depth [m] of a heap at rest at the distances `inward` [m] behind the heap's front.
 
     The depth h follows from rho g h^2 / 2 = tau (inward + HEAPS h). The left side is the outward pressure of the weight
     over the depth. The plate resists it with tau along the distance `inward`, and the stretched section resists it with
-    HEAPS tau h. The long heap lacks the last term. `form` is "plane" or "axial".
+    HEAPS tau h. The formula for a long heap (:func:`long_heap_spread`) lacks the last term. `form` is "plane" or
+    "axial".
     """
     bears = yield_stress / (density * gravity)
     front = HEAPS[form] * bears
@@ -64,7 +65,7 @@ def heap_depth(
 def heap_at_rest(
     volume: float, yield_stress: float, density: float, gravity: float = 9.81, form: str = "axial"
 ) -> tuple[float, float]:
-    """Return the radius or half-width [m] and the central depth [m] of a wide heap that resists being stretched.
+    """Return the radius or half-width [m] and the central depth [m] of a wide heap that resists stretching.
 
     `volume` is the volume of the whole heap about an axis [m3], or in a plane the volume of one half per metre of depth
     [m2]. The theory leaves out inertia and holds for heaps wider than high.
@@ -87,7 +88,7 @@ def viscous_front(volume: float, viscosity: float, density: float, time: float, 
     """Return how far a viscous fluid without yield stress has spread on a plate to one side [m] (Huppert 1982).
 
     The solution for long times in a plane is 1.411 (g V^3 / (3 nu))^(1/5) t^(1/5), with the `volume` V released to this
-    side per metre of depth [m2] and the `time` t since then [s]. The fluid sticks to the plate.
+    side per metre of depth [m2] and the `time` t since then [s]. There is no slip between fluid and plate.
     """
     return 1.411 * (density * gravity * volume**3 * time / (3 * viscosity)) ** 0.2
 
@@ -96,7 +97,7 @@ def tall_cone_slump(
     top: float, base: float, height: float, yield_stress: float, density: float, gravity: float = 9.81,
     bears: float = math.sqrt(3),
 ) -> float:  # fmt: skip
-    """Return the fall of the top of a truncated cone [m], each layer of which widens until it bears the weight above.
+    """Return the slump of a truncated cone [m] whose layers widen until each layer bears the weight above it.
 
     A layer bears a pressure of `bears` yield stresses: the square root of 3 by von Mises, 2 by Tresca as in Murata
     (1984).
@@ -112,7 +113,7 @@ def tall_cone_slump(
 def box_at_rest(
     volume: float, length: float, width: float, yield_stress: float, density: float, gravity: float = 9.81
 ) -> tuple[float, float, float]:
-    """Return the depths of concrete at rest at both ends of a box [m], and how far it has flowed along the box [m].
+    """Return the depths of resting concrete at the near and far end of a box and the length that it covers [m].
 
     The concrete enters at one end without inertia and sticks to floor and sides. The concrete rests where floor and
     sides bear its slope: h' = tau (b + 2 h) / (rho g b h) (Nguyen, Roussel & Coussot 2006). The equation is integrated
@@ -121,7 +122,7 @@ def box_at_rest(
     pull = yield_stress / (density * gravity)
 
     def filled(far: float, reach: float) -> tuple[float, float]:
-        """Return the volume [m3] and the depth at the near end [m]."""
+        """Return the volume [m3] and the near end's depth [m] of concrete that is `far` deep at its far end."""
         step, depth, sum = reach / SLICES, far, 0.0
         for _ in range(SLICES):
             # Integrate the square of the depth: its slope stays finite at a front, where the depth is zero.
@@ -151,8 +152,8 @@ def root(function: Callable[[float], float], low: float, high: float) -> float:
 def duct_constants(aspect: float) -> tuple[float, float]:
     """Return the shape constants a and b of a rectangular duct (Kozicki, Chou & Tiu 1966).
 
-    `aspect` is the short side over the long one, 0 to 1. Values between the tabulated ratios are interpolated. A slot
-    has a = 1/2 and b = 1.
+    `aspect` is the short side divided by the long side, 0 to 1. Values between the tabulated ratios are interpolated. A
+    slot has a = 1/2 and b = 1.
     """
     ratio = (0.0, 0.1, 0.25, 0.5, 0.75, 1.0)
     a, b = (0.5, 0.4132, 0.3212, 0.2440, 0.2178, 0.2121), (1.0, 0.9085, 0.8182, 0.7278, 0.6831, 0.6771)
@@ -164,9 +165,9 @@ def duct_stress(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean wall stress [Pa] of rectangular ducts at mean speeds [m/s], and their hydraulic radii [m].
 
-    `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side. Bingham's law in the form of
-    Kozicki, Chou & Tiu, which is exact in slots and pipes, reads 2 v / R = tau / mu (1 / (a + b) - q / b + a q^(1 +
-    b/a) / (b (a + b))), with q = tau0 / tau.
+    `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side of all ducts. Bingham's law
+    in the form of Kozicki, Chou & Tiu, which is exact in slots and pipes, reads
+    2 v / R = tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a + b))), with q = tau0 / tau.
     """
     radius = wide * deep / (2 * (wide + deep))
     a, b = np.array([duct_constants(min(w, deep) / max(w, deep)) for w in wide]).T
@@ -187,9 +188,9 @@ def funnel_time(
     """Estimate the time in which a V-funnel empties [s]; infinite if the yield stress holds the concrete back.
 
     The funnel is a stack of slices, each treated as a duct, with the inertia of the jet at the outlet. `half_widths`
-    are those at the outlet and at the brim, `heights` those of the straight outlet and of the whole funnel [m]. The
-    extensional flow in the taper is left out. The sum ends when the level reaches the straight outlet, because the
-    slices would hold back the last concrete, which in fact is already falling.
+    holds the half widths at the outlet and at the brim [m]. `heights` holds the heights of the straight outlet and of
+    the whole funnel [m]. The extensional flow in the taper is left out. The sum of times ends when the level reaches
+    the straight outlet. The concrete left there is already falling, but the slices would hold it back.
     """
     narrow, brim = half_widths
     throat, whole = heights
@@ -198,8 +199,8 @@ def funnel_time(
     step, outlet = whole / SLICES_FUNNEL, 2 * narrow * depth
     area = wide * depth
     speeds = np.geomspace(1e-6, math.sqrt(2 * gravity * whole), SPEEDS)
-    # Weight above the outlet that friction and inertia leave over, for each outlet speed and each level of the
-    # concrete.
+    # Pressure of the weight above the outlet, less the losses by friction and inertia [Pa], for each outlet speed
+    # and each level of the concrete.
     left = []
     for speed in speeds:
         stress, radius = duct_stress(speed * outlet / area, wide, depth, viscosity, yield_stress)

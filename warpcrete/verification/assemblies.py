@@ -196,7 +196,7 @@ class _WallGauge(Recorder):
 
 
 def repose(device, precision) -> list[Row]:
-    """Check that heaps of spheres, which collapse on a rough floor, are steeper with higher friction."""
+    """Check that heaps of spheres that collapse on a rough floor are steeper with higher friction."""
     angles = []
     values = (0.05, 0.2, 0.6)
     rough = Contact(effective_modulus=1e5, friction=1.0, shear_damping_ratio=0.3, dashpot="slip-cut")

@@ -31,7 +31,7 @@ def stiffnesses(bonds: Bonds) -> tuple[float, float, float, float]:
 def cantilever(device, precision) -> list[Row]:
     """Compare the static deflection of a bonded chain of six spheres with exact and with Timoshenko beam theory.
 
-    The first sphere is too heavy to move, and a force acts on the last.
+    The first sphere is too heavy to move, and a force acts on the last sphere.
     """
     bonds = Bonds(effective_modulus=1e6, tensile_strength=1e12, cohesion=1e12, gap=10 * GAP)
     normal, shear, bending, _ = stiffnesses(bonds)

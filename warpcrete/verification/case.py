@@ -28,7 +28,7 @@ class Row:
     unit: str = "1"
     scale: float | None = None
     at_least: bool = False
-    """True if only a result below the expected value counts as an error."""
+    """True if the expected value is a lower limit: results above it have no error."""
 
     @property
     def error(self) -> float:

@@ -50,7 +50,8 @@ def tumbling(device, precision) -> list[Row]:
     inertia = shape.inertia * mass * size**2
     order = np.argsort(inertia)
     local = np.zeros(3)
-    local[order] = rate * np.array([0.15, 1.0, 0.2])  # Rotation near the unstable axis is the hardest case.
+    # Rotation near the unstable (intermediate) principal axis is the most difficult to compute accurately.
+    local[order] = rate * np.array([0.15, 1.0, 0.2])
     dt = 2e-4
     scene = Scene(
         name="tumble", duration=1.0, gravity=(0, 0, 0), time_step=TimeStep(fixed=dt, safety=4.0),

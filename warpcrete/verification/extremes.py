@@ -37,9 +37,9 @@ class Outcome:
     stopped: str
     """Message of the error that stopped the run; empty if the run was completed."""
     deepest: float
-    """Largest overlap, over the overlap at which a sphere lies completely inside its partner."""
+    """Largest overlap, divided by the overlap at which a sphere lies completely inside its contact partner."""
     growth: float
-    """Energy gained without work, over the energy in play, as determined by the stability watch."""
+    """Energy gained without work, divided by the energy scale of the stability watch."""
     steps: int
     expected_outcome: str = ""
     """Required result in this precision: `run`, or a pattern for the reason to stop; empty if both are acceptable."""

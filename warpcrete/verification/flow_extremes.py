@@ -1,8 +1,8 @@
 """Robustness of flows with extreme parameters.
 
 Each flow must stay within bounds, be refused before it starts, or stop with an error message that gives the reason. The
-basic flow is a column of concrete no. 1 of Xu, Li & Jiang 2021 in a channel or a tube, ten particles across. First
-single parameters take extreme values, then several at once.
+basic flow is a column of concrete no. 1 of Xu, Li & Jiang 2021 in a channel or a tube, ten particles across. In some
+scenes a single parameter is extreme, in other scenes several parameters are extreme at once.
 """
 
 from __future__ import annotations

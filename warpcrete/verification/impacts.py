@@ -24,7 +24,8 @@ TEST_4 = np.array([
     [85, 0.983, -63.1, 84.52],
 ])  # fmt: skip
 # Published curves of test 5 (steel), digitised. The first column is the normalised incident angle
-# 2 v_t / (mu (1 + e) v_n). The second is the normalised rebound velocity, of the surface or in rotation.
+# 2 v_t / (mu (1 + e) v_n). The second is a normalised rebound velocity: that of the sphere's surface, or that of its
+# rotation.
 TEST_5_SURFACE = np.array([
     [0.066, -0.08], [0.332, -0.28], [0.671, -0.493], [1.009, -0.747], [1.335, -1.0], [1.662, -1.267], [2.0, -1.533],
     [2.350, -1.813], [2.991, -2.44], [3.341, -2.693], [4.006, -2.787], [4.997, -2.0], [6.0, -1.013], [9.988, 3.013],
@@ -38,7 +39,7 @@ TEST_5_SPIN = np.array([
 
 
 def spheres_on_a_plane(law, radius, density, velocities, spins, device, precision, steps_per_contact=400):
-    """Let spheres hit a plane, each on its own, and return their final velocities and spins."""
+    """Let spheres hit a plane without touching each other, and return their final velocities and spins."""
     velocities = np.asarray(velocities, dtype=float)
     count = len(velocities)
     # The spheres just touch the plane, because in single precision a centre far from it has less accurate overlaps.
@@ -121,7 +122,7 @@ def _peak(law, radius, density, speed, plane, device, precision):
 
 
 def restitution(device, precision) -> list[Row]:
-    """Compare the rebound speed over the impact speed with the coefficient of restitution, for both laws (test 3)."""
+    """Compare the ratio of rebound to impact speed with the coefficient of restitution, for both laws (test 3)."""
     rows = []
     wanted = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
     for name in ("Hertz-Mindlin", "linear"):
@@ -182,8 +183,9 @@ def oblique(device, precision) -> list[Row]:
             place = np.flatnonzero(which)[np.argmax(np.abs(ours - published)[which])]
             label = f"test 4: {name}, worst {where}"
             rows.append(Row(label, float(ours[place]), float(published[place]), tolerance, unit, scale))
-    # The errors of the final spin are relative to each value. An impact at 5 degrees causes hardly any spin. The spin
-    # then equals a small difference between the tangential restitution and 1, and the restitution is compared above.
+    # The error of each final spin is relative to the spin's expected value. An impact at 5 degrees causes hardly any
+    # spin. The spin then follows from the small difference between the tangential restitution and 1. The restitution
+    # is compared above.
     for which, where, tolerance in ((TEST_4[:, 0] == 10, "at 10 degrees", 0.1), (~steep, "from 15 degrees on", 0.03)):
         label = f"test 4: final angular velocity {where}"
         rows.append(_largest_error(label, turning[which], TEST_4[which, 2], tolerance, "rad/s"))

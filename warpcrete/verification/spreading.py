@@ -17,7 +17,7 @@ HALF = 0.2, 0.05
 
 
 def let_go(yield_stress: float, width: float, duration: float) -> FreeScene:
-    """Return the scene of a box of concrete that is released on a plate.
+    """Return the scene of a box-shaped volume of concrete that is released on a plate.
 
     The concrete has a viscosity of 10 Pa s and sticks to the plate.
     """

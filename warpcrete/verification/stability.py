@@ -53,7 +53,7 @@ def dense_block(law: ContactLaw, shape: ClumpTemplate, device, precision) -> tup
 
 
 def growth(scene: Scene, table, fraction: float, device, precision, bonds: Bonds | None = None) -> float:
-    """Return the largest energy in the last fifth of STEPS steps over that in the first fifth; infinite if it diverges.
+    """Return the largest energy in the last fifth of STEPS steps over that in the first; infinite if the run diverges.
 
     Near the stability limit, the energy of a stable leapfrog integration oscillates, but it does not grow.
     """

@@ -18,10 +18,10 @@ from .case import Case, Row
 FINER = 4
 """Number of cells of the one-dimensional solution per cell of the grid."""
 SAMPLES = 40
-"""Number of times at which both solutions are compared."""
+"""Number of instants at which both solutions are compared."""
 START_CASES = (
-    # Columns: Bingham number, viscous constant of the slip layer [Pa s/m], allowed error of a step, and time at which
-    # the flow is almost steady [s].
+    # Columns: Bingham number, viscous constant of the slip layer [Pa s/m], allowed error of a time step, and time at
+    # which the flow is almost steady [s].
     (0.0, 1e6, 1e-4, 0.4), (0.0, 4e3, 1e-4, 0.4), (1.0, 1e6, 3e-6, 0.2), (10.0, 1e6, 1e-6, 0.04),
 )  # fmt: skip
 """Flows that are compared. A step uses the mean of the previous and the present viscosity, so flows with a yield stress

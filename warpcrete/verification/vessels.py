@@ -24,7 +24,7 @@ PASTE = Concrete(density=2000.0, viscosity=20.0, yield_stress=0.0, slip_viscosit
 INNER, OUTER, TURNS = 0.05, 0.1, 1.0
 """Radii of the inner and outer cylinder [m], and angular velocity of the inner one [rad/s]."""
 RADIUS, SPEED = 0.05, 0.19
-"""Radius of the round pipe [m], and mean velocity of its flow [m/s]."""
+"""Radius of the round pipe [m], and mean velocity of the flow in it [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class _Paste:
 
 
 def _filled(room: Room, walls: list[tuple[Distance, int]], abreast: int) -> dict:
-    """Return the arguments of a layout in which concrete fills all of the room except for the walls."""
+    """Return the arguments of a layout in which concrete fills the whole room except for the walls."""
     geometry, nearest = geometry_of(room, walls), nearest_wall(room, walls)
     places, mass = fill_cells(room, abreast, lambda points: nearest(points)[0] > 0)
     return {
@@ -108,7 +108,7 @@ def cylinders(device: str, precision: str) -> list[Row]:
 
 
 def cylinders_with_layers(device: str, precision: str) -> list[Row]:
-    """Compare the flow between two cylinders with the closed form, if slip layers take half or more of the speed."""
+    """Compare the flow between two cylinders with theory, where slip is at least half of the speed."""
     found = []
     # The measured rms errors of the velocity, over the speed of the inner wall, are 0.40 and 0.20 % on the two grids
     # for the first pair of layers, 0.37 and 0.36 % for the second, and 0.77 and 1.02 % for the third.
