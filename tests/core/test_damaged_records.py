@@ -23,6 +23,22 @@ def test_an_entry_of_another_kind_is_named(tmp_path, name):
             read_record(path)
 
 
+@pytest.mark.parametrize(
+    ("file", "record"),
+    [
+        ("scene.json", {"command": {"threads": None}}),
+        ("trade.json", {"device": None}),
+        ("trade.json", {"threads": None}),
+    ],
+)
+def test_entries_that_the_program_always_fills_in_are_never_null(tmp_path, file, record):
+    (tmp_path / file).write_text(json.dumps(record))
+    with pytest.raises(RunFolderError, match=r"is damaged: its entry '(threads|device)' is None"):
+        read_record(tmp_path / file)
+    (tmp_path / "study.json").write_text(json.dumps(record))
+    assert read_record(tmp_path / "study.json") == record
+
+
 def test_cases_and_commands_are_mappings(tmp_path):
     for record, entry in (({"cases": [3]}, "cases"), ({"command": None}, "command")):
         (tmp_path / "study.json").write_text(json.dumps(record))

@@ -121,6 +121,8 @@ trade-off, calibration or reproduction."""
 
 NULLABLE_ENTRIES = {"device", "precision", "threads", "columns", "rows"}
 """Entries of a record that may be null, because the user left them at their defaults."""
+NEVER_NULL = {"scene.json": {"threads"}, "trade.json": {"device", "threads"}}
+"""Exceptions from `NULLABLE_ENTRIES` by file: entries that the program always fills in there."""
 
 
 def read_record(path: Path) -> dict[str, Any]:
@@ -130,6 +132,7 @@ def read_record(path: Path) -> dict[str, Any]:
     """
     record = read_json(path)
     cases = record.get("cases")
+    nullable = NULLABLE_ENTRIES - NEVER_NULL.get(path.name, set())
     within = [record, record.get("command"), *(cases if isinstance(cases, list) else [])]
     for place, part in enumerate(within):
         if not isinstance(part, dict):
@@ -137,11 +140,8 @@ def read_record(path: Path) -> dict[str, Any]:
                 continue
             _refuse_entry(path, "command" if place == 1 else "cases", part)
         for name, kind in RECORD_KINDS.items():
-            if (
-                name in part
-                and not isinstance(part[name], kind)
-                and not (part[name] is None and name in NULLABLE_ENTRIES)
-            ):
+            null = name in part and part[name] is None and name in nullable
+            if name in part and not isinstance(part[name], kind) and not null:
                 _refuse_entry(path, name, part[name])
     return record
 
