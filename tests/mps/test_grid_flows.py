@@ -373,7 +373,7 @@ def test_a_periodic_pipe_by_the_command(tmp_path):
 
 @pytest.mark.parametrize("periodic, thinned", [(False, 1.0), (True, 2.0)])
 def test_yielding_concrete_under_a_free_surface_takes_its_new_viscosity_at_once(device, periodic, thinned):
-    """From 4 Pa s to 1 Pa s where the shear stress exceeds the yield stress; a full pipe goes half the way."""
+    """Check a fall from 4 to 1 Pa s above the yield stress; a full pipe takes half the way, in logarithms."""
     scalar = wp.float64
     relaxed_viscosity = relaxed_viscosity_function(scalar, GridKind(periodic=periodic))
     Cells = grid_parameters_struct(scalar, 2)

@@ -126,7 +126,7 @@ class _BatchMember:
         self.outcomes = outcomes
         self.resumed: dict[int, dict[str, Any]] = {}
         self.stopped = False
-        """Whether some run of this batch was interrupted."""
+        """True if some run of this batch was interrupted."""
         self.scenes: dict[int, tuple[Stepper, Coroutine]] = {}
         """Stepper and coroutine of each running simulation, by its index, as `drive_batches` needs them."""
         self.stream = stream

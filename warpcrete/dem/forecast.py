@@ -286,7 +286,7 @@ class _ShortenedCopy:
 
     @property
     def _springs_differ(self) -> bool:
-        """Whether some contact law has dashpots that can be removed while its springs remain."""
+        """True if some contact law has dashpots that can be removed while its springs remain."""
         laws = (self.scene.contact, *self.scene.contacts.values())
         return all(dataclasses.is_dataclass(law) for law in laws) and any(_springs(law) != law for law in laws)
 

@@ -37,7 +37,7 @@ class RecorderKind:
     name: str
     """Name of the command-line option, and of the setting stored for a resumed run."""
     default: bool
-    """Whether `warpcrete run` uses the recorder by default; studies use none by default."""
+    """True if `warpcrete run` uses the recorder by default; studies use none by default."""
     help: str
     make: Callable[[Path, DrawSettings], Recorder]
 

@@ -75,7 +75,7 @@ class Study:
 
     @property
     def finished(self) -> bool:
-        """Whether every case has either finished or failed."""
+        """True if every case has either finished or failed."""
         return len(self.results) + len(self.failures) == len(self.cases)
 
     @property

@@ -47,7 +47,7 @@ class WorkerPool:
         self._workers: list[_Worker] = []
         self._idle: list[_Worker] = []
         self.stopping = False
-        """Whether the workers have received the message to end their cases at the next sample."""
+        """True if the workers have received the message to end their cases at the next sample."""
 
     def __enter__(self) -> WorkerPool:
         return self
@@ -101,7 +101,7 @@ class _Worker:
     def __init__(self) -> None:
         self._ready = False
         self.failed = False
-        """Whether the process ended before it was ready."""
+        """True if the process ended before it was ready."""
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-c", START_CODE, json.dumps([str(path) for path in sys.path])],

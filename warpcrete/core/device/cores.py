@@ -74,7 +74,7 @@ class CoreContention:
 
     @property
     def is_uncertain(self) -> bool:
-        """Whether it is unknown if the threads have enough cores; the caller should then take few steps at a time."""
+        """True if it is not known yet that the threads have enough cores; the caller should then take few steps."""
         return not self.contended and not self._cores_suffice
 
     def use_one_thread(self) -> bool:

@@ -136,7 +136,7 @@ class Exchange:
 
     @property
     def read_is_done(self) -> bool:
-        """Whether the values of the asynchronous read have arrived."""
+        """True if the values of the asynchronous read have arrived."""
         return not self.device.is_cuda or self._read_event.is_complete
 
     def finish_read(self) -> list[np.ndarray]:

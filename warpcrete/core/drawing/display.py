@@ -139,7 +139,7 @@ class Display(ABC):
     noun: ClassVar[str]
     """Word for the bodies, such as "particles", under which recordings store them."""
     has_network: ClassVar[bool] = False
-    """Whether there are lines between bodies to draw."""
+    """True if there are lines between bodies to draw."""
 
     def __init__(self, simulation: Any, colouring: str | None = None) -> None:
         self.simulation = simulation

@@ -34,10 +34,10 @@ class Knob:
     levels: tuple[Level, ...]
     """Levels from the coarsest to the finest; one of them is the scene as given."""
     physical: bool = False
-    """Whether the knob changes physical properties of the concrete, so that a coarser level simulates a different
+    """True if the knob changes physical properties of the concrete, so that a coarser level simulates a different
     concrete."""
     chosen: bool = True
-    """Whether the program may use this knob in the settings that it recommends. Otherwise the knob's effect is only
+    """True if the program may use this knob in the settings that it recommends. Otherwise the knob's effect is only
     measured."""
 
     def level_of(self, key: str) -> Level | None:

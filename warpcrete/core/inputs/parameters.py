@@ -130,7 +130,7 @@ class Field:
     name: str
     kind: Any
     optional: bool
-    """Whether None is an allowed value."""
+    """True if None is an allowed value."""
     help: str
     rules: tuple[Any, ...]
     default: Any

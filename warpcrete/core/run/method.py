@@ -32,9 +32,9 @@ class Quantity:
     words: Callable[[Run], str] | None = None
     """Function that takes a run and returns the text in the report, in place of value and unit."""
     compared: bool = False
-    """Whether studies show the quantity in their table and figure."""
+    """True if studies show the quantity in their table and figure."""
     rare: bool = False
-    """Whether studies show the quantity only if its value is above 0 in some case."""
+    """True if studies show the quantity only if its value is above 0 in some case."""
 
     @property
     def title(self) -> str:

@@ -16,7 +16,7 @@ class Recorder:
     """
 
     expendable: ClassVar[bool] = False
-    """Whether the run goes on without this recorder if it fails, with a warning. A full disk ends the run in any case:
+    """True if the run goes on without this recorder if it fails, with a warning. A full disk ends the run in any case:
     the run can be resumed when there is space, and then no data is missing."""
 
     def claim(self, simulation: Any) -> None:

@@ -73,7 +73,7 @@ class Simulation:
     stepper: Any
     """Object with `time` [s], `steps`, and a method `advance(until)` that steps the state to a time [s]."""
     shares_cores = False
-    """Whether other runs use the cores that the threads of this run leave free."""
+    """True if other runs use the cores that the threads of this run leave free."""
 
     def __init_subclass__(cls, **settings: Any) -> None:
         super().__init_subclass__(**settings)
@@ -128,12 +128,12 @@ class Simulation:
         self._wall_times: dict[str, float] = {}
         self._has_run = False
         self.at_end = False
-        """Whether the last step has been taken, so that only recordings may still be incomplete."""
+        """True if the last step has been taken, so that only recordings may still be incomplete."""
         self._saved_at = (
             wall_clock.perf_counter()
         )  # wall-clock time at which the last checkpoint was written or read [s]
         self.resumes = False
-        """Whether the run goes on from a checkpoint, in an existing folder."""
+        """True if the run goes on from a checkpoint, in an existing folder."""
         self._checkpoint_time: float | None = None  # simulated time of the state in the checkpoint [s]
         # wall time that the run had taken up to the checkpoint from which it goes on [s]
         self._time_before_resume = 0.0
@@ -154,7 +154,7 @@ class Simulation:
     @property
     @abstractmethod
     def prepared(self) -> bool:
-        """Whether the state at t = 0, or that of a checkpoint, is complete."""
+        """True if the state at t = 0, or that of a checkpoint, is complete."""
 
     @abstractmethod
     def prepare(self) -> None:

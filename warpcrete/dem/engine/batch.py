@@ -160,7 +160,7 @@ class Batch(JointArrays):
 
     @property
     def has_step(self) -> bool:
-        """Whether the stages of a step have been set and still match the arrays and chunks."""
+        """True if the stages of a step have been set and still match the arrays and chunks."""
 
         return self._step is not None
 
@@ -311,7 +311,7 @@ class Batch(JointArrays):
 
     @property
     def settled(self) -> bool:
-        """Whether the device has finished everything that was launched."""
+        """True if the device has finished everything that was launched."""
         return self.exchange.read_is_done
 
     def settle(self) -> np.ndarray:

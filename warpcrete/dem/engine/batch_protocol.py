@@ -23,7 +23,7 @@ class BatchArrays(Protocol):
     device: Any
     """Warp device of all arrays."""
     parallel: bool
-    """Whether kernels are written for a GPU, with one thread for each row."""
+    """True if kernels are written for a GPU, with one thread for each row."""
     threads: int
     """Number of CPU threads that share the work."""
     count: int

@@ -30,37 +30,37 @@ class Features:
     wall_law: type[ContactLaw]
     """Contact law between bodies and walls."""
     mixed: bool
-    """Whether bodies have several materials."""
+    """True if bodies have several materials."""
     history: bool
-    """Whether contacts between bodies store a shear history."""
+    """True if contacts between bodies store a shear history."""
     bonds: bool
-    """Whether contacts are bonded or may become bonded."""
+    """True if contacts are bonded or may become bonded."""
     healing: bool
-    """Whether new contacts bond on touching."""
+    """True if new contacts bond on touching."""
     subcycling: bool
-    """Whether stiff bonds are sub-cycled, that is, integrated with several shorter rounds in each step."""
+    """True if stiff bonds are sub-cycled, that is, integrated with several shorter rounds in each step."""
     clumps: bool
-    """Whether bodies are moved as clumps: some have several spheres, or sub-cycling requires it."""
+    """True if bodies are moved as clumps: some have several spheres, or sub-cycling requires it."""
     rotation: bool
-    """Whether bodies rotate; single spheres do not if they have no friction, shear damping or bonds."""
+    """True if bodies rotate; single spheres do not if they have no friction, shear damping or bonds."""
     drives: bool
-    """Whether forces along a pipe's axis act on groups of bodies."""
+    """True if forces along a pipe's axis act on groups of bodies."""
     walls: bool
     analytic: bool
-    """Whether some walls are planes or pipes, whose contacts are computed by formulas instead of meshes."""
+    """True if some walls are planes or pipes, whose contacts are computed by formulas instead of meshes."""
     meshes: bool
     strokes: bool
-    """Whether the prescribed motion of some wall is interrupted by stops, as between pump strokes."""
+    """True if the prescribed motion of some wall is interrupted by stops, as between pump strokes."""
     structure: bool
-    """Whether the lubrication layer on the walls gains strength at rest; slip then wears off this gain."""
+    """True if the lubrication layer on the walls gains strength at rest; slip then wears off this gain."""
     growth: bool
-    """Whether the sizes of bodies grow, as during packing."""
+    """True if the sizes of bodies grow, as during packing."""
     half_list: bool
-    """Whether neighbour lists contain a pair inside a thread's chunk once (CPU) instead of at both spheres (GPU)."""
+    """True if neighbour lists contain a pair inside a thread's chunk once (CPU) instead of at both spheres (GPU)."""
     dissipation: bool
-    """Whether dissipated energy is summed up."""
+    """True if dissipated energy is summed up."""
     wear: bool
-    """Whether the wear of walls by contacts is summed up."""
+    """True if the wear of walls by contacts is summed up."""
 
 
 @dataclass(frozen=True, repr=False)

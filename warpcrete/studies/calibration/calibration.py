@@ -27,7 +27,7 @@ class Trial:
     """Positions in the parameter ranges, one number from 0 to 1 for each free parameter."""
     seed: int
     proof: bool = False
-    """Whether this run only verifies the likeliest parameters, so that its results do not enter the fit."""
+    """True if this run only verifies the likeliest parameters, so that its results do not enter the fit."""
     values: Outcome = field(default_factory=dict)
     failure: str = ""
     """Reason why a fitted target has no value; empty if all fitted targets have a value."""
@@ -45,7 +45,7 @@ class Calibration:
     trials: list[Trial] = field(default_factory=list)
     posterior: Posterior | None = None
     settled: bool = False
-    """Whether further runs would no longer change the answer."""
+    """True if further runs would no longer change the answer."""
     finished: bool = False
     took: float = 0.0
     """Wall time of the last call that ran or resumed the calibration [s]."""

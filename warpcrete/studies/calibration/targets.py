@@ -40,9 +40,9 @@ class FreeParameter:
     low: float
     high: float
     log: bool
-    """Whether the parameter is searched on a logarithmic scale."""
+    """True if the parameter is searched on a logarithmic scale."""
     whole: bool
-    """Whether the parameter is a whole number."""
+    """True if the parameter is a whole number."""
 
     def value(self, unit: float) -> float:
         """Return the parameter's value at the position `unit` of its range, from 0 to 1."""
@@ -71,7 +71,7 @@ class Target:
     parameters: Mapping[str, Any]
     """Parameters of the scene, without the free ones."""
     held_out: bool
-    """Whether the quantity is predicted and compared with the measurement, but not fitted."""
+    """True if the quantity is predicted and compared with the measurement, but not fitted."""
     unit: str
 
     @property

@@ -43,7 +43,7 @@ class LineResult:
     layer_factor: float
     """Factor by which the resistance of the slip layer may be wrong, in both directions."""
     simulated: bool
-    """Whether friction comes from simulations and not from the closed form."""
+    """True if friction comes from simulations and not from the closed form."""
     folder: Path | None = None
     took: dict[str, float] = field(default_factory=dict)
     """Wall time of each new simulation [s], by its folder's name."""

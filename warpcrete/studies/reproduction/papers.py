@@ -41,7 +41,7 @@ class Row:
 
     @property
     def is_hydrated(self) -> bool:
-        """Whether the varied parameter concerns hydrated bonds."""
+        """True if the varied parameter concerns hydrated bonds."""
         return self.parameter.startswith("hydration")
 
     @property

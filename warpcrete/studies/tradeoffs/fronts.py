@@ -34,7 +34,7 @@ class Error:
 
     @property
     def within_scatter(self) -> bool:
-        """Whether the scatter between seeds alone explains the difference."""
+        """True if the scatter between seeds alone explains the difference."""
         return math.isfinite(self.interval) and 0 < self.size <= self.interval
 
 

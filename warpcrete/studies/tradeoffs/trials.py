@@ -26,7 +26,7 @@ class WorkerJob:
     cases: list[Case]
     """Cases of the setting, one for each seed."""
     load_kernels: bool
-    """Whether to load the kernels before the first run."""
+    """True if to load the kernels before the first run."""
     time_left: float
     """Time left for the runs [s]; the first run takes place even if there is none."""
 
