@@ -77,7 +77,7 @@ def run(
                 found = run_line(
                     given, concrete_of(name), rate, simulate=not theory,
                     cells=cells, layer_factor=LAYER_FACTOR if layer_factor is None else layer_factor,
-                    band=mix.band if mix is not None and layer_factor is None else None,
+                    variants=mix.variants if mix is not None and layer_factor is None else None,
                     progress=None if quiet else progress, **where,
                 )  # fmt: skip
             if method != "flow":

@@ -227,8 +227,10 @@ def _mix_section() -> Schema:
         "concrete": _object(constants | off),
         "mortar": _object(constants | off | {"density": quantity("kg/m3", "density")}),
         "viscometer": _points(mixes.SHEARED),
+        "thickener": {"type": "boolean"},
         "layer": {"anyOf": [
-            _object({**constants, "viscosity": quantity("Pa s/m", "viscosity divided by thickness"), **off}, "",
+            _object({**constants, "viscosity": quantity("Pa s/m", "viscosity divided by thickness"), **off,
+                     "from": {"enum": ["tribometer", "pipe"], "description": "origin of the constants"}}, "",
                     ["yield_stress", "viscosity"]),
             _object({"points": _points(PUMPED), **{name: quantity("m", f"{name} of the pipe")
                                                    for name in ("diameter", "length", "rise")}}, "",
