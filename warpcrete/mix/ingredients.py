@@ -32,8 +32,8 @@ VARIABLE = ("lightweight", "light", "expanded", "clay", "pumice", "perlite", "re
 MIN_AMOUNT = 0.01
 """Smallest amount of an ingredient [kg/m3]; admixtures amount to 0.1 kg/m3 and more."""
 POWDERS = ("cement", "clinker", "cem", "opc", "binder", "powder", "slag", "ggbs", "ggbfs", "limestone", "filler",
-           "lime", "marble", "quartz", "metakaolin", "pozzolan", "trass", "ash", "flyash", "pfa", "silica", "microsilica",
-           "fume")  # fmt: skip
+           "lime", "marble", "quartz", "metakaolin", "pozzolan", "trass", "ash", "flyash", "pfa", "silica",
+           "microsilica", "fume")  # fmt: skip
 """Words for ingredients whose grains are finer than sand and belong to the paste."""
 LIQUIDS = ("water", "ice", "superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "admixture",
            "admixtures", "retarder", "accelerator", "entrainer", "stabilizer", "stabiliser", "modifier", "vma", "pce",

@@ -21,8 +21,8 @@ PIPE_UNCERTAINTY = 0.3
 """Relative uncertainty of a layer fitted to pipe pressures of an earlier delivery. Deliveries of one recipe on one line
 differ by more than the 15 % that Mai et al. (2014) found on a single site; Deng et al. (2024) found -38 to +31 %."""
 PASTE_CONSTANT, PASTE_DENSEST, PASTE_EXPONENT = 150.0, 0.80, 1.55
-"""Constants of :func:`paste_layer`: viscosity [Pa s/m], densest packing of the powder, and exponent. They were fitted to
-39 concretes in level lines of 325 to 1,044 m, with water-binder ratios of 0.17 to 0.46."""
+"""Constants of :func:`paste_layer`: viscosity [Pa s/m], densest packing of the powder, and exponent. They were fitted
+to 39 concretes in level lines of 325 to 1,044 m, with water-binder ratios of 0.17 to 0.46."""
 PASTE_ERROR_FACTOR = 1.6
 """Factor, in both directions, by which the layer of a mix may differ from :func:`paste_layer`."""
 PASTE_YIELD = (10.0, 0.0, 50.0)
@@ -32,7 +32,7 @@ THICKENER_FACTOR, THICKENER_ERROR = 2.25, 1.25
 The three concretes of Xu, Li & Jiang (2021), which contain such an admixture, have 2.0 to 2.3 times the viscosity of
 :func:`paste_layer`."""
 AGGREGATE_DENSEST, FILM = 0.80, 3e-3
-"""Constants of :func:`film_layer`: densest packing of sand and stones together, and thickness of the layer [m]. 
+"""Constants of :func:`film_layer`: densest packing of sand and stones together, and thickness of the layer [m].
 Measured thicknesses are 1 to 3 mm (Deng et al. 2024; Zhao et al. 2024), and Xu's layers imply 6 mm."""
 FILM_ERROR_FACTOR = 3.0
 """Factor, in both directions, by which a layer may differ from :func:`film_layer`."""
@@ -104,8 +104,10 @@ def layers(given: MixEntries, concrete: Concrete, viscosity: Figure) -> Iterator
                     f"slump of {1e3 * given.slump:.4g} mm", f"JGJ/T 10, after Morinaga 1973{more}")  # fmt: skip
     value, stress = ASSUMED
     error = ASSUMED_ERROR_FACTOR * blur
-    yield _pair(thick * value, (thick * value / error, thick * value * error), (stress, 0.0, 5 * stress), concrete,
-                ASSUMPTION, f"uncertain by a factor of {error:.3g}: state the parts of the mix, or measure it")  # fmt: skip
+    yield _pair(
+        thick * value, (thick * value / error, thick * value * error), (stress, 0.0, 5 * stress), concrete, ASSUMPTION,
+        f"uncertain by a factor of {error:.3g}: state the parts of the mix, or measure it",
+    )  # fmt: skip
 
 
 ASSUMPTION = "assumption"

@@ -31,8 +31,8 @@ def combined(value: float, ends: Mapping[str, tuple[float, float]]) -> Band:
     """Combine independent causes of uncertainty into one band.
 
     `ends` gives, for each cause, the two values that result if only this cause is at one end of its own band.
-    Deviations of a positive value are combined as logarithms, because a layer that is uncertain by a factor of three divides and
-    multiplies by three. Deviations to one side are added in squares, as for independent errors.
+    Deviations of a positive value are combined as logarithms, because a layer that is uncertain by a factor of three
+    divides and multiplies by three. Deviations to one side are added in squares, as for independent errors.
     """
     logarithmic = value > 0 and all(end > 0 for pair in ends.values() for end in pair)
     below, above = 0.0, 0.0
