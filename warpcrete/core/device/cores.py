@@ -35,8 +35,8 @@ def thread_pinner(threads: int) -> Callable[[], None]:
 
     def pin_to_core() -> None:
         if len(cores) == threads:
-            with contextlib.suppress(OSError):  # The process may have lost this core in the meantime.
-                os.sched_setaffinity(0, {next(places)})  # The thread number 0 stands for the calling thread.
+            with contextlib.suppress(OSError):  # The system may have withdrawn this core from the process.
+                os.sched_setaffinity(0, {next(places)})  # Number 0 means the calling thread.
 
     return pin_to_core
 
@@ -74,7 +74,7 @@ class CoreContention:
 
     @property
     def is_uncertain(self) -> bool:
-        """True if it is not known yet that the threads have enough cores; the caller should then take few steps."""
+        """True if it is not known yet whether the threads have enough cores; the caller should then check often."""
         return not self.contended and not self._cores_suffice
 
     def use_one_thread(self) -> bool:

@@ -41,7 +41,7 @@ class PinnedPool:
         self._arrival_flag: wp.array | None = None
 
     def arrival_flag(self, device: Any) -> wp.array:
-        """Return an array on a device, shape (1,), that holds 1; a copy of it is a flag of arrival."""
+        """Return an array on a device, shape (1,), that contains 1; its copy on the host shows that copies arrived."""
         if self._arrival_flag is None:
             self._arrival_flag = wp.ones(1, dtype=wp.int32, device=device)
         return self._arrival_flag

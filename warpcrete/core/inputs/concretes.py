@@ -1,4 +1,4 @@
-"""Concretes by name or from a file, with the parameters that each simulation method takes from them.
+"""Concretes by name or from a file, with the parameters that they define for each simulation method.
 
 A file is YAML or JSON with up to two sections of parameters, both in SI units:
 
@@ -6,7 +6,7 @@ A file is YAML or JSON with up to two sections of parameters, both in SI units:
   contacts and bonds;
 - `flow`: the five constants of a Bingham fluid with a slip layer.
 
-A section `mix` may take the place of both; it describes the concrete by amounts with units, from which
+A section `mix` may replace both sections. It describes the concrete by amounts with units, from which
 :mod:`warpcrete.mix` derives the parameters.
 
 The key `base` names another concrete, whose sections the values in this file complete or replace. The keys `source` and

@@ -383,7 +383,7 @@ class SceneFunction(Generic[P, S]):
         return self.parameters(**self.with_objects(self.completed(given)))
 
     def completed(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return parameters by their own names, together with parameters that follow from the given ones.
+        """Return parameters by name, with aliases replaced, together with parameters that follow from the given ones.
 
         For example, the name of a concrete implies its parameters. Implied parameters that have no effect are left out.
         """
@@ -395,7 +395,7 @@ class SceneFunction(Generic[P, S]):
         return values | {name: value for name, value in implied.items() if name in meant}
 
     def effective_values(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the given parameters by their own names, without those that have no effect."""
+        """Return the given parameters by name, with aliases replaced, without parameters that have no effect."""
         values = self.resolved(given)
         meant = self._effective({**self.parameters.implied(values), **values})
         return {name: value for name, value in values.items() if name in meant}

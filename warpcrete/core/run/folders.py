@@ -20,7 +20,7 @@ except ImportError:  # Folders are not locked on systems other than POSIX.
     fcntl = None
 
 KILL_GRACE = 2.0
-"""Time allowed for the processes of a killed run to end [s]."""
+"""Time for which a locked folder is tried again, because the processes of a killed run need some time to end [s]."""
 
 
 class FolderLock:
@@ -88,7 +88,7 @@ def _lock(file: int) -> bool:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
-    except OSError:  # The file system has no locks, so the folder counts as locked.
+    except OSError:  # The file system does not support locks, so treat the lock as obtained.
         return True
     return True
 
@@ -117,7 +117,7 @@ def locked_folder(folder: Path, record: str) -> Iterator[None]:
         yield
     finally:
         for lock in folder.rglob(f"*/{LOCK}"):
-            with suppress(RunFolderError):  # A folder that another process still holds is in use.
+            with suppress(RunFolderError):  # Skip a folder that another process has locked, because it is in use.
                 FolderLock(lock.parent).release()
         hold.release()
 

@@ -135,7 +135,7 @@ class Simulation:
         self.resumes = False
         """True if the run goes on from a checkpoint, in an existing folder."""
         self._checkpoint_time: float | None = None  # simulated time of the state in the checkpoint [s]
-        # wall time that the run had taken up to the checkpoint from which it goes on [s]
+        # wall time that a resumed run had taken before the checkpoint was written [s]
         self._time_before_resume = 0.0
         self._samples_taken = 0  # number of rows in the series, not counting the row at t = 0
         self._resumed: dict[str, Any] | None = None
@@ -397,7 +397,7 @@ class Simulation:
     def _loop(self) -> Coroutine:
         interval, duration, stepper = self.scene.sample_interval, self.duration, self.stepper
         if self.at_end:
-            self.ended_early()  # This call sets the reason for the end of the run.
+            self.ended_early()  # This call also stores why the run ended, which the results state.
             return True
         if not self.rows:
             self._sample()
@@ -440,7 +440,7 @@ class Simulation:
         if self.checkpoint_path is not None:
             try:
                 self.save(self.checkpoint_path)
-            except RunFolderError as error:  # The previous checkpoint is still there.
+            except RunFolderError as error:  # The run goes on, because the previous checkpoint is still valid.
                 if is_full(error):
                     raise
                 warnings.warn(f"the checkpoint could not be written: {error}", stacklevel=2)
