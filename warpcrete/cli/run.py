@@ -153,14 +153,14 @@ def _pipeline_checked(scene: Any, settings: dict[str, Any]) -> dict[str, Any] | 
 class PipelineRecorder(Recorder):
     """Recorder that adds the pressure of a pipeline to the result of a finished run.
 
-    It must finish before the recorder of the table, which writes the result.
+    This recorder must finish before the recorder of tables, which writes the result.
     """
 
     def __init__(self, height: float | None, distance: float | None, other: dict[str, Any] | None) -> None:
         self.height, self.distance, self.other = height, distance, other
 
     def finish(self, simulation: Simulation, run: Run) -> None:
-        """Compute the pipeline's pressure from the plateau of the run, if there is one."""
+        """Compute the pipeline's pressure from the pressure plateau of the run, if there is one."""
         if run.finished and (self.height is not None or self.distance is not None):
             estimate = pipeline_estimate(run, self.height or 0.0, self.distance or 0.0, self.other)
             if estimate is not None:

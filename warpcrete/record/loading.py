@@ -88,7 +88,7 @@ def repeatable_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any],
     """
     record = read_record(path)
     _check_unchanged(path, record)
-    check_files(path, record.get("files", {}))  # Check the files before any of them is imported.
+    check_files(path, record.get("files", {}))  # Check first: the scene may import one of these files.
     return saved_scene(path, known)
 
 

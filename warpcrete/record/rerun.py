@@ -98,7 +98,7 @@ class RerunRecorder(Recorder):
                 )
 
     def start(self, simulation: Simulation) -> None:
-        """Open the sinks, and send the blueprint and all data that does not change."""
+        """Open the file and the viewer, and send the layout of the views and all data that does not change."""
         if self.path is not None:
             for path in self._parts_from(0):  # Delete parts of a run that stopped before its first checkpoint.
                 path.unlink(missing_ok=True)
@@ -108,7 +108,7 @@ class RerunRecorder(Recorder):
         self._log_zeros(display, simulation.stepper.time, simulation.stepper.steps)
 
     def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
-        """Delete the parts written after the checkpoint, and open the next part."""
+        """Delete the parts of the recording that were written after the checkpoint, and open the next part."""
         if self.path is not None:
             if not self.path.is_file():
                 warnings.warn(f"'{self.path}': is missing; a new recording starts here", stacklevel=2)
@@ -129,20 +129,20 @@ class RerunRecorder(Recorder):
             self._describe(display)
 
     def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
-        """Return the state from which the next part continues."""
+        """Return the data with which a resumed run continues the recording in its next part."""
         self._later.wait()
         following = self._parts + (self.path is not None)
         return {"recording_id": self._id, "parts": following, "places": self._places}
 
     def write(self, simulation: Simulation) -> None:
-        """Close the current part and open the next one."""
+        """Close the current part of the recording and open the next part."""
         if self.path is not None:
             self._flush()
             self._parts += 1
             self._open_sinks()
 
     def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
-        """Record the curves' values of one row."""
+        """Record the values of all curves at one sample of the run."""
         assert self._display is not None
         time, steps = simulation.stepper.time, simulation.stepper.steps
         values = {
@@ -158,10 +158,10 @@ class RerunRecorder(Recorder):
         self._later.submit(log)
 
     def frame(self, simulation: Simulation) -> None:
-        """Record bodies, moving walls and, if selected, the network."""
+        """Record bodies, moving walls and, if selected, the lines between bodies."""
         assert self._display is not None
         self._display.draw(self._later, self._draw)
-        if self._legend_due:  # Drawing the legend takes ten times as long as a frame.
+        if self._legend_due:  # Draw the legend after the first frame, because it takes ten times as long as a frame.
             self._legend_due = False
             self._later.submit(self._log_legend)
 
@@ -321,7 +321,7 @@ class RerunRecorder(Recorder):
         with_legend = display.scale() is not None or bool(display.categories())
         return blueprint(display, network=network, legend=with_legend, duration=simulation.expected_duration)
 
-    # The following methods manage the sinks and the parts of the file.
+    # The following methods manage the outputs of the recording (file and viewer) and the parts of the file.
 
     def _open(self, display: Display, recording_id: str, part: int, blueprint: Any) -> None:
         rr = self._rr
@@ -364,7 +364,7 @@ class RerunRecorder(Recorder):
     def _finishes(self, call: Callable[[], None], patience: float) -> bool:
         """Return whether a call of Rerun ends within `patience` [s]; stop waiting if the disk turns out to be full.
 
-        A call that never ends must not block the end of the program either.
+        A call that never ends must not block the exit of the program, so Rerun's exit handler is removed then.
         """
         calling = threading.Thread(target=call, daemon=True)
         calling.start()

@@ -200,7 +200,7 @@ class _Instances:
 
         self._instancer = instancer = UsdGeom.PointInstancer.Define(stage, path)
         shapes = []
-        # The rotation of a single sphere about its centre is not visible.
+        # Orientations are left out if all shapes are single spheres, whose rotation about their centres is not visible.
         self._turn = any(len(prototype.radii) > 1 or np.any(prototype.offsets) for prototype in rigid.prototypes)
         self._velocities = velocities
         look = bodies_look(stage)

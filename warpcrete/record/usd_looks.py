@@ -161,9 +161,9 @@ class Colours:
 
 
 class Painted:
-    """Colours of a painted wall over time, as steps of its values.
+    """Colours over time of a wall that shows a quantity such as wear, as indices into a table of colours.
 
-    A table, common to all frames, holds the colour of each step.
+    The table is common to all frames; its entries belong to the discrete values to which :class:`.Paint` rounds.
     """
 
     def __init__(self, mesh: Any) -> None:

@@ -397,7 +397,7 @@ class Simulation:
     def _loop(self) -> Coroutine:
         interval, duration, stepper = self.scene.sample_interval, self.duration, self.stepper
         if self.at_end:
-            self.ended_early()  # This call also stores why the run ended, which the results state.
+            self.ended_early()  # The call also stores findings that the results state, such as a steady flow.
             return True
         if not self.rows:
             self._sample()

@@ -358,7 +358,7 @@ class Trade:
         return found
 
     def shift(self, knob: Knob, level: int) -> float:
-        """Return the largest error of a knob's level against the knob's finest complete level; infinity on failure.
+        """Return the largest error of a knob's level against the finest level that was measured; infinity on failure.
 
         A difference that the scatter between seeds explains counts as zero. The knob does not cause such a
         difference, and the differences would accumulate over all knobs.
