@@ -25,8 +25,9 @@ class Row:
     """A parameter that the paper varies alone, with the paper's claim about it."""
 
     name: str
-    """Name of the varied parameter of the scene function."""
+    """Name of the variation in the report and in the option `--only`."""
     parameter: str
+    """Name of the varied parameter of the scene function."""
     values: tuple[Any, ...]
     claim: str
     """Claim of the paper about the effect of the parameter."""
