@@ -307,7 +307,7 @@ def _section(
         following = np.roll(corners, -1, axis=0)
         area = 0.5 * np.linalg.norm(np.cross(corners - point, following - point), axis=1)
         if not area.sum() > 0:
-            return None  # All surfaces that the rays meet pass through the point itself.
+            return None  # The area is zero if all surfaces that the rays meet pass through the point itself.
         middle = (area[:, None] * (corners + following + point) / 3).sum(axis=0) / area.sum()
         moved = np.linalg.norm(middle - point)
         point = middle

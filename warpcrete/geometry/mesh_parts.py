@@ -186,8 +186,8 @@ def directions_at(axis: Axis, s: float) -> np.ndarray:
     """Return the directions of a mesh's x, y and z axes after the mesh is placed on a pipe's axis, shape (3, 3).
 
     The mesh is placed at the arc length `s` [m], with x along the axis. If the axis begins level, z points up at its
-    start. If the axis begins vertically, z is what a bend from level into the vertical would have turned "up" into.
-    From the start on, z is transported along the axis without twist.
+    start. If the axis begins vertically, z points where "up" would point after a bend from level to vertical. From the
+    start on, z is transported along the axis without twist.
     """
     tangent, level = np.array(axis.tangent), np.array([0.0, 0.0, 1.0])
     if abs(tangent @ level) > 0.5:

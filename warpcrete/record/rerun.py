@@ -116,7 +116,7 @@ class RerunRecorder(Recorder):
                 return
             for path in self._parts_from(state["parts"]):
                 path.unlink()
-            if not simulation.at_end:  # The parts of a finished run may have been joined already.
+            if not simulation.at_end:  # Parts of a finished run may be missing because they are joined already.
                 for number in range(1, state["parts"]):
                     if not self._part(number).is_file():
                         warnings.warn(f"'{self._part(number)}': is missing; its frames are lost", stacklevel=2)
@@ -261,7 +261,8 @@ class RerunRecorder(Recorder):
             except BaseException:
                 self._disconnect(POLL_INTERVAL)
                 raise
-            # If the viewer has disconnected, Rerun first waits for the viewer and only then closes the file.
+            # If the viewer has disconnected, closing takes longer: Rerun first waits for the viewer, then closes the
+            # file.
             if not self._disconnect(CLOSE_TIMEOUT if watched and not self.live else PATIENCE):
                 raise self._recording_error(RuntimeError("the writer thread did not finish in time"))
 
@@ -346,7 +347,8 @@ class RerunRecorder(Recorder):
     def _open_sinks(self, **settings: Any) -> None:
         """Open the file of the current part and the connection to a viewer; raise :class:`RunFolderError` on failure.
 
-        Rerun's writer never returns if the disk fills up at a bad moment, so a thread waits for the writer.
+        Rerun's writer may never return if the disk is full. A separate thread therefore calls the writer, and this
+        method waits for the thread for a limited time.
         """
         failures: list[RuntimeError] = []
 

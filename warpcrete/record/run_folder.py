@@ -104,7 +104,7 @@ class TableRecorder(Recorder):
             raise cannot_write(self._series, error) from error
 
     def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
-        """Rewrite series.csv with the rows of the checkpoint."""
+        """Rewrite series.csv with the rows up to the checkpoint, and open the file for further rows."""
         self.claim(simulation)
         with atomic_file(self._series) as partial:
             self._file = partial.open("w", newline="", encoding="utf-8")

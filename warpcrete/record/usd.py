@@ -4,7 +4,7 @@ Rigid bodies are one point instancer with a prototype for each shape; fluid part
 """
 
 # pyright: reportAttributeAccessIssue=false
-# The pxr modules add their attributes when they are imported.
+# Pyright does not see the attributes that pxr modules add when they are imported.
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Materials, light and documentation of a USD scene."""
 
 # pyright: reportAttributeAccessIssue=false
-# The pxr modules add their attributes when they are imported.
+# Pyright does not see the attributes that pxr modules add when they are imported.
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LOOKS = "/Run/Looks"
 CLEAR, PAINT = 0.14, 0.6
 """Minimum opacity of glass, and opacity of walls that show a quantity such as wear by colours."""
 SUN, SKY = 0.6, 0.5
-"""Intensities of the directional light, independent of the size of its disc, and of the light from all directions."""
+"""Intensities of the sun, which the size of its disc does not change, and of the sky, which shines from all sides."""
 SUN_ANGLE = 4.0
 """Angular size of the sun's disc [degrees], which softens the edges of shadows."""
 

@@ -87,7 +87,7 @@ class WorkerPool:
             raise
         try:
             worker.send(job)
-        except Exception:  # the job cannot be pickled
+        except Exception:  # if a job cannot be pickled, the worker has not received it and stays idle
             with self._lock:
                 self._idle.append(worker)
             raise
@@ -125,7 +125,7 @@ class _Worker:
             return pickle.load(self._process.stdout)
         except EOFError:
             raise WorkerDied(f"its process {self._end()}") from None
-        except Exception as error:  # the answer cannot be unpickled
+        except Exception as error:  # unpickling a damaged answer may raise any exception
             raise WorkerDied(f"its process failed: {type(error).__name__}: {error}") from error
 
     def wait_until_ready(self) -> None:
@@ -155,7 +155,7 @@ def serve() -> None:
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # printed text must not mix with the answers
     warn_in_one_line()
-    warnings.simplefilter("ignore", PlausibilityWarning)  # the parent has issued these warnings already
+    warnings.simplefilter("ignore", PlausibilityWarning)  # the parent process has shown these already
     inbox: queue.Queue[Any] = queue.Queue()
     stop = threading.Event()
     threading.Thread(target=_listen, args=(inbox, stop), daemon=True).start()
@@ -181,7 +181,7 @@ def _listen(inbox: queue.Queue[Any], stop: threading.Event) -> None:
 def _answer(answers: Any, message: Any) -> None:
     try:
         data = pickle.dumps(message)
-    except Exception:  # the answer is an exception that cannot be pickled
+    except Exception:  # some exceptions cannot be pickled, so send their text instead
         data = pickle.dumps(WarpcreteError(f"{type(message).__name__}: {message}"))
     answers.write(data)
     answers.flush()

@@ -233,7 +233,7 @@ def normalised(device, precision) -> list[Row]:
         exact = published[slip, 0] - 7 if name.startswith("surface") else np.full(int(slip.sum()), -5.0)
         rows.append(
             _largest_error(f"test 5: rebound {name} in full slip, rigid plane", found[1][slip], exact, 1.2e-2, "1")
-        )  # The overlap shortens the lever arm, which explains the larger tolerance.
+        )  # The overlap shortens the lever arm of friction, which explains the larger tolerance.
     return rows
 
 
@@ -250,7 +250,7 @@ def spinning(device, precision) -> list[Row]:
     spins = np.stack([0 * rates, -rates, 0 * rates], 1)
     velocity, spin = spheres_on_a_plane(law, radius, 2700.0, velocities, spins, device, precision)
     impulse = friction * (1 + e) * normal
-    # The lever arm ends at the plane, which lies inside the sphere by 0.05 % of the radius.
+    # The lever arm of friction ends at the plane, which lies inside the sphere by 0.05 % of the radius.
     rows.append(
         _largest_error("test 6, on a plane: tangential velocity", -velocity[:, 0], np.full(3, impulse), 3e-3, "m/s")
     )

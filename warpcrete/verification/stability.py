@@ -53,9 +53,10 @@ def dense_block(law: ContactLaw, shape: ClumpTemplate, device, precision) -> tup
 
 
 def growth(scene: Scene, table, fraction: float, device, precision, bonds: Bonds | None = None) -> float:
-    """Return the largest energy in the last fifth of a run, divided by that in the first fifth; infinite if it diverges.
+    """Return the largest energy in the last fifth of a run over that in the first fifth; infinite if the run diverges.
 
-    The run has `STEPS` time steps, whose size is `fraction` times the estimated stable step. Near the stability limit, the energy of a stable leapfrog integration oscillates, but it does not grow.
+    The run has `STEPS` time steps, whose size is `fraction` times the estimated stable step. Near the stability limit,
+    the energy of a stable leapfrog integration oscillates, but it does not grow.
     """
     model = build_model(scene, find_device(device), precision)
     stepper = Stepper(model, State(model, table), TimeStep(safety=10.0))

@@ -1,8 +1,8 @@
 """Detection of core contention: threads that wait for one another lose time if other processes use their cores.
 
 Threads of a run meet at barriers many times per step. If another process occupies the core of one thread, that thread
-arrives late by a time slice of the scheduler (milliseconds), and all other threads wait for it. One thread that
-computes all chunks in turn is then faster and gives the same results. If there are as many threads as cores, each
+arrives late by a time slice of the scheduler (milliseconds), and all other threads wait for it. A single thread that
+does the work of all threads is then faster and gives the same results. If there are as many threads as cores, each
 thread is pinned to a core of its own.
 """
 
@@ -36,7 +36,7 @@ def thread_pinner(threads: int) -> Callable[[], None]:
     def pin_to_core() -> None:
         if len(cores) == threads:
             with contextlib.suppress(OSError):  # The system may have withdrawn this core from the process.
-                os.sched_setaffinity(0, {next(places)})  # Number 0 means the calling thread.
+                os.sched_setaffinity(0, {next(places)})  # Process 0 means the calling thread.
 
     return pin_to_core
 

@@ -161,7 +161,8 @@ class Exchange:
             return
         arrays = [array for array, _ in pairs]
         buffers = self._buffers("written", arrays)
-        if buffers.last_write > self._last_completed_write:  # Its last copy may still be in flight.
+        # Before the page-locked memory is reused, wait until its last copy to the device is complete.
+        if buffers.last_write > self._last_completed_write:
             self._wait()
         for view, (_, values) in zip(buffers.views, pairs):
             view[...] = values

@@ -1,4 +1,4 @@
-"""Kernel launches: recorded once, then replayed in graphs of several steps; on a CPU, one thread replays each chunk.
+"""Kernel launches: recorded once, then replayed in graphs of several steps; each CPU thread replays its own graphs.
 
 Arguments are bound to a kernel's parameters by name, never by position.
 """
@@ -252,7 +252,7 @@ class Launcher:
         return [Stage(barrier, 1, {"gate": self.gate, "parties": self.threads}, self.device)]
 
     def invalidate_graphs(self) -> None:
-        """Discard all graphs, because arrays or chunks that they contain have changed."""
+        """Discard all graphs, because their arrays or the division of the work among the threads have changed."""
         self._graphs.clear()
         self._periodic_launch = None
 

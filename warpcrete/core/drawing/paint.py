@@ -73,7 +73,7 @@ class Paint:
         """Return the index of the discrete value nearest to each value, with the shape of `values`.
 
         `values` are in the displayed unit. All values that have the scale's first colour get the same index. The viewer
-        interpolates indices between vertices, so distant indices of equal colour would show other colours in between.
+        interpolates indices between vertices, so very different indices of neighbours would give wrong colours between.
         """
         least = max(SMALLEST_VALUE, self.upper / COLOURS)
         place = STEPS_PER_DECADE * np.log10(np.maximum(values, least) / SMALLEST_VALUE)

@@ -379,7 +379,7 @@ class SceneFunction(Generic[P, S]):
         return {name: value for name, value in scene.parameters.items() if name in names or name not in declared}
 
     def declared(self, given: Mapping[str, Any]) -> Any:
-        """Return the dataclass of parameters: the given values, values that follow from these, and defaults."""
+        """Return the parameters as an instance of their dataclass: given values, values implied by them, defaults."""
         return self.parameters(**self.with_objects(self.completed(given)))
 
     def completed(self, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -417,7 +417,7 @@ class SceneFunction(Generic[P, S]):
         def held(name: str) -> Any:
             return values.get(name, known[name].default)
 
-        while any(not meant(name) for name in values):  # A removed parameter may be a condition for others.
+        while any(not meant(name) for name in values):  # Repeat: other parameters may need a removed one.
             values = {name: value for name, value in values.items() if meant(name)}
         return values
 

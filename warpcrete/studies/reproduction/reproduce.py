@@ -134,7 +134,8 @@ def zhan_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[s
     names = reproduction.columns or (QUICK if reproduction.quick else (*CONCRETES, *OPEN_ASSUMPTIONS))
     studies = [(name, _cases(reproduction, name, hydrated=False)) for name in names]
     hydrated = [name for name in HYDRATED if name in names and not reproduction.quick]
-    if reproduction.columns and reproduction.rows:  # the user named a column and a row of the report
+    # If the user named columns and rows, only the rows decide whether cases with hydrated bonds are run.
+    if reproduction.columns and reproduction.rows:
         hydrated = [name for name in names if name in CONCRETES]
     studies += [(f"{name}, hydrated", _cases(reproduction, name, hydrated=True)) for name in hydrated]
     return [(group, "pipe", cases) for group, cases in studies if cases]

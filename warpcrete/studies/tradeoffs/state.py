@@ -38,7 +38,7 @@ class Trade:
         self.folder, self.module, self.record = folder, module, record
         self.scene_name: str = record["scene"]
         self.base: dict[str, Any] = dict(record["parameters"])
-        if module.trading.tolerance:  # let checks accept the largest error of interest
+        if module.trading.tolerance:  # let the scene's checks accept the largest wanted error
             self.base.setdefault(module.trading.tolerance, WANTED_ERRORS[0])
         self.repeat: int = record["repeat"]
         self.device: str = record["device"]

@@ -237,7 +237,7 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
             refuse("scene", trade.scene_name, f"does not run as given: {given.failure}")
         return
     needed = trade.rounds(2 * len(trade.seeds)) * given.cost
-    if trade.spent > 0 and needed > trade.budget:  # a resumed study may need only few further runs
+    if trade.spent > 0 and needed > trade.budget:  # a resumed study may need few runs
         refuse(
             "budget", f"{trade.budget:.3g} s", "is too short for two runs" + " for every seed" * trade.has_seeds,
             f"one run takes {given.cost:.3g} s; give {5 * needed:.2g} s or more",
