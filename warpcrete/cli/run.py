@@ -40,7 +40,7 @@ def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str
     if is_finished(folder):
         raise RunFolderError(f"resume = '{folder}': the run is already finished; start a new one with another --out")
     settings = dict(record.get("command", {}))
-    # Recorders that the interrupted run did not have stay off.
+    # Keep recorders off that the interrupted run did not have.
     settings = {kind.name: False for kind in RECORDERS} | settings
     if set(settings) != set(KEPT):
         raise RunFolderError(

@@ -155,7 +155,7 @@ def between(field: str, value: float, lower: float, upper: float, unit: str = ""
 
 def one_of(field: str, value: Any, choices: Any) -> None:
     """Raise :class:`SceneError` unless `value` is one of `choices`."""
-    choices = list(choices)  # In a list, a `value` that is not hashable can be searched for.
+    choices = list(choices)  # Search in a list, which works even if `value` is not hashable.
     if value not in choices:
         refuse(field, value, f"must be one of {', '.join(map(str, choices))}", suggested(value, choices))
 

@@ -170,7 +170,7 @@ def directions(points: np.ndarray, ahead: np.ndarray) -> np.ndarray:
 def _first_direction(
     queries: SurfaceQueries, start: np.ndarray, ways: Sequence[np.ndarray], extent: float, field: str, name: str
 ) -> tuple[np.ndarray, float]:
-    """Return the first of the directions `ways` in which a bore leads away from `start`, and its radius there [m]."""
+    """Return the first of the directions `ways` in which a bore leads away from `start`, and the bore's radius [m]."""
     beside = None
     for way in ways:
         first = _section(queries, start + NEAREST * extent * way, way, extent)
@@ -330,8 +330,8 @@ def _longest(
         stop = min(reached + step, last)
         curve = attempt(points, tangents, here, stop, position, tangent, allowed)
         if curve is None:
-            # The number of points to advance doubles after each success. After a failure it is halved, to find the
-            # limit in between.
+            # Search for the last point that the curve can reach. The number of points to advance doubles after each
+            # success; after a failure it is halved, to find the limit in between.
             step = step // 2 if best is not None else 0
         else:
             best, step = curve, 2 * (stop - reached) if stop - reached == step else step

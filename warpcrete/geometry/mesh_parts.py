@@ -163,7 +163,7 @@ def _measured(
 
 
 def _axis(vertices: np.ndarray, faces: np.ndarray, ways: tuple[Way, ...], field: str, name: str) -> tuple[Axis, float]:
-    """Return the axis of a bore that begins at the mesh's origin, and its radius there [m]."""
+    """Return the axis of a bore that begins at the mesh's origin, and the bore's radius at the origin [m]."""
     start = np.zeros(3)
     sections = follow(vertices, faces, start, [np.array(way, float) for way in ways], field, name)
     way = sections.ahead

@@ -81,7 +81,7 @@ class RerunRecorder(Recorder):
         self._recording: Any = None
         self._later = RecorderThread(in_thread=False)
         self._display: Display | None = None
-        # Rerun's log would fill the terminal; its calls report errors anyway.
+        # Switch off Rerun's log, which would fill the terminal; Rerun's calls report errors anyway.
         os.environ.setdefault("RUST_LOG", "off")
         import rerun as rr
 
@@ -231,7 +231,7 @@ class RerunRecorder(Recorder):
                 middle = places + (number - 0.5 * (len(found) - 1)) * width
                 fields: dict[str, Any] = {"values": self._bars(np.array(values, dtype=float))}
                 path = f"profile/{profile.path}/{curve.name.replace(' ', '_')}"
-                # Converting the positions takes most of the time, so send them only when they have changed.
+                # Converting the positions of bars takes most of the time, so send them only when they have changed.
                 if not np.array_equal(self._places.get(path, ()), middle):
                     self._places[path] = middle
                     fields |= {"abscissa": middle, "widths": np.full(len(middle), width, np.float32),
@@ -334,8 +334,8 @@ class RerunRecorder(Recorder):
         self._cut = [wall.name for wall in cut_walls(display)]
         self._paint: Paint | None = None
         self._legend_due = False
-        self._tensors: dict[int, Any] = {}  # Tensors for bars; the key is the number of bars.
-        # Last recorded positions of bars; the key is the path in the recording.
+        self._tensors: dict[int, Any] = {}  # tensors of bar charts for reuse, by their number of bars
+        # positions of the bars that were recorded last, by the path of the bar chart in the recording
         self._places: dict[str, np.ndarray] = {}
         if self.live is True:
             opened = screen_viewer(bind=self._bind)

@@ -160,7 +160,7 @@ class UsdRecorder(Recorder):
         orient.Set(Gf.Quatd(float(w), float(x), float(y), float(z)), code)
 
     def finish(self, simulation: Simulation, run: Run) -> None:
-        """Write the file."""
+        """Write the USD file when the run has ended."""
         if self._stage is not None:
             try:
                 self._later.close()
@@ -193,7 +193,7 @@ class UsdRecorder(Recorder):
 
 
 class _Instances:
-    """Rigid bodies as a point instancer."""
+    """USD point instancer that shows rigid bodies."""
 
     def __init__(self, stage: Any, path: str, rigid: RigidBodies, velocities: bool) -> None:
         from pxr import Gf, Sdf, UsdGeom, Vt
@@ -248,7 +248,7 @@ class _Instances:
 
 
 class _Points:
-    """Fluid particles as points."""
+    """USD points that show fluid particles."""
 
     def __init__(self, stage: Any, path: str, display: Display) -> None:
         from pxr import UsdGeom, Vt

@@ -101,7 +101,7 @@ class _Worker:
     def __init__(self) -> None:
         self._ready = False
         self.failed = False
-        """True if the process ended before it was ready."""
+        """True if the worker process ended before it was ready for jobs."""
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-c", START_CODE, json.dumps([str(path) for path in sys.path])],
@@ -153,9 +153,10 @@ class _Worker:
 def serve() -> None:
     """Run the jobs that arrive on standard input and write the answers to standard output, until the parent ends."""
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # printed text must not mix with the answers
+    os.dup2(2, 1)  # redirect printed text to stderr, because stdout carries the answers
     warn_in_one_line()
-    warnings.simplefilter("ignore", PlausibilityWarning)  # the parent process has shown these already
+    # Ignore warnings about unlikely values, because the parent process has shown them already.
+    warnings.simplefilter("ignore", PlausibilityWarning)
     inbox: queue.Queue[Any] = queue.Queue()
     stop = threading.Event()
     threading.Thread(target=_listen, args=(inbox, stop), daemon=True).start()

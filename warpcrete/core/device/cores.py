@@ -36,7 +36,7 @@ def thread_pinner(threads: int) -> Callable[[], None]:
     def pin_to_core() -> None:
         if len(cores) == threads:
             with contextlib.suppress(OSError):  # The system may have withdrawn this core from the process.
-                os.sched_setaffinity(0, {next(places)})  # Process 0 means the calling thread.
+                os.sched_setaffinity(0, {next(places)})  # For `sched_setaffinity`, 0 is the calling thread.
 
     return pin_to_core
 

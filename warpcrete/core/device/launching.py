@@ -236,7 +236,7 @@ class Launcher:
         self.threads, self.device = threads, device
         self._graphs: dict[tuple[int, bool, GraphLaunch | None], list[Any]] = {}
         self._periodic_launch: Callable[[], None] | None = None
-        # This counts the steps since the stages with `every` > 1 ran last.
+        # `_steps_without_periodic` is the number of steps since the stages with `every` > 1 ran last.
         self._steps_without_periodic = 0
         self.gate = wp.zeros(GATE, dtype=wp.int32, device=device)
         """Counters of the barrier at which the threads wait for one another, shape (GATE,)."""

@@ -111,7 +111,7 @@ def _read(path: Path, depth: int) -> NamedConcrete:
     mix = MixSection(given["mix"], path.parent, **sections) if "mix" in given else None
     if "base" in texts:
         base = _base(texts.pop("base"), path, depth)
-        # Values in this file take precedence over values that follow from the mix of its base.
+        # Values in a concrete's file take precedence over values that follow from the mix of the base concrete.
         if mix is None and base.mix is not None:
             mix = replace(base.mix, **{section: {**getattr(base.mix, section), **sections[section]}
                                        for section in SECTIONS})  # fmt: skip

@@ -417,7 +417,8 @@ class SceneFunction(Generic[P, S]):
         def held(name: str) -> Any:
             return values.get(name, known[name].default)
 
-        while any(not meant(name) for name in values):  # Repeat: other parameters may need a removed one.
+        # Repeat until nothing changes, because a removed parameter may be a condition for other parameters.
+        while any(not meant(name) for name in values):
             values = {name: value for name, value in values.items() if meant(name)}
         return values
 

@@ -39,7 +39,7 @@ class FolderLock:
         self._file = self._locked()
         os.ftruncate(self._file, 0)
         owner = f"process {os.getpid()} on {socket.gethostname()} since {time.strftime('%Y-%m-%d %H:%M:%S')}"
-        with suppress(OSError):  # On a full disk, the lock file does not name its owner.
+        with suppress(OSError):  # On a full disk, the folder is locked, but the lock file does not name the owner.
             os.write(self._file, owner.encode())
         remove_partial(folder)
 

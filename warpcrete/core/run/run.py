@@ -17,7 +17,7 @@ from ..units import number, shown
 from .viewer import LOOPBACK, Viewer, has_screen, screen_viewer, web_viewer
 
 DEFAULT_PLOT_COLUMNS = ("pressure", "spread", "front", "inside")
-"""Columns that a plot shows by default: the first of these names that the series contains."""
+"""Names of columns in order of preference: by default, a plot shows the first of them that the series contains."""
 
 
 @dataclass(frozen=True)

@@ -145,7 +145,7 @@ class Simulation:
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of scene {self.scene.name!r} on {self.device}, {self.precision}>"
 
-    # Members that each simulation method defines.
+    # The following members are defined by each simulation method.
 
     @abstractmethod
     def set_up(self) -> None:
@@ -223,7 +223,7 @@ class Simulation:
         """Yield requests that step the run to a time [s]; a subclass adds the actions that are due on the way."""
         yield Until(time)
 
-    # Writing and reading of checkpoints.
+    # The following methods write and read checkpoints.
 
     def save(self, path: Path) -> None:
         """Write a checkpoint of the present state, which takes effect once all recorders have written their data.
@@ -276,7 +276,7 @@ class Simulation:
         self.resumes, self._saved_at = True, wall_clock.perf_counter()
         return contents
 
-    # Course of a run, from its preparation to its end.
+    # The following methods run the simulation, from its preparation to its end.
 
     def begin(self, path: Path | None = None) -> None:
         """Prepare the state at t = 0, or restore it from the checkpoint at `path` if this file exists.
@@ -397,7 +397,7 @@ class Simulation:
     def _loop(self) -> Coroutine:
         interval, duration, stepper = self.scene.sample_interval, self.duration, self.stepper
         if self.at_end:
-            self.ended_early()  # The call also stores findings that the results state, such as a steady flow.
+            self.ended_early()  # `ended_early` also stores findings for the results, such as a steady flow.
             return True
         if not self.rows:
             self._sample()

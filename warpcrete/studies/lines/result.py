@@ -106,7 +106,7 @@ class LineResult:
 
     @property
     def band_text(self) -> str:
-        """Description of the band for the user."""
+        """Description of the uncertainty band of the pressure, for the user."""
         if self.extremes is not None:
             return "all constants at the lower and upper ends of the mix's bands"
         return f"{self.layer_factor:g} times less or more resistance of the slip layer"

@@ -209,7 +209,7 @@ def _store_results(reproduction: Reproduction, group: str, study: Study) -> None
     keys = read_json(study.folder.with_suffix(".json"))
     for case in study.cases:
         named = keys[case.name]
-        for key in [named] if isinstance(named, str) else named:  # folders of version 0.2 have one key per case
+        for key in [named] if isinstance(named, str) else named:  # in version 0.2, a case has a single key
             if case.name in study.results:
                 reproduction.results[key] = study.results[case.name]
             elif case.name in study.failures:

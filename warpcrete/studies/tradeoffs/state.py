@@ -88,7 +88,7 @@ class Trade:
 
     @property
     def given(self) -> Setting:
-        """Setting of the scene as given."""
+        """Setting in which no knob is changed: the scene as given."""
         return self.points[0]
 
     @property
