@@ -32,8 +32,9 @@ FOLDER = Path(__file__).parents[1] / "schemas"
 DRAFT = "http://json-schema.org/draft-07/schema#"
 """Draft of the JSON Schema standard that most editors support."""
 NUMBER = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
-"""Schema of a text entry that YAML may have read as a number."""
+"""Regular expression of a number in a text."""
 TEXT: Schema = {"type": ["string", "number"]}
+"""Schema of a text entry, which YAML may have read as a number."""
 TEXT_DESCRIPTIONS = {
     "name": "name of the concrete",
     "source": "origin of the numbers",
