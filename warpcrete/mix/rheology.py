@@ -28,10 +28,10 @@ RHEOMETER = 0.2
 READ_SLUMP, READ_SPREAD, READ_TIME = 0.01, 0.02, 0.5
 """Possible reading errors of slump [m], spread [m] and T500 [s]; EN 12350-2 and -8 give a repeatability of 16 to 42
 mm."""
-HEAP_CENTRE, FLATTEST = 0.10, 0.295
-"""Height by which aggregate that piles up in the centre may raise a cone's top above that of a homogeneous heap [m],
-and largest slump of a cone [m]. For the cones of Yeh (2007), of which both slump and spread were measured, the centre
-is 0 to 100 mm higher than the spread implies (5th and 95th percentile of 82 cones), in the median 30 mm."""
+HEAP_CENTRE, HEAP_CENTRE_MEDIAN, FLATTEST = 0.10, 0.03, 0.295
+"""Height by which aggregate that piles up in the centre may raise a cone's top above that of a homogeneous heap, its
+median, and largest slump of a cone [m]. For the cones of Yeh (2007), of which both slump and spread were measured, the
+centre is 0 to 100 mm higher than the spread implies (5th and 95th percentile of 82 cones), in the median 30 mm."""
 THICKENING_UPPER, THICKENING_LOWER = (3.25, PACKING), (2.5, 0.65)
 """Intrinsic viscosity and densest packing for the lower and the upper end of the band of factors by which aggregate
 thickens mortar. The upper end stands for rough grains: an intrinsic viscosity a third above that of spheres, which is a

@@ -1,0 +1,164 @@
+"""Blind predictions of measured cases, each calculated in the way that the documentation describes for users."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ...core.errors import refuse
+from ...core.inputs.amounts import amount
+from ...mix.mix import Mix, mix_of
+from ...mix.rheology import HEAP_CENTRE, HEAP_CENTRE_MEDIAN
+from ...theory.bands import Band, combined
+from ...theory.inverse import BASE, HEIGHT, TOP, VOLUME
+from ...theory.pipe import Concrete, Line, steady
+from ...theory.vessels import funnel_time, heap_at_rest, tall_cone_slump
+from ..lines.losses import line_of
+from ..lines.run import run_line
+
+if TYPE_CHECKING:
+    from .cases import Case
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Kind of measurement: what is measured, its SI unit, and the function that predicts it."""
+
+    label: str
+    unit: str
+    predict: Callable[[Case], list[Band]]
+    """Return a prediction with its band for each measured value of a case."""
+
+
+LINE_DENSITY = "2400 kg/m3"
+"""Density assumed for a mix that states none; only weight and slump depend on it, and friction does not."""
+
+
+def mix_of_case(case: Case, section: Mapping[str, object] | None = None) -> Mix:
+    """Return the mix of a case, with an assumed density if the publication states none."""
+    given = dict(section or case.mix)
+    if "density" not in given and "parts" not in given:
+        given["density"] = LINE_DENSITY
+    return mix_of(given, case.folder, case.name)
+
+
+def _number(case: Case, key: str, unit: str) -> float:
+    """Return an entry of a case's section `test` in `unit`."""
+    if key not in case.test:
+        refuse("case test", case.name, f"has no {key}", "add it")
+    return amount(f"case test: {key}", case.test[key], unit)
+
+
+def _banded(mix: Mix, evaluate: Callable[[Concrete], float]) -> Band:
+    """Return a quantity that depends on the concrete, with the band that the mix's uncertain properties cause."""
+    ends = {cause: (evaluate(low), evaluate(high)) for cause, (low, high) in mix.variants.items()}
+    return combined(evaluate(mix.concrete), ends)
+
+
+def _gradient(concrete: Concrete, diameter: float, flow: float) -> float:
+    """Return the friction of straight pipe per metre [Pa/m]."""
+    return steady(concrete, Line(radius=diameter / 2, length=1.0, rise=0.0), flow).pressure
+
+
+def _pipe(case: Case) -> list[Band]:
+    mix, diameter = mix_of_case(case), _number(case, "diameter", "m")
+    return [_banded(mix, lambda c, q=q: _gradient(c, diameter, q)) for q in case.flows]
+
+
+def _ratio(case: Case) -> list[Band]:
+    """Predict the friction of one concrete divided by that of another, in one pipe at one flow."""
+    diameter = _number(case, "diameter", "m")
+    mix, other = mix_of_case(case), mix_of_case(case, case.test["reference"])
+    found = []
+    for q in case.flows:
+        over, under = (_banded(each, lambda c, q=q: _gradient(c, diameter, q)) for each in (mix, other))
+        ends = {"concrete": (over.low / under.value, over.high / under.value),
+                "reference": (over.value / under.high, over.value / under.low)}  # fmt: skip
+        found.append(combined(over.value / under.value, ends))
+    return found
+
+
+def _line(case: Case) -> list[Band]:
+    """Predict the pressure at the pump less the weight of the concrete, both for the line's own density."""
+    mix = mix_of_case(case)
+    line = line_of(case.lines[str(case.test["line"])], case.name, case.folder)
+    found = []
+    for q in case.flows:
+        result = run_line(line, mix.concrete, q, simulate=False, variants=mix.variants)
+        band, weight = result.band(), sum(loss.weight for loss in result.losses)
+        found.append(Band(band.value - weight, max(band.low - weight, 0.0), band.high - weight, band.shares))
+    return found
+
+
+def line_weight(case: Case) -> float:
+    """Return the pressure due to the weight of the concrete in a case's line [Pa]."""
+    line = line_of(case.lines[str(case.test["line"])], case.name, case.folder)
+    return mix_of_case(case).concrete.density * Line().gravity * line.rise
+
+
+def _layer(case: Case) -> list[Band]:
+    """Predict the wall stress of the slip layer at one slip velocity [Pa]."""
+    speed = _number(case, "speed", "m/s")
+    return [_banded(mix_of_case(case), lambda c: c.slip_yield + c.slip_viscosity * speed)]
+
+
+def _thickness_share(case: Case) -> list[Band]:
+    """Predict the share of the largest velocity in a pipe that the slip layer contributes."""
+    mix, diameter = mix_of_case(case), _number(case, "diameter", "m")
+
+    def share(concrete: Concrete, flow: float) -> float:
+        state = steady(concrete, Line(radius=diameter / 2, length=1.0, rise=0.0), flow)
+        plug = state.plug_radius
+        sheared = diameter / 2 - plug
+        bulk = (state.wall_stress / diameter) * sheared**2 / concrete.viscosity if sheared > 0 else 0.0
+        return state.slip_velocity / (state.slip_velocity + bulk)
+
+    return [_banded(mix, lambda c, q=q: share(c, q)) for q in case.flows]
+
+
+def _slump(case: Case) -> list[Band]:
+    """Predict the slump [m] from the yield stress of the mix, or from its spread.
+
+    A heap that spreads wider than twice its height is described by the theory of wide heaps, a stiffer one by that of
+    tall cones. Aggregate that piles up in the centre raises it by up to 100 mm (:data:`HEAP_CENTRE`).
+    """
+    mix = mix_of_case(case)
+
+    def slump(concrete: Concrete) -> float:
+        tau, rho = concrete.yield_stress, concrete.density
+        return min(HEIGHT - heap_at_rest(VOLUME, tau, rho)[1], tall_cone_slump(TOP, BASE, HEIGHT, tau, rho))
+
+    homogeneous = _banded(mix, slump)
+    value = homogeneous.value - HEAP_CENTRE_MEDIAN
+    return [Band(value, max(homogeneous.low - HEAP_CENTRE, 0.005), homogeneous.high, homogeneous.shares)]
+
+
+def _spread(case: Case) -> list[Band]:
+    """Predict the spread [m] from the yield stress of the mix."""
+    mix = mix_of_case(case)
+    return [_banded(mix, lambda c: 2 * heap_at_rest(VOLUME, c.yield_stress, c.density)[0])]
+
+
+def _funnel(case: Case) -> list[Band]:
+    """Predict the time of the V-funnel of EN 12350-9 [s]."""
+    mix = mix_of_case(case)
+    sizes = (0.0325, 0.2575), (0.15, 0.6), 0.075
+
+    def time(concrete: Concrete) -> float:
+        return funnel_time(*sizes, concrete.viscosity, concrete.yield_stress, concrete.density)
+
+    return [_banded(mix, time)]
+
+
+KINDS = {
+    "pipe": Kind("friction of straight pipe", "Pa/m", _pipe),
+    "ratio": Kind("friction relative to another concrete", "1", _ratio),
+    "line": Kind("friction of a whole line", "Pa", _line),
+    "layer": Kind("wall stress of the slip layer", "Pa", _layer),
+    "profile": Kind("share of the layer in the velocity", "1", _thickness_share),
+    "slump": Kind("slump", "m", _slump),
+    "spread": Kind("spread", "m", _spread),
+    "funnel": Kind("time of the V-funnel", "s", _funnel),
+}
+"""Kinds of measurements that are compared with predictions, by name."""
