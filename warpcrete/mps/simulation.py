@@ -85,7 +85,7 @@ class FluidSimulation(FlowRun):
 
     @property
     def frame_step(self) -> float:
-        """Size of the time steps [s]: constant for flows of particles alone, infinite for flows on a grid."""
+        """Size of the time steps [s] if it is constant (flows of particles alone); infinity for flows on a grid."""
         return np.inf if self.scene.ends == "periodic" else self.scene.time_step
 
     def unit(self, column: str) -> str:
@@ -147,7 +147,7 @@ class FluidSimulation(FlowRun):
         return found
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
-        """Return entries of the result that the series gives, and no tables."""
+        """Return the entries of the result that follow from the time series; a pipe flow has no tables."""
         result = results_of(QUANTITIES, RunData(self.scene, series, self.scene.theory()))
         result["theory"] = self.scene.form
         result["profiles"] = [self._profile(part) for part in PROFILE_HEIGHTS]

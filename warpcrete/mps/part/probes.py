@@ -26,7 +26,7 @@ UNITS = {
 """Units of the columns of the time series."""
 
 FULL = 0.3
-"""Minimum fraction of the bore's volume within a slice that cells must cover; other slices are left out."""
+"""Minimum fraction of the bore's volume that cells must cover in a slice one cell thick; other slices are left out."""
 
 
 def friction_ahead(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
@@ -95,7 +95,7 @@ def losses(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> list[float]
 
 
 def _stretches(sections: Sequence[Section]) -> Iterator[tuple[int, int]]:
-    """Yield the numbers of the first and last section of each row of successive straight sections."""
+    """Yield the numbers of the first and last section of each series of successive straight sections."""
     first = None
     for k, section in enumerate(sections):
         if section.straight and first is None:
@@ -106,7 +106,10 @@ def _stretches(sections: Sequence[Section]) -> Iterator[tuple[int, int]]:
 
 
 def measured(flow: GridFlow) -> dict[str, float]:
-    """Return a row of the series; its `pressure` is that at the start of the part, weight included."""
+    """Measure a flow and return a row of the time series.
+
+    The entry `pressure` is the pressure at the start of the part, including the weight of the concrete.
+    """
     scene: PartScene = flow.scene
     if not flow.steps:
         return dict.fromkeys(UNITS, 0.0)

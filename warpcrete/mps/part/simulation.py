@@ -82,7 +82,10 @@ class PartSimulation(FlowRun):
         }
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
-        """Return entries of the result from the series and the pressure along the part, and the table of stations."""
+        """Return the entries of the result, and a table of the pressure along the part.
+
+        The entries follow from the time series and from the current pressure along the part.
+        """
         scene = self.scene
         result = results_of(QUANTITIES, RunData(scene, series))
         s, pressure = friction_ahead(self.flow)
