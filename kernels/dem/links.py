@@ -143,7 +143,7 @@ def result_functions(scalar, count: int):
                     lost = (((lost + wp.float64(a[3])) + wp.float64(c[3])) + wp.float64(e[3])) + wp.float64(g[3])
             block += BLOCK
             word += 1
-        for entry in range(begin + MASKED_ENTRIES, end):  # List entries beyond the first BITS have no touching bits.
+        for entry in range(begin + MASKED_ENTRIES, end):  # These list entries have no touching bits, so add all.
             q = read_int(links.end, entry)
             r = row_of(row / 2, q)
             a, b = read_vec4(links.result, r), read_vec4(links.result, r + 1)
@@ -226,7 +226,9 @@ def contact_update_function(
                 close = close and not held_apart
         after = wp.where(close, TOUCHING, APART)
         if held_apart:
-            after = STIFF  # the spheres may already be apart at the first check after the bond broke
+            # Unlike APART, this state makes a later check clear the contact history, even if the spheres are already
+            # apart at the first check after the bond broke.
+            after = STIFF
         if state != after:
             lost = scalar(0.0)
             row = scenes.row[s].pairs
@@ -248,7 +250,7 @@ def contact_update_function(
 
 @functools.cache
 def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissipation: bool, mixed: bool):
-    """Return the function `evaluate`, which computes force and moments of a link and steps its history and bond.
+    """Return the function `evaluate`, which computes force and moments of a link and updates its history and bond.
 
     `mixed` is True if the spheres have several materials.
     """

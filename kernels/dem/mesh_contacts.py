@@ -8,8 +8,8 @@ Minima whose normals differ by less than `MERGE_ANGLE` therefore count as one co
 
 A surface also hides what lies behind it. The farther of two contacts is dropped if its point lies behind the plane
 through the nearer contact point, perpendicular to the nearer normal. A tolerance of BEHIND allows for rounded corners.
-The outer skin of a wall that is thinner than the overlap thus adds no force. Edges of coincident faces that do not
-share corners are hidden in the same way. Where the overlap is small, no true contact is hidden.
+The far surface of a wall that is thinner than the overlap thus adds no force. Edges of coincident faces that do not
+share corners are hidden in the same way. If the overlap is small, no true contact is hidden.
 
 The kernel takes the arrays of walls and slots one by one and searches an old contact's history in its own loop. With
 structs, or with a function for the search, CUDA's compiler unrolls the loops differently and the kernel takes 5 %
@@ -314,7 +314,7 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
         wall_parameters: wp.array(dtype=parts.Parameters), corners: wp.array(dtype=t.vec3),
         faces: wp.array2d(dtype=wp.int32), across: wp.array2d(dtype=wp.int32), ring_start: wp.array(dtype=wp.int32),
         ring: wp.array(dtype=wp.int32), face_wall: wp.array(dtype=wp.int32), wall_table: wp.array(dtype=parts.Wall),
-        # The next arguments are the range of rows that this launch processes, and the index of the CPU thread.
+        # The next arguments are the range of spheres that this launch processes, and the index of the CPU thread.
         first: wp.int32, last: wp.int32, part: wp.int32,
         # The next arguments are arrays of the state that this kernel only reads.
         scenes: parts.Scenes, candidates: parts.Candidates, wall_position: wp.array(dtype=t.vec3),
@@ -393,8 +393,8 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
                     wall_parameters[row + wall_table[w].material], wall_position[w], wall_velocity[w], wall_spin[w], n,
                     gaps[s], x, radius, velocity, spin, history, rolling, dt,
                 )  # fmt: skip
-                # The sphere's centre is behind the surface. The scene fails if the whole sphere could be behind it
-                # after one more step.
+                # If the sphere's centre is behind the surface, check whether the whole sphere could be behind it after
+                # one more step. If so, the scene fails.
                 if gaps[s] < -radius:
                     if dt * wp.dot(parts.xyz(velocity) - wall_velocity[w], n) - gaps[s] > scalar(2.0) * radius:
                         wp.atomic_cas(flags, scene, FAILED, 0, 1 + spheres.body[i])

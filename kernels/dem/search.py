@@ -18,7 +18,7 @@ from .structs import array_structs
 
 @functools.cache
 def find_function(scalar, half: bool):
-    """Return the function `find`, which finds a pair's list entry; a half list may hold it at either sphere."""
+    """Return the function `find`, which finds a pair's list entry; a half list may contain it at either sphere."""
     Pairs = array_structs(scalar).Pairs
     read_int = row_functions(scalar).read_int
 
@@ -207,11 +207,12 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
 def half_search_kernel(scalar, bonds: bool):
     """Return the kernel ``search`` for half lists (CPU).
 
-    A pair inside a chunk is listed at its larger sphere; of two equal spheres, at that with the lower index. The
-    search then reaches no further than a sphere's own diameter plus the margin. Pairs across two chunks are listed at
-    both spheres, so a search near another chunk must reach as far as the largest sphere. Each task searches one chunk,
-    writes the rows one after the other into the chunk's part `room` of a buffer, and counts the entries. The output
-    `wanted` is the number of entries for which the chunk needs room.
+    A chunk is the range of spheres of one CPU thread. A pair inside a chunk is listed at its larger sphere; of two
+    equal spheres, at that with the lower index. The search then reaches no further than a sphere's own diameter plus
+    the margin. Pairs across two chunks are listed at both spheres, so a search near another chunk must reach as far as
+    the largest sphere. Each task searches one chunk, writes the rows of its spheres one after the other into the
+    chunk's part `room` of a buffer, and counts the entries. The output `wanted` is the number of entries for which the
+    chunk needs room.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -243,7 +244,7 @@ def half_search_kernel(scalar, bonds: bool):
     def search(
         grid: Grid,
         shift: wp.array(dtype=t.vec3),
-        # The next arguments are the rows and the index of this chunk, and the bounding boxes of all chunks.
+        # The next arguments are the range of spheres of this chunk and its index, and the bounding boxes of all chunks.
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,

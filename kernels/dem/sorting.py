@@ -11,7 +11,10 @@ from .structs import array_structs, scene_struct
 
 @functools.cache
 def permute_kernels(scalar) -> dict:
-    """Return kernels for target[i] = source[order[i]], by data type and whether the array has columns."""
+    """Return the kernels that permute the rows of arrays: target[i] = source[order[i]].
+
+    The key of a kernel is its data type, and True for two-dimensional or False for one-dimensional arrays.
+    """
     t = types(scalar)
     module = module_of("permuting", scalar)
 

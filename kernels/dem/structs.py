@@ -5,7 +5,7 @@ Arrays are flat over all scenes of a batch. Indices stored in state arrays (`bod
 alone and in a batch. Indices into the tables of meshes and pipe axes, which are not part of the state, count over the
 whole batch. Arrays of features that no scene uses have zero rows.
 
-The integer array `flags`, shape (scenes, FLAGS), is passed to kernels separately; `common.control` lists its slots.
+The integer array `flags`, shape (scenes, FLAGS), is passed to kernels separately; `common.control` lists its columns.
 """
 
 import functools
@@ -59,7 +59,9 @@ def scene_struct(scalar):
         expected_speed: wp.float64  # largest speed expected before the next stable step estimate [m/s]
         wall_stiffness: wp.float64  # lower bound of the contact stiffness that a driven wall meets [N/m]
         largest_radius: scalar  # largest sphere radius, at full size [m]
-        bodies: wp.int32  # first row of the scene in this and each following flat array; `..._count`: number of rows
+        # The following integers are the scene's first rows in the flat arrays of bodies, spheres, pairs and so on, and
+        # (`..._count`) its numbers of rows.
+        bodies: wp.int32
         body_count: wp.int32
         spheres: wp.int32
         sphere_count: wp.int32
@@ -204,7 +206,8 @@ def links_struct(scalar):
         link: wp.array(dtype=wp.vec4i)  # lower and higher sphere, entry and twin, numbered per scene; or -1: unused
         scene: wp.array(dtype=wp.int32)  # index of each link's scene in the batch, shape (links,)
         state: wp.array(dtype=wp.int32)  # state: APART, TOUCHING, PARTED or STIFF, shape (links,)
-        later_touching: wp.array(dtype=wp.int32)  # touching bits of later list entries, EXTRA_MASKS integers a sphere
+        # bit masks of the list entries beyond the first BLOCK that touched, EXTRA_MASKS integers per sphere
+        later_touching: wp.array(dtype=wp.int32)
         end: wp.array(dtype=wp.int32)  # for each list entry, the index p of its link in the scene; -1 - p for a twin
         # `result` holds the result of each link in this step. A link has two rows: (force on its lower sphere [N], arm
         # of that sphere [m]) and (contact moment divided by the arm [N], arm of the higher sphere [m]). With bonds,
