@@ -17,8 +17,9 @@ from .warps import warp_functions
 def gather_functions(scalar, dissipation: bool, rows: int, width: int):
     """Return the functions that gather the force [N] and moment about the centroid [N m] of a body's spheres.
 
-    `gather` serves half lists (CPU). `gather_with_lanes` serves full lists (GPU): `lanes` threads share a body, and it
-    also returns the energy that the body's links lost [J]. Both clear the spheres' forces for the next step.
+    `gather` is used with half lists (CPU). `gather_with_lanes` is used with full lists (GPU): `lanes` threads share a
+    body, and it also returns the energy that the body's contacts lost [J]. Both functions clear the spheres' forces for
+    the next step.
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -37,9 +37,9 @@ def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool,
     def row_of_entry(scenes: Scenes, pairs: Pairs, s: wp.int32, bond: wp.int32, own: wp.bool):
         """Return the bond state to store at an entry of a half list.
 
-        If the two spheres of a pair lie in different chunks, two CPU threads step the pair's bond. Each thread needs
-        its own copy of the bond's force and moment. The entry that owns the bond uses an even row of `load`; the other
-        entry uses the odd row after it.
+        If the two spheres of a pair belong to different CPU threads, both threads compute the pair's bond. Each thread
+        needs its own copy of the bond's force and moment. The entry that owns the bond uses an even row of `load`; the
+        other entry uses the odd row after it.
         """
         found = bond
         if bond > 0:

@@ -35,7 +35,8 @@ MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
 # Largest distance in front of the plane through a nearer contact at which a point still counts as hidden [sphere
 # radii].
 BEHIND = 2.0e-2
-# Slots of a sphere for mesh contacts, which follow the slots for planes and pipes. More contacts set OVERFLOW.
+# Number of contact slots of a sphere for meshes; they follow its slots for planes and pipes. If a sphere has more mesh
+# contacts, the flag OVERFLOW is set.
 MESH_SLOTS = 6
 Owners = wp.types.vector(MESH_SLOTS, wp.int32)
 
@@ -86,7 +87,8 @@ def surface_functions(scalar) -> SimpleNamespace:
             return True
         if feature < 4:
             edge = feature - 1
-            # Index of the far corner of the neighbouring face; `edge + 3` holds the index of the neighbouring face.
+            # For each edge of a face, `across` stores the far corner of the neighbouring face in column `edge`, and the
+            # index of the neighbouring face in column `edge + 3`.
             beyond = across[face, edge]
             if beyond == BORDER:
                 return True
@@ -124,7 +126,11 @@ def surface_functions(scalar) -> SimpleNamespace:
         corners: wp.array(dtype=t.vec3),
         faces: wp.array2d(dtype=wp.int32),
     ):
-        """Return the normal into the wall: opposite to `offset`, or to the face's normal if the centre is on it."""
+        """Return the unit normal into the wall at a face's point closest to a sphere.
+
+        It is opposite to `offset`, the vector from the point to the sphere's centre. If the centre lies on the face, it
+        is the face's own normal, which follows from the order of its corners.
+        """
         a = corners[faces[face, 0]]
         plain = wp.cross(corners[faces[face, 1]] - a, corners[faces[face, 2]] - a)
         n = -safe_normalize(offset, -wp.normalize(plain))

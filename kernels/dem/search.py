@@ -185,7 +185,7 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
         scenes: Scenes, spheres: Spheres, old_pairs: Pairs, new_place: wp.array(dtype=wp.int32), query: Query,
         old: wp.int32,
     ) -> wp.int32:  # fmt: skip
-        """Return the sphere to which an entry of the old list holds a bond across a gap wider than the skin, or -1."""
+        """Return the other sphere of an old list entry if its bond spans a gap wider than the skin, else -1."""
         if old_pairs.bond[old] <= 0:
             return -1
         j = new_place[query.base + decode(old_pairs.other[old])]
@@ -351,7 +351,7 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
     order. If there are few spheres, eight threads (`lanes`) share each sphere, and each thread searches one octant. The
     last element of `total` receives the length of the longest row that does not fit into `finds`.
 
-    Pairs that a bond holds across more than the skin are taken from the old list. A wider search in the grid would make
+    Pairs whose bond spans a gap wider than the skin are copied from the old list. A wider search in the grid would make
     a few threads slow and let all others wait for them.
     """
     t = types(scalar)

@@ -31,7 +31,7 @@ CLOCK = 8
 APART = wp.constant(0)  # the spheres do not touch
 TOUCHING = wp.constant(1)  # the spheres touch or are bonded, or a new list has taken over their contact history
 PARTED = wp.constant(2)  # contact just ended; energy left in its springs counts as lost in the next step
-STIFF = wp.constant(3)  # the spheres have a stiff bond, which sub-cycling rounds step
+STIFF = wp.constant(3)  # the spheres have a stiff bond, whose forces are computed in sub-cycling rounds
 
 
 @functools.cache
@@ -46,7 +46,7 @@ def scene_struct(scalar):
         speed_limit: scalar  # body speed above which the scene fails [m/s]
         skin: scalar  # margin of the pair lists beyond contact [m]
         mesh_skin: scalar  # margin of the sphere-triangle candidate lists [m]
-        # share of the mesh skin for motion of spheres; the rest is for motion of meshes [m]
+        # part of the mesh skin by which spheres may move before a rebuild; meshes may move by the rest [m]
         sphere_allowance: scalar
         growth_rate: scalar  # increase of the size scale factor per step, during growth in packing
         growth_end: scalar  # size scale factor at which the growth stops
@@ -194,10 +194,10 @@ def array_structs(scalar) -> SimpleNamespace:
 
 @functools.cache
 def links_struct(scalar):
-    """Return the struct `Links`: the pairs as a GPU evaluates them, one thread a pair.
+    """Return the struct `Links`: the pairs as a GPU evaluates them, one thread per pair.
 
-    A GPU list holds each pair at both spheres. The pair's `entry` is in the row of the sphere with the lower permanent
-    number; its `twin` is in the row of the other sphere. Only entries store contact history, twins do not.
+    A GPU's neighbour list contains each pair twice. The pair's `entry` is in the row of the sphere with the lower
+    permanent number; its `twin` is in the row of the other sphere. Only entries store contact history, twins do not.
     """
     t = types(scalar)
 
@@ -226,10 +226,10 @@ def links_struct(scalar):
 
 @functools.cache
 def subcycled_struct(scalar):
-    """Return the struct `Subcycled`: pairs that are stepped in sub-cycling rounds, and the bodies that they join.
+    """Return the struct `Subcycled`: the pairs with stiff bonds, and the bodies that these pairs join.
 
-    The struct holds its own copy of everything that a round reads, in contiguous rows, because a GPU round is bound by
-    memory latency.
+    They move in several sub-cycling rounds per step. The struct contains its own copy of everything that a round reads,
+    in contiguous rows, because a round on a GPU is bound by memory latency.
     """
     t = types(scalar)
     Pairs = array_structs(scalar).Pairs

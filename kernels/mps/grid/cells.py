@@ -48,8 +48,8 @@ UNTIL = wp.constant(2)  # Time at which the flow must stop [s].
 WANTED = wp.constant(3)  # Time step that accuracy allows [s]; a step that ends at a given time may be shorter.
 SPEED = wp.constant(4)  # Root mean square speed of the concrete [m/s].
 CELLS_PER_SECOND = wp.constant(5)  # Number of cells that the fastest concrete crosses per second [1/s].
-BEFORE = wp.constant(6)  # Value of SPEED in the previous step [m/s].
-RATE = wp.constant(7)  # Rate of change of SPEED in the previous step [m/s2].
+BEFORE = wp.constant(6)  # Root mean square speed of the concrete in the previous step [m/s].
+RATE = wp.constant(7)  # Rate of change of the root mean square speed in the previous step [m/s2].
 LAST = wp.constant(8)  # Previous time step [s].
 CLOCK = 9
 
@@ -149,7 +149,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         wall_stiffness: wp.array(dtype=scalar)
         # Wall force in a cut cell at the known velocity, in the layout of `wall_stiffness`.
         wall_force: wp.array(dtype=scalar)
-        # Weight of the next face in the velocity at the wall, in the layout of `wall_stiffness`.
+        # Weight of the next face when the velocity at the wall is interpolated, in the layout of `wall_stiffness`.
         wall_weight: wp.array(dtype=scalar)
         shift: wp.array(dtype=scalar)  # Velocity that moves particles out of crowded regions [m/s], one per face.
         pressure: wp.array(dtype=scalar)  # Pressure in each cell [Pa], shape (slots,).

@@ -114,9 +114,9 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels `source` and `disperse`, which correct the density of particles.
 
     Particles slowly accumulate in some places and become sparse in others, because divergence-free velocities in the
-    cells do not prevent it. A share of the excess or lack is corrected by a displacement that does not change
-    velocities. It follows from a solve with the matrix of the pressure. `source` runs before the solve, `disperse`
-    after it. Each kernel has one task per cell.
+    cells do not prevent it. In each step a fraction of the excess or lack is corrected by displacements that do not
+    change velocities. The displacements follow from a solve with the matrix of the pressure. `source` sets up this
+    solve, and `disperse` applies its solution. Each kernel runs with one task per cell.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)

@@ -49,10 +49,11 @@ def friction_ahead(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
 
 
 def straight_lines(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return straight lines fitted to the pressure in the straight stretches upstream and downstream of the middle.
+    """Return lines fitted to the pressure in the straight pipes upstream and downstream of a part's middle.
 
-    Each line is its slope [Pa/m] and its value at arc length zero [Pa]. A length of CLEARANCE radii at both ends of a
-    stretch is left out. A stretch with fewer than three points gives NaN.
+    The middle consists of the part's bends and tapers. Each line is returned as its slope [Pa/m] and its value at arc
+    length zero [Pa]. A length of CLEARANCE radii at both ends of a straight pipe is left out. With fewer than three
+    points, slope and value are NaN.
     """
     begin, end = scene.middle
     first, last = float(scene.bore(0.0)), float(scene.bore(scene.axis.length))
