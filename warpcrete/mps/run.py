@@ -41,7 +41,7 @@ class FlowRun(Simulation):
 
     @abstractmethod
     def sizes(self) -> dict[str, Any]:
-        """Return the sizes of the model for the result."""
+        """Return sizes of the model, such as the particle spacing, for the run's result."""
 
     @abstractmethod
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:

@@ -1,4 +1,7 @@
-"""Simulation of a pipe flow, from a scene to a finished run; `core/run_loop.py` has the loop common to all runs."""
+"""Simulation of a pipe flow, from a scene to a finished run.
+
+The module `core/run/run_loop.py` contains the loop common to all runs.
+"""
 
 from __future__ import annotations
 
@@ -131,7 +134,7 @@ class FluidSimulation(FlowRun):
         return self.steady and self.scene.duration is None
 
     def sizes(self) -> dict[str, Any]:
-        """Return the sizes of the model for the result."""
+        """Return sizes of the model, such as the particle spacing, for the run's result."""
         layout, grains = self.flow.state.layout, self.flow.state.grains
         found: dict[str, Any] = {
             "spacing": quantity(layout.spacing, "m"),

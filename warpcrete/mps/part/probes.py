@@ -70,7 +70,8 @@ def straight_lines(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> tup
 def stations_of(scene: PartScene, s: np.ndarray, friction: np.ndarray) -> Table:
     """Return a table of the bore's radius, the remaining friction and the pressure at arc lengths `s` [m].
 
-    The column `friction` is the frictional loss still to come downstream [Pa]; the pressure includes weight.
+    The argument `friction`, which becomes the column `friction_ahead`, is the frictional loss from each arc length to
+    the end of the part [Pa]. The pressure includes the weight of the concrete.
     """
     columns = {"place": s, "radius": scene.bore(s), "friction_ahead": friction, "pressure": friction + scene.weight(s)}
     return Table(columns, {"place": "m", "radius": "m", "friction_ahead": "Pa", "pressure": "Pa"})
