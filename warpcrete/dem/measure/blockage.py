@@ -21,7 +21,11 @@ PARTS = 20
 STONES = 5
 """Minimum number of aggregates in each part of the concrete."""
 CHECKS_PER_WINDOW = 8
-"""Number of checks in one window: the piston travel after which a standing part means that the pipe is blocked."""
+"""Number of checks for blockage while the piston travels one window.
+
+The pipe counts as blocked if a part of the concrete stands still, and the pressure rises, while the piston travels one
+window.
+"""
 STANDING_RATIO = 0.2
 """Ratio of a part's advance to the piston's advance, below which the part counts as standing still.
 
