@@ -194,9 +194,9 @@ def funnel_time(
 
     The funnel is a stack of slices, each treated as a duct, with the inertia of the jet at the outlet. `half_widths`
     holds the half widths at the outlet and at the brim [m]. `heights` holds the heights of the straight outlet and of
-    the whole funnel [m]. `layer` is a slip layer on all walls, as in :func:`duct_stress`; without it, concrete sticks to
-    them. The extensional flow in the taper is left out. The sum of times ends when the level reaches
-    the straight outlet. The concrete left there is already falling, but the slices would hold it back.
+    the whole funnel [m]. `layer` is a slip layer on all walls, as in :func:`duct_stress`; without it, concrete sticks
+    to them. The extensional flow in the taper is left out. The sum of times ends when the level reaches the straight
+    outlet. The concrete left there is already falling, but the slices would hold it back.
     """
     narrow, brim = half_widths
     throat, whole = heights
