@@ -1,4 +1,4 @@
-"""Batch as its parts see it; the parts cannot name its class, because the batch imports them."""
+"""Protocols of a batch for the modules that `batch` imports and that therefore cannot import its class."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .state import State
 
 
 class BatchArrays(Protocol):
-    """Scenes of a batch, and the sizes of their joint arrays."""
+    """Protocol of a batch for modules that only need its scenes and the sizes of their joint arrays."""
 
     models: list[Model]
     states: list[State]
@@ -23,7 +23,7 @@ class BatchArrays(Protocol):
     device: Any
     """Warp device of all arrays."""
     parallel: bool
-    """True if kernels are written for a GPU, with one thread for each row."""
+    """True if the kernels for GPUs are used, with one thread for each sphere or body."""
     threads: int
     """Number of CPU threads that share the work."""
     count: int
@@ -37,7 +37,7 @@ class BatchArrays(Protocol):
 
 
 class SceneBatch(BatchArrays, Protocol):
-    """Batch with its kernel launches."""
+    """Protocol of a batch for modules that also launch its kernels."""
 
     def stage(
         self, kernel: Any, dim: Size, *, beside: bool = False, meets: bool = False, every: int = 1,

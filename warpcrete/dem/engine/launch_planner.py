@@ -19,7 +19,7 @@ from ...kernels.dem.structs import DT, TIME
 LAUNCH = {"cpu": 64, "cuda": 512}
 """Maximum number of steps launched before the host checks for Ctrl-C, by kind of device."""
 BATCH_LAUNCH = 40
-"""Maximum number of steps queued on a GPU for a batch of several scenes before the host attends to halted scenes."""
+"""Maximum number of steps queued on a GPU for a batch of several scenes before the host handles halted scenes."""
 LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 64}
 """Maximum number of steps in one recorded graph.
 
@@ -40,7 +40,7 @@ Lists that became stale are expected to last `LIFETIME_DECREASE` times as many s
 grows by the factor `LIFETIME_INCREASE` when lists were still valid at its end.
 """
 SHARED_REBUILD_AGE = 0.6
-"""Age of neighbour lists, divided by their expected lifetime, from which they join the rebuild of another scene."""
+"""Minimum age of lists, divided by their expected lifetime, at which they are rebuilt together with another scene's."""
 NO_SCENES = np.zeros(0, dtype=np.int64)
 DEVICE_CHECK_INTERVAL = 20
 """Maximum number of steps after which a GPU checks by itself whether its lists are stale."""
@@ -59,7 +59,7 @@ class LaunchPlanner:
         # Step count at which the lists of each scene were built, and their expected lifetime in steps.
         self._built_at_step = np.zeros(scenes, dtype=np.int64)
         self._expected_lifetime = np.full(scenes, 64.0 if scenes == 1 else np.inf)
-        # False for scenes whose lists have an unknown age, so that their lifetime cannot be measured.
+        # False for scenes that joined with lists of unknown age, whose lifetime cannot be measured.
         self._age_known = np.ones(scenes, dtype=bool)
         self._steps_since_capture = 0
         self.rebuilds_on_device = False
@@ -91,7 +91,7 @@ class LaunchPlanner:
         """Return the numbers of the scenes whose neighbour lists should be rebuilt now.
 
         These are the scenes with stale lists. Several scenes on a GPU share the launches of a rebuild, so scenes of
-        `among` whose lists will soon be stale are included: a launch takes almost as long for fewer scenes.
+        `among` whose lists will soon be stale are included: a launch for fewer scenes would take almost as long.
         `flags` are the control flags of all scenes; `sort_every` is the number of steps between sortings.
         """
         if not flags[:, int(STALE)].any() and (self.scenes == 1 or not self.parallel):
@@ -101,7 +101,7 @@ class LaunchPlanner:
         chosen = np.zeros(self.scenes, dtype=bool)
         chosen[list(among)] = True
         chosen &= flags[:, int(FAILED)] == 0
-        # A rebuild forced by sorting says nothing about the lifetime of lists.
+        # Lists that are rebuilt early, because bodies are re-sorted, say nothing about the lifetime of lists.
         early = (sort_every > 0) & (steps % np.maximum(sort_every, 1) == 0)
         became_stale = chosen & stale & ~early & self._age_known
         self._expected_lifetime[became_stale] = np.maximum(
@@ -155,8 +155,8 @@ class LaunchPlanner:
             self._expected_lifetime[s] - (slots[s][int(STEPS)] - self._built_at_step[s]) for s in running
         )
         if self.scenes > 1:
-            # A scene that waited for new lists is some steps behind the others. The first piece therefore lasts until
-            # every scene needs its next estimate; scenes that need their estimate earlier halt and wait.
+            # Scenes that halted until their lists were rebuilt are some steps behind the others. The first piece lasts
+            # until the last scene needs an estimate of its stable step; scenes that need it earlier halt and wait.
             piece = min(piece, BATCH_LAUNCH)
             sizes = [min(max(estimates), piece, count)]
             most = min(BATCH_LAUNCH, remaining_lifetime)
