@@ -378,10 +378,10 @@ class NeighborLists:
         )
 
     def _found_of(self, total: wp.array, what: str, entries: str) -> tuple[np.ndarray, int]:
-        """Return the number of list entries of each scene, shape (scenes,), and the last element of `total`.
+        """Return each scene's number of list entries, and the longest row for which the search buffer was too small.
 
-        Both are read from the device array `total`, whose last element :meth:`__init__` explains. Raises
-        :class:`CapacityError` for more entries than 32 bits can count.
+        Both are read from the device array `total`; the length of that row is 0 if the buffer was large enough.
+        Raises :class:`CapacityError` for more entries than 32 bits can count.
         """
         (found,) = self.batch.exchange.read(total)
         found = found.astype(np.int64)
