@@ -48,7 +48,7 @@ class BlockageWatch:
         self.window = blockage.travel or blockage_travel(2 * pipe.radius, pipe.concrete_length, model.stress_scale)
         """Piston travel during which a part of the concrete must stand still in a blocked pipe [m]."""
         self.found: dict[str, float] = {}
-        """Position, time, pressure and other values of the first blockage, by name; empty while the pipe is not blocked."""
+        """Position, time, pressure and so on of the first blockage, by name; empty while the pipe is not blocked."""
         self._checked_travel = -np.inf
         self._stand_travel: float | None = None
         self._pressure = 0.0
@@ -130,7 +130,8 @@ def blockage_travel(diameter: float, length: float, modulus: float) -> float:
 
     This is the compression of a column of the given `length` [m] and `modulus` [Pa] under a pressure gradient that
     pumping never reaches, but at least length/20: the soft aggregates of Zhan (2019, 1e5 Pa) are compressed by up to
-    length/20 before their front moves. The upper limit is the pipe `diameter` [m], clipped to between length/10 and length/5.
+    length/20 before their front moves. The upper limit is the pipe `diameter` [m], clipped to between length/10
+    and length/5.
     """
     most = max(min(diameter, length / 5), length / 10)
     return min(max(length * GRADIENT * length / modulus, length / 20), most)
@@ -152,7 +153,7 @@ def least_advance(before: np.ndarray, after: np.ndarray, volume: np.ndarray, end
     parts = max(1, min(PARTS, len(inside) // STONES))
     part = (parts * rank / volume[order].sum()).astype(int)
     way, weight = (after - before)[order], volume[order]
-    edges = np.flatnonzero(np.diff(part)) + 1  # first aggregate of each part in the sorted arrays
+    edges = np.flatnonzero(np.diff(part)) + 1  # first aggregate of every further part
     return min(map(_median, np.split(way, edges), np.split(weight, edges)))
 
 
@@ -163,7 +164,7 @@ def _median(values: np.ndarray, weights: np.ndarray) -> float:
 
 
 def axial_forces(model: Model, state: State, axis: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the axial forces of touching pairs, the arc lengths between which they act, and the pairs in strong contact.
+    """Return the axial forces of touching pairs, the arc lengths between which they act, and strong contacts.
 
     Axial forces are the axial parts of the normal forces [N], shape (m,). Arc lengths are those of the two sphere
     centres, lower first [m], shape (m, 2). The normal force of a strong contact exceeds the mean; strong contacts
@@ -231,7 +232,7 @@ def count_spanning_networks(model: Model, state: State, axis: Any, at: float, le
 
 
 def wall_contacts(model: Model, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """Return the array indices of bodies that touch a pipe or mesh, shape (m,), and the points of contact [m], (m, 3)."""
+    """Return the indices of bodies that touch a pipe or mesh, shape (m,), and the contact points [m], shape (m, 3)."""
     centre = state.spheres.position.numpy().astype(float)
     body, places, points = state.spheres.body.numpy(), [], []
     for wall in model.walls:

@@ -114,7 +114,7 @@ class ElementDisplay(Display):
         return np.take(self._painted(), self._bodies_of_spheres(), axis=0)
 
     def packed_colours(self) -> np.ndarray:
-        """Return the colours of all spheres, each packed into one integer; bodies are packed first because they are fewer."""
+        """Return the colour of each sphere as one integer, computed per body because there are fewer bodies."""
         return np.take(packed(self._painted()), self._bodies_of_spheres())
 
     def _bodies_of_spheres(self) -> np.ndarray:
@@ -151,7 +151,7 @@ class ElementDisplay(Display):
         )
 
     def _shown(self) -> np.ndarray:
-        """Return each body's size, speed or largest contact force, by which it is coloured, in the order of the state."""
+        """Return the size, speed or largest contact force by which each body is coloured, in the state's order."""
         if self.colouring == "size":
             return self.read("bodies.size").astype(float)
         if self.colouring == "speed":
@@ -229,7 +229,7 @@ class ElementDisplay(Display):
         pipe = self.simulation.scene.pipe
         position, velocity = self.read("bodies.position"), self.read("bodies.velocity")
         along, places, tangent = self._on_axis(pipe.axis)
-        low, high = (round(part * max(len(along) - 1, 0)) for part in STRETCH)  # ranks of the bodies at both ends of the range
+        low, high = (round(part * max(len(along) - 1, 0)) for part in STRETCH)  # ranks of the bodies at the ends
         ends = np.partition(along, (low, high))[[low, high]] if len(along) else np.zeros(2)
         # Give bodies outside the range the weight 0, which is faster than selecting the bodies inside the range.
         apart = position - places
@@ -255,7 +255,7 @@ class ElementDisplay(Display):
         return found
 
     def _worn(self, number: int) -> Any:
-        """Return the wear record of a wall; None without wear, or for a plane, which is a single patch and not coloured."""
+        """Return the wear record of a wall; None without wear, and for planes, whose wear is a single value."""
         sampler = getattr(self.simulation, "sampler", None)  # wear is recorded only from t = 0 on
         if sampler is None or sampler.wear is None or len(sampler.wear.walls[number].done) == 1:
             return None
@@ -326,7 +326,7 @@ class ElementDisplay(Display):
         return {"contacts": lines(touching & ~bonded), "bonds": lines(bonded)}
 
     def bounds(self) -> np.ndarray:
-        """Return the lowest and highest corner of a box around the pipe's axis, or around all spheres if there is no pipe."""
+        """Return the lowest and highest corner of a box around the pipe's axis or, without a pipe, all spheres [m]."""
         pipe = self.simulation.scene.pipe
         if pipe is not None:
             points, _ = pipe.axis.at(np.linspace(0, pipe.axis.length, 50))

@@ -72,7 +72,7 @@ def unit_of(column: str, walls: Sequence[Wall]) -> str:
 
 
 class Sampler:
-    """Measurement of the rows of the series; forces on walls are means since the previous row."""
+    """Recorder of the time series, row by row; the recorded forces on walls are means since the previous row."""
 
     def __init__(self, model: Model, state: State) -> None:
         self.model, self.state = model, state
@@ -90,7 +90,7 @@ class Sampler:
         """Wear of the walls up to the last row; None if the scene does not request it."""
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that the next row depends on, and all rows so far, as arrays and numbers."""
+        """Return all rows so far and everything on which the next row depends, for a checkpoint."""
         return {
             "columns": list(self.rows[0]) if self.rows else [],
             "rows": np.array([list(row.values()) for row in self.rows]),
@@ -168,9 +168,9 @@ class Sampler:
         return row
 
     def _forces(self, clock: np.ndarray, walls: np.ndarray, drive_power: float) -> np.ndarray:
-        """Return the impulses on all walls, shape (walls, 6); update the mean wall forces and the drives' work."""
+        """Update the mean wall forces and the work of drives; return the impulses on all walls, shape (walls, 6)."""
         impulse = walls[:, int(IMPULSE) : int(IMPULSE) + 6].copy()
-        # Leapfrog: impulses contain the forces up to the middle of the last step.
+        # In the leapfrog scheme, impulses contain the forces up to the middle of the last step.
         half_time = float(clock[int(TIME)]) - 0.5 * float(clock[int(DT_PREVIOUS)])
         if self._impulse is None:
             self._mean = walls[:, int(FORCE) : int(FORCE) + 6].copy()

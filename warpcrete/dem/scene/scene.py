@@ -32,9 +32,9 @@ __all__ = [
 
 
 MUCH_STIFFER = 200.0
-"""Smallest ratio of the hydrated bonds' modulus to the largest other modulus at which sub-cycling pays off.
+"""Ratio of the hydrated bonds' modulus to the largest other modulus from which sub-cycling saves computing time.
 
-At a ratio of 100, sub-cycling takes as long as ordinary single steps.
+At a ratio of 100, a run with sub-cycling takes as long as one in which all bonds take the same small steps.
 """
 
 
@@ -198,7 +198,7 @@ class Settle(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class Watch(Declared):
-    """Limits beyond which a run stops with an InstabilityError; values that are not finite always stop it."""
+    """Limits beyond which a run stops with an InstabilityError; values that are not finite always stop a run."""
 
     called = "watch"
 
@@ -238,7 +238,7 @@ class Wear(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class Blockage(Declared):
-    """Detection of blockage: part of the concrete in a pipe stands still while the piston goes on."""
+    """Settings for detecting blockage: part of the concrete in a pipe stands still while the piston advances."""
 
     called = "blockage"
 
@@ -289,7 +289,7 @@ class PipeUnit:
         return self.travel / (1 + self.stops.count if self.stops is not None else 1)
 
     def begun(self, travel: float) -> float:
-        """Return the travel [m] at which the current stroke began; during a stop, the start of the next stroke."""
+        """Return the travel [m] at which the stroke at `travel` [m] began; during a stop, that of the next stroke."""
         if self.stops is None:
             return 0.0
         return min(math.floor(travel / self.stroke + 1e-6), self.stops.count) * self.stroke
@@ -346,13 +346,13 @@ class Rest(Declared):
 
     @property
     def layer_gained(self) -> float:
-        """Stress by which the yield stress of the wall layer grows, on the area on which the layer acts [Pa]."""
+        """Stress [Pa] by which the yield stress of the wall layer grows, relative to the area on which it acts."""
         return self.gained / self.coverage
 
 
 @dataclass(frozen=True, kw_only=True)
 class Published:
-    """Published values for a scene, shown next to the results of a run."""
+    """Published values that reports show next to the results of a run of this scene."""
 
     source: str
     peak: float | None = None
@@ -403,7 +403,7 @@ class Scene(Parametrised):
     blockage: Blockage | None = None
     """Settings for detecting blockage, which also requires `pipe` and `pressure`; None to leave it out."""
     segregation: bool = False
-    """True to measure where in the pipe the aggregate is, which requires `pipe`."""
+    """True to measure segregation, the distribution of aggregate over the pipe; requires `pipe`."""
     pressure: PressureProbe | None = None
     pipe: PipeUnit | None = None
     vessel: Vessel | None = None

@@ -97,7 +97,7 @@ class SieveCurve:
         """
         openings, part = np.array(self.openings), np.diff(self.passing)
         inverse_cubes = openings**-3
-        # Number of particles in each size class, per unit of mass.
+        # Number of particles between neighbouring sieve openings, per unit of total mass, up to a constant factor.
         number = part * (inverse_cubes[:-1] - inverse_cubes[1:]) / np.log(openings[1:] / openings[:-1])
         fraction = random.choice(len(part), size=count, p=number / number.sum())
         u = random.uniform(size=count)
