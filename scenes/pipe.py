@@ -45,12 +45,12 @@ PUBLISHED = {
     "horizontal": Published(source=SOURCE, peak=15.69e3, plateau=12e3, peak_travel=0.10),
     "bend-to-vertical": Published(source=SOURCE, peak=38.58e3),
 }
-"""Pressures of the units with reference parameters, from section 5.1 of Zhan et al. 2019."""
+"""Published peak and plateau pressures of the pipe units, by unit, from section 5.1 of Zhan et al. 2019."""
 
 PAPER_CONCRETES = ("zhan", "zhan-table1")
-"""Concretes for which reports show the paper's results."""
+"""Names of the concretes for which reports show the results of Zhan et al. 2019 for comparison."""
 MIN_AGGREGATES = 30
-"""Minimum number of aggregates; a smaller number does not represent concrete."""
+"""Minimum number of aggregates in a valid run; a smaller number does not represent concrete."""
 MAX_LEAK = 0.01
 """Maximum fraction of the aggregates that may slip past the plug."""
 PAUSE_LEFT_AT_REST = 0.05
@@ -290,7 +290,7 @@ def _remarks(given: PipeParameters, sizes: Sizes) -> Iterator[str]:
 
 
 def _is_reference(given: PipeParameters) -> bool:
-    """Return whether the parameters are the reference case, as far as the paper states it.
+    """Return whether the parameters are the reference case of Zhan et al. 2019, as far as the paper states it.
 
     Clump shapes may differ, because the paper gives no coordinates for them.
     """

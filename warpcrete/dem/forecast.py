@@ -245,7 +245,7 @@ class _ShortenedCopy:
                 if rounds and name == "hydrated bonds":
                     continue
                 only = held.copy()
-                if name == "hydrated bonds":  # the bonds that did not hydrate remain beside the hydrated ones
+                if name == "hydrated bonds":  # include the bonds that did not hydrate
                     only[~np.isin(kinds, (number - 1, number))] = 0
                 else:
                     only[kinds != number] = 0

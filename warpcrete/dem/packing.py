@@ -42,7 +42,7 @@ MOST_GAIN = 16.0  # largest factor by which changes of the sizes are sped up
 # Relative error of the pressure below which the relaxation of a packing ends after RELAX_STEPS steps. With a larger
 # error the relaxation may take twice as many steps.
 NEAR_TARGET = 0.15
-MOST_BODIES = 2**25  # maximum number of bodies, whose arrays still fit the largest GPUs
+MOST_BODIES = 2**25  # maximum number of bodies, chosen so that their arrays fit the largest GPUs
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def draw(
 
 @dataclass(frozen=True)
 class Request:
-    """One packing for :func:`pack_many`: the fill, the contact law that gives the stiffness, and the seed."""
+    """Request for one packing by :func:`pack_many`: the fill, the contact law whose stiffness is used, and the seed."""
 
     fill: Fill
     contact: ContactLaw
@@ -266,7 +266,7 @@ class _Growth:
         gain, looks_off_target = (
             1.0,
             0,
-        )  # `looks_off_target`: consecutive evaluations with the pressure too high, or too low
+        )  # `looks_off_target` counts consecutive evaluations with the pressure too high, or too low
         looks = RELAX_STEPS // CHUNK
         for number in range(looks if pressure is None else 2 * looks):
             if pressure is not None:

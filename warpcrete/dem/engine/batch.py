@@ -60,8 +60,8 @@ class Batch(JointArrays):
 
     `models` and `states` have one entry for each scene. On a CPU, `threads` threads share the work of a single scene:
     each thread computes a chunk, a range of bodies that are neighbours in memory. A batch of several scenes uses one
-    thread, and a scene of few spheres uses fewer threads. Raises
-    :class:`SceneError` if the scenes need different features.
+    thread, and a scene of few spheres uses fewer threads. Raises :class:`SceneError` if the scenes need different
+    features.
     """
 
     def __init__(self, models: list[Model], states: list[State], *, threads: int = 1) -> None:
@@ -161,7 +161,7 @@ class Batch(JointArrays):
 
     @property
     def has_step(self) -> bool:
-        """True if the stages of a step have been set and still match the arrays and chunks."""
+        """True if the kernel launches of a step have been set and still match the arrays and CPU chunks."""
 
         return self._step is not None
 
@@ -210,7 +210,7 @@ class Batch(JointArrays):
         """Read flags and clocks from the device; on a CPU, use views of the arrays, which are always up to date."""
         if self.parallel:
             flags, self._clock = self.exchange.read(self.flags, self.scenes.clock)
-            # Flags that the host already holds may contain changes that have not been sent yet.
+            # If the host has a copy of the flags, keep it, because it may contain changes not yet sent to the device.
             self._flags = flags if self._flags is None else self._flags
         else:
             self._flags, self._clock = self.flags.numpy(), self.scenes.clock.numpy()

@@ -55,7 +55,7 @@ class JointArrays:
     There is a row for each mesh corner, followed by a row for each edge shared by three or more triangles.
     """
     ring: wp.array
-    """Adjacency rows, concatenated: the lowest triangle at a corner or shared edge, then the corners around it."""
+    """Adjacency rows, concatenated: the lowest index of a triangle at a corner or edge, then the corners around it."""
     face_wall: wp.array
     """Index of the wall of each triangle, shape (faces,)."""
     pair_parameters: wp.array
@@ -303,7 +303,8 @@ class JointArrays:
         old = np.concatenate([[0], np.cumsum(capacity)])
         grown = wanted > FULL * capacity
         capacity[grown] = (wanted[grown] + wanted[grown] // 4 + 64) // 2 * 2
-        if struct == "pairs" and self.features.healing:  # With healing, each entry has a load row of limited number.
+        # If contacts heal, every list entry has a load, and the number of loads is limited.
+        if struct == "pairs" and self.features.healing:
             np.minimum(capacity, MOST_ROWS, out=capacity)
         new = np.concatenate([[0], np.cumsum(capacity)])
         # On a GPU, two list entries share a link with up to four rows of results. The array of results thus has up to

@@ -1,8 +1,8 @@
 """Decide how many time steps the host launches before it reads a batch's flags again.
 
 A launch is asynchronous on a GPU: the host queues several steps and does not wait for them. A scene that needs
-attention halts itself on the device and skips the queued rest. These numbers therefore affect speed only, never
-results.
+attention halts itself on the device and skips the queued rest. The number of steps per
+launch therefore affects speed only, never results.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ On a CPU, recording a graph costs as much as several steps and replaying a graph
 threads get longer graphs, because they lose time when they wait for each other between two graphs.
 """
 STABLE_CHUNK_STEPS = 256
-"""Steps launched without a change of the chunks, after which several CPU threads may use longer graphs.
+"""Steps launched with the same division of bodies among CPU threads, after which the threads may use longer graphs.
 
-The chunks are often changed soon after the start, which would make recorded graphs useless.
+The division often changes soon after the start of a run, which makes recorded graphs useless.
 """
 NEVER = 2**31 - 1
 """Step count that no scene ever reaches."""

@@ -71,7 +71,7 @@ def copy_links(before: Any, old: np.ndarray, links: Any, capacity: np.ndarray) -
     """
     wp.copy(links.later_touching, before.later_touching)
     first, behind = (np.append(0, np.cumsum(each // 2)) for each in (capacity, old))
-    for name, entries in (("link", 1), ("state", 1), ("end", 2)):  # Array name, elements per link.
+    for name, entries in (("link", 1), ("state", 1), ("end", 2)):  # Name and number of elements per link of each array.
         target, source = getattr(links, name), getattr(before, name)
         for s in np.flatnonzero(old):
             wp.copy(target, source, entries * int(first[s]), entries * int(behind[s]), entries * int(old[s]) // 2)

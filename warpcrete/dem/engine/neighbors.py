@@ -1,8 +1,8 @@
 """Neighbour (Verlet) lists: search on a grid of cells, exact transfer of contact history, and re-sorting of bodies.
 
-A list holds all pairs whose gap is less than the skin, and serves for many steps, until some sphere may have moved too
-far (L. Verlet, Phys. Rev. 159 (1967) 98). Each sphere has a row of neighbours in the list. In a full list (GPU) each
-pair is in the rows of both spheres. In a half list (CPU) it is in the row of one of its spheres. Each CPU thread
+A list contains all pairs whose gap is less than the skin, and serves for many steps, until some sphere may have moved
+too far (L. Verlet, Phys. Rev. 159 (1967) 98). Each sphere has a row of neighbours in the list. In a full list (GPU)
+each pair is in the rows of both spheres. In a half list (CPU) it is in the row of one of its spheres. Each CPU thread
 computes one chunk of the spheres; only a pair between two chunks is listed for both spheres.
 """
 
@@ -46,7 +46,7 @@ MOST_KEPT = 64
 class NeighborLists:
     """Builder of the neighbour lists and mesh candidates (triangles near a sphere) of the scenes with stale lists.
 
-    A list holds the pairs within a skin [m] of each other. It stays complete until some sphere has moved by half
+    A list contains the pairs with gaps of less than a skin [m]. It stays complete until some sphere has moved by half
     the skin relative to a common drift (its scene's mean velocity at the build), or by the mesh skin relative to a
     mesh.
     """
@@ -83,7 +83,7 @@ class NeighborLists:
         self._old_place, self._new_place = zeros(n), zeros(n)
         self._lanes = zeros((scenes, DRIFT_LANES), wp.vec3d)
         self._stretched = zeros(n if f.bonds and f.half_list else 0, batch.scalar)
-        # The previous lists, from which the new lists take over contact history.
+        # The previous lists, from which a rebuild copies the contact history to the new lists.
         self._old = batch.structs.Pairs()
         self._old.start = zeros(n + scenes)
         self._entries = np.array([state.pair_total for state in batch.states])
@@ -214,9 +214,9 @@ class NeighborLists:
         return [*stages, *sorting_kernels(b)]
 
     def _keep_old(self, scenes: np.ndarray) -> None:
-        """Copy the current lists of `scenes`, from which their new lists take over contact history."""
+        """Copy the current lists of `scenes`, because their new lists receive the contact history from the copies."""
         b = self.batch
-        # Copy whole arrays for a single scene on a GPU, since only the device may know the number of its entries.
+        # Copy whole arrays for a single scene on a GPU, because only the device may know how many entries are used.
         whole = 4 * len(scenes) > b.count > 1 or (b.count == 1 and b.parallel)
         for name in PAIR_ARRAYS:
             array, kept = getattr(b.pairs, name), getattr(self._old, name)
@@ -268,7 +268,7 @@ class NeighborLists:
         return [
             # Copy the motion of single spheres to their bodies.
             Phase("bodies", b.sync_stages()),
-            # Keep the previous lists, from which the new lists take over contact history.
+            # Copy the previous lists, because the new lists receive their contact history from them.
             Phase("history", [Copy(getattr(self._old, name), getattr(b.pairs, name)) for name in self._kept]),
             # Sort the spheres' centres into the cells of the grid.
             Phase("cells", [

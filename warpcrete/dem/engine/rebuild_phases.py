@@ -25,7 +25,7 @@ class Chunks:
     """Launches of one kernel on the chunks of several CPU threads, each on its own thread."""
 
     def __init__(self, stages: list[Stage], launch_chunks: Callable[[list[Stage]], None]) -> None:
-        """Group one stage for each chunk; `launch_chunks` launches all of them, as `Batch.launch_chunks` does."""
+        """Group launches, one for each chunk; the function `launch_chunks` launches all of them on their threads."""
         self.stages, self._in_parts = stages, launch_chunks
 
     def record(self) -> None:

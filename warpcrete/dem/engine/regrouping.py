@@ -48,7 +48,7 @@ class Regrouping:
         if self._few <= LAUNCHES_BEFORE_REGROUPING:
             return
         self._few = 0
-        # Scenes that have ended keep a reference to their old batch, so its memory is not freed.
+        # Ended scenes refer to the old batch, so its memory is not freed, and the new batch must fit beside it.
         needed = footprint(stepper=steppers[0])["stepper"] * spheres / max(batch.sphere_count, 1)
         if needed < MEMORY_SHARE * memory_free(batch.device):
             regroup(steppers)

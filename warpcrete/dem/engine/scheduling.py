@@ -24,7 +24,7 @@ from .stages import step_stages
 from .stepper_protocol import SceneStepper
 
 POLL_INTERVAL = 50e-6
-"""Time between two polls of the host while no batch has completed its steps [s]."""
+"""Time that the host waits before it asks again whether some batch has completed its steps [s]."""
 
 
 class _Scene:

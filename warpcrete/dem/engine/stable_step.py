@@ -81,7 +81,7 @@ class StableStep:
     def by_device(self, first: Sequence[Any] = ()) -> GraphLaunch:
         """Return a launch that estimates the stable step of every scene that waits for it and lets the scene continue.
 
-        It works without the host and is for GPUs only. The stages `first` are launched before the estimate.
+        It works without the host and is for GPUs only. The launches `first` precede the estimate.
         """
         return GraphLaunch([*first, *(stage for phase in self._phases(-1, True) for stage in phase)], self.batch.device)
 

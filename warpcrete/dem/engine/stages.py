@@ -48,7 +48,7 @@ def warp_width(device: Any) -> int:
 
 
 def step_stages(batch: Batch) -> list[list[Stage]]:
-    """Return the stages of one step on the batch's current arrays, as one list per thread."""
+    """Return the kernel launches (stages) of one step on the batch's current arrays, one list for each CPU thread."""
     if not batch.features.half_list:
         return [_full_step(batch)]
     b, f = batch, batch.features
@@ -74,7 +74,7 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
 
 
 def near_stages(batch: Batch) -> list[Stage]:
-    """Return the stages that select a GPU's near links (pairs that may touch soon); empty for half lists."""
+    """Return the launches that select a GPU's near links (pairs that may touch soon); empty for half lists (CPU)."""
     b = batch
     if b.features.half_list:
         return []
@@ -145,7 +145,7 @@ def _meshes(batch: Batch, part: int, first: int, last: int, *, on_side_stream: b
 
 
 def _motion(batch: Batch, first: int, last: int) -> Stage:
-    """Return the stage that moves a chunk of bodies once all forces are known."""
+    """Return the launch that moves a chunk of bodies after all forces have been computed."""
     b, f = batch, batch.features
     named: dict[str, Any] = {"first": first, "last": last}
     rows = 0 if f.half_list else rows_of(f)

@@ -54,7 +54,7 @@ class State:
     """
 
     flags: wp.array
-    """Control flags with the slots of `kernels/common/control.py`, shape (1, FLAGS)."""
+    """Control flags, whose meanings `kernels/common/control.py` defines, shape (1, FLAGS)."""
     scenes: Any
     """Clock and other values that exist once per scene, a struct `Scenes`."""
     bodies: Any
@@ -293,7 +293,7 @@ class State:
 
 
 PAIR_ARRAYS = ("other", "history", "rolling", "bond", "load")
-"""Arrays of `pairs` that may have an entry for each listed pair."""
+"""Names of the arrays in the struct `pairs` that may have an entry for each listed pair of spheres."""
 
 
 def pair_bytes(model: Model) -> dict[str, int]:
@@ -307,7 +307,7 @@ def pair_bytes(model: Model) -> dict[str, int]:
 
 
 def _shapes(table: BodyTable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return each body's first sphere, the spheres' offsets and radii [m], the bodies' principal moments [kg m2]."""
+    """Return each body's first sphere, the spheres' offsets and radii [m], and the moments of inertia [kg m2]."""
     first = np.concatenate([[0], np.cumsum(table.sphere_counts)]).astype(np.int32)
     offsets = np.zeros((int(first[-1]), 4))
     inertia = np.zeros((len(table), 3))

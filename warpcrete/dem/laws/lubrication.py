@@ -91,7 +91,7 @@ class LubricationLayer(ContactLaw):
                 drag = zero
             if touch.gap < zero:
                 drag += p.viscosity * area(touch)
-            resisting = wp.dot(alone, n) + spring  # this is the force of the normal dashpot
+            resisting = wp.dot(alone, n) + spring  # normal force without the spring: that of the dashpot
             return (
                 normal_part + shear + drag * vs,
                 shear,

@@ -76,7 +76,7 @@ class BlockageWatch:
     def __call__(self, row: dict[str, float]) -> None:
         """Check for a blockage if the piston has advanced far enough since the last check.
 
-        `row` holds the recorded values of one sample.
+        `row` contains the recorded values of one sample by name.
         """
         travel = row.get("travel", 0.0)
         if self.found or travel < self._checked_travel + self.window / CHECKS_PER_WINDOW or self.state.body_count == 0:
@@ -153,7 +153,7 @@ def least_advance(before: np.ndarray, after: np.ndarray, volume: np.ndarray, end
     parts = max(1, min(PARTS, len(inside) // STONES))
     part = (parts * rank / volume[order].sum()).astype(int)
     way, weight = (after - before)[order], volume[order]
-    edges = np.flatnonzero(np.diff(part)) + 1  # first aggregate of every further part
+    edges = np.flatnonzero(np.diff(part)) + 1  # index of the first aggregate of each part, except the first part
     return min(map(_median, np.split(way, edges), np.split(weight, edges)))
 
 

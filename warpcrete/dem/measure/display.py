@@ -159,7 +159,7 @@ class ElementDisplay(Display):
         return self._largest_forces()
 
     def plots(self) -> tuple[Plot, ...]:
-        """Return the plots over time: pressure on the piston and energies."""
+        """Return the plots of quantities over time: pressure on the piston, and energies."""
         pressure = Curve(
             "piston", "piston pressure [kPa]", lambda row: row["pressure"] / 1e3 if "pressure" in row else None,
             (215, 95, 30),
@@ -168,7 +168,7 @@ class ElementDisplay(Display):
         return Plot("pressure", "Pressure on the piston", (pressure,)), Plot("energy", "Energy", energies)
 
     def profiles(self) -> tuple[Profile, ...]:
-        """Return the velocity profile across the pipe, and the stresses along it if the scene has stations."""
+        """Return the velocity profile across the pipe, and the stresses along it if the scene has slices for them."""
         scene, found = self.simulation.scene, []
         if scene.pipe is not None:
             title = "Velocity [cm/s] over radius [mm]"
@@ -188,7 +188,7 @@ class ElementDisplay(Display):
         return (stations.places - stations.origin)[full], values[full] / 1e3
 
     def _present_stresses(self, stations: Stations) -> np.ndarray:
-        """Return the stresses at the stations, shape (slices, columns).
+        """Return the stresses in all slices of the pipe, shape (slices, columns).
 
         If the recorded series contains them, its last row is used, which is at most 0.01 s old by default. Otherwise
         the stresses of the present state are computed.
@@ -229,7 +229,7 @@ class ElementDisplay(Display):
         pipe = self.simulation.scene.pipe
         position, velocity = self.read("bodies.position"), self.read("bodies.velocity")
         along, places, tangent = self._on_axis(pipe.axis)
-        low, high = (round(part * max(len(along) - 1, 0)) for part in STRETCH)  # ranks of the bodies at the ends
+        low, high = (round(part * max(len(along) - 1, 0)) for part in STRETCH)  # ranks by arc length
         ends = np.partition(along, (low, high))[[low, high]] if len(along) else np.zeros(2)
         # Give bodies outside the range the weight 0, which is faster than selecting the bodies inside the range.
         apart = position - places

@@ -4,8 +4,8 @@ A heap of aggregates has no smooth surface, and single aggregates roll away from
 a laser scan from above: each ray of a vertical grid finds the highest point of any sphere, and heights are averaged
 over areas wider than several aggregates. The spread is that of the main body only, because one stray aggregate would
 otherwise determine it. An aggregate is a stray if at least one empty cell, as wide as the largest aggregate, separates
-it from the main body. A slump is the difference of two heights measured in this way, so the effect of
-surface roughness cancels.
+it from the main body. A slump is the difference of two heights measured in this way, so the effect of surface
+roughness cancels.
 """
 
 from __future__ import annotations

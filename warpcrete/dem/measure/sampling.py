@@ -45,9 +45,9 @@ UNITS = {
     **SEGREGATION,
 }
 VECTOR_UNITS = {"momentum": "kg m/s", "drive": "N"}
-"""Units of vector columns, whose names end in an axis."""
+"""Units of the vector columns of the series, by the part of a column's name before the axis (x, y, z)."""
 WALL_UNITS = {"force": "N", "moment": "N m", "impulse": "N s"}
-"""Units of wall columns, whose names begin with a wall's name and end in an axis."""
+"""Units of the columns of walls, by the part of a column's name between the wall's name and the axis (x, y, z)."""
 AXES = "xyz"
 STORED = ("kinetic_energy", "potential_energy", "elastic_energy", "bond_energy")
 """Columns of energies that are stored and can be recovered, unlike dissipated energy."""
@@ -79,7 +79,7 @@ class Sampler:
         self.rows: list[dict[str, float]] = []
         stations = model.scene.stations
         self.log = StationLog(stations) if stations is not None and stations.each_row else None
-        """Measurements at stations along the pipe, if the scene requests them in every row."""
+        """Measurements in slices of the pipe, if the scene requests them in every row of the series; otherwise None."""
         self._impulse: np.ndarray | None = None
         self._mean = np.zeros((len(model.walls), 6))
         self._half_time = 0.0
@@ -170,7 +170,7 @@ class Sampler:
     def _forces(self, clock: np.ndarray, walls: np.ndarray, drive_power: float) -> np.ndarray:
         """Update the mean wall forces and the work of drives; return the impulses on all walls, shape (walls, 6)."""
         impulse = walls[:, int(IMPULSE) : int(IMPULSE) + 6].copy()
-        # In the leapfrog scheme, impulses contain the forces up to the middle of the last step.
+        # In the leapfrog scheme, impulses sum the forces up to the middle of the last step, so means end at that time.
         half_time = float(clock[int(TIME)]) - 0.5 * float(clock[int(DT_PREVIOUS)])
         if self._impulse is None:
             self._mean = walls[:, int(FORCE) : int(FORCE) + 6].copy()

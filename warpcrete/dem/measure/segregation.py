@@ -140,7 +140,7 @@ def _at(name: str, place: int) -> Callable[[Any], float | None]:
 
 
 def _outward(place: int) -> Callable[[Any], float | None]:
-    """Return a function for the outer minus the inner volume fraction, divided by the mean, in row `place`."""
+    """Return a function of a run's data: outer minus inner volume fraction, divided by the mean, in row `place`."""
 
     def found(known: Any) -> float | None:
         if "aggregate_inner" not in known.series:

@@ -2,7 +2,7 @@
 
 The mean stress in a slice follows Love and Weber: the sum over contacts of force times branch vector, divided by the
 volume. If the branch vector of a contact crosses several slices, each slice receives the part inside it (Goldhirsch,
-Granular Matter 12 (2010) 239, with a box as the averaging function). Wall contacts count too, so that a slice reaches
+Granular Matter 12 (2010) 239, with a box as the averaging function). Wall contacts count too, because a slice reaches
 to the wall.
 """
 
@@ -104,10 +104,9 @@ Sums over thousands of contacts are then exact to nine digits, and 64-bit intege
 def body_stresses(model: Model, state: State, unit: float) -> wp.array:
     """Return the sum of force times branch vector over every body's contacts, as integers, shape (bodies, 6).
 
-    Each body of a pair receives half of the pair's value.
-
-    The columns are xx, yy, zz, xy, yz and zx in multiples of `STRESS_RESOLUTION` times `unit` (stress times volume,
-    [J]), in the order of the state's arrays. The array is on the device, and the next call overwrites it.
+    Each body of a pair receives half of the pair's value. The columns are xx, yy, zz, xy, yz and zx in multiples of
+    `STRESS_RESOLUTION` times `unit` (stress times volume, [J]), in the order of the state's arrays. The array is on the
+    device, and the next call overwrites it.
     """
     stress = state.scratch("body stresses", (state.body_count, int(STRESSES)), wp.int64)
     if state.sphere_count:
@@ -138,8 +137,7 @@ def stresses_along(
     """Return the mean normal stress and the stress along the pipe in all slices [Pa], shape (slices, 2).
 
     They differ from the first two columns of :func:`measured` only in that each body's stress is spread evenly over its
-    size.
-    Slices that concrete does not fill are NaN.
+    size. Slices that concrete does not fill are NaN.
 
     The arguments describe bodies: `stress` (n, 6) (stress times volume, [J]) as from :func:`body_stresses`, arc lengths
     `s` (n,) [m], the `tangent` of the axis there (n, 3), `size` (n,) [m], and `fills` (n,), which is False for bodies
@@ -182,12 +180,11 @@ def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[floa
 
     For a straight pipe the losses are the pressure gradient [Pa/m] and the wall stress [Pa]. For a pipe with a bend or
     taper in its middle, both are returned for the straight stretches before and behind it. They follow from line fits
-    that leave out one radius at each end of a stretch. In addition,
-    `middle_loss` [Pa] is the axial stress lost over the middle between these lines, and `middle_ratio` is that loss
-    divided by the loss in a straight pipe of the same length. Friction rises with pressure, so the straight pipe's
-    gradient is the logarithmic mean of 4 tau / d at both ends of the middle, which is exact if friction rises linearly
-    with pressure. `flux_ratio` is the solid volume flux downstream divided by that upstream. Results for which too few
-    slices are full are left out.
+    that leave out one radius at each end of a stretch. In addition, `middle_loss` [Pa] is the axial stress lost over
+    the middle between these lines, and `middle_ratio` is that loss divided by the loss in a straight pipe of the same
+    length. Friction rises with pressure, so the straight pipe's gradient is the logarithmic mean of 4 tau / d at both
+    ends of the middle, which is exact if friction rises linearly with pressure. `flux_ratio` is the solid volume flux
+    downstream divided by that upstream. Results for which too few slices are full are left out.
     """
     s = stations.places
     slope = table["bulk_density"] * (stations.axis.at(s)[1] @ np.array(gravity))

@@ -43,7 +43,7 @@ class Watch:
         self.least, self.scale = state["least"], state["scale"]
 
     def _resolution(self, row: dict[str, float]) -> float:
-        """Return the rounding of positions divided by the smallest sphere's radius."""
+        """Return the rounding error of positions divided by the radius of the smallest sphere."""
         return self.rounding * row["reach"] / self.state.smallest_radius if self.state.body_count else 0.0
 
     def __call__(self, row: dict[str, float]) -> None:

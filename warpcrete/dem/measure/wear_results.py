@@ -124,7 +124,7 @@ def report(run: Any) -> Iterator[tuple[str, str]]:
 def plot_wear(run: Any, wall: WornWall | None = None) -> Any:
     """Return a figure of a run's worn depth per hour [um/h] over arc length and angle of a pipe, and of means along it.
 
-    `wall` is one of `run.wear.walls`; by default the wall that holds the concrete. Returns None if there is nothing to
+    `wall` is one of `run.wear.walls`; by default the most worn wall. Returns None if there is nothing to
     draw.
     """
     from matplotlib.figure import Figure

@@ -54,7 +54,7 @@ def wall_contact_of(given: Any) -> dict[tuple[str, str], ContactLaw]:
 
 
 def law_remarks(given: Any) -> Iterator[str]:
-    """Yield remarks on parameters of the concrete that have no effect because another contact law was chosen."""
+    """Yield remarks on parameters of the concrete that have no effect because a user has chosen another contact law."""
     law, wall = given.contact, given.wall_contact
     if law is not None:
         where = (
@@ -186,7 +186,7 @@ def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) 
     Within(0, radius).check("plug_ball", ball, f" m, the pipe's radius being {radius:g} m")
     Above().check("plug_ball", ball, " m")
     across = radius / ball
-    count = layers * math.pi * across * across  # `across**2` could raise OverflowError, a product becomes inf
+    count = layers * math.pi * across * across  # `across**2` could raise OverflowError; the product gives inf
     if count > MOST_BALLS:
         refuse("plug_ball", ball, f"would need {count:.2g} balls to plug the pipe",
                "use larger balls, a plate or no plug")  # fmt: skip

@@ -435,7 +435,7 @@ class PipeParameters(
 
     @property
     def each(self) -> float:
-        """Travel of each stroke [m]."""
+        """Travel of the piston in each stroke [m]."""
         return self.distance / self.strokes
 
     @property
@@ -472,7 +472,7 @@ class PipeParameters(
 
 
 def stiffness_of(given: Any) -> float:
-    """Return the stress that a deep contact carries [Pa]: the linear law's modulus, or another law's own value."""
+    """Return the stress scale of the contact law between aggregates [Pa]; for the linear law this is its modulus."""
     return given.modulus if given.contact is None else given.contact.stress_scale
 
 

@@ -143,7 +143,7 @@ class Course:
     inserts: tuple[Insert, ...] = ()
     """Stretches of the pipe whose bore is a mesh."""
     clear: Bores | None = None
-    """Radii of the largest circles about the axis inside the bore; None if the bore is round everywhere."""
+    """Radii of the largest circles about the axis inside the bore; None if no stretch of the bore is a mesh."""
 
     @property
     def narrowest(self) -> float:

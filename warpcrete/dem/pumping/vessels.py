@@ -299,9 +299,9 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 def shear_means() -> tuple[float, float, float]:
     """Return three means over contacts in all directions n, in simple shear of rate 1 with strain rate tensor D.
 
-    The first is the mean size of the part of D n across n (sliding), the second the mean of its square, and the third
-    the mean square of the part along n (approach). The squares
-    are 1/10 and 1/15 exactly. The first mean is a sum over directions spread evenly on a Fibonacci lattice.
+    The first is the mean magnitude of the part of D n across n (sliding), the second the mean of its square, and the
+    third the mean square of the part along n (approach). The second and third are 1/10 and 1/15 exactly. The means are
+    computed over directions spread evenly on a Fibonacci lattice.
     """
     count = 20_000
     z = (2 * np.arange(count) + 1) / count - 1

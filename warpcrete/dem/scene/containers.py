@@ -30,7 +30,7 @@ def low_discrepancy_points(count: int, random: np.random.Generator) -> np.ndarra
 
 @dataclass(frozen=True)
 class PipeContainer:
-    """First part of a pipe with a given `length` along the axis, closed by a plane at either end.
+    """Container that is the first `length` of a pipe along its axis, closed by a plane at either end.
 
     If the wall is not a round pipe of constant `radius`, for example a reducer or a pipe of few facets, the mesh `bore`
     is the wall; `radius` is then the smallest radius and `area` the mean cross-sectional area. `bores` gives the radius
@@ -46,7 +46,7 @@ class PipeContainer:
     """Length along the axis [m]."""
     bore: MeshWall | None = None
     area: float | None = None
-    """Mean cross-sectional area [m2]; None means that of the round pipe."""
+    """Mean cross-sectional area [m2]; None means the area of a round pipe of the given `radius`."""
     bores: Bores | None = None
     clear: Bores | None = None
 

@@ -346,7 +346,7 @@ class Rest(Declared):
 
     @property
     def layer_gained(self) -> float:
-        """Stress [Pa] by which the yield stress of the wall layer grows, relative to the area on which it acts."""
+        """Growth of the layer's yield stress [Pa]: `gained` divided by the share of the wall that its contacts cover."""
         return self.gained / self.coverage
 
 
@@ -376,7 +376,7 @@ class Scene(Parametrised):
     walls: tuple[Wall, ...] = ()
     drives: tuple[AxisDrive, ...] = ()
     contacts: Mapping[tuple[str, str], ContactLaw] = field(default_factory=dict)
-    """Overrides of `contact` for pairs of materials, in either order."""
+    """Contact laws that replace `contact` for pairs of materials, in either order."""
     contact: ContactLaw = field(default_factory=Contact)
     """Contact law between bodies, and against walls unless `contacts` overrides it. A scene has one law between bodies
     and one against walls; the parameters of each may differ between pairs of materials."""

@@ -13,7 +13,7 @@ from ...geometry.walls import Stops
 from .scene import PipeUnit
 
 HELD = 0.5
-"""Final fraction of a pause over which the held pressure is averaged."""
+"""Final fraction of a pause of the piston over which the pressure held in that pause is averaged."""
 
 
 @dataclass(frozen=True)
