@@ -346,7 +346,7 @@ class Rest(Declared):
 
     @property
     def layer_gained(self) -> float:
-        """Growth of the layer's yield stress [Pa]: `gained` divided by the share of the wall that its contacts cover."""
+        """Growth of the layer's yield stress [Pa]: `gained` divided by the share of the wall that contacts cover."""
         return self.gained / self.coverage
 
 
