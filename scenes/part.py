@@ -128,7 +128,7 @@ class _PipeCourse:
 
 
 def _unit(given: PartParameters) -> _PipeCourse:
-    """Return the course of a single part."""
+    """Return the course of the pipe for a single part, without a file of a line."""
     bends = given.unit.startswith("bend")
     if given.unit == "mesh":
         return _mesh(given)
@@ -200,7 +200,7 @@ def _mesh(given: PartParameters) -> _PipeCourse:
 
 
 def _line(given: PartParameters) -> _PipeCourse:
-    """Return the course of a whole line."""
+    """Return the course of the pipe for a whole line, which a file or a name gives."""
     assert given.line is not None
     line = read_line(given.line)
     check_straight_ends(line, given.line)

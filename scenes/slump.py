@@ -32,7 +32,7 @@ lets the concrete spread into a layer only a few cells thick. Runs of this kind 
 
 @dataclass(frozen=True, kw_only=True)
 class SlumpParameters(FreeConcrete):
-    """Dimensions of mould and plate."""
+    """Dimensions of the mould and of the plate; defaults follow EN 12350-2."""
 
     top_diameter: Annotated[float, "Top diameter of the mould [m]", Above()] = TOP
     base_diameter: Annotated[float, "Base diameter of the mould [m]", Above()] = BASE

@@ -18,7 +18,7 @@ from warpcrete.standards import SLUMP, StandardTest
 
 @dataclass(frozen=True, kw_only=True)
 class SlumpElements(VesselParameters):
-    """Dimensions of the mould."""
+    """Dimensions of the mould; defaults follow EN 12350-2."""
 
     top_diameter: Annotated[float, "Top diameter of the mould [m]", Above()] = 0.1
     base_diameter: Annotated[float, "Base diameter of the mould [m]", Above()] = 0.2

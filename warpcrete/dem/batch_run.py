@@ -163,7 +163,7 @@ class _BatchMember:
         )
 
     def release(self) -> None:
-        """Free the GPU memory of this batch."""
+        """Free the GPU memory of the simulations of this batch."""
         for member in self._members:
             if member.device.is_cuda:
                 member.release()

@@ -33,17 +33,17 @@ from .scene.containers import PipeContainer
 from .scene.scene import Scene
 from .simulation import SETTLING_PARTS, ElementSimulation
 
-LEAST = 0.1  # fraction of the timed wall time that is counted as steps even if list rebuilds seem to fill all of it
+LEAST = 0.1  # minimum share of steps in the timed wall time, even if list rebuilds seem to take all of it
 TIMING_TIME = 0.7  # wall time for which steps are timed [s]
 # Maximum number of spheres of the timed copy of a scene, on a GPU (True) or a CPU (False). With more spheres the time
 # per sphere is constant.
 MAXIMUM_SPHERES = {True: 400_000, False: 40_000}
 # Distance that concrete moves between two rebuilds of the neighbour lists, divided by the skin of the lists. It is
-# shorter in a bend, because neighbours move relative to each other there, but as a plug in a straight pipe.
+# shorter in a bend, where neighbours move relative to each other; in a straight pipe, concrete moves as a plug.
 STRAIGHT, BENT = 1.25, 0.5
 # ratio of the number of bonds in a settled packing to that in an unsettled packing; in test runs it was 1.2 to 1.3
 BONDS_AFTER_SETTLING = 1.2
-SETTLING_BUILDS = 1 / 40  # list rebuilds per step while a packing settles
+SETTLING_BUILDS = 1 / 40  # neighbour list rebuilds per step while a packing settles
 # A packing has settled after this number of passages of a pressure wave along the pipe, plus a constant time [s].
 PASSAGES, SETTLING_OFFSET = 2.4, 0.19
 IDLE_SPHERES = 40_000  # number of spheres at which a GPU's step takes about twice as long as a step without spheres
@@ -138,7 +138,7 @@ class _ShortenedCopy:
         chunks = np.diff(marks)
         taken = float(np.minimum(chunks, 3 * np.median(chunks)).sum()) if len(chunks) else 0.0
         if fill.pressure is not None and pilot is not container:
-            taken /= 2  # packing to a given pressure packs twice: a trial, then the packing itself
+            taken /= 2  # a given pressure requires two packings of equal size: a trial and the real one
         if not isinstance(container, PipeContainer) or not isinstance(pilot, PipeContainer):
             self.packing = taken * (2 if fill.pressure is not None else 1)
             return table, report
@@ -245,7 +245,7 @@ class _ShortenedCopy:
                 if rounds and name == "hydrated bonds":
                     continue
                 only = held.copy()
-                if name == "hydrated bonds":  # include the bonds that did not hydrate
+                if name == "hydrated bonds":  # together with the bonds that did not hydrate
                     only[~np.isin(kinds, (number - 1, number))] = 0
                 else:
                     only[kinds != number] = 0

@@ -32,13 +32,13 @@ from .scene.scene import Scene
 START_FRACTION = 0.10  # solid fraction at which small aggregates are placed before they grow
 GROWTH_STEPS = 1500
 RELAX_STEPS = 3000
-CHUNK = 50  # steps between two evaluations of the pressure
+CHUNK = 50  # steps between two evaluations of the pressure of a packing
 # ratio of pressure to contact modulus that freshly placed, overlapping aggregates may cause until they have moved apart
 TRANSIENT_LOOKS = 0.005
 CLOSE_FRACTION = 0.75  # solid fraction that no packing of aggregates reaches at pressures of kilopascals
 # number of consecutive evaluations with the pressure too high, or too low, after which sizes are changed faster
 LOOKS_BEFORE_GAIN = 45
-MOST_GAIN = 16.0  # largest factor by which changes of the sizes are sped up
+MOST_GAIN = 16.0  # largest factor by which the adjustment of sizes to a wanted pressure is sped up
 # Relative error of the pressure below which the relaxation of a packing ends after RELAX_STEPS steps. With a larger
 # error the relaxation may take twice as many steps.
 NEAR_TARGET = 0.15
@@ -289,7 +289,7 @@ class _Growth:
                 # packing dp/d(ln size) is far smaller, because growing aggregates move into free space.
                 change = np.clip(gain * error / self.contact.stress_scale, -2e-3 * gain, 2e-3 * gain)
                 if error > 0.5 * pressure:
-                    change = max(change, least)  # not jammed: the pressure does not show the growth needed
+                    change = max(change, least)  # the pressure of an unjammed packing does not show how much to grow
                 stepper.change(growth_rate=float(change) / CHUNK, growth_end=2.0)
             stepper.choose_dt()
             yield Steps(CHUNK)

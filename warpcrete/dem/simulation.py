@@ -35,12 +35,12 @@ from .scene.scene import Scene
 from .scene.strokes import stroke_table
 
 QUIET = 1e-5  # ratio of kinetic to elastic energy below which a packing counts as settled
-SETTLING_PARTS = 50  # number of intervals of the settling; after each, the energies are compared
+SETTLING_PARTS = 50  # number of intervals into which settling is divided; after each, the motion is checked
 
 
 @dataclass(repr=False)
 class ElementRun(Run):
-    """Results of a discrete element run."""
+    """Finished or interrupted discrete element run: series, results and final bodies."""
 
     packing: PackingReport | None = None
     bodies: BodyTable = field(default_factory=BodyTable.empty)
@@ -277,7 +277,7 @@ class ElementSimulation(Simulation):
         return vessel is not None and self.state.sphere_count > 0 and is_over(vessel, self.rows)
 
     def result(self, finished: bool) -> ElementRun:
-        """Return the run up to now, with its results."""
+        """Return the run up to the present time, with series, results, tables and bodies."""
         series = self.sampler.series()
         steps, state = self.stepper.steps, self.state
         running = self._wall_times.get("running", 0.0)

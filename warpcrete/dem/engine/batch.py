@@ -230,11 +230,11 @@ class Batch(JointArrays):
 
     @cached_property
     def wall_array(self) -> wp.array:
-        """Device array of the walls' values, shape (walls, WALL_COLUMNS)."""
+        """Device array for forces, travel and other values of all walls, shape (walls, WALL_COLUMNS)."""
         return wp.zeros((self.wall_count, WALL_COLUMNS), dtype=wp.float64, device=self.device)
 
     def wall_stage(self) -> Stage:
-        """Return the launch that writes the walls' values to `wall_array`."""
+        """Return the launch that writes forces, travel and other values of all walls to `wall_array`."""
         reading = {"walls": self.walls, "wall_values": self.wall_array}
         return Stage(wall_probe(self.scalar), self.wall_count, reading, self.device, block=DEFAULT_BLOCK)
 
@@ -315,7 +315,7 @@ class Batch(JointArrays):
 
     @property
     def settled(self) -> bool:
-        """True if the device has finished everything that was launched."""
+        """True if the device has completed the steps that were launched last."""
         return self.exchange.read_is_done
 
     def settle(self) -> np.ndarray:

@@ -31,10 +31,10 @@ time.
 
 
 class JointArrays:
-    """Device arrays of a batch of scenes with the same features."""
+    """Device arrays of a batch of scenes with the same features; arrays of all scenes are joined end to end."""
 
     flags: wp.array
-    """Control flags of all scenes, shape (scenes, FLAGS)."""
+    """Control flags of all scenes, such as halted, failed and stale lists, shape (scenes, FLAGS)."""
     scenes: Any
     """Clocks and parameters of all scenes, a struct of arrays that `kernels/dem/structs.py` defines."""
     bodies: Any
@@ -46,7 +46,7 @@ class JointArrays:
     corners: wp.array
     """Corners of all meshes, each in its wall's frame [m], shape (corners,)."""
     faces: wp.array
-    """Corner indices of each triangle, shape (faces, 3)."""
+    """Indices of the three corners of each triangle of all meshes, shape (faces, 3)."""
     across: wp.array
     """Neighbouring triangles across the three edges of each triangle, as in :class:`Surfaces`, shape (faces, 6)."""
     ring_start: wp.array
@@ -57,13 +57,13 @@ class JointArrays:
     ring: wp.array
     """Adjacency rows, concatenated: the lowest index of a triangle at a corner or edge, then the corners around it."""
     face_wall: wp.array
-    """Index of the wall of each triangle, shape (faces,)."""
+    """Index of the wall to which each triangle belongs, shape (faces,)."""
     pair_parameters: wp.array
     """Parameters of the contact laws between bodies, as in :class:`Model`, for all scenes end to end."""
     wall_parameters: wp.array
     """Parameters of the contact laws of bodies with walls, for all scenes end to end."""
     bond_parameters: wp.array
-    """Parameters of the kinds of bonds, for all scenes end to end."""
+    """Parameters of each kind of bonds, such as hydrated ones, for all scenes end to end."""
     segments: wp.array
     """Straight and curved segments of the axes of pipes and drives, for all scenes end to end."""
     drive_axis: wp.array
@@ -130,7 +130,7 @@ class JointArrays:
 
     @abstractmethod
     def invalidate_graphs(self) -> None:
-        """Discard recorded launches, because arrays have been replaced."""
+        """Discard recorded kernel launches, because they refer to arrays that have been replaced."""
 
     def _join_states(self) -> None:
         """Join the arrays of all states, replace the originals by slices, and allocate the arrays of the batch."""
@@ -246,7 +246,7 @@ class JointArrays:
 
     def set(self, s: int, **numbers: Any) -> None:
         """Change parameters of scene `s` on host and device, given by the field names of the struct `SceneRow`."""
-        if numbers.items() <= self._settings[s].items():  # steppers often set the same values again
+        if numbers.items() <= self._settings[s].items():  # steppers often set values that have not changed
             return
         if any(np.any(self.rows[name][s] != self.rows.dtype[name].type(value)) for name, value in numbers.items()):
             for name, value in numbers.items():

@@ -17,7 +17,7 @@ class BatchArrays(Protocol):
     models: list[Model]
     states: list[State]
     features: Features
-    """Features that all scenes of the batch have in common."""
+    """Features (contact laws, clumps, bonds and others) that all scenes of the batch have in common."""
     scalar: Any
     """Scalar type of the kernels, `wp.float32` or `wp.float64`."""
     device: Any
@@ -25,9 +25,9 @@ class BatchArrays(Protocol):
     parallel: bool
     """True if the kernels for GPUs are used, with one thread for each sphere or body."""
     threads: int
-    """Number of CPU threads that share the work."""
+    """Number of CPU threads that share the work of a step."""
     count: int
-    """Number of scenes."""
+    """Number of scenes in the batch."""
     body_count: int
     sphere_count: int
     capacity: np.ndarray
@@ -43,12 +43,12 @@ class SceneBatch(BatchArrays, Protocol):
         self, kernel: Any, dim: Size, *, beside: bool = False, meets: bool = False, every: int = 1,
         block: int | None = None, **named: Any,
     ) -> Stage:  # fmt: skip
-        """Return a recorded launch of `kernel` over `dim` tasks."""
+        """Return a recorded launch of `kernel` over `dim` tasks; `named` gives arguments by parameter name."""
         ...
 
     def barrier(self) -> list[Stage]:
-        """Return the stage at which CPU threads wait for one another, or no stage if there is one thread."""
+        """Return the barrier at which CPU threads wait for one another, as a list; it is empty for a single thread."""
         ...
 
     def invalidate_graphs(self) -> None:
-        """Discard recorded launches, because arrays have been replaced."""
+        """Discard recorded kernel launches, because they refer to arrays that have been replaced."""

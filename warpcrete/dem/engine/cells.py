@@ -36,7 +36,7 @@ class Cells:
     shift: wp.array
     """Displacement that moves each scene's positions into its block of cells [m], shape (scenes,)."""
     grid: Any
-    """Device arrays of the grid, a struct `Grid`."""
+    """Device arrays of the cell grid, a struct `Grid`."""
     made: int
     """Number of times the grid was allocated; when it changes, launches recorded earlier refer to replaced arrays."""
 
@@ -82,7 +82,7 @@ class Cells:
             self._bounds[s] = self._extent(s, width)
         self._fitted |= due
         low, high = np.floor(self._bounds / width).astype(int).transpose(1, 0, 2)
-        sizes = high - low + 2  # One empty cell separates neighbouring blocks.
+        sizes = high - low + 2  # One empty cell separates the blocks of two scenes.
         # Line up the blocks of all scenes along the axis in which the largest block is shortest.
         axis = int(np.argmin(sizes.max(0)))
         dims = sizes.max(0)

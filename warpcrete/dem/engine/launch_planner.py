@@ -1,8 +1,8 @@
 """Decide how many time steps the host launches before it reads a batch's flags again.
 
 A launch is asynchronous on a GPU: the host queues several steps and does not wait for them. A scene that needs
-attention halts itself on the device and skips the queued rest. The number of steps per
-launch therefore affects speed only, never results.
+attention halts itself on the device and skips the queued rest. The number of steps per launch therefore affects speed
+only, never results.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ STABLE_CHUNK_STEPS = 256
 The division often changes soon after the start of a run, which makes recorded graphs useless.
 """
 NEVER = 2**31 - 1
-"""Step count that no scene ever reaches."""
+"""Step count that no scene ever reaches, used where a scene has no goal in steps."""
 LIFETIME_DECREASE, LIFETIME_INCREASE = 0.95, 1.1
 """Factors that adapt the expected lifetime of neighbour lists.
 
@@ -73,7 +73,7 @@ class LaunchPlanner:
         self._steps_since_capture += launched
 
     def reset_step_count(self) -> None:
-        """Reset the count of steps since graphs were last recorded."""
+        """Set the count of steps since graphs were last recorded to zero."""
         self._steps_since_capture = 0
 
     def largest_graph(self, threads: int, rounds: int) -> int:

@@ -50,9 +50,9 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     estimate = 4 * 6 * scalar
     probes = 8 * int(CONTACT_COLUMNS) + listed * scalar
     if model.features.half_list:
-        listing += 4 * listed + 4  # Buffer of neighbours that the search finds, and where a sphere's begin.
+        listing += 4 * listed + 4  # Add the buffer of found neighbours, and where they begin in it.
     else:
-        listing += 4 * MOST_KEPT  # Buffer in which the search stores at most MOST_KEPT neighbours.
+        listing += 4 * MOST_KEPT  # Add the buffer in which the search stores neighbours.
         # Add the links, one for the two list entries of a pair: pair, scene, state, a second copy of the pair for links
         # that may touch soon, the link's index at both entries, and result rows. Add for each sphere its position when
         # such near links were last selected, and the bits that mark touching neighbours.

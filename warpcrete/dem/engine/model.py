@@ -32,7 +32,7 @@ class Features:
     mixed: bool
     """True if the bodies are not all of one material, so that the contact law's parameters differ between pairs."""
     history: bool
-    """True if contacts between bodies store a shear history."""
+    """True if contacts between bodies store a history, which for springs is the shear force."""
     bonds: bool
     """True if contacts are bonded or may become bonded."""
     healing: bool
@@ -58,7 +58,7 @@ class Features:
     half_list: bool
     """True if neighbour lists contain a pair inside a thread's chunk once (CPU) instead of at both spheres (GPU)."""
     dissipation: bool
-    """True if dissipated energy is summed up."""
+    """True if kernels sum up dissipated energy, as a check of the energy balance needs."""
     wear: bool
     """True if the work of sliding and impacts on walls is summed up, from which their wear follows."""
 
@@ -80,7 +80,7 @@ class Model:
     walls: tuple[Wall, ...]
     """Walls of the scene in device order: planes and pipes first, then meshes."""
     analytic_walls: int
-    """Number of planes and pipes among the walls."""
+    """Number of planes and pipes among the walls; their contacts are computed by formulas."""
     pair_parameters: wp.array
     """Parameters of `features.pair_law`, one row for each pair of the m materials, shape (m * m,)."""
     wall_parameters: wp.array
@@ -90,7 +90,7 @@ class Model:
     wall_table: wp.array
     """Properties of each wall, shape (walls,); without walls it has one unused row."""
     rest_position: wp.array
-    """Position of each wall at the start [m], shape (walls,)."""
+    """Position of each wall before it has moved [m], shape (walls,)."""
     segments: wp.array
     """Lines and arcs of all pipe axes, shape (segments,); without axes it has one unused row."""
     drive_axis: wp.array

@@ -129,7 +129,7 @@ class NeighborLists:
         if self._cells.made > made and b.planner.rebuilds_on_device:
             b.invalidate_graphs()
         rebuild = self._search(sort) if b.features.half_list else self._rebuild(sort)
-        # For half lists, `_search` has already launched the phases before `count`.
+        # For half lists, `_search` has already launched all phases of the rebuild before `count`.
         rebuild.launch("count" if b.features.half_list else "cells", "starts")
         wanted, longest = self._found_of(self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):

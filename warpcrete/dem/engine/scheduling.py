@@ -99,7 +99,7 @@ class _Drive:
                 self._proceed(member, self.stop)
 
     def launch(self) -> None:
-        """Launch the next steps."""
+        """Launch the next steps of the batch, unless a run was interrupted."""
         self._guarded(self._launch)
 
     def collect(self) -> None:
@@ -107,7 +107,7 @@ class _Drive:
         self._guarded(self._collect)
 
     def interrupt(self, stop: KeyboardInterrupt) -> None:
-        """Raise an interruption inside every coroutine that is waiting."""
+        """Raise the interruption `stop` (Ctrl-C) inside every coroutine that waits for steps."""
         self.stop = stop
         self._guarded(lambda: None)
 

@@ -66,7 +66,7 @@ class StableStep:
             self._precomputed = set(scenes)
 
     def discard_precomputed(self) -> None:
-        """Discard precomputed estimates that were not used."""
+        """Discard the results of :meth:`precompute` that have not been used."""
         self._precomputed.clear()
 
     def _estimate_for(self, scenes: list[int]) -> None:
@@ -90,7 +90,7 @@ class StableStep:
         return [stage for phase in self._phases(-1 if self.batch.parallel else 0, False) for stage in phase]
 
     def _launch(self, s: int) -> Callable[[], None]:
-        if self._version != self.batch.version:  # Launches recorded earlier refer to replaced arrays.
+        if self._version != self.batch.version:  # Discard launches that refer to replaced arrays.
             self._recorded.clear()
             self._version = self.batch.version
         # A CPU estimates one scene at a time, chunk by chunk; a GPU estimates all scenes with the same launch.

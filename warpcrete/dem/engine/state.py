@@ -58,17 +58,17 @@ class State:
     scenes: Any
     """Clock and other values that exist once per scene, a struct `Scenes`."""
     bodies: Any
-    """Arrays of bodies, a struct `Bodies`."""
+    """Arrays with one row for each body, a struct `Bodies`."""
     spheres: Any
-    """Arrays of spheres, a struct `Spheres`."""
+    """Arrays with one row for each sphere, a struct `Spheres`."""
     slots: Any
-    """Contacts of spheres with walls, a struct `Slots`."""
+    """Arrays with a place (slot) for each wall contact that a sphere can have, a struct `Slots`."""
     pairs: Any
     """Neighbour list with contact history and bonds, a struct `Pairs`."""
     candidates: Any
     """Mesh candidates, which are the triangles near each sphere, a struct `Candidates`."""
     walls: Any
-    """Arrays of walls, a struct `Walls`."""
+    """Arrays with one row for each wall, a struct `Walls`."""
 
     def __init__(self, model: Model, table: BodyTable) -> None:
         self.model = model
@@ -88,9 +88,9 @@ class State:
         self.chunks = [0, self.sphere_count]
         """First sphere of every chunk (the spheres of one CPU thread), and the end of the last chunk."""
         self.batch: Any = None
-        """Batch that holds the arrays; None if the state is in no batch."""
+        """Batch to which the state belongs, or None; in a batch, the arrays are slices of the batch's arrays."""
         self.index = 0
-        """Number of the scene in its batch."""
+        """Index of the scene in its batch."""
         self._scratch: dict[str, wp.array] = {}
         self._launches: tuple[int, dict[str, Any]] = -1, {}
         self._make_bodies(table, first, inertia)
@@ -240,7 +240,7 @@ class State:
 
     @property
     def time(self) -> float:
-        """Simulated time [s]."""
+        """Simulated time that the scene has reached [s]."""
         return self._clock()[int(TIME)]
 
     @property
@@ -252,12 +252,12 @@ class State:
 
     @property
     def dt(self) -> float:
-        """Size of the next step [s]."""
+        """Size of the next time step [s]."""
         return self._clock()[int(DT)]
 
     @property
     def stable_step(self) -> float:
-        """Stable step by the latest estimate [s]."""
+        """Stable time step according to the latest estimate [s]."""
         return self._clock()[int(STABLE)]
 
     def _clock(self) -> list[float]:
@@ -267,7 +267,7 @@ class State:
 
     @property
     def bytes(self) -> int:
-        """Size of all arrays of the state [B]."""
+        """Memory size of all arrays of the state [B]."""
         return sum(a.size * wp.types.type_size_in_bytes(a.dtype) for _, _, a in self.arrays())
 
     def table(self) -> BodyTable:

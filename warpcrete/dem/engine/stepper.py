@@ -135,7 +135,7 @@ class Stepper:
 
     @property
     def time(self) -> float:
-        """Simulated time [s]."""
+        """Simulated time that the scene has reached [s]."""
         return self.state.time
 
     @property
@@ -145,7 +145,7 @@ class Stepper:
 
     @property
     def dt(self) -> float:
-        """Size of the next step [s]."""
+        """Size of the next time step [s]."""
         return self.state.dt
 
     def change(self, **settings: float) -> None:
@@ -203,7 +203,8 @@ class Stepper:
         """Choose the number of shorter rounds within a step in which hydrated bonds are integrated (sub-cycling)."""
         subcycles, step = self.batch.subcycles, self.time_step
         subcycles.collect(self.index)
-        unbonded_step = self.estimate()  # Hydrated bonds do not count before they have rounds.
+        # Estimate the step without hydrated bonds, which the estimate leaves out as long as no rounds are set.
+        unbonded_step = self.estimate()
         dt = step.fixed or min(step.safety * SUBCYCLED_STEP_FRACTION * unbonded_step, step.largest)
         ratio = MARGIN * dt / (step.safety * subcycles.stable_step(self.index))
         subcycles.set_rounds(self.index, step.rounds or rounds_for(ratio))
@@ -228,7 +229,7 @@ class Stepper:
         self.rebuild()
 
     def stop_motion(self) -> None:
-        """Set all velocities to zero."""
+        """Set all velocities and spins of bodies and spheres to zero."""
         bodies, spheres = self.state.bodies, self.state.spheres
         for array in (bodies.velocity, bodies.spin, bodies.angular_momentum, spheres.spin):
             array.zero_()

@@ -31,7 +31,7 @@ class SceneStepper(Protocol):
     lists: NeighborLists
     stable_step: StableStep
     index: int
-    """Number of the scene in its batch."""
+    """Index of the scene in its batch."""
 
     def reaching(self, goal: Until | Steps) -> Coroutine:
         """Return a coroutine that advances to a goal and yields while the batch must step."""

@@ -153,7 +153,7 @@ class Subcycles:
         first_pair = np.concatenate([[0], np.cumsum(self._pairs)])
         ref = np.concatenate([ref + 2 * first for (_, _, ref), first in zip(rows, first_pair)])
         counts = np.concatenate([counts for _, counts, _ in rows])
-        # For both ends of each pair, store the row of its body, and its row among all ends sorted by body.
+        # For both ends of each sub-cycled pair, store the row of the body, and the end's row in the order of bodies.
         ends = np.stack([np.repeat(np.arange(len(counts)), counts)[np.argsort(ref)], np.argsort(ref)], axis=1)
         given: dict[str, Any] = {
             "rounds": self._rounds,

@@ -43,7 +43,7 @@ class PlasticMortar(BinghamMortar):
     def gripped(self, grip: float) -> ContactLaw:
         return replace(
             super().gripped(grip), bending=WALL_BENDING
-        )  # without a moment, a single sphere would roll away on the wall
+        )  # without this rolling resistance, a single sphere would roll away on the wall
 
     @classmethod
     def device_functions(cls, scalar: Any, parameters: Any) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from .linear import Contact
 
 @dataclass(frozen=True, kw_only=True)
 class RollingResistance(ContactLaw):
-    """Linear law with a moment of up to mu_r R N against rolling (see the module)."""
+    """Linear law with a moment of up to mu_r R N against rolling; R is the reduced radius, N the normal spring force."""
 
     called = "rolling"
 

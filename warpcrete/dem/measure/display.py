@@ -229,7 +229,8 @@ class ElementDisplay(Display):
         pipe = self.simulation.scene.pipe
         position, velocity = self.read("bodies.position"), self.read("bodies.velocity")
         along, places, tangent = self._on_axis(pipe.axis)
-        low, high = (round(part * max(len(along) - 1, 0)) for part in STRETCH)  # ranks by arc length
+        # Find the ranks, in the order of arc length, of the first and the last body of the averaged range.
+        low, high = (round(part * max(len(along) - 1, 0)) for part in STRETCH)
         ends = np.partition(along, (low, high))[[low, high]] if len(along) else np.zeros(2)
         # Give bodies outside the range the weight 0, which is faster than selecting the bodies inside the range.
         apart = position - places

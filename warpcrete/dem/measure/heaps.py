@@ -83,8 +83,8 @@ def spread(spheres: np.ndarray) -> float:
     point that lies above or below a sphere. `spheres` has rows of centre and radius [m], shape (n, 4), n > 0.
     """
     far = np.hypot(spheres[:, 0], spheres[:, 1]) + spheres[:, 3]
-    # Some of the outer spheres give a lower bound of the reach in every direction. Spheres that end nearer to the
-    # origin cannot matter and are skipped.
+    # The reach of the outer spheres alone is a lower bound of the heap's reach in every direction. Skip all spheres
+    # that lie nearer to the origin than the smallest of these reaches.
     least = float(_reaches(spheres[far >= 0.8 * far.max()]).min())
     return 2 * float(np.mean(_reaches(spheres[far >= least])))
 

@@ -44,13 +44,13 @@ class ContactSums:
     virial: float
     """Sum over contacts of the scalar product of normal spring force and vector between the bodies' centroids [J]."""
     broken_tension: int
-    """Bonds broken by tension since the start."""
+    """Number of bonds broken by tension since t = 0."""
     broken_shear: int
 
 
 @dataclass(frozen=True)
 class BodySums:
-    """Sums over the bodies of a state."""
+    """Energies, momentum and other sums over the bodies of a state."""
 
     kinetic_energy: float
     """Kinetic energy at the middle of the last step [J]."""
@@ -63,9 +63,9 @@ class BodySums:
     centroid: np.ndarray
     """Centroid of all bodies [m], shape (3,)."""
     drive_force: np.ndarray
-    """Sum of the forces of the axis drives [N], shape (3,)."""
+    """Sum of the forces of the axis drives, which act along a pipe's axis [N], shape (3,)."""
     drive_power: float
-    """Power of the axis drives [W]."""
+    """Sum of the power of the axis drives, the forces along a pipe's axis [W]."""
     reach: float
     """Largest absolute value of any coordinate of any body [m]."""
 

@@ -53,7 +53,7 @@ class Known:
     blocked: dict[str, float] | None = None
     """Findings of a :class:`BlockageWatch`; empty if the pipe was not blocked, None if the run had no such watch."""
     log: StationLog | None = None
-    """Measurements at stations along the pipe."""
+    """Measurements in slices (stations) along the pipe; None without such measurements in every row."""
 
     def along(self, name: str) -> float | None:
         """Return a friction loss in the final window by its name in :func:`warpcrete.dem.measure.stations.losses`."""
@@ -63,7 +63,7 @@ class Known:
 
     @property
     def pumped(self) -> bool:
-        """True if the run has a pressure, with two samples or more, and the piston has moved."""
+        """True if the run measured a piston pressure in two samples or more, and the piston has moved."""
         return "pressure" in self.series and len(self.series["pressure"]) > 1 and self.series["travel"][-1] > 0
 
     @property
@@ -78,7 +78,7 @@ class Known:
 
     @property
     def window_begin(self) -> float:
-        """Travel at which the final window begins [m]."""
+        """Travel of the piston at which the final window begins [m]."""
         travel = self.series["travel"][-1]
         begun = stroke_start(self.scene, travel)
         return begun + (1 - WINDOW) * (travel - begun)

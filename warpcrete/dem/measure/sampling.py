@@ -104,7 +104,7 @@ class Sampler:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the values stored in a `state_dict`."""
+        """Restore rows and other values from a `state_dict`."""
         self.rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
         self._impulse, self._mean = state["impulse"], state["mean"]
         self._half_time, self._power = float(state["half_time"]), float(state["power"])
@@ -119,7 +119,7 @@ class Sampler:
         return {name: np.array([row[name] for row in self.rows]) for name in (self.rows[0] if self.rows else ())}
 
     def sample(self) -> dict[str, float]:
-        """Measure and append a row; return the row."""
+        """Measure the present state, append the values as a row to the series, and return the row."""
         model, state, scene = self.model, self.state, self.model.scene
         clock = state.batch.host_clock()[state.index]
         bodies, contacts, walls = row_sums(model, state)

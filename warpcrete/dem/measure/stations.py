@@ -227,7 +227,7 @@ class _Straight:
     stress: np.ndarray
     shear: np.ndarray
     mean: float
-    """Mean wall stress [Pa]."""
+    """Mean wall stress in the stretch [Pa]."""
     flux: float
 
 

@@ -39,7 +39,7 @@ class Watch:
         return {"least": self.least, "scale": self.scale}
 
     def load_state_dict(self, state: dict[str, float]) -> None:
-        """Restore the values stored in a `state_dict`."""
+        """Restore the energies of earlier rows from a `state_dict`."""
         self.least, self.scale = state["least"], state["scale"]
 
     def _resolution(self, row: dict[str, float]) -> float:

@@ -22,7 +22,7 @@ from ..engine.state import State
 from ..scene.scene import Wear
 
 PATCHES_AROUND = 24
-"""Default number of patches around a pipe."""
+"""Default number of wear patches around the circumference of a pipe."""
 MOST_AROUND, MOST_PATCHES = 3600, 1_000_000
 COLUMNS = ("sliding_work", "impact_loss", "load_way")
 """Wear quantities, both of a patch and of a row of the series: work of sliding [J], energy lost in impacts [J], normal
@@ -34,7 +34,7 @@ RAY_TOLERANCE = 1e-4
 
 
 class Patches(ABC):
-    """Division of a wall into patches."""
+    """Base class of divisions of a wall into patches, for which wear is summed separately."""
 
     areas: np.ndarray
     """Areas of the patches [m2], shape (patches,); infinite for an unbounded plane."""
@@ -49,7 +49,7 @@ class Patches(ABC):
 
 
 class PlanePatch(Patches):
-    """A plane as a single patch."""
+    """Division of a plane wall: a single patch."""
 
     def __init__(self, wall: PlaneWall) -> None:
         self._wall = wall
@@ -64,7 +64,7 @@ class PlanePatch(Patches):
 
 
 class PipePatches(Patches):
-    """Patches of a pipe: a grid of stations along the pipe and places around it, numbered station by station.
+    """Division of a pipe wall: a grid of stations along the pipe and places around it, numbered station by station.
 
     Angles around the axis are 0 on the outside of the pipe's bends (in their plane, away from the centre). In a
     straight pipe they are 0 in the direction of a normal of the axis.
@@ -76,7 +76,7 @@ class PipePatches(Patches):
         self.around = int(np.clip(round(2 * np.pi * wall.radius / width), 3, MOST_AROUND))
         self.stations = max(1, min(round(wall.axis.length / width), MOST_PATCHES // self.around))
         self.along = (np.arange(self.stations) + 0.5) * wall.axis.length / self.stations
-        """Arc length of the middle of each station [m]."""
+        """Arc length along the pipe of the middle of each station (ring of patches) [m]."""
         self.angles = 2 * np.pi * np.arange(self.around) / self.around
         """Angle of the middle of each place around the pipe [rad]."""
         self.areas = self._areas(wall.axis.length / self.stations).ravel()
@@ -126,7 +126,7 @@ class PipePatches(Patches):
 
 
 class MeshPatches(Patches):
-    """Triangles of a mesh as patches; if triangles coincide, the first one receives all the wear."""
+    """Division of a mesh wall: each triangle is a patch; of coinciding triangles, the first receives all the wear."""
 
     def __init__(self, wall: MeshWall) -> None:
         self._wall = wall
@@ -171,7 +171,7 @@ class WornWall:
     done: np.ndarray
     """Values of :data:`COLUMNS` for each patch since t = 0, shape (patches, 3)."""
     coefficient: float
-    """Archard's coefficient k [m2/N]."""
+    """Wear coefficient k of Archard's law, divided by hardness [m2/N]."""
 
     def __repr__(self) -> str:
         return f"<WornWall {self.name!r}: {len(self.done)} patches, {self.done[:, 0].sum():.4g} J of sliding>"
@@ -192,12 +192,12 @@ class WornWall:
         return self.coefficient * self.done[:, 2] / self.patches.areas
 
     def mean_depth(self, chosen: np.ndarray | slice = slice(None)) -> float:
-        """Return the mean worn depth over the area of chosen patches [m]."""
+        """Return the mean worn depth of the `chosen` patches, weighted with their areas [m]."""
         return float(self.coefficient * self.done[chosen, 2].sum() / self.patches.areas[chosen].sum())
 
 
 class WearMap:
-    """Wear of every wall of a scene."""
+    """Wear of every wall of a scene, updated at every sample."""
 
     def __init__(self, walls: Sequence[Wall], wear: Wear) -> None:
         self.walls = [
@@ -231,7 +231,7 @@ class WearMap:
         return {wall.name: wall.done for wall in self.walls}
 
     def load_state_dict(self, state: dict[str, np.ndarray]) -> None:
-        """Restore the values stored in a `state_dict`."""
+        """Restore the wear quantities of all patches from a `state_dict`."""
         for wall in self.walls:
             wall.done = np.array(state[wall.name])
 

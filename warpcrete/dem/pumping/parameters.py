@@ -414,7 +414,7 @@ class PipeParameters(
 
     @property
     def arc(self) -> float:
-        """Length of a bend's centreline [m]."""
+        """Length of the centreline of the unit's bend [m]."""
         return math.pi / 2 * self.elbow_radius
 
     @property

@@ -147,7 +147,7 @@ class Course:
 
     @property
     def narrowest(self) -> float:
-        """Smallest free width across the axis [m]."""
+        """Smallest free width of the bore across the axis [m]."""
         return min([2 * self.bores.smallest, *(insert.mesh.narrowest for insert in self.inserts)])
 
     @property

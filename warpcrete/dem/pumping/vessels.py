@@ -212,7 +212,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 
     @property
     def grain_friction(self) -> float:
-        """Coefficient of friction between grains."""
+        """Coefficient of friction between grains: the parameter `friction`, or the default of the contact law."""
         return self.friction if self.friction is not None else LAW_FRICTION.get(self.law, 0.05)
 
     @property
@@ -257,11 +257,11 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         )  # fmt: skip
 
     def vessel(self, test: StandardTest, opened: float) -> Vessel:
-        """Return the vessel of a test; from the time `opened` [s] on, nothing holds the concrete back."""
+        """Return the description of a test's vessel; from the time `opened` [s] on, nothing holds the concrete back."""
         return Vessel(test=test, opened=opened, rest_speed=self.rest_speed, dimensions=test.sizes(self))
 
     def fill(self, inside: Solid) -> Fill:
-        """Return the fill of concrete in a closed solid."""
+        """Return the grains to be packed into the closed solid `inside`, with their sizes and solid fraction."""
         return Fill(
             container=MeshContainer(inside.trimesh()),
             sizes=self.distribution(),

@@ -21,9 +21,9 @@ class ClumpTemplate:
 
     name: str
     offsets: np.ndarray
-    """Sphere centres in units of the size, shape (k, 3)."""
+    """Centres of the spheres relative to the centroid, in units of the body's size, shape (k, 3)."""
     radii: np.ndarray
-    """Sphere radii in units of the size, shape (k,)."""
+    """Radii of the spheres in units of the body's size, shape (k,)."""
     inertia: np.ndarray
     """Principal moments of inertia divided by mass times size squared, shape (3,).
 

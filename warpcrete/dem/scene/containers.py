@@ -41,9 +41,9 @@ class PipeContainer:
 
     axis: Axis
     radius: float
-    """Inner radius [m]."""
+    """Inner radius of the pipe [m]; the smallest one if it varies."""
     length: float
-    """Length along the axis [m]."""
+    """Length of the container along the axis [m]."""
     bore: MeshWall | None = None
     area: float | None = None
     """Mean cross-sectional area [m2]; None means the area of a round pipe of the given `radius`."""
@@ -112,7 +112,7 @@ class MeshContainer:
 
     @property
     def volume(self) -> float:
-        """Volume [m3]."""
+        """Volume enclosed by the mesh [m3]."""
         return float(self.mesh.volume)  # type: ignore[attr-defined]
 
     @property
@@ -136,7 +136,7 @@ class MeshContainer:
             points = lower + low_discrepancy_points(wanted, random) * (upper - lower)
             inside = points[signed_distance(self.mesh, points) < 0]  # type: ignore[arg-type]
             if len(inside) >= count:
-                # Part of the sequence is not evenly distributed, so remove surplus points at regular intervals.
+                # Only the whole sequence of points is evenly distributed, so drop surplus points at regular intervals.
                 return inside[np.linspace(0, len(inside) - 1, count).astype(int)]
             wanted *= 2
 

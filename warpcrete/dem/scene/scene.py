@@ -92,22 +92,22 @@ class AxisDrive:
 
 @dataclass(frozen=True, kw_only=True)
 class Bodies:
-    """Bodies placed at given positions."""
+    """Bodies of one shape and density that a scene places at given positions."""
 
     positions: np.ndarray
-    """Centroids [m], shape (n, 3)."""
+    """Centroids of the bodies [m], shape (n, 3)."""
     sizes: np.ndarray
     """Diameters of the spheres of equal volume [m], shape (n,) or one number."""
     template: ClumpTemplate | None = None
     """Shape of the bodies; None for single spheres."""
     density: float = 2500.0
-    """Density [kg/m3]."""
+    """Density of all the bodies [kg/m3]."""
     material: str = "aggregate"
     group: str = ""
     orientations: np.ndarray | None = None
     """Orientations as unit quaternions x, y, z, w, shape (n, 4)."""
     velocities: np.ndarray | None = None
-    """Velocities [m/s], shape (n, 3)."""
+    """Velocities of the centroids [m/s], shape (n, 3)."""
     spins: np.ndarray | None = None
     """Angular velocities in the global frame [rad/s], shape (n, 3)."""
 
@@ -356,11 +356,11 @@ class Published:
 
     source: str
     peak: float | None = None
-    """Peak pressure [Pa]."""
+    """Published peak of the pumping pressure [Pa]."""
     plateau: float | None = None
-    """Pressure on the plateau [Pa]."""
+    """Published pumping pressure on the plateau [Pa]."""
     peak_travel: float | None = None
-    """Travel of the piston at the peak pressure [m]."""
+    """Published travel of the piston at the peak pressure [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -369,7 +369,7 @@ class Scene(Parametrised):
 
     name: str
     duration: float
-    """Simulated time [s]."""
+    """Simulated duration of the run after t = 0, that is, after packing and settling [s]."""
     bodies: tuple[Bodies, ...] = ()
     fill: Fill | None = None
     """Aggregates that are packed into a container before the start."""
@@ -399,7 +399,7 @@ class Scene(Parametrised):
     energy_balance: bool = False
     """True to sum all dissipated energy, so that the energy balance can be checked; costs a few per cent of speed."""
     wear: Wear | None = None
-    """Settings for summing the wear of walls; None to leave it out."""
+    """Settings for measuring the wear of walls; None to leave it out."""
     blockage: Blockage | None = None
     """Settings for detecting blockage, which also requires `pipe` and `pressure`; None to leave it out."""
     segregation: bool = False

@@ -59,7 +59,7 @@ class SieveCurve:
     """
 
     openings: tuple[float, ...]
-    """Sieve openings, rising [m]."""
+    """Sieve openings, in rising order [m]."""
     passing: tuple[float, ...]
     """Mass fractions that pass the openings, rising from 0 at the first opening to 1 at the last."""
 
@@ -81,12 +81,12 @@ class SieveCurve:
 
     @property
     def smallest(self) -> float:
-        """Smallest size [m]."""
+        """Smallest size of the grading curve [m]."""
         return self.openings[0]
 
     @property
     def largest(self) -> float:
-        """Largest size [m]."""
+        """Largest size of the grading curve [m]."""
         return self.openings[-1]
 
     def sample(self, count: int, random: np.random.Generator) -> np.ndarray:

@@ -32,7 +32,7 @@ class Stations:
     edges: tuple[float, ...]
     """Arc lengths of the slices' ends, rising [m], shape (slices + 1,)."""
     wall: str = "pipe"
-    """Name of the wall whose shear stress is measured."""
+    """Name of the wall on which the shear stress is measured."""
     origin: float = 0.0
     """Arc length that counts as zero in the results [m]."""
     middle: tuple[float, float] | None = None
