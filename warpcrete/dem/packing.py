@@ -121,7 +121,7 @@ def pack(
     progress: Callable[[float], None] | None = None,
     threads: int = 1,
 ) -> tuple[BodyTable, PackingReport]:
-    """Pack aggregates into their container: sow them small, let them grow without friction, and let them settle.
+    """Pack aggregates into their container: place them small, let them grow without friction, and let them come to rest.
 
     Returns the bodies at rest and a report. `progress` is called with the fraction done. If the fill gives a
     pressure, a trial packing in a smaller container first finds the solid fraction at that pressure. The real packing

@@ -94,9 +94,9 @@ class Model:
     segments: wp.array
     """Lines and arcs of all pipe axes, shape (segments,); without axes it has one unused row."""
     drive_axis: wp.array
-    """First and end index of the segments of each group's axis, shape (groups, 2); both 0 without a drive."""
+    """First and end index in `segments` of the axis along which each body group is driven, (groups, 2); else 0."""
     drive_force: wp.array
-    """Driving force on each body of a group along the group's axis [N], shape (groups,)."""
+    """Driving force along the axis on each body of every body group [N], shape (groups,)."""
     meshes: tuple[Any, ...]
     """The ``wp.Mesh`` objects, kept alive because the wall table refers to them by number."""
 

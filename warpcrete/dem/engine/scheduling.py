@@ -61,7 +61,7 @@ class _Scene:
 
 
 class _Drive:
-    """Driver that advances the scenes of one batch, launch by launch."""
+    """Driver that runs the coroutines of the scenes of one batch, launch by launch."""
 
     def __init__(self, scenes: dict[int, tuple[SceneStepper, Coroutine]], stream: Any, *, regroups: bool) -> None:
         self._members = {number: _Scene(*pair) for number, pair in scenes.items()}

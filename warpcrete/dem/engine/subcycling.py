@@ -108,7 +108,7 @@ class Subcycles:
         self.batch.invalidate_graphs()
 
     def stable_step(self, s: int) -> float:
-        """Return the latest stable step of the sub-cycled pairs alone, without safety factor [s]."""
+        """Return the latest estimate of the stable step of the sub-cycled pairs alone, without safety factor [s]."""
         return float(self.arrays.stable.numpy()[s])
 
     def state_dict(self, s: int) -> dict[str, Any]:

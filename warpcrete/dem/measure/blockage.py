@@ -68,7 +68,7 @@ class BlockageWatch:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the watch from a `state_dict`."""
+        """Restore the recorded blockage and the data for the next check from a `state_dict`."""
         self.found, self._places = dict(state["found"]), np.array(state["places"])
         self._checked_travel, self._pressure = float(state["looked"]), float(state["pressure"])
         self._stand_travel = None if state["standing"] is None else float(state["standing"])

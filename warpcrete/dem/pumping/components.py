@@ -71,7 +71,7 @@ def law_remarks(given: Any) -> Iterator[str]:
 
 
 def bonds_of(given: BondParameters) -> Bonds | None:
-    """Return the bonds between aggregates, or None if bonds are off."""
+    """Return the properties of the bonds between aggregates, or None if bonds are switched off."""
     if not given.bonds:
         return None
     return Bonds(
@@ -86,7 +86,7 @@ def bonds_of(given: BondParameters) -> Bonds | None:
 
 
 def hydration_of(given: BondParameters) -> Hydration | None:
-    """Return the hydrated bonds, or None if there are none."""
+    """Return the properties and the fraction of hydrated bonds, or None if no bonds hydrate."""
     if not (given.bonds and given.hydration):
         return None
     return Hydration(

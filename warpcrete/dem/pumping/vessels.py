@@ -248,7 +248,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         return {("aggregate", name): self.grain_law().gripped(grip) for name, grip in grips.items()}
 
     def bonds(self) -> Bonds | None:
-        """Return the bonds between grains, or None if the law has none."""
+        """Return the properties of the bonds between grains, or None if the contact law has no bonds."""
         if self.law != "bonds":
             return None
         return Bonds(
