@@ -75,7 +75,7 @@ def draw(
 ) -> BodyTable:
     """Return aggregates at evenly spread points, with a total volume of `fraction` times that of the container.
 
-    Raises :class:`CapacityError` if the container would take too many aggregates.
+    Raises :class:`CapacityError` if the container would contain too many aggregates.
     """
     wanted = fraction * container.volume
     expected = wanted / (np.pi / 6 * float(np.mean(fill.sizes.sample(1000, np.random.default_rng(0)) ** 3)))
@@ -121,7 +121,7 @@ def pack(
     progress: Callable[[float], None] | None = None,
     threads: int = 1,
 ) -> tuple[BodyTable, PackingReport]:
-    """Pack aggregates into their container: place them small, let them grow without friction, and let them come to rest.
+    """Pack aggregates into their container: place them small, let them grow without friction and come to rest.
 
     Returns the bodies at rest and a report. `progress` is called with the fraction done. If the fill gives a
     pressure, a trial packing in a smaller container first finds the solid fraction at that pressure. The real packing

@@ -106,7 +106,7 @@ class ElementSimulation(Simulation):
         run_coroutine(self.preparing(), self.stepper.advance)
 
     def place(self, packed: tuple[BodyTable, PackingReport] | None, took: float) -> None:
-        """Create the state from the result of packing, which took `took` [s], and the scene's placed bodies."""
+        """Create the state from the result of packing, which lasted `took` [s], and from the scene's placed bodies."""
         table = BodyTable.empty()
         if packed is not None:
             table, self.packing = packed

@@ -128,7 +128,7 @@ class LaunchPlanner:
         """Divide the next launch into pieces and return the number of steps of each piece.
 
         After each piece a GPU estimates the stable time step of the scenes that need an estimate, and rebuilds the
-        lists that it rebuilds by itself. `flags`, `clock` and `rows` hold one row for each scene of the batch.
+        lists that it rebuilds by itself. `flags`, `clock` and `rows` have one row for each scene of the batch.
         """
         # Convert to plain Python numbers: for one scene, arithmetic on them is ten times as fast as with NumPy, and
         # the GPU idles meanwhile.

@@ -1,7 +1,7 @@
 """Allocate the struct `Links`, in which a GPU stores one link for each pair of the neighbour lists.
 
-The lists of a GPU contain every pair twice, once for each sphere. A link stands for the pair, so that its contact force
-is computed once and then read by both spheres.
+The lists of a GPU contain every pair twice, once for each sphere. A link represents the pair, so that its contact
+force is computed once and then read by both spheres.
 """
 
 from __future__ import annotations

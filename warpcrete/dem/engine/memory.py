@@ -61,7 +61,7 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
         # Add the sub-cycled bonds: a sphere has at most three bonded pairs, and the hydrated fraction of them is stiff.
         listing += 3 * model.scene.hydration.fraction * (44 * scalar + 80) + 30 * scalar
     if model.features.analytic:
-        listing += 4 * scalar  # Add the position at which wall distances were last measured.
+        listing += 4 * scalar  # Add the sphere's position when its wall distance was last measured.
     body = size("bodies") + 3 * 4 + 8 * int(BODY_COLUMNS) + 2 * 8 + 4 * 4
     return float(body), size("spheres", "slots") / state.sphere_count + listing + estimate + probes
 

@@ -55,7 +55,7 @@ class Regrouping:
 
 
 def regroup(steppers: Sequence[SceneStepper]) -> None:
-    """Move steppers of one batch to a new batch that holds only them; their results stay the same to the bit."""
+    """Move steppers of one batch to a new batch of their own; their results stay the same to the bit."""
     old = steppers[0].batch
     old.flush()
     before = [(stepper.index, stepper.state_dict()) for stepper in steppers]

@@ -1,8 +1,8 @@
-"""Sub-cycling of stiff bonds: hydrated bonds and their bodies take several rounds within each step of other contacts.
+"""Sub-cycling of stiff bonds: hydrated bonds are integrated in several shorter rounds within each time step.
 
-This is a form of multiple time stepping. The forces of all other contacts stay constant during the rounds of a step;
-`kernels/dem/subcycling.py` explains the method. This module manages the sub-cycled pairs and bodies, the number of
-rounds, and the kernel launches.
+This is a form of multiple time stepping. The forces of all other contacts on the bodies stay constant during the rounds
+of a step; `kernels/dem/subcycling.py` explains the method. This module manages the sub-cycled pairs and bodies, the
+number of rounds, and the kernel launches.
 """
 
 from __future__ import annotations

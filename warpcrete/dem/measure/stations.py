@@ -165,7 +165,7 @@ def _filled_slices(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.n
 
 def _front(s: np.ndarray, volume: np.ndarray, behind: float) -> float:
     """Return the arc length [m] behind which the bodies have the total volume `behind`."""
-    # Sort only the farthest bodies, because sorting all bodies takes four times as long as this whole function.
+    # Sort only the farthest bodies, because sorting all bodies takes four times as long as this search for the front.
     far = len(s) // FARTHEST
     last = np.argpartition(s, len(s) - far)[len(s) - far :] if far else np.arange(len(s))
     before = float(volume.sum() - volume[last].sum()) if far else 0.0
