@@ -11,8 +11,9 @@ from click.testing import CliRunner
 from warpcrete.cli.main import cli
 from warpcrete.core.errors import SceneError
 from warpcrete.studies.validation.cases import FITTED, held_out_groups, read_cases, shipped_cases
-from warpcrete.studies.validation.predictions import KINDS
-from warpcrete.studies.validation.validate import compare, validate
+from warpcrete.studies.validation.comparison import compare
+from warpcrete.studies.validation.kinds import KINDS
+from warpcrete.studies.validation.validate import validate
 from warpcrete.theory.bands import combined
 from warpcrete.theory.pipe import Concrete, Line, steady
 

@@ -67,8 +67,7 @@ def gather_kernel(scalar, of: GridKind):
     def needed(g: Grid, mesh: Fields, geometry: Geometry, c: whole, axis: wp.int32) -> wp.bool:
         """Return whether the concrete's shear or stretch depends on the velocity of a face inside a wall.
 
-        This is so if there is concrete in a cell on either side of the face or at one of its edges, unless the wall has
-        no friction.
+        This holds if concrete is on either side of the face or at one of its edges, and the wall has friction.
         """
         low = f.at(g, f.moved(c, axis, -1))
         if mesh.solid[f.at(g, c)] == SMOOTH or mesh.solid[low] == SMOOTH:

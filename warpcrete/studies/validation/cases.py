@@ -11,6 +11,7 @@ from typing import Any
 from ...core.errors import one_of, refuse
 from ...core.inputs.amounts import amount
 from ...core.inputs.text_files import errors_located_at, read_mapping
+from .kinds import KINDS
 
 SHIPPED = Path(__file__).parents[2] / "measured" / "cases"
 FILE_KEYS = ("sources", "lines", "cases")
@@ -91,8 +92,6 @@ def read_cases(path: Path) -> list[Case]:
 
 
 def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], folder: Path) -> Case:
-    from .predictions import KINDS
-
     if not isinstance(given, Mapping):
         refuse("case", given, "must hold 'key: value' lines")
     for key in given:

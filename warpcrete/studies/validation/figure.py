@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from .predictions import KINDS
-
-if TYPE_CHECKING:
-    from .validate import Comparison
+from .comparison import Comparison
+from .kinds import KINDS
 
 COLUMNS = 4
 """Number of panels in a row of the figure."""

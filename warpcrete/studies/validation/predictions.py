@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from ...core.errors import refuse
 from ...core.inputs.amounts import amount
@@ -12,24 +10,11 @@ from ...mix.mix import Mix, mix_of
 from ...mix.rheology import HEAP_CENTRE, HEAP_CENTRE_MEDIAN
 from ...theory.bands import Band, combined
 from ...theory.inverse import BASE, HEIGHT, TOP, VOLUME
-from ...theory.pipe import Concrete, Line, steady
+from ...theory.pipe import Concrete, Line, layer_share, steady
 from ...theory.vessels import funnel_time, heap_at_rest, tall_cone_slump
 from ..lines.losses import line_of
 from ..lines.run import run_line
-
-if TYPE_CHECKING:
-    from .cases import Case
-
-
-@dataclass(frozen=True)
-class Kind:
-    """Kind of measurement: what is measured, its SI unit, and the function that predicts it."""
-
-    label: str
-    unit: str
-    predict: Callable[[Case], list[Band]]
-    """Return a prediction with its band for each measured value of a case."""
-
+from .cases import Case
 
 LINE_DENSITY = "2400 kg/m3"
 """Density assumed for a mix that states none; only weight and slump depend on it, and friction does not."""
@@ -103,18 +88,10 @@ def _layer(case: Case) -> list[Band]:
     return [_banded(mix_of_case(case), lambda c: c.slip_yield + c.slip_viscosity * speed)]
 
 
-def _thickness_share(case: Case) -> list[Band]:
+def _layer_share(case: Case) -> list[Band]:
     """Predict the share of the largest velocity in a pipe that the slip layer contributes."""
-    mix, diameter = mix_of_case(case), _number(case, "diameter", "m")
-
-    def share(concrete: Concrete, flow: float) -> float:
-        state = steady(concrete, Line(radius=diameter / 2, length=1.0, rise=0.0), flow)
-        plug = state.plug_radius
-        sheared = diameter / 2 - plug
-        bulk = (state.wall_stress / diameter) * sheared**2 / concrete.viscosity if sheared > 0 else 0.0
-        return state.slip_velocity / (state.slip_velocity + bulk)
-
-    return [_banded(mix, lambda c, q=q: share(c, q)) for q in case.flows]
+    mix, line = mix_of_case(case), Line(radius=_number(case, "diameter", "m") / 2, length=1.0, rise=0.0)
+    return [_banded(mix, lambda c, q=q: layer_share(c, line, q)) for q in case.flows]
 
 
 def _slump(case: Case) -> list[Band]:
@@ -151,14 +128,8 @@ def _funnel(case: Case) -> list[Band]:
     return [_banded(mix, time)]
 
 
-KINDS = {
-    "pipe": Kind("friction of straight pipe", "Pa/m", _pipe),
-    "ratio": Kind("friction relative to another concrete", "1", _ratio),
-    "line": Kind("friction of a whole line", "Pa", _line),
-    "layer": Kind("wall stress of the slip layer", "Pa", _layer),
-    "profile": Kind("share of the layer in the velocity", "1", _thickness_share),
-    "slump": Kind("slump", "m", _slump),
-    "spread": Kind("spread", "m", _spread),
-    "funnel": Kind("time of the V-funnel", "s", _funnel),
-}
-"""Kinds of measurements that are compared with predictions, by name."""
+PREDICTORS = {
+    "pipe": _pipe, "ratio": _ratio, "line": _line, "layer": _layer, "profile": _layer_share, "slump": _slump,
+    "spread": _spread, "funnel": _funnel,
+}  # fmt: skip
+"""Functions that return a prediction with its band for each measured value of a case, by the kind of the case."""

@@ -14,33 +14,12 @@ import numpy as np
 from ...core.drawing.html import html_table
 from ...core.errors import WarpcreteError, one_line, one_of
 from ...core.run.files import atomic_file, write_json
-from ...theory.bands import Band
 from .cases import Case, held_out_groups, shipped_cases
-from .predictions import KINDS, line_weight
+from .comparison import Comparison, compare
+from .figure import draw
+from .kinds import KINDS
 
 Progress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Prediction of one case next to its measurement; several flows are averaged geometrically."""
-
-    case: Case
-    held_out: bool
-    """True if no constant of the program may be fitted to the case."""
-    measured: float
-    band: Band
-    """Prediction and its band, in the SI unit of the case's kind."""
-
-    @property
-    def ratio(self) -> float:
-        """Prediction divided by measurement."""
-        return self.band.value / self.measured
-
-    @property
-    def inside(self) -> bool:
-        """Whether the measured value lies in the band."""
-        return self.band.contains(self.measured)
 
 
 @dataclass(frozen=True)
@@ -115,8 +94,6 @@ class Validation:
 
     def plot(self) -> Any:
         """Return a Matplotlib figure of predicted over measured values with their bands."""
-        from .figure import draw
-
         return draw(self.comparisons)
 
     def write(self, folder: Path) -> None:
@@ -169,17 +146,6 @@ def validate(
         except WarpcreteError as error:
             refused[case.name] = one_line(str(error))
     return Validation(found, refused)
-
-
-def compare(case: Case, held_out: bool = False) -> Comparison:
-    """Predict one case; raises :class:`SceneError` if the program refuses its inputs."""
-    bands = KINDS[case.kind].predict(case)
-    measured = np.array(case.measured)
-    if case.kind == "line":
-        measured = measured - line_weight(case)
-    value, low, high = (float(np.exp(np.mean(np.log([max(getattr(x, end), 1e-9) for x in bands]))))
-                        for end in ("value", "low", "high"))  # fmt: skip
-    return Comparison(case, held_out, float(np.exp(np.mean(np.log(measured)))), Band(value, low, high, bands[0].shares))
 
 
 def _summary(kind: str, chosen: str, part: Sequence[Comparison]) -> Summary:
