@@ -36,10 +36,7 @@ LIGHT = wp.constant(0.1)
 
 @functools.cache
 def gather_kernel(scalar, of: GridKind):
-    """Build the kernel that determines kind, volume of concrete and initial velocity of each face in a step.
-
-    The velocity is interpolated from the particles around the face. The kernel runs with one task per cell.
-    """
+    """Build the kernel that determines the kind and volume of each face, and its velocity from nearby particles."""
     dims, last = of.dimensions, of.dimensions - 1
     t = mps_types(scalar, dims)
     whole = t.whole
