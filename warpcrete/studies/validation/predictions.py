@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 from ...core.errors import refuse
 from ...core.inputs.amounts import amount
 from ...mix.mix import Mix, mix_of
-from ...mix.rheology import HEAP_CENTRE, HEAP_CENTRE_MEDIAN
+from ...mix.rheology import HEAP_CENTRE, HEAP_CENTRE_MEDIAN, READ_SPREAD
 from ...theory.bands import Band, combined
 from ...theory.inverse import BASE, HEIGHT, TOP, VOLUME
 from ...theory.pipe import Concrete, Line, layer_share, steady
-from ...theory.vessels import funnel_time, heap_at_rest, tall_cone_slump
+from ...theory.vessels import funnel_time, heap_at_rest, long_heap_spread, tall_cone_slump
 from ..lines.losses import line_of
 from ..lines.run import run_line
 from .cases import Case
@@ -112,20 +113,46 @@ def _slump(case: Case) -> list[Band]:
 
 
 def _spread(case: Case) -> list[Band]:
-    """Predict the spread [m] from the yield stress of the mix."""
+    """Predict the spread [m] from the yield stress of the mix.
+
+    The band includes the reading error and the difference between a heap that resists its stretch and a long one.
+    """
     mix = mix_of_case(case)
-    return [_banded(mix, lambda c: 2 * heap_at_rest(VOLUME, c.yield_stress, c.density)[0])]
+    own = mix.concrete
+
+    def width(stress: float) -> float:
+        return 2 * heap_at_rest(VOLUME, stress, own.density)[0]
+
+    spread = width(own.yield_stress)
+    ends = {
+        "yield stress": (width(mix["yield stress"].high), width(mix["yield stress"].low)),
+        "theory": (spread, long_heap_spread(VOLUME, own.yield_stress, own.density)),
+        "reading": (spread - READ_SPREAD, spread + READ_SPREAD),
+    }  # fmt: skip
+    return [combined(spread, ends)]
+
+
+FUNNEL = (0.0325, 0.2575), (0.15, 0.6), 0.075
+"""Half widths and heights of the V-funnel of EN 12350-9, and the distance of its parallel sides [m]."""
 
 
 def _funnel(case: Case) -> list[Band]:
-    """Predict the time of the V-funnel of EN 12350-9 [s]."""
+    """Predict the time of the V-funnel [s].
+
+    Concrete neither sticks to the funnel's wet steel nor slips on it as in a pipe. The prediction is the geometric mean
+    of both times, and its band reaches from one to the other.
+    """
     mix = mix_of_case(case)
-    sizes = (0.0325, 0.2575), (0.15, 0.6), 0.075
 
-    def time(concrete: Concrete) -> float:
-        return funnel_time(*sizes, concrete.viscosity, concrete.yield_stress, concrete.density)
+    def time(concrete: Concrete, slips: bool) -> float:
+        layer = (concrete.slip_viscosity, concrete.slip_yield) if slips else None
+        return funnel_time(*FUNNEL, concrete.viscosity, concrete.yield_stress, concrete.density, layer=layer)
 
-    return [_banded(mix, time)]
+    slips, sticks = (_banded(mix, lambda c, s=slips: time(c, s)) for slips in (True, False))
+    value = math.sqrt(slips.value * sticks.value)
+    ends = {"walls": (slips.value, sticks.value),
+            "concrete": (value * slips.low / slips.value, value * sticks.high / sticks.value)}  # fmt: skip
+    return [combined(value, ends)]
 
 
 PREDICTORS = {
