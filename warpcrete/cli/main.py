@@ -507,8 +507,10 @@ def line_command(line: str, **settings: Any) -> None:
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Write the resulting concrete to this new file, for --concrete"
 )
-def mix_command(name: str, out: Path | None) -> None:
-    _part("mix").run(name, out)
+@click.option("--bore", help="Narrowest bore through which the concrete is pumped, such as '100 mm', for the rule on "
+              "the largest stone")  # fmt: skip
+def mix_command(name: str, out: Path | None, bore: str | None) -> None:
+    _part("mix").run(name, out, bore)
 
 
 @cli.command("schema")
