@@ -57,8 +57,8 @@ def scene(parameters: BoxParameters) -> FreeScene:
     """Model a column of concrete that flows into a box when its gate is lifted (L-box test).
 
     The results are the ratio H2/H1 of the depth at the box's far end to that at the gate, and the times T200 and T400
-    at which the front has advanced by 200 and 400 mm. Raises :class:`warpcrete.SceneError` for parameters that cannot
-    be simulated.
+    at which the front is 200 and 400 mm away from the gate. Raises :class:`warpcrete.SceneError` for parameters that
+    cannot be simulated.
     """
     given = parameters
     if given.length < given.column_width + 0.1:

@@ -21,10 +21,10 @@ PARTS = 20
 STONES = 5
 """Minimum number of aggregates in each of the parts of the concrete that are checked for standing still."""
 CHECKS_PER_WINDOW = 8
-"""Number of checks for blockage while the piston travels one window.
+"""Number of checks for blockage per window.
 
-The pipe counts as blocked if a part of the concrete stands still, and the pressure rises, while the piston travels one
-window.
+The window is the travel of the piston during which a part of the concrete must stand still, and the pressure must rise,
+for the pipe to count as blocked.
 """
 STANDING_RATIO = 0.2
 """Ratio of the advance of a part of the concrete to that of the piston, below which the part counts as standing still.

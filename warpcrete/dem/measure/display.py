@@ -36,7 +36,10 @@ WEAR_PALETTE = "magma_r"
 """Colour map of wear, different from that of aggregates and pale where a wall is not worn."""
 NANOMETRES = 1e9
 WEAR_QUANTILE = 0.99
-"""Quantile of worn depth at the top of the colour scale, because single patches are worn far deeper than the rest."""
+"""Quantile of the depths of all worn patches that sets the top of the colour scale.
+
+The largest depth is unsuitable, because single patches are worn far deeper than the rest.
+"""
 BONDS = (230, 140, 30)
 OURS, MEAN = (215, 95, 30), (90, 120, 170)
 ALONG = (("along the pipe", "axial_stress", OURS), ("mean normal", "pressure", MEAN))

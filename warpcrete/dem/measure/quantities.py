@@ -190,9 +190,10 @@ def free_energy(series: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def energy_balance(known: Known) -> float | None:
-    """Return the relative error of the energy balance: stored and dissipated energy minus work, end against start.
+    """Return the relative error of the energy balance of a run.
 
-    The error is relative to the work, the dissipation or the largest energy of motion and springs, whichever is
+    The error is the change of the stored energy plus the dissipated energy minus the work done, from the first to the
+    last sample. It is divided by the work, the dissipation or the largest energy of motion and springs, whichever is
     largest. The result is None if dissipation was not summed (`Scene.energy_balance`), and NaN if nothing ever moved.
     """
     series = known.series

@@ -14,7 +14,7 @@ from .probes import deepest_sphere, farthest_body, fastest_body
 from .sampling import STORED
 
 MAX_ROUNDING = (
-    1e-3  # largest rounding error of positions over the smallest radius; an overlap of 1 % is then exact to one digit
+    1e-3  # limit of the rounding error of positions over the smallest radius; overlaps of 1 % then keep one exact digit
 )
 
 

@@ -65,7 +65,10 @@ def _mean(wall: WornWall, known: Any, column: int) -> float:
 
 
 def places(wall: WornWall, scene: Any) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return arc length [m] and angle [rad] of the middle of each patch of a pipe or pipe-like mesh; else None."""
+    """Return arc length [m] and angle about the axis [rad] of the middle of each patch of a pipe or pipe-like mesh.
+
+    Returns None for all other walls.
+    """
     patches = wall.patches
     if isinstance(patches, PipePatches):
         return np.repeat(patches.along, patches.around), np.tile(patches.angles, patches.stations)

@@ -440,7 +440,10 @@ class PipeParameters(
 
     @property
     def stops(self) -> Stops | None:
-        """Stops of the piston, or None if it never stops; the last stroke ends with the run, at full speed."""
+        """Stops of the piston between strokes, or None if it never stops.
+
+        No stop follows the last stroke: the run ends while the piston moves at full speed.
+        """
         if self.strokes == 1 or self.pause == 0:
             return None
         return Stops(count=self.strokes - 1, stroke_time=self.each / self.velocity + self.ramp_time, pause=self.pause)

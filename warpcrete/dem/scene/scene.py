@@ -32,7 +32,7 @@ __all__ = [
 
 
 MUCH_STIFFER = 200.0
-"""Ratio of the hydrated bonds' modulus to the largest other modulus from which sub-cycling saves computing time.
+"""Ratio of moduli above which sub-cycling saves computing time: that of hydrated bonds to the largest other modulus.
 
 At a ratio of 100, a run with sub-cycling takes as long as one in which all bonds take the same small steps.
 """
