@@ -9,7 +9,10 @@ from ..theory.vessels import funnel_time
 from .standard_test import ClosedForm, Outcome, Outflow, Sizes, Specimen, StandardTest
 
 LIGHT = 0.5
-"""Covered fraction of the outlet below which light counts as seen through the funnel, which ends the test."""
+"""Fraction of the outlet that is covered by concrete, seen from above, below which the test ends.
+
+The funnel then counts as empty, because light can be seen through it.
+"""
 
 
 def _measure(concrete: Specimen, size: Sizes) -> dict[str, float]:

@@ -54,7 +54,10 @@ def measured(vessel: Vessel, spheres: np.ndarray, velocity: np.ndarray) -> dict[
 
 
 def at_rest(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
-    """Return whether the main body of the heap was slow for a second since its release; False in a test of outflow."""
+    """Return whether the main body of a heap has stayed slow for one second after its release.
+
+    Returns False in tests in which the concrete flows out of a vessel.
+    """
     return vessel.test.outflow is None and is_at_rest(rows, vessel.opened, vessel.rest_speed)
 
 

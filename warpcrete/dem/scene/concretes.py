@@ -16,10 +16,11 @@ SIZES = ("sizes", "size_min", "size_max")
 COVERAGE = 0.8
 """Ratio of the area on which the lubrication layer acts to the area of the wall.
 
-The layer acts on pi r^2 of every wall contact. For clumps with the contacts of Zhan (2019, Table 1),
-`tests/bench/bench_layer.py` measures a ratio of 0.77 at a pressure of 2.8 kPa and 0.79 at 6.2 kPa. With 0.8, Zhan's
-pipe units A and B with the concretes no. 1 and no. 3 of Xu (2021) agree within 4 % with the closed form for plug flow.
-Single spheres roll along the layer: without friction between them the effective ratio is 0.02.
+The layer acts on the area pi r^2 of every wall contact of a sphere with the radius r. For clumps with the contacts of
+Zhan (2019, Table 1), `tests/bench/bench_layer.py` measures a ratio of 0.77 at a pressure of 2.8 kPa and 0.79 at 6.2
+kPa. With 0.8, Zhan's pipe units A and B with the concretes no. 1 and no. 3 of Xu (2021) agree within 4 % with the
+closed form for plug flow. Single spheres without friction between them roll along the layer, so that their effective
+ratio is only 0.02.
 """
 
 
