@@ -1,4 +1,4 @@
-"""Output streams of the command line."""
+"""Preparation of the output streams of the command line."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ from ..theory.segregated import segregation_table
 THIXOTROPY = 0.5
 """Default growth rate A_thix of the yield stress at rest [Pa/s], for moderate stiffening (Roussel 2006)."""
 LINE = ("length", "rise", "gravity")
-"""Fields of a pipeline that are parameters of the command under the same name. The pipeline's radius is half the
+"""Properties of a pipeline that the command takes as parameters of the same names. The pipeline's radius is half the
 parameter `diameter`."""
 
 
@@ -72,7 +72,8 @@ def run(
         field.check_limits(values[name], name)
     thickness = values["slip_thickness"]
     constants = {name: values[name] for name in CONSTANTS}
-    if fit is not None:  # The fit replaces the slip layer's constants, so placeholders stand for missing ones.
+    # The fit will replace the constants of the slip layer. Constants that are not stated get placeholders until then.
+    if fit is not None:
         constants |= {name: constants[name] or 1.0 for name in ("slip_viscosity", "slip_yield")}
     concrete = concrete_of(values["concrete"], **constants)
     for flow in flows:

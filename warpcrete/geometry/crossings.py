@@ -10,8 +10,8 @@ import numpy as np
 from .axis import Axis
 
 HALF_TURN = 0.51 * math.pi
-"""Distance along the axis, in pipe diameters, within which a bent pipe may be close to itself without crossing
-itself."""
+"""Smallest distance along the axis, in pipe diameters, between two pieces that are checked for a crossing. In a tight
+bend, pieces nearer to each other along the axis may be close together without crossing."""
 
 
 def first_crossing(axis: Axis, spans: Sequence[tuple[float, float, int]], gap: float = 0.0) -> tuple[int, int] | None:

@@ -244,9 +244,10 @@ def equal_radii(sections: np.ndarray) -> np.ndarray:
 def pipe_in(
     vertices: np.ndarray, faces: np.ndarray, field: str, name: str, axis: Axis, radius: float, length: float
 ) -> InnerSurface:
-    """Return the inner surface of a mesh that must be a pipe of about `radius` [m] along the first `length` [m].
+    """Return the inner surface of a mesh, after checking that the mesh is a pipe of about `radius` [m].
 
-    Raises :class:`SceneError` if the mesh is no such pipe, or if its wall differs from `radius` by more than a tenth.
+    The check covers the first `length` [m] of the pipe. Raises :class:`SceneError` if the mesh is no such pipe, or if
+    its wall differs from `radius` by more than a tenth.
     """
     surface = InnerSurface(vertices, faces, axis, radius, field, name, (0.0, length))
     reach = surface.sections(np.linspace(0.0, length, max(8, int(length / radius))))

@@ -12,7 +12,7 @@ if TYPE_CHECKING:  # Do not import trimesh at run time, because that takes half 
     import trimesh
 
 SIDES = 48
-"""Number of sides of round solids."""
+"""Number of sides of the regular polygon that approximates the circular cross-section of a solid."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Solid:
     sides: np.ndarray
     """Faces between the two rings, two for each pair of neighbouring corners of a ring, shape (2 n, 3)."""
     ends: np.ndarray
-    """Faces of the two ends, shape (2 n, 3)."""
+    """Triangles that close the two ends of the solid, shape (2 n, 3)."""
 
     @property
     def faces(self) -> np.ndarray:
@@ -76,7 +76,10 @@ def rectangle(corner: Sequence[float], one: Sequence[float], other: Sequence[flo
 
 
 def _between(first: np.ndarray, last: np.ndarray, middles: np.ndarray) -> Solid:
-    """Return the solid between two rings with the same sense of rotation, each closed by triangles about its centre."""
+    """Return the solid between two rings of corners that run in the same sense.
+
+    Each end is closed by triangles between the ring and its centre in `middles`.
+    """
     n = len(first)
     vertices = np.concatenate([first, last, middles])
     k = np.arange(n)

@@ -1,4 +1,4 @@
-"""Reading of runs from their folders."""
+"""Functions that read saved runs from their run folders."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ..core.run.run import Run, Table
 from ..scenes import modules
 
 TABLES = ("stations",)
-"""Names of the tables that a run folder may hold in addition to its series."""
+"""Names, without suffix, of further table files that a run folder may hold in addition to series.csv."""
 
 
 def load(folder: Path | str) -> Run:

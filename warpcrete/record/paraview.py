@@ -45,7 +45,7 @@ class ParaViewRecorder(Recorder):
         self._files: dict[str, Poly] = {}
 
     def start(self, simulation: Simulation) -> None:
-        """Prepare the files, the walls, and the display, which provides the data to be drawn."""
+        """Prepare the files and the walls. The display prepared here provides the data of all later frames."""
         self._display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._walls = self._display.walls()
         self._open()
@@ -60,7 +60,7 @@ class ParaViewRecorder(Recorder):
             self._files["contacts"] = Poly(self.folder / "contacts.vtkhdf", "Lines")
 
     def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
-        """Remove the frames after the checkpoint, and frames that are not in all files."""
+        """Shorten the files to the frames that all files contain, at most those written before the checkpoint."""
         self._display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._walls = self._display.walls()
         self._open()
@@ -72,7 +72,7 @@ class ParaViewRecorder(Recorder):
             file.shorten(self._frames)
 
     def frame(self, simulation: Simulation) -> None:
-        """Draw the current state as one step of each file."""
+        """Append the current state of bodies, walls and contacts to the files, as a new time step."""
         self._display.draw(self._later, self._draw)
 
     def _draw(self, time: float, steps: int) -> None:

@@ -35,7 +35,7 @@ class RecorderKind:
     """Optional recorder, with its name, default and help text."""
 
     name: str
-    """Name of the command-line option, and of the setting stored for a resumed run."""
+    """Name of the recorder. The command-line option and the setting stored for a resumed run have the same name."""
     default: bool
     """True if `warpcrete run` uses the recorder by default; studies use none by default."""
     help: str

@@ -133,7 +133,7 @@ class Colours:
 
     def __init__(self, primvar: Any) -> None:
         self._primvar = primvar
-        known = primvar.Get()  # If the recording of a file is continued, start with the colour table of that file.
+        known = primvar.Get()  # If an existing USD file is continued, start with the table of colours in that file.
         self._table = np.zeros((0, 3), np.float32) if known is None else np.array(known, np.float32)
         self._numbers: dict[bytes, int] = {row.tobytes(): number for number, row in enumerate(self._table)}
         # Indices in the table of the colours used so far; the keys are packed RGB bytes.
@@ -161,9 +161,10 @@ class Colours:
 
 
 class Painted:
-    """Colours over time of a wall that shows a quantity such as wear, as indices into a table of colours.
+    """Colours over time of a wall that shows a quantity such as wear. The file stores indices into a table of colours.
 
-    The table is common to all frames; its entries belong to the discrete values to which :class:`.Paint` rounds.
+    The table is the same for all frames. Each of its entries belongs to one of the discrete values to which
+    :class:`.Paint` rounds.
     """
 
     def __init__(self, mesh: Any) -> None:
@@ -174,7 +175,7 @@ class Painted:
         self._paint: Paint | None = None
 
     def set(self, values: np.ndarray, paint: Paint, code: Any) -> None:
-        """Set the values of the vertices, shape (v,), in the paint's unit, at a time code."""
+        """Colour the wall at a USD time code by the `values` at its vertices, shape (v,), in the unit of `paint`."""
         from pxr import Vt
 
         if paint != self._paint:

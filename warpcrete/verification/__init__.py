@@ -27,7 +27,10 @@ def cases() -> list[Case]:
 def run_cases(
     chosen: list[Case], device: str, precision: str, *, slow: bool = True
 ) -> Iterator[tuple[Case, list[Row]]]:
-    """Run cases one after the other; a case that raises an error yields a single row, which fails."""
+    """Run verification cases one after the other, and yield each case with the rows of its results.
+
+    If a case raises an error, its only row is one that counts as failed and states the error.
+    """
     for case in chosen:
         if slow or not case.slow:
             try:
@@ -38,7 +41,7 @@ def run_cases(
 
 
 def table(results: list[tuple[Case, list[Row]]]) -> str:
-    """Return a Markdown table of all rows."""
+    """Return a Markdown table with one line for each computed quantity."""
     lines = [
         "| case | quantity | computed | expected | error | tolerance | | source of the expected value |",
         "|---|---|---|---|---|---|---|---|",

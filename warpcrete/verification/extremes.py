@@ -215,7 +215,11 @@ def matrix(device: str, precision: str, *, large: bool = False) -> list[Outcome]
 
 
 def table(outcomes: list[Outcome]) -> str:
-    """Return a Markdown table of results; the many corner cases are summarised with one line per kind of result."""
+    """Return a Markdown table of the results of all scenes.
+
+    Scenes in which every parameter is extreme (corners of the parameter space) are numerous. Their results are
+    therefore summarised, with one line for each kind of result.
+    """
     lines = ["| scene | deepest overlap | unexplained energy | outcome |", "|---|---|---|---|"]
     corners = [o for o in outcomes if o.name.startswith("corner")]
     for o in outcomes:

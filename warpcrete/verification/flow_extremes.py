@@ -145,9 +145,8 @@ MUST: dict[str, str] = {
         ("a concrete that shears, for 1 s", ""),
     )
 }
-"""Flows that need not run to the end, each with part of the message with which the flow must stop. If the text is
-empty, running and stopping are both acceptable.
-"""
+"""Flows that are allowed or required to stop early, each with a part of the expected error message. If that text is
+empty, running to the end and stopping are both acceptable."""
 AXES: dict[str, tuple[float, float]] = {
     "viscosity": (0.1, 1e5),
     "yield_stress": (0.0, 1e4),
@@ -161,7 +160,11 @@ AXES: dict[str, tuple[float, float]] = {
 
 
 def scenes() -> Iterator[Case]:
-    """Yield name, scene and number of steps of every case: single extremes, special flows, and corners of `AXES`."""
+    """Yield name, scene and number of steps of every case.
+
+    In the cases, single parameters are extreme, the flow is a special one, or all parameters in `AXES` are extreme at
+    once.
+    """
     for d in (2, 3):
         yield from _singles(f"{d}D: ", d)
     for corner in itertools.product(*AXES.values()):

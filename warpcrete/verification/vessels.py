@@ -29,7 +29,7 @@ RADIUS, SPEED = 0.05, 0.19
 
 @dataclass(frozen=True)
 class _Paste:
-    """Parameters of a flow on a grid."""
+    """Concrete of a flow on a grid, with the parameters of the solver."""
 
     concrete: Concrete
     time_step: float
@@ -41,7 +41,10 @@ class _Paste:
 
 
 def _filled(room: Room, walls: list[tuple[Distance, int]], abreast: int) -> dict:
-    """Return the arguments of a layout in which concrete fills the whole room except for the walls."""
+    """Return the arguments of a layout for a `room` that is filled with concrete except for the space inside its walls.
+
+    The layout has `abreast` particles across the width of the room.
+    """
     geometry, nearest = geometry_of(room, walls), nearest_wall(room, walls)
     places, mass = fill_cells(room, abreast, lambda points: nearest(points)[0] > 0)
     return {
@@ -128,9 +131,10 @@ def cylinders_with_layers(device: str, precision: str) -> list[Row]:
 
 
 def round_pipe(device: str, precision: str, cells: int, yield_stress: float) -> GridFlow:
-    """Return the flow in a periodic round pipe, on a grid in space with `cells` cells across.
+    """Return the flow in a periodic round pipe, on a three-dimensional grid.
 
-    The grid is a tenth wider than the pipe, and the pipe's axis lies off the centre of the grid.
+    Across its width, the grid has `cells` cells. The grid is a tenth wider than the pipe, and the pipe's axis does not
+    lie in the middle of the grid.
     """
     h = 2.2 * RADIUS / cells
     room = Room((cells, cells, 2), (h,) * 3, (-1.1 * RADIUS + 0.13 * h, -1.1 * RADIUS - 0.21 * h, 0.0),
@@ -147,7 +151,8 @@ def round_pipe(device: str, precision: str, cells: int, yield_stress: float) -> 
 
 def pipe_gradient(yield_stress: float) -> float:
     """Return the pressure gradient of the round pipe according to Buckingham and Reiner [Pa/m]."""
-    # Find the wall stress by bisection, such that the mean velocity of the law equals SPEED.
+    # Find the stress at the wall by bisection, such that the mean velocity by the formula of Buckingham and Reiner
+    # equals SPEED.
     low, high = yield_stress, 1e5
     for _ in range(100):
         stress = 0.5 * (low + high)

@@ -68,7 +68,8 @@ class Posterior:
 
     task: Task
     emulators: dict[Target, Emulator]
-    """Emulators of all fitted targets and of held-out targets with enough values."""
+    """Emulators by target. Every fitted target has one, and every held-out target for which enough runs yielded a
+    value."""
     samples: np.ndarray
     """Samples of the posterior as points of the unit cube, shape (n, free)."""
     best: np.ndarray
@@ -169,7 +170,10 @@ def _log_success(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.nd
 
 
 def confounded_pairs(found: Posterior, close: float = 0.9) -> list[tuple[str, str, float]]:
-    """Return pairs of parameters so correlated (at least `close`) that the data determine only their combination."""
+    """Return the pairs of parameters whose correlation has a magnitude of at least `close`.
+
+    The data determine only a combination of the two parameters of such a pair.
+    """
     names = [free.name for free in found.task.free]
     matrix = found.correlations()
     return [

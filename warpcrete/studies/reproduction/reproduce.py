@@ -20,7 +20,7 @@ from .state import Reproduction, key_of, unit_case
 PAPERS = ("zhan", "xu")
 RECORD = "reproduction.json"
 KNOWN_RESULTS = "known.json"
-"""Name of the file with results from earlier reproductions."""
+"""Name of the file to which results from earlier reproductions are copied."""
 QUICK = ("literal", "calibrated")
 """Concretes in a quick reproduction."""
 HYDRATED = ("calibrated", "literal")
@@ -130,7 +130,10 @@ def _results(folder: Path, paper: str, quick: bool) -> dict[str, Any]:
 
 
 def zhan_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
-    """Return the group, scene and parameters of each study for Zhan et al. 2019, the most expensive last."""
+    """Return the studies of those cases of Zhan et al. 2019 that have no result yet, the most expensive studies last.
+
+    A study is a group, a scene and the parameters of its cases.
+    """
     names = reproduction.columns or (QUICK if reproduction.quick else (*CONCRETES, *OPEN_ASSUMPTIONS))
     studies = [(name, _cases(reproduction, name, hydrated=False)) for name in names]
     hydrated = [name for name in HYDRATED if name in names and not reproduction.quick]
@@ -159,7 +162,10 @@ def _cases(reproduction: Reproduction, name: str, hydrated: bool) -> list[dict[s
 
 
 def xu_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
-    """Return the group, scene and parameters of each study for Xu, Li & Jiang 2021."""
+    """Return the studies of those cases of Xu, Li & Jiang 2021 that have no result yet.
+
+    A study is a group, a scene and the parameters of its cases.
+    """
     studies = []
     for group, cases in xu_cases(reproduction.quick).items():
         for scene in dict.fromkeys(scene for scene, _ in cases):
@@ -209,7 +215,8 @@ def _store_results(reproduction: Reproduction, group: str, study: Study) -> None
     keys = read_json(study.folder.with_suffix(".json"))
     for case in study.cases:
         named = keys[case.name]
-        for key in [named] if isinstance(named, str) else named:  # in version 0.2, a case has a single key
+        # In files of version 0.2, each case belongs to a single key, stored as a text instead of a list.
+        for key in [named] if isinstance(named, str) else named:
             if case.name in study.results:
                 reproduction.results[key] = study.results[case.name]
             elif case.name in study.failures:

@@ -169,7 +169,7 @@ def _number(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else "-"
 
 
-FLOOR = 1e-4  # smallest error in the figure, because a logarithmic axis has no zero
+FLOOR = 1e-4  # Smallest error that the figure draws; a logarithmic axis has no zero.
 MARKERS = {GIVEN: "*", REFERENCE: "P", COMBINED: "D"}
 NEAR = 0.05  # labels closer than this fraction of the figure would overlap
 
