@@ -107,7 +107,10 @@ NO_NUMBERS = ("nan", "inf", "infinity")
 
 
 def quantity_of(value: Any, field: Field, called: str) -> float:
-    """Return a number, or a text such as "125 mm", in the field's unit; `called` is the name of its option."""
+    """Convert the value of an option to a number in the unit of `field`.
+
+    The value is a number, or a text such as "125 mm". `called` is the name of the option in error messages.
+    """
     if isinstance(value, str) and value.strip().lower().lstrip("+-") in NO_NUMBERS:
         return float(value)  # Accept NaN and infinity here, because the check of the parameter refuses them later.
     return amount(called, value, field.units)

@@ -56,7 +56,7 @@ def run(
     rest: float | None = None, thixotropy: float | None = None, segregation: Sequence[float] = (),
     aggregate: float | None = None,
 ) -> None:  # fmt: skip
-    """Print the closed-form solution for the parameters `given`, with defaults for the others.
+    """Print the closed-form solution for the parameters in `given`, with default values for the others.
 
     With `fit`, a file of measured points, the slip layer is fitted to these points. With `rest` [s], the pressure for a
     restart after that time at rest is added. With `segregation`, the effect of segregation on the pressure is added;
@@ -113,7 +113,10 @@ def growth_of(rest: float | None, thixotropy: float | None) -> float:
 
 
 def _fitted(concrete: Concrete, line: Line, flows: list[float], pressures: list[float]) -> Concrete:
-    """Return the concrete with a slip layer fitted to measured points, and print the quality of the fit."""
+    """Return the concrete with a slip layer fitted to measured points, and print the quality of the fit.
+
+    The points are flows [m3/s] and the pressures measured at these flows [Pa].
+    """
     fit = measured_layer(concrete, line, flows, pressures)
     found = replace(concrete, slip_viscosity=fit.slope, slip_yield=fit.offset)
     off = [steady(found, line, flow).pressure / pressure - 1 for flow, pressure in zip(flows, pressures)]

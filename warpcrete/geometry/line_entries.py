@@ -42,8 +42,8 @@ PARTS = {
         "outlet": ("m", "Inner diameter behind it"),
     },
 }
-"""Kinds of pipeline parts, each with its entries, their units and meaning. A part given as a single value states its
-first entry."""
+"""Kinds of pipeline parts. Each kind has entries with their units and meaning. If a pipeline file gives a part a single
+value, this value belongs to the first entry."""
 LIMITED_AS = {
     "largest_stone": "size_max",
     "recorded": "pressure",

@@ -39,7 +39,7 @@ AXIS_TOLERANCE = 0.004
 STRAIGHT_TOLERANCE = 0.004
 """Largest angle between a straight piece of the axis and the directions of its cross-sections [rad]."""
 LEAST_STRAIGHT = 4
-"""Smallest number of intervals between cross-sections that form a straight piece of the axis."""
+"""Smallest number of intervals between neighbouring cross-sections that a straight piece of the axis spans."""
 NEAREST = 1e-3
 """Distance between the start of the bore and its first cross-section, relative to the size of the mesh."""
 ASIDE = 0.02
@@ -98,7 +98,10 @@ def follow(
 
 
 def _square(queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, ahead: np.ndarray) -> None:
-    """Turn cross-sections perpendicular to the curve through their centres; points and radii change in place."""
+    """Turn cross-sections perpendicular to the curve through their centres.
+
+    The function changes the arrays `points` and `radii` in place.
+    """
     for _ in range(TURNING_ROUNDS):
         tangents = directions(points, ahead)
         for k in range(1, len(points)):
@@ -155,7 +158,10 @@ def pieces_through(points: np.ndarray, ahead: np.ndarray, radius: float) -> tupl
 
 
 def directions(points: np.ndarray, ahead: np.ndarray) -> np.ndarray:
-    """Return unit tangents of a curve at points (n, 3), from parabolas through neighbours; the first is `ahead`."""
+    """Return unit tangents of a curve at points (n, 3), from parabolas through neighbouring points.
+
+    The tangent at the first point is `ahead`.
+    """
     found = np.empty_like(points)
     count = len(points)
     for k in range(count):
@@ -215,8 +221,8 @@ def _follow_bore(
     else:
         refuse(field, name, f"is longer than {MAX_SECTIONS} quarters of its radius",
                "split it into several parts")  # fmt: skip
-    # Drop the last cross-section, whose rays may end on a lid, and cross-sections close together, because the direction
-    # between their centres is inaccurate.
+    # Drop the last cross-section, because its rays may end on a lid. Also drop cross-sections close to the previous
+    # one, because the direction between two close centres is inaccurate.
     kept = [0]
     for k in range(1, len(points) - 1):
         if np.linalg.norm(points[k] - points[kept[-1]]) > 0.5 * ADVANCE * radii[k]:
@@ -250,7 +256,11 @@ def _next_section(
 
 
 def _slope(points: list[np.ndarray], last: np.ndarray, apart: float, tangent: np.ndarray) -> np.ndarray:
-    """Return the unit direction at point `last`, from a parabola through it and two points spaced by `apart` [m]."""
+    """Return the unit direction at point `last`, from the parabola through it and two earlier points.
+
+    The points of the parabola are at least `apart` [m] from each other. With fewer earlier points, the direction comes
+    from the chord or is `tangent`.
+    """
     chosen = [last]
     for point in reversed(points):
         if np.linalg.norm(point - chosen[-1]) >= apart:
@@ -354,7 +364,11 @@ def _straight(
     points: np.ndarray, tangents: np.ndarray, here: int, stop: int, position: np.ndarray, tangent: np.ndarray,
     allowed: float,
 ) -> Curve:  # fmt: skip
-    """Return the line from `position` along `tangent` if it passes the next points closely enough, else None."""
+    """Return the line from `position` along `tangent` to the point with index `stop`.
+
+    The result is None if the line passes too far from the points up to `stop`, or if the tangents at these points
+    deviate too much from the line.
+    """
     offset = points[here + 1 : stop + 1] - position
     along = offset @ tangent
     beside = np.linalg.norm(offset - along[:, None] * tangent, axis=1)

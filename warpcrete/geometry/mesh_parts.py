@@ -144,7 +144,8 @@ def _measured(
 ) -> MeshBore:
     """Find the axis of a mesh file and measure its bore.
 
-    The `digest` of the file's content is part of the cache key, so that a changed file of the same name is read again.
+    Results are cached. The `digest` of the file's content is part of the cache key, so that a changed file of the same
+    name is read again.
     """
     mesh, name = load(file, fields[0], scale), str(file)
     extent = float(mesh.extents.max())

@@ -61,7 +61,7 @@ class Surfaces:
         return np.concatenate([np.empty((0, 3)), *self._corners])
 
     def faces(self) -> np.ndarray:
-        """Return the corner indices of each face, shape (faces, 3)."""
+        """Return the corner indices of the faces of all meshes, shape (faces, 3)."""
         return np.concatenate([np.empty((0, 3), np.int32), *self._faces]).astype(np.int32)
 
     def across(self) -> np.ndarray:

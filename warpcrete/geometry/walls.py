@@ -131,7 +131,7 @@ class _Wall:
 
     @property
     def origin(self) -> np.ndarray:
-        """Origin of the wall's frame at the start [m], shape (3,)."""
+        """Origin of the wall's frame at the start of the simulation [m], shape (3,)."""
         return np.zeros(3)
 
     @property

@@ -132,7 +132,7 @@ class ParaViewRecorder(Recorder):
 
 
 class Poly:
-    """VTKHDF file of PolyData in time steps; each step is a partition of the data."""
+    """VTKHDF file of PolyData in time steps; the data of each step is one partition in terms of the format."""
 
     def __init__(self, path: Path, kind: str) -> None:
         self.path, self.kind = path, kind
@@ -164,7 +164,7 @@ class Poly:
         self._pending_frames = []
 
     def _begin(self, file: Any) -> Any:
-        """Create the empty, extendable datasets of the format, and return their group."""
+        """Create the empty, extendable datasets of the VTKHDF format, and return their group."""
         root = file.create_group("VTKHDF")
         root.attrs["Version"] = np.array(VERSION, np.int64)
         root.attrs.create("Type", np.bytes_("PolyData"))

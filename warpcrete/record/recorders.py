@@ -19,7 +19,7 @@ from .usd import UsdRecorder
 
 @dataclass(frozen=True)
 class DrawSettings:
-    """Settings for drawing a run."""
+    """Settings for drawing a run: colours, contact network, and viewer."""
 
     colouring: str | None = None
     """Quantity that the colours show; None selects a suitable one for the method."""

@@ -88,7 +88,7 @@ class TableRecorder(Recorder):
         write_json(path, record)
 
     def abandon(self, simulation: Simulation) -> None:
-        """Remove the folder if it is new and holds no checkpoint."""
+        """Remove the folder if this recorder created it and it holds no checkpoint."""
         if self._folder_hold is not None and self._is_new and not (self.folder / "checkpoint.npz").exists():
             with suppress(OSError):
                 (self.folder / "scene.json").unlink(missing_ok=True)

@@ -17,7 +17,8 @@ LOOKS = "/Run/Looks"
 CLEAR, PAINT = 0.14, 0.6
 """Minimum opacity of glass, and opacity of walls that show a quantity such as wear by colours."""
 SUN, SKY = 0.6, 0.5
-"""Intensities of the sun, which the size of its disc does not change, and of the sky, which shines from all sides."""
+"""Intensities of the sun and of the sky. The intensity of the sun does not depend on the size of its disc, and the sky
+shines from all sides."""
 SUN_ANGLE = 4.0
 """Angular size of the sun's disc [degrees], which softens the edges of shadows."""
 
@@ -136,11 +137,14 @@ class Colours:
         known = primvar.Get()  # If an existing USD file is continued, start with the table of colours in that file.
         self._table = np.zeros((0, 3), np.float32) if known is None else np.array(known, np.float32)
         self._numbers: dict[bytes, int] = {row.tobytes(): number for number, row in enumerate(self._table)}
-        # Indices in the table of the colours used so far; the keys are packed RGB bytes.
+        # Index of each colour used so far in the table of colours. The keys are the packed RGB bytes of the colours.
         self._known: dict[int, int] = {}
 
     def set(self, colours: np.ndarray, code: Any) -> None:
-        """Set the colours of all bodies, RGB bytes (n, 3), at a time code."""
+        """Set the colours of all bodies at a USD time code.
+
+        The colours are RGB bytes, shape (n, 3).
+        """
         from pxr import Vt
 
         packed = colours.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)

@@ -60,7 +60,10 @@ def table(results: list[tuple[Case, list[Row]]]) -> str:
 
 
 def summary(results: list[tuple[Case, list[Row]]]) -> str:
-    """Return a Markdown table with one line per case, which shows the row whose error is closest to its tolerance."""
+    """Return a Markdown table with one line per case.
+
+    Each line shows the result of the case whose error is closest to its tolerance.
+    """
     lines = [
         "| case | figures | largest error | its tolerance | source of the expected values |",
         "|---|---|---|---|---|",

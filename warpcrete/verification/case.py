@@ -54,11 +54,11 @@ class Case:
     source: str
     """Source of the expected values."""
     run: Callable[[str, str], list[Row]]
-    """Function of (device, precision) that runs the case and returns its rows."""
+    """Function of (device, precision) that runs the case and returns its results, one for each computed quantity."""
     group: str
     slow: bool = False
     curves: dict[str, Any] = field(default_factory=dict)
-    """Curves for the figure, filled in by `run`."""
+    """Curves for the figure; calling `run` fills them in."""
 
 
 def start(scene: Scene, device: str, precision: str) -> Stepper:

@@ -60,7 +60,11 @@ class Outcome:
 def cup(*, modulus=1e6, ratio=2.0, density=2500.0, velocity=0.3, gravity=9.81, restitution=0.5, friction=0.3,
         load=1e3, dt_fraction=0.8, bonds: Bonds | None = None, hydration: Hydration | None = None, count=80,
         origin=(0.0, 0.0, 0.0), **changes) -> Scene:  # fmt: skip
-    """Return the scene of a cup of spheres; `ratio` is large over small size, `load` the pressure of the plate [Pa]."""
+    """Return the scene of a cup that holds spheres of two sizes under a loaded plate.
+
+    `ratio` is the size of the large spheres over that of the small spheres, and `load` is the pressure of the plate
+    [Pa].
+    """
     random = np.random.default_rng(0)
     large = 0.012
     layer = 1.04 * large

@@ -156,7 +156,8 @@ AXES: dict[str, tuple[float, float]] = {
     "flow": (1e-6, 1e-1),
     "gravity": (0.0, 981.0),
 }
-"""Extreme values of each parameter; all corners of this parameter space are run, too."""
+"""Lowest and highest value of each parameter. Besides scenes with one extreme value, all corners of this parameter
+space are run."""
 
 
 def scenes() -> Iterator[Case]:

@@ -111,7 +111,7 @@ def cylinders(device: str, precision: str) -> list[Row]:
 
 
 def cylinders_with_layers(device: str, precision: str) -> list[Row]:
-    """Compare the flow between two cylinders with theory, where slip is at least half of the speed."""
+    """Compare the flow between two cylinders with theory, where slip exceeds half of the inner cylinder's speed."""
     found = []
     # The measured rms errors of the velocity, over the speed of the inner wall, are 0.40 and 0.20 % on the two grids
     # for the first pair of layers, 0.37 and 0.36 % for the second, and 0.77 and 1.02 % for the third.

@@ -187,7 +187,8 @@ def confounded_pairs(found: Posterior, close: float = 0.9) -> list[tuple[str, st
 def insensitive_targets(found: Posterior, targets: Sequence[Target]) -> dict[Target, tuple[float, float]]:
     """Return the predicted range of each target that the free parameters hardly change.
 
-    The range is narrower than a fifth of the target's uncertainty, or than the scatter between seeds.
+    A target is included if its range is narrower than a fifth of the target's uncertainty, or than the scatter between
+    seeds.
     """
     spans: dict[Any, tuple[float, float]] = {target: found.span(target) for target in targets}
     return {

@@ -52,13 +52,13 @@ class Row:
 
 
 def judge_equal(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Judge whether all pressures are nearly equal."""
+    """Return whether all pressures are nearly equal, and a short text that describes them."""
     spread = (max(pressures) - min(pressures)) / float(np.mean(pressures))
     return spread < EQUAL_SPREAD, f"they differ by {100 * spread:.1f} %"
 
 
 def judge_linear(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Judge whether the pressure grows along a straight line."""
+    """Return whether the pressure grows along a straight line, and a short text that describes the growth."""
     slope, shift = np.polyfit(values, pressures, 1)
     rest = np.asarray(pressures) - (slope * np.asarray(values) + shift)
     fit = 1 - float(rest @ rest) / max(float(np.var(pressures)) * len(pressures), 1e-300)
@@ -68,14 +68,17 @@ def judge_linear(values: Sequence[float], pressures: Sequence[float]) -> tuple[b
 
 
 def judge_growing(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Judge whether the pressure grows from each value to the next."""
+    """Return whether the pressure grows from each parameter value to the next, and a short text on the growth."""
     steps = np.diff(pressures) / pressures[0]
     growth = (pressures[-1] - pressures[0]) / pressures[0]
     return bool(np.all(steps > -EQUAL_SPREAD / 5) and growth > MIN_GROWTH), f"{100 * growth:+.0f} % from end to end"
 
 
 def judge_narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Judge whether pressures are equal from the third diameter on, but far higher in the narrowest pipe."""
+    """Return whether pressures are equal from the third diameter on but far higher in the narrowest pipe.
+
+    The second result is a short text that describes the pressures.
+    """
     level, what = judge_equal(values[2:], pressures[2:])
     growth = pressures[0] / pressures[2] - 1
     holds = level and growth > 0.5
@@ -83,7 +86,10 @@ def judge_narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[b
 
 
 def judge_late_growth(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Judge whether the first two pressures are equal and the further ones grow."""
+    """Return whether the first two pressures are nearly equal, and whether they grow from the second one on.
+
+    Both must hold for the first result to be true. The second result is a short text that describes the pressures.
+    """
     level, what = judge_equal(values[:2], pressures[:2])
     grown, how = judge_growing(values[1:], pressures[1:])
     return level and grown, f"the first two values: {what}; then {how}"
@@ -179,13 +185,13 @@ def rows_of(name: str) -> tuple[str, ...]:
 
 XU_CONCRETES = ("no1", "no2", "no3")
 XU_FLOWS = (500e-6, 1000e-6, 1500e-6, 2000e-6)
-"""Flow rates in Xu's study [m3/s]."""
+"""Flow rates in the study of Xu, Li & Jiang 2021 [m3/s]."""
 XU_REFERENCE = 1500e-6
 """Flow rate at which the other parameters are varied [m3/s]."""
 XU_SPACINGS = (20e-3, 10e-3, 5e-3)
-"""Particle spacings in Xu's resolution study [m]."""
+"""Particle spacings in the resolution study of Xu, Li & Jiang 2021 [m]."""
 XU_THICKNESSES = (0.0, 2e-3, 4e-3, 6e-3)
-"""Thicknesses of the slip layer in Xu's study [m]."""
+"""Thicknesses of the slip layer in the study of Xu, Li & Jiang 2021 [m]."""
 XU_PRINTED = {"pressure": 9.40e3, "slip_velocity": 0.186}
 """Pressure [Pa] and slip velocity [m/s] that Xu prints for concrete no. 1 at the reference flow. The paper's own closed
 form gives 9.43e3 Pa and 0.186 m/s.

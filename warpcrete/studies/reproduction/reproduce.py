@@ -104,7 +104,10 @@ def _part(tell: Progress, place: int, count: int) -> Progress:
 
 
 def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the report columns and rows of Zhan et al. named in `only`; an empty list stands for all of them."""
+    """Return the columns and rows of the report on Zhan et al. that `only` names; an empty list stands for all of them.
+
+    Columns are concretes and open assumptions. Rows are the pipe units and the varied parameters.
+    """
     columns, rows = [*CONCRETES, *OPEN_ASSUMPTIONS], [UNITS_ROW, *(row.name for row in ZHAN)]
     if only and paper != "zhan":
         refuse("only", list(only), "can be used with paper zhan only", "leave it out")
@@ -137,7 +140,7 @@ def zhan_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[s
     names = reproduction.columns or (QUICK if reproduction.quick else (*CONCRETES, *OPEN_ASSUMPTIONS))
     studies = [(name, _cases(reproduction, name, hydrated=False)) for name in names]
     hydrated = [name for name in HYDRATED if name in names and not reproduction.quick]
-    # If the user named columns and rows, only the rows decide whether cases with hydrated bonds are run.
+    # If the user named both columns and rows, the rows alone decide whether cases with hydrated bonds are run.
     if reproduction.columns and reproduction.rows:
         hydrated = [name for name in names if name in CONCRETES]
     studies += [(f"{name}, hydrated", _cases(reproduction, name, hydrated=True)) for name in hydrated]

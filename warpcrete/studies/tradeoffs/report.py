@@ -58,7 +58,7 @@ def table(trade: Trade) -> str:
 
 
 def _beside(trade: Trade) -> str:
-    """Return a sentence about runs that were measured at the same time, or an empty text if there were none."""
+    """Return a sentence on how many runs took place at the same time, or an empty text if runs were made one by one."""
     most = trade.record.get("abreast", 1)
     if most == 1:
         return ""

@@ -1,4 +1,4 @@
-"""State of a trade-off study: settings of a scene, the results of their runs, and their costs and errors."""
+"""State of a trade-off study: its settings of the scene, the results of their runs, and their costs and errors."""
 
 from __future__ import annotations
 
@@ -321,7 +321,8 @@ class Trade:
             point, seeds = job
             for seed, outcome in zip(seeds, [outcomes] if isinstance(outcomes, Exception) else outcomes):
                 self._store_outcome(point, seed, outcome)
-            # Seeds after the first failed one are ignored, so that the order of completion has no effect.
+            # Seeds after the first failed seed are ignored. Otherwise the result would depend on the order in which the
+            # runs end.
             if point.failures:
                 point.results = {s: r for s, r in point.results.items() if s < min(point.failures)}
 

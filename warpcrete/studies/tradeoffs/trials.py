@@ -16,7 +16,8 @@ from ..cluster import hardware
 from ..running import previous_outcome, run_cases, simulation_of, stop_callback
 
 MIN_RUNS_FOR_MEDIAN = 3
-"""Minimum number of runs at which the median wall time ignores a single run that also loaded kernels."""
+"""Number of runs from which on the median of their wall times is not affected by a single run that also loaded
+kernels."""
 
 
 @dataclass(frozen=True)
