@@ -290,7 +290,7 @@ def _check_open(
 ) -> None:
     """Refuse a bore that continues beyond one of its ends.
 
-    Behind the end, fewer than half of the rays perpendicular to the axis may meet a wall.
+    Beyond the end, at most half of the rays perpendicular to the axis may meet a wall.
     """
     normal, side = _across(outward)
     places = end + radius * np.array(END_CHECK_DISTANCES)[:, None] * outward
@@ -311,7 +311,7 @@ def _section(
 ) -> tuple[np.ndarray, float] | None:
     """Return centre and radius [m] of the cross-section perpendicular to `tangent` at a point.
 
-    The result is None if the cross-section is open, so that a ray from the point meets no wall.
+    The result is None if the cross-section is open, because at least one ray from the point meets no wall.
     """
     normal, side = _across(tangent)
     ways = fan(normal, side, AROUND)[0]
@@ -373,7 +373,7 @@ def _straight(
     along = offset @ tangent
     beside = np.linalg.norm(offset - along[:, None] * tangent, axis=1)
     turned = np.linalg.norm(np.cross(tangents[here + 1 : stop + 1], tangent), axis=1)
-    # The tangent at the last point also depends on the points behind it, and the curve may bend there. The tangent at
+    # The tangent at the last point also depends on the points beyond it, and the curve may bend there. The tangent at
     # the last point is therefore ignored, except at the end of the whole curve.
     inner = turned if stop == len(points) - 1 else turned[:-1]
     if np.all(beside <= 0.5 * allowed) and np.all(inner <= STRAIGHT_TOLERANCE):

@@ -156,15 +156,15 @@ AXES: dict[str, tuple[float, float]] = {
     "flow": (1e-6, 1e-1),
     "gravity": (0.0, 981.0),
 }
-"""Lowest and highest value of each parameter. Besides scenes with one extreme value, all corners of this parameter
-space are run."""
+"""Lowest and highest value of each parameter. The cases are scenes with one extreme value, and all corners of this
+parameter space."""
 
 
 def scenes() -> Iterator[Case]:
     """Yield name, scene and number of steps of every case.
 
-    In the cases, single parameters are extreme, the flow is a special one, or all parameters in `AXES` are extreme at
-    once.
+    In each case, either a single parameter is extreme, or the flow is a special one, or all parameters in `AXES` are
+    extreme at once.
     """
     for d in (2, 3):
         yield from _singles(f"{d}D: ", d)

@@ -43,7 +43,7 @@ class _Paste:
 def _filled(room: Room, walls: list[tuple[Distance, int]], abreast: int) -> dict:
     """Return the arguments of a layout for a `room` that is filled with concrete except for the space inside its walls.
 
-    The layout has `abreast` particles across the width of the room.
+    Every full cell of the room starts with `abreast` particles along each axis.
     """
     geometry, nearest = geometry_of(room, walls), nearest_wall(room, walls)
     places, mass = fill_cells(room, abreast, lambda points: nearest(points)[0] > 0)
@@ -111,7 +111,7 @@ def cylinders(device: str, precision: str) -> list[Row]:
 
 
 def cylinders_with_layers(device: str, precision: str) -> list[Row]:
-    """Compare the flow between two cylinders with theory, where slip exceeds half of the inner cylinder's speed."""
+    """Compare the flow between two cylinders with theory, for slip above half of the inner cylinder's speed."""
     found = []
     # The measured rms errors of the velocity, over the speed of the inner wall, are 0.40 and 0.20 % on the two grids
     # for the first pair of layers, 0.37 and 0.36 % for the second, and 0.77 and 1.02 % for the third.

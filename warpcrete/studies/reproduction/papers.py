@@ -86,9 +86,9 @@ def judge_narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[b
 
 
 def judge_late_growth(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Return whether the first two pressures are nearly equal, and whether they grow from the second one on.
+    """Return whether the first two pressures are nearly equal and the pressures grow from the second one on.
 
-    Both must hold for the first result to be true. The second result is a short text that describes the pressures.
+    The second result is a short text that describes the pressures.
     """
     level, what = judge_equal(values[:2], pressures[:2])
     grown, how = judge_growing(values[1:], pressures[1:])

@@ -155,9 +155,9 @@ def _pair(peaks: list[float], ends: list[float]) -> str:
 
 
 def _with_scatter(values: list[float]) -> str:
-    """Return the mean of pressures from several seeds as text [kPa], with the standard deviation if there is one.
+    """Return the mean of the pressures of all seeds [kPa] as text, with the standard deviation for two or more seeds.
 
-    A single value has no standard deviation, and without values the text is a dash.
+    Without values the text is a dash.
     """
     if not values:
         return "-"
