@@ -1,4 +1,4 @@
-"""The `warpcrete` command: its subcommands and options, which call functions in the other modules of this package."""
+"""The `warpcrete` command with its subcommands, most of whose work is done in the other modules of this package."""
 
 from __future__ import annotations
 
@@ -563,7 +563,8 @@ def main() -> None:
     """
     prepare_streams()
     warn_in_one_line()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # Treat SIGTERM like Ctrl-C, which saves unwritten data.
+    # Treat SIGTERM like Ctrl-C, so that the run saves its data before it ends.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         cli(prog_name="warpcrete", standalone_mode=False)
     except click.exceptions.Exit as request:

@@ -17,7 +17,7 @@ from ..record.recorders import RECORDERS
 
 
 class ParameterOption(click.Option):
-    """Option of a declared parameter, which help pages list under the parameter's group."""
+    """Option of a declared parameter. Help pages list the option under the parameter's group."""
 
     group = ""
 
@@ -38,7 +38,7 @@ class GroupedCommand(click.Command):
 
 
 class SceneCommand(GroupedCommand):
-    """Command of a scene, in which some options add others: `--contact LAW` adds the options of that law."""
+    """Command of a scene. Some options of the command add others: `--contact LAW` adds the options of that law."""
 
     def __init__(self, name: str, scene: Any, **settings: Any) -> None:
         super().__init__(name, **settings)

@@ -163,7 +163,7 @@ class PipelineRecorder(Recorder):
         self.height, self.distance, self.other = height, distance, other
 
     def finish(self, simulation: Simulation, run: Run) -> None:
-        """Compute the pipeline's pressure from the pressure plateau of the run, if there is one."""
+        """Compute the pressure of the whole pipeline from the run's pressure plateau, if the run has reached one."""
         if run.finished and (self.height is not None or self.distance is not None):
             estimate = pipeline_estimate(run, self.height or 0.0, self.distance or 0.0, self.other)
             if estimate is not None:

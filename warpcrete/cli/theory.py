@@ -29,10 +29,7 @@ parameter `diameter`."""
 
 
 def fields() -> dict[str, Field]:
-    """Return the parameters of the command by name.
-
-    They are those parameters of the scenes `channel` and `tube` that the closed form uses.
-    """
+    """Return, by name, the parameters of the command: those parameters of pipe flows that the closed form uses."""
     pipe = {"diameter": declared_fields(ColumnParameters)["diameter"]}
     return {**declared_fields(ConcreteParameters), **pipe, **{name: declared_fields(Line)[name] for name in LINE}}
 

@@ -113,14 +113,14 @@ def _square(queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, ahea
 def _extended_to_end(
     queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, tangents: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Move the last cross-section towards the end of the bore, as long as it stays closed and keeps its size."""
+    """Move the last cross-section towards the bore's end, while the cross-section stays closed and keeps its size."""
     bend = (tangents[-1] - tangents[-2]) / np.linalg.norm(points[-1] - points[-2])
     step, far, found = 0.5 * ADVANCE * radii[-1], 0.0, None
     while step > MIN_END_STEP / 4 * radii[-1]:
         way = tangents[-1] + (far + step) * bend
         way = way / np.linalg.norm(way)
         further = _section(queries, points[-1] + 0.5 * (far + step) * (tangents[-1] + way), way, radii[-1])
-        # Near a lid, some rays of a slightly tilted cross-section end on the lid, which changes the measured radius.
+        # Near a lid, some rays of a slightly tilted cross-section end on the lid. The measured radius then changes.
         if further is None or abs(further[1] / radii[-1] - 1) > RADIUS_TOLERANCE:
             step *= 0.5
         else:

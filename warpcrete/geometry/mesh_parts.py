@@ -81,7 +81,7 @@ def bore_of(
     diameters: tuple[float, float] | None = None,
     ways: Sequence[Way] = WAYS[:1],
 ) -> MeshBore:
-    """Measure the bore of a mesh file, which begins at the mesh's origin.
+    """Measure and return the bore of a mesh file; the bore must begin at the mesh's origin.
 
     Args:
         fields: Names of the fields that error messages show, for the file and for its scale.

@@ -156,7 +156,10 @@ class Bore:
 
 
 def _stations(radius: float, end: float, begin: float = 0.0) -> np.ndarray:
-    """Return the arc lengths at which a pipe is measured [m]; they lie inside its ends, which may be capped."""
+    """Return the arc lengths at which a pipe is measured [m].
+
+    The first and the last keep a small distance from the ends of the pipe, because the ends may be capped.
+    """
     inset = min(0.02 * radius, 0.25 * (end - begin))
     return np.linspace(begin + inset, end - inset, max(8, int((end - begin) / radius)))
 

@@ -63,7 +63,8 @@ def truncated_cone(base: float, top: float, height: float, sides: int = SIDES) -
 def prism(corners: Sequence[tuple[float, float]], breadth: float, middle: tuple[float, float]) -> Solid:
     """Return a prism from a cross-section in x and z [m], extruded from y = -breadth/2 to y = breadth/2.
 
-    Every point of the cross-section must be visible from the point `middle`, about which its ends are triangulated.
+    The two ends are divided into triangles that meet at the point `middle`. Every point of the cross-section must
+    therefore be visible from this point.
     """
     ends = [np.insert(np.array(corners, dtype=float), 1, y, axis=1) for y in (-breadth / 2, breadth / 2)]
     return _between(*ends, np.array([[middle[0], y, middle[1]] for y in (-breadth / 2, breadth / 2)]))

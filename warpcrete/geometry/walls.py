@@ -47,7 +47,7 @@ class Stops:
 
 @dataclass(frozen=True, kw_only=True)
 class Prescribed:
-    """Motion of a wall with a prescribed speed, which no force changes.
+    """Motion of a wall with a prescribed speed, whatever forces act on the wall.
 
     The speed rises linearly from rest over `ramp_time` and is constant afterwards. With `stops`, the speed first falls
     and rises again for the given number of strokes, with pauses at rest; then it stays constant.
@@ -258,7 +258,8 @@ class MeshWall(_Wall):
 
     name: str
     vertices: np.ndarray
-    """Corners of the mesh [m] in the wall's frame, which initially coincides with the world's, shape (v, 3)."""
+    """Corners of the mesh in the wall's frame [m], shape (v, 3). The wall's frame initially coincides with the frame of
+    the world."""
     faces: np.ndarray
     """Corner indices of each triangle, shape (f, 3)."""
     material: str = "wall"

@@ -88,7 +88,7 @@ def repeatable_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any],
     """
     record = read_record(path)
     _check_unchanged(path, record)
-    # Check the scene's input files before the scene is read, which may import one of them as a Python module.
+    # Check the scene's input files first, because reading the scene may import one of the files as a Python module.
     check_files(path, record.get("files", {}))
     return saved_scene(path, known)
 

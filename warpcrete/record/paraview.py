@@ -27,10 +27,10 @@ VERSION = (2, 0)
 class ParaViewRecorder(Recorder):
     """Recorder of `bodies.vtkhdf`, `walls.vtkhdf` and, if bodies touch each other, `contacts.vtkhdf` in `folder`.
 
-    Bodies are points with `radius`, `colour` and the fields of the display; a clump is shown by its spheres. In
-    ParaView, use Glyph, Sphere, scaled by `radius`, or Point Gaussian. Frames are kept in memory until a checkpoint.
-    Then they are appended to a copy of each file, which replaces the file, so that no file is ever incomplete. Raises
-    :class:`WarpcreteError` if h5py is not installed.
+    Bodies are points with `radius`, `colour` and the fields of the display; a clump appears as its spheres. ParaView
+    shows the bodies as spheres with the filter Glyph (type Sphere, scaled by `radius`) or as Point Gaussian. Frames are
+    kept in memory until a checkpoint. Then they are appended to a copy of each file, and the copy replaces the file, so
+    that no file is ever incomplete. Raises :class:`WarpcreteError` if h5py is not installed.
     """
 
     expendable = True

@@ -162,7 +162,8 @@ class RerunRecorder(Recorder):
         """Record bodies, moving walls and, if selected, the lines between bodies."""
         assert self._display is not None
         self._display.draw(self._later, self._draw)
-        if self._legend_due:  # Draw the legend after the first frame, because it takes ten times as long as a frame.
+        # Draw the legend after the first frame, because drawing a legend takes ten times as long as drawing a frame.
+        if self._legend_due:
             self._legend_due = False
             self._later.submit(self._log_legend)
 
@@ -317,7 +318,7 @@ class RerunRecorder(Recorder):
         self._log(path, pose, static=static)
 
     def _set_time(self, time: float, steps: int) -> None:
-        """Set the time and the step for the data that this thread records next."""
+        """Set the simulated time and the number of steps under which this thread records further data."""
         self._recording.set_time("time", duration=time)
         self._recording.set_time("step", sequence=steps)
 

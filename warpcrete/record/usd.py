@@ -1,6 +1,6 @@
 """Recorder of a USD scene: bodies with time samples, walls, materials, light and a camera.
 
-Rigid bodies are one point instancer with a prototype for each shape; fluid particles are points.
+One point instancer, with a prototype for each shape, shows all rigid bodies. Fluid particles are points.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -237,8 +237,8 @@ class _Instances:
         position = pose.positions.astype(np.float32)
         self._instancer.CreatePositionsAttr().Set(Vt.Vec3fArray.FromNumpy(position), code)
         if self._turn:
-            # USD stores quaternions in half precision. In memory, their real part comes last, which is the order x,
-            # y, z, w that this program uses.
+            # USD stores quaternions in half precision. In memory, the real part comes last. This program uses the same
+            # order x, y, z, w.
             orientation = np.ascontiguousarray(pose.orientations.astype(np.float16))
             self._instancer.CreateOrientationsAttr().Set(Vt.QuathArray.FromNumpy(orientation), code)
         if self._velocities:

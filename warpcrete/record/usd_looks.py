@@ -24,7 +24,7 @@ SUN_ANGLE = 4.0
 
 
 def linear(colours: np.ndarray) -> np.ndarray:
-    """Return sRGB bytes as linear colours from 0 to 1, which USD requires (IEC 61966-2-1)."""
+    """Return sRGB bytes as the linear colours from 0 to 1 that USD requires (IEC 61966-2-1)."""
     c = np.asarray(colours, float) / 255
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
@@ -85,7 +85,7 @@ def _by_display_colour(stage: Any, surface: Any, name: str) -> None:
 
 
 def wall_look(stage: Any, wall: DrawnWall, name: str, painted: bool = False) -> tuple[Any, Any, float]:
-    """Return the material of a wall, its linear colour and its opacity.
+    """Return the material, the linear colour and the opacity with which a wall is drawn.
 
     Transparent walls look like glass and moving walls like metal. A `painted` wall takes its colours from
     `displayColor`.

@@ -183,7 +183,7 @@ def scenes(large: bool = False) -> Iterator[tuple[str, Callable[[], Scene], int]
 
 
 def _moved(scene: Scene, count: int) -> Scene:
-    """Return the scene with its first `count` bodies all moved to the position of the body that comes after them."""
+    """Return the scene with its first `count` bodies all moved to the position of the body after them."""
     bodies = scene.bodies[0]
     places = bodies.positions.copy()
     places[:count] = places[min(count, len(places) - 1)]

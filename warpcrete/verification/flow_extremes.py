@@ -23,9 +23,9 @@ from ..theory.pipe import CONCRETES, Concrete
 FEW, STEPS, LONG = 10, 100, 2000
 SAMPLES = 20
 BALANCE, VOLUME, SPEED, CLOSEST = 0.2, 0.015, 4.0, 0.3
-"""Bounds of acceptable flows: largest unbalanced part of the piston's force after the first tenth of the steps, largest
-change of the volume, largest speed over the theoretical maximum, and smallest distance of two particles over their
-spacing."""
+"""Bounds of acceptable flows, in this order: largest unbalanced part of the piston's force after the first tenth of the
+steps, relative to the force; largest relative change of the volume; largest speed over the theoretical maximum;
+smallest distance of two particles over their initial spacing."""
 PAPER = CONCRETES["no1"]
 ACROSS = 10
 
@@ -215,7 +215,11 @@ def matrix(device: str, precision: str) -> list[FlowOutcome]:
 
 
 def table(outcomes: list[FlowOutcome]) -> str:
-    """Return a Markdown table of results; the corner cases are summarised with one line per kind of result."""
+    """Return a Markdown table of the results of all flows.
+
+    Flows in which every parameter is extreme (corners of the parameter space) are numerous. Their results are therefore
+    summarised, with one line for each kind of result.
+    """
     lines = ["| flow | unbalanced | volume | fastest over theory | nearest | outcome |", "|---|---|---|---|---|---|"]
     corners = [o for o in outcomes if o.name.startswith("corner")]
     for o in outcomes:

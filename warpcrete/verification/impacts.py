@@ -196,7 +196,7 @@ def oblique(device, precision) -> list[Row]:
     rows.append(
         _largest_error("test 4: final angular velocity by what friction takes, exact", turning, exact, 4e-3, "rad/s")
     )
-    # Above the angle of full slip there is a closed form, v_t' = v_t - mu (1 + e) v_n.
+    # Above the angle of full slip, the exact tangential velocity after the impact is v_t' = v_t - mu (1 + e) v_n.
     slip = TEST_4[:, 0] >= 50
     exact = 1 - 0.092 * 1.98 / np.tan(angle[slip])
     worst = int(np.argmax(np.abs(tangential[slip] - exact)))
@@ -250,7 +250,8 @@ def spinning(device, precision) -> list[Row]:
     spins = np.stack([0 * rates, -rates, 0 * rates], 1)
     velocity, spin = spheres_on_a_plane(law, radius, 2700.0, velocities, spins, device, precision)
     impulse = friction * (1 + e) * normal
-    # The lever arm of friction ends at the plane, which lies inside the sphere by 0.05 % of the radius.
+    # The lever arm of friction reaches only to the plane. It is 0.05 % shorter than the sphere's radius, because the
+    # sphere overlaps with the plane.
     rows.append(
         _largest_error("test 6, on a plane: tangential velocity", -velocity[:, 0], np.full(3, impulse), 3e-3, "m/s")
     )

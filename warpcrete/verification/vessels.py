@@ -80,8 +80,8 @@ def between_cylinders(
 def couette_error(flow: GridFlow, layers: tuple[float, float] = (NO_SLIP_VISCOSITY, NO_SLIP_VISCOSITY)) -> float:
     """Return the rms error of the velocity between the cylinders, over the speed of the inner wall.
 
-    The exact velocity is u = a r + b / r. Its shear stress 2 mu b / r^2 acts on each slip layer and, divided by the
-    layer's viscous constant, gives its slip velocity.
+    The exact velocity is u = a r + b / r. The shear stress 2 mu b / r^2 acts on both slip layers. Divided by the
+    viscous constant of a layer, it gives the slip velocity at this layer.
     """
     slips = [2 * PASTE.viscosity / (radius**2 * layer) for radius, layer in zip((INNER, OUTER), layers)]
     a, b = np.linalg.solve([[INNER, 1 / INNER + slips[0]], [OUTER, 1 / OUTER - slips[1]]], [TURNS * INNER, 0.0])

@@ -24,7 +24,8 @@ class Trial:
 
     number: int
     units: list[float]
-    """Positions in the parameter ranges, one number from 0 to 1 for each free parameter."""
+    """Point of the unit cube that stands for the parameter set: for each free parameter its position in the parameter's
+    range, from 0 to 1."""
     seed: int
     proof: bool = False
     """True if this run only verifies the likeliest parameters, so that its results do not enter the fit."""

@@ -54,7 +54,10 @@ class Emulator:
         """Standard deviation of single runs about the mean over seeds."""
 
     def __call__(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mean over seeds at points of the unit cube and its standard deviation, shapes (n,)."""
+        """Return the predicted mean over seeds at points of the unit cube, and the prediction's standard deviation.
+
+        Both results have the shape (n,).
+        """
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             mean, deviation = map(np.asarray, self.process.predict(points - 0.5, return_std=True))

@@ -230,7 +230,10 @@ def _series(axes: Any, origin: str, mine: list[tuple[Setting, Error]], marker: s
 
 
 def _name_levels(axes: Any, trade: Trade) -> None:
-    """Label settings that vary a single knob with its level, unless labels overlap; the table lists all levels."""
+    """Write the level of the knob next to each setting that varies a single knob.
+
+    A label that would overlap another one is left out, because the table lists all levels.
+    """
     placed: list[Any] = []
     into_figure = axes.transData + axes.transAxes.inverted()
     for point in trade.measured:

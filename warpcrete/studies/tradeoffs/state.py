@@ -191,7 +191,10 @@ class Trade:
         return self._with(self._full(self.module.scene.effective_values({**self.base, **knob.levels[level].changes})))
 
     def level_as_given(self, knob: Knob) -> int:
-        """Return the index of a knob's level in the scene as given, or of the finest level if none matches."""
+        """Return the index of a knob's level that agrees with the scene as given.
+
+        If no level agrees, the result is the index of the finest level.
+        """
         same = [k for k in range(len(knob.levels)) if not self._differs(knob.name, k)]
         return same[0] if same else len(knob.levels) - 1
 

@@ -34,7 +34,8 @@ from .state import Tell, Trade
 
 SETTINGS = ("budget", "quantities", "knobs", "repeat", "device", "threads", "scheduler", "workers", "progress")
 FRESH_SEEDS = 3
-"""Number of fresh seeds with which a promised error is tested, in addition to the seeds on which it is based."""
+"""Number of fresh seeds with which a promised error is tested, in addition to the seeds from which the error was
+computed."""
 SINGLE_KNOBS_UNTIL, FINEST_UNTIL, COMBINED_UNTIL = 0.55, 0.8, 0.9
 """Fractions of the budget at which three phases end: single knobs, the finest setting, and combinations."""
 
@@ -135,7 +136,10 @@ def run_trade(
 def _machine(
     module: Any, parameters: Mapping[str, Any], device: str | None, threads: int | None
 ) -> tuple[str, dict[str, Any]]:
-    """Return the device on which a scene runs and its provenance; raise an error if the scene cannot run there."""
+    """Return the device on which a scene runs, and the provenance to be recorded with its results.
+
+    Raises an error if the scene cannot run on the requested device.
+    """
     scene = module.scene(**parameters)
     found = Simulation(scene, device=device, precision=scene.precision, threads=threads).device
     return str(found), provenance(found, scene.precision, int(getattr(scene, "seed", 0)))
