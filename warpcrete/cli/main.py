@@ -1,4 +1,4 @@
-"""The `warpcrete` command with its subcommands, most of whose work is done in the other modules of this package."""
+"""The `warpcrete` command and its subcommands; the other modules of this package do most of the work."""
 
 from __future__ import annotations
 

@@ -191,7 +191,7 @@ class Trade:
         return self._with(self._full(self.module.scene.effective_values({**self.base, **knob.levels[level].changes})))
 
     def level_as_given(self, knob: Knob) -> int:
-        """Return the index of a knob's level that agrees with the scene as given.
+        """Return the index of the level at which a knob agrees with the scene as given.
 
         If no level agrees, the result is the index of the finest level.
         """
