@@ -31,7 +31,7 @@ def run(
     method: str, shapes: str, coarse: float | None, stiffer: float, seeds: int, out: Path | None, known: Path | None,
     device: str | None, threads: int | None, quiet: bool, rest: str | None, thixotropy: str | None,
 ) -> None:  # fmt: skip
-    """Simulate the parts of a pipeline and print the pressure that it needs."""
+    """Simulate the parts of a pipeline, and print the pressure that the pipeline needs at its start."""
     stood, grown = option_amount("rest", rest, "s"), option_amount("thixotropy", thixotropy, "Pa/s")
     given = read_line(line)
     if flow is None and given.flow is None:

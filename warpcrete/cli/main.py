@@ -1,4 +1,4 @@
-"""The `warpcrete` command: its subcommands and options, which call functions in the other modules of this package."""
+"""The `warpcrete` command and its subcommands; the other modules of this package do most of the work."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ def _repeat_command(path: Path) -> click.Command:
 
 
 class TheoryCommand(click.Command):
-    """Command that has an option for each parameter of the scene functions of flows."""
+    """Command with one option for each parameter of the scene functions that simulate flows."""
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         return [*_part("options").parameter_options(_part("theory").fields().values()), *super().get_params(ctx)]
@@ -276,8 +276,9 @@ def validate_command(**settings: Any) -> None:
     """Compare blind predictions with measurements of pipes, lines, slip layers and fresh concrete.
 
     Each case is predicted from what was known before the measurement. The table gives, for each kind of measurement,
-    the median ratio of prediction to measurement, the median error, and the share of cases inside their bands. Cases
-    that are held out were never used to fit a constant of the program.
+    the median ratio of prediction to measurement, the median error, and the fraction of the cases whose measured value
+    lies in the uncertainty band of the prediction. Cases that are held out were never used to fit a constant of the
+    program.
     """
     _part("validate").run(**settings)
 
@@ -564,7 +565,8 @@ def main() -> None:
     """
     prepare_streams()
     warn_in_one_line()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # Treat SIGTERM like Ctrl-C, which saves unwritten data.
+    # Treat SIGTERM like Ctrl-C, so that the run saves its data before it ends.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         cli(prog_name="warpcrete", standalone_mode=False)
     except click.exceptions.Exit as request:
@@ -580,7 +582,8 @@ def main() -> None:
     except InstabilityError as error:
         _fail(str(error), 1)
     except WarpcreteError as error:
-        if isinstance(error, DiskFullError):  # At exit, libraries may wait for the full disk forever.
+        # While the program exits, libraries may wait without end for space on the full disk.
+        if isinstance(error, DiskFullError):
             end = threading.Timer(EXIT_TIMEOUT, os._exit, [2])
             end.daemon = True
             end.start()

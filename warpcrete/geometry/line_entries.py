@@ -42,8 +42,8 @@ PARTS = {
         "outlet": ("m", "Inner diameter behind it"),
     },
 }
-"""Kinds of pipeline parts, each with its entries, their units and meaning. A part given as a single value states its
-first entry."""
+"""Kinds of pipeline parts. Each kind has entries with their units and meaning. If a pipeline file gives a part a single
+value, this value belongs to the first entry."""
 LIMITED_AS = {
     "largest_stone": "size_max",
     "recorded": "pressure",
@@ -51,8 +51,10 @@ LIMITED_AS = {
     "outlet": "diameter",
     "radius": "bend_radius",
 }
-"""Names of quantities whose limits (:mod:`warpcrete.core.inputs.limits`) apply to pipeline entries of another name."""
+"""Names of pipeline entries, each with the name of the quantity whose limits (:mod:`warpcrete.core.inputs.limits`)
+apply to the entry."""
 MOST_PARTS, MOST_POINTS = 2000, 500
-"""Largest numbers of parts in a line and of points in a hose; the longest lines ever pumped have some hundred parts."""
+"""Largest number of parts in a pipeline, and largest number of points in a hose. The longest pipelines ever used for
+concrete have some hundred parts."""
 BEGINS = {"level": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "down": (0.0, 0.0, -1.0)}
 WAYS = ("up", "down", "left", "right", "level", "back")
