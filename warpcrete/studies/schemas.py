@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import refuse, suggested
-from ..core.inputs.amounts import UNITS
+from ..core.inputs.amounts import patterns
 from ..core.inputs.concretes import SECTIONS, TEXTS
 from ..core.inputs.limits import LARGEST_INTEGER, LARGEST_SEED, limit_of
 from ..core.inputs.parameters import Above, Alias, CompositeRule, Field, OneOf, Within, declared_fields
@@ -31,8 +31,6 @@ Schema = dict[str, Any]
 FOLDER = Path(__file__).parents[1] / "schemas"
 DRAFT = "http://json-schema.org/draft-07/schema#"
 """Draft of the JSON Schema standard that most editors support."""
-NUMBER = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
-"""Schema of a text entry that YAML may have read as a number."""
 TEXT: Schema = {"type": ["string", "number"]}
 TEXT_DESCRIPTIONS = {
     "name": "name of the concrete",
@@ -132,15 +130,19 @@ def targets_schema() -> Schema:
 
 def quantity(unit: str, text: str, number: Mapping[str, Any] | None = None) -> Schema:
     """Return the schema of a number in `unit`, or a text with a number and a common unit, such as "125 mm"."""
-    units = "|".join(sorted((_escaped(each) for each in UNITS[unit]), key=len, reverse=True))
     shown = f"{text} [{unit}]" if unit != "1" and f"[{unit}]" not in text else text
     return {
         "description": shown,
         "anyOf": [
             {"type": "number", **(number or {})},
-            {"type": "string", "pattern": rf"^\s*{NUMBER}\s*({units})?\s*$"},
+            {"type": "string", "pattern": text_pattern(unit)},
         ],
     }
+
+
+def text_pattern(unit: str) -> str:
+    """Return the pattern of a text that holds an amount in `unit`, for a schema."""
+    return rf"^\s*(?:{'|'.join(patterns(unit))})\s*$"
 
 
 def field_schema(field: Field) -> Schema:
@@ -217,11 +219,13 @@ def _mix_section() -> Schema:
     constants = {name: quantity(unit, name.replace("_", " ")) for name, unit in mixes.UNITS.items()}
     off = {"uncertainty": quantity("1", "uncertainty of the values, as '15 %'")}
     passing = quantity("1", "fraction of the mass that passes")
+    texts = [{"type": "string", "pattern": text_pattern(unit)} for unit in ("kg/m3", "m3/m3", "kg", "m3")]
+    ingredient: Schema = {"description": "mass [kg/m3], or with its unit", "anyOf": [{"type": "number"}, *texts]}
     special: dict[str, Schema] = {
-        "parts": {"type": "object", "minProperties": 1, "additionalProperties": quantity("kg/m3", "mass")},
+        "parts": {"type": "object", "minProperties": 1, "additionalProperties": ingredient},
         "aggregate": {"type": ["number", "string"]},
         "sieve": {"type": "object", "minProperties": 2, "additionalProperties": passing,
-                  "propertyNames": {"pattern": rf"^\s*{NUMBER}\s*(mm|um|cm|m|in|inch|inches)?\s*$"}},
+                  "propertyNames": {"pattern": text_pattern("m")}},
         "sizes": {"type": "array", "items": quantity("m", "diameter"), "minItems": 2, "maxItems": 2},
         "shape": {"anyOf": [{"enum": list(mixes.SHAPES)}, {"type": "number", "minimum": 1, "maximum": 20}]},
         "concrete": _object(constants | off),
@@ -260,7 +264,3 @@ def _object(properties: Mapping[str, Schema], text: str = "", required: list[str
 
 def _file(title: str, properties: Mapping[str, Schema]) -> Schema:
     return {"$schema": DRAFT, "title": title, **_object(properties)}
-
-
-def _escaped(unit: str) -> str:
-    return "".join(f"\\{each}" if each in ".^$*+?()[]{}|/" and each != "/" else each for each in unit)

@@ -34,6 +34,9 @@ LIMITS = {
     # Limits by unit. No pump, pipe, mix or concrete test comes near these numbers; beyond them, sums may overflow.
     "m": Limit(1e-7, 1e4, "a cement grain is 1e-5 m, the longest pumping lines are 2000 m"),
     "m2": Limit(1e-12, 1e6, "the cross-section of a pipe is 0.01 m2"),
+    "m3": Limit(1e-9, 1e6, "a truck mixer carries 6 to 12 m3"),
+    "W": Limit(1e-9, 1e9, "the largest concrete pumps have 500 kW"),
+    "kg": Limit(1e-6, 1e9, "a truck mixer carries 15 to 25 t"),
     "m/s": Limit(1e-9, 1e3, "concrete is pumped at 0.1 to 3 m/s"),
     "m/s2": Limit(1e-9, 1e4, "gravity is 9.81 m/s2, centrifuges reach 1000 times as much"),
     "s": Limit(1e-12, 1e8, "time steps are microseconds, concrete sets within a day"),
