@@ -18,7 +18,7 @@ from .console import prepare_streams
 from .texts import MIX_HELP
 
 EXIT_TIMEOUT = 3.0
-"""Time that a command has to end after it has reported a full disk [s]."""
+"""Time after which a command that has met a full disk is ended by force [s]."""
 
 # Warp takes half a second to load, and so do the scenes. Each subcommand therefore loads the modules that it needs only
 # when it is called.
@@ -558,7 +558,7 @@ def main() -> None:
     except InstabilityError as error:
         _fail(str(error), 1)
     except WarpcreteError as error:
-        if isinstance(error, DiskFullError):  # Libraries may wait for the disk when the program ends.
+        if isinstance(error, DiskFullError):  # At exit, libraries may wait for the full disk forever.
             end = threading.Timer(EXIT_TIMEOUT, os._exit, [2])
             end.daemon = True
             end.start()

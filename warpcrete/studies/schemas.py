@@ -32,6 +32,7 @@ FOLDER = Path(__file__).parents[1] / "schemas"
 DRAFT = "http://json-schema.org/draft-07/schema#"
 """Draft of the JSON Schema standard that most editors support."""
 TEXT: Schema = {"type": ["string", "number"]}
+"""Schema of a text entry, which YAML may have read as a number."""
 TEXT_DESCRIPTIONS = {
     "name": "name of the concrete",
     "source": "origin of the numbers",

@@ -66,7 +66,7 @@ MIXES = {
     "no2": dict(cement=338, sand=890, gravel=936, water=179, superplasticizer=0.845, viscosity_modifier=0.676),
     "no3": dict(cement=360, sand=872, gravel=913, water=191, superplasticizer=0.900, viscosity_modifier=0.720),
 }
-"""Proportions of the three mixes [kg/m3]; the last two are in % of the cement (Xu et al. 2021, Table 1)."""
+"""Proportions of the three mixes [kg/m3]; Xu et al. 2021, Table 1, states superplasticizer and modifier in %."""
 
 
 @dataclass(frozen=True, kw_only=True)

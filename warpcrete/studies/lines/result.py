@@ -125,7 +125,7 @@ class LineResult:
 
     @property
     def band_text(self) -> str:
-        """Description of the band for the user."""
+        """Description of the uncertainty band of the pressure, for the user."""
         if self.variants is None:
             return f"{self.layer_factor:g} times less or more resistance of the slip layer"
         shares = sorted(self.band().shares.items(), key=lambda item: -item[1])
