@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,25 +15,27 @@ from ..core.inputs.fingerprints import fingerprint
 from ..core.inputs.limits import check_limit, check_velocity, check_whole
 from ..core.run.files import atomic_file, next_folder
 from ..core.run.progress import ProgressBar
+from ..geometry.pumps import pump_of
 from ..mix.mix import completed, mix_named
 from ..mps.mixes import concrete_of
 from ..studies.lines.elements import ElementLine, Elements, element_table_lines, run_elements
 from ..studies.lines.folder import PARTS, line_folder
-from ..studies.lines.losses import PipeLine, friction, read_line, restart, with_stone
-from ..studies.lines.result import LineResult, lines_of
+from ..studies.lines.losses import PipeLine, friction, read_line, with_stone
+from ..studies.lines.result import LineResult, Stop, lines_of
 from ..studies.lines.run import CELLS, LAYER_FACTOR, run_line
 from .run import CHECK_FAILED, INTERRUPTED
-from .theory import growth_of, option_amount
+from .theory import THIXOTROPY_BAND, growth_of, option_amount
 
 
 def run(
     line: str, *, concrete: str | None, flow: str | None, theory: bool, layer_factor: float | None, cells: int,
     method: str, shapes: str, coarse: float | None, stiffer: float, seeds: int, out: Path | None, known: Path | None,
     device: str | None, threads: int | None, quiet: bool, rest: str | None, thixotropy: str | None,
+    pump_pressure: str | None, pump_flow: str | None, pump_power: str | None, practice: bool,
 ) -> None:  # fmt: skip
     """Simulate the parts of a pipeline and print the pressure that it needs."""
     stood, grown = option_amount("rest", rest, "s"), option_amount("thixotropy", thixotropy, "Pa/s")
-    given = read_line(line)
+    given = _with_pump(read_line(line), pressure=pump_pressure, flow=pump_flow, power=pump_power)
     if flow is None and given.flow is None:
         raise click.UsageError("flow: is missing; set it in the file of the line, or with --flow '30 m3/h'")
     if concrete is None and given.concrete is None:
@@ -43,7 +46,9 @@ def run(
     usual = Elements()
     unused = {"shapes": shapes != usual.shapes, "coarse": coarse is not None, "seeds": seeds != usual.seeds,
               "stiffer": stiffer != usual.stiffer} if method == "flow" else \
-        {"cells": cells != CELLS, "layer_factor": layer_factor is not None} if method == "dem" else {}  # fmt: skip
+        {"cells": cells != CELLS, "layer_factor": layer_factor is not None, "rest": rest is not None,
+         "pump": given.pump is not None and any((pump_pressure, pump_flow, pump_power)), "practice": practice} \
+        if method == "dem" else {}  # fmt: skip
     for option in (name for name, given_so in unused.items() if given_so):
         raise click.UsageError(f"{option}: has no effect with --method {method}; use --method both, or leave it out")
     rate = given.flow
@@ -64,7 +69,7 @@ def run(
     if mix is not None and given.largest_stone is None:
         given = with_stone(given, mix.given.largest)
     growth = growth_of(stood, grown)
-    moved = [] if stood is None else [restart(given, concrete_of(name), stood, growth, q) / 1e5 for q in (0.0, rate)]
+    stop = None if stood is None else Stop(stood, growth, THIXOTROPY_BAND if grown is None else None)
     progress = ProgressBar()
     folder = out or (None if theory else next_folder("line"))
     where: dict[str, Any] = {"out": folder, "known": known, "device": device, "threads": threads}
@@ -78,30 +83,39 @@ def run(
                     given, concrete_of(name), rate, simulate=not theory,
                     cells=cells, layer_factor=LAYER_FACTOR if layer_factor is None else layer_factor,
                     variants=mix.variants if mix is not None and layer_factor is None else None,
-                    progress=None if quiet else progress, **where,
+                    progress=None if quiet else progress, stop=stop, **where,
                 )  # fmt: skip
             if method != "flow":
                 tell = None if quiet else (lambda phase, fraction: progress(phase, fraction, {}))
                 packed = run_elements(given, name, rate, elements=elements, progress=tell, **where)
-            _print(given, name, rate, found, packed, folder)
+            _print(given, name, rate, found, packed, folder, practice)
     except KeyboardInterrupt:
         if folder is not None and (folder / PARTS).is_dir():
             click.echo(f"interrupted; continue with the same command and --out {folder}")
         raise SystemExit(INTERRUPTED) from None
     finally:
         progress.close()
-    if moved:
-        click.echo(f"\nafter {stood:g} s of rest, with a yield stress that grows by {growth:g} Pa/s, the concrete "
-                   f"starts to move at {moved[0]:.4g} bar, at full flow with {moved[1]:.4g} bar (theory)")  # fmt: skip
     if (found is not None and found.failed) or (packed is not None and packed.failed):
         raise SystemExit(CHECK_FAILED)
 
 
+def _with_pump(line: PipeLine, **limits: str | None) -> PipeLine:
+    """Return the line with the pump that options state, which replace entries of the line's own pump."""
+    stated = {key: value for key, value in limits.items() if value is not None}
+    if not stated:
+        return line
+    if line.pump is not None:
+        own = {key: getattr(line.pump, key) for key in limits if getattr(line.pump, key) is not None}
+        stated = {**own, **stated}
+    return replace(line, pump=pump_of(stated))
+
+
 def _print(
-    line: PipeLine, name: str, rate: float, found: LineResult | None, packed: ElementLine | None, folder: Path | None
-) -> None:
+    line: PipeLine, name: str, rate: float, found: LineResult | None, packed: ElementLine | None, folder: Path | None,
+    practice: bool,
+) -> None:  # fmt: skip
     if found is not None:
-        click.echo("\n" + "\n".join(lines_of(found)))
+        click.echo("\n" + "\n".join(lines_of(found, practice)))
     if packed is not None:
         others = {} if found is None else {"flow": [x.friction for x in found.losses]}
         if completed(name).flow:

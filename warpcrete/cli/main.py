@@ -413,6 +413,7 @@ methods, in one table.
   flow: 30 m3/h
   concrete: no1                 # or a file, as for run
   largest_stone: 16 mm
+  pump: {pressure: 85 bar, flow: 90 m3/h, power: 110 kW}      # optional, from its data sheet
   begin: level                  # up, down
   parts:
     - straight: 10 m
@@ -421,6 +422,9 @@ methods, in one table.
     - straight: {length: 20 m}
     - reducer: {to: 100 mm, length: 1 m}
     - hose: {points: [[1, 0, -0.2], [2, 0.5, -1]]}    # relative to its start: ahead, left, up [m]
+    - bend: level                 # radius 0.5 m, or two diameters if these are larger
+    - valve: {equivalent: 20 m}   # as much friction as 20 m of straight pipe; any part may state it
+    - hose: {length: 4 m, factor: 2.5}            # or its friction over that of straight pipe of its length
     - bore: {file: valve.stl, scale: 0.001, length: 0.6, outlet: 100 mm}
     - straight: 5 m
 
@@ -476,7 +480,13 @@ Values without a unit are in m, m3/s, Pa and degrees. The exit code is 3 if a ch
     help="Time that the full line has stood still [s], or with a unit such as '10 min'; adds the "
     "theoretical pressure of the restart",
 )
-@click.option("--thixotropy", help="Growth rate A_thix of the yield stress at rest [Pa/s]  [default: 0.5]")
+@click.option("--thixotropy", help="Growth rate A_thix of the yield stress at rest [Pa/s]  [default: 0.5, and a band "
+              "of 0.1 to 1]")  # fmt: skip
+@click.option("--pump-pressure", help="Largest pressure of the pump on the concrete, from its data sheet, such as "
+              "'85 bar'; shows the margin")  # fmt: skip
+@click.option("--pump-flow", help="Largest flow of the pump, such as '90 m3/h'")
+@click.option("--pump-power", help="Power of the pump's motor, such as '110 kW'")
+@click.option("--practice", is_flag=True, help="Compare the result with the rules of AIJ, JSCE and JGJ/T 10")
 @click.option("--quiet", is_flag=True, help="Show no progress bar")
 def line_command(line: str, **settings: Any) -> None:
     _part("line").run(line, **settings)

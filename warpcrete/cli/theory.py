@@ -23,6 +23,9 @@ from ..theory.segregated import segregation_table
 
 THIXOTROPY = 0.5
 """Default growth rate A_thix of the yield stress at rest [Pa/s], for moderate stiffening (Roussel 2006)."""
+THIXOTROPY_BAND = (0.1, 1.0)
+"""Range of the growth rate of a concrete that was not measured [Pa/s]: from hardly any stiffening to a strong one
+(Roussel 2006)."""
 LINE = ("length", "rise", "gravity")
 """Fields of a pipeline that are parameters of the command under the same name. The pipeline's radius is half the
 parameter `diameter`."""

@@ -20,6 +20,7 @@ from ..dem.pumping.parameters import PipeParameters
 from ..geometry.line_entries import AMOUNTS, BEGINS, MOST_PARTS, MOST_POINTS, PARTS, WAYS
 from ..geometry.line_entries import KEYS as LINE_KEYS
 from ..geometry.line_entries import TEXTS as LINE_TEXTS
+from ..geometry.pumps import PUMP
 from ..methods import METHODS
 from ..mix import given as mixes
 from ..mix.points import PUMPED
@@ -80,6 +81,9 @@ def line_schema() -> Schema:
     """Return the schema of a pump line's file."""
     found = {name: TEXT | {"description": text} for name, text in LINE_TEXTS.items()}
     found |= {name: quantity(unit, text) for name, (unit, text) in AMOUNTS.items()}
+    pump = {name: quantity(unit, text) for name, (unit, text) in PUMP.items()}
+    found["pump"] = {"description": "data sheet of the pump, or its largest pressure",
+                     "anyOf": [pump["pressure"], _object(pump, "", ["pressure"])]}  # fmt: skip
     found["begin"] = {"enum": list(BEGINS), "description": "direction in which the line begins"}
     parts = [_object({kind: _part(kind)}, f"a {kind}", [kind]) for kind in PARTS]
     found["parts"] = {"type": "array", "minItems": 1, "maxItems": MOST_PARTS, "items": {"anyOf": parts},
@@ -210,8 +214,8 @@ def _part(kind: str) -> Schema:
     for name, (unit, text) in PARTS[kind].items():
         plain = name in special and (name != "to" or kind == "bend")
         found[name] = special[name] | {"description": text} if plain else quantity(unit, text)
-    first = next(iter(found))
-    return {"anyOf": [found[first], _object(found)]}
+    single = [found[next(iter(found))]] + ([found["points"]] if kind == "hose" else [])
+    return {"anyOf": [*single, _object(found)]}
 
 
 def _mix_section() -> Schema:

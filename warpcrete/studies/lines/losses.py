@@ -17,6 +17,7 @@ __all__ = [
     "read_line",
     "restart",
     "shipped_lines",
+    "straight_friction",
     "with_layer_factor",
     "with_stone",
 ]  # fmt: skip
@@ -28,13 +29,18 @@ FINE = 200
 def friction(part: Part, concrete: Concrete, flow: float) -> float:
     """Return a part's friction [Pa] by the closed form for a straight pipe of the same bore and length.
 
-    For a hose, the result includes the additional loss of its bends.
+    The result is multiplied by the factor that the line's file states for the part, or by that of a hose.
     """
+    return straight_friction(part, concrete, flow) * part.relative
+
+
+def straight_friction(part: Part, concrete: Concrete, flow: float) -> float:
+    """Return the friction [Pa] of a straight pipe with the bores, the length and the slip layer of a part."""
     concrete = with_layer_factor(concrete, part.layer)
     at = (np.arange(FINE) + 0.5) / FINE if part.outlet != part.diameter else np.zeros(1)
     bores = part.diameter + at * (part.outlet - part.diameter)
     losses = [steady(concrete, Line(radius=d / 2, length=1.0, rise=0.0), flow).pressure for d in bores.tolist()]
-    return float(np.mean(losses)) * part.length * part.relative_loss
+    return float(np.mean(losses)) * part.length
 
 
 def with_layer_factor(concrete: Concrete, factor: float) -> Concrete:

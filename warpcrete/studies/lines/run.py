@@ -16,10 +16,8 @@ from ...scenes import modules
 from ...theory.pipe import Concrete
 from .folder import LINE_RECORD, part_simulation, previous_run
 from .losses import Part, PipeLine, friction, with_layer_factor
-from .result import LineResult, Loss, draw, lines_of
+from .result import GRAVITY, LineResult, Loss, Stop, draw, lines_of
 
-GRAVITY = 9.81
-"""Gravitational acceleration [m/s2]."""
 CELLS = 12
 """Default number of cells across the narrowest bore of a bend or reducer. With 12 cells, the pressure loss of straight
 stretches in parts of 125 mm deviates from theory by -0.7 to 1.7 %, with 8 cells by 1.6 %.
@@ -47,6 +45,7 @@ def run_line(
     device: str | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
+    stop: Stop | None = None,
 ) -> LineResult:
     """Compute the pressure that a `line` needs at a `flow` [m3/s] of a `concrete`.
 
@@ -54,7 +53,8 @@ def run_line(
     straight stretches with `cells` cells across the narrowest bore, and its loss excludes that of these stretches.
     Without `simulate`, the closed form of straight pipe replaces all simulations. The band of the pressure belongs to a
     slip layer whose resistance is wrong by `layer_factor`, or to the pairs of concretes in `variants`, as
-    :attr:`warpcrete.mix.mix.Mix.variants` gives them. Runs are stored in the
+    :attr:`warpcrete.mix.mix.Mix.variants` gives them, and to the model errors of fittings. After a `stop`, the line
+    starts again. Runs are stored in the
     new folder `out`, or in one locked by :func:`warpcrete.studies.lines.folder.line_folder`, where interrupted runs
     continue; finished runs in `known`, the folder of an earlier line, are reused. Raises :class:`SceneError` for an
     impossible flow or setting.
@@ -72,7 +72,7 @@ def run_line(
             "give one that contains a folder 'parts'",
         )
     tell = progress or (lambda phase, fraction, figures: None)
-    kinds = {part.loss_key: part for part in line.parts} if simulate else {}
+    kinds = {part.loss_key: part for part in line.parts if part.factor is None} if simulate else {}
     cases = {key: _scene_of_part(part, concrete, flow, cells) for key, part in kinds.items()}
     # Build all scenes before the first run, so that an impossible scene is refused at once.
     scenes = {key: modules()[name].scene(**parameters) for key, (name, parameters) in cases.items()}
@@ -107,11 +107,11 @@ def run_line(
         theory = friction(part, concrete, flow)
         ours = (
             theory
-            if not simulate
+            if not simulate or part.factor is not None
             else found[part.loss_key] * (part.length * part.relative_loss if part.is_by_length else 1.0)
         )
         losses.append(Loss(part, ours, theory, concrete.density * GRAVITY * part.rise))
-    result = LineResult(line, concrete, flow, losses, layer_factor, simulate, out, took, failed, variants)
+    result = LineResult(line, concrete, flow, losses, layer_factor, simulate, out, took, failed, variants, stop)
     if out is not None:
         _write(result, out)
     return result
