@@ -134,7 +134,7 @@ def test_power_volume_and_time_follow_from_pressure_and_bore():
     assert found.residence_time == pytest.approx(found.volume / FLOW)
     bar, cubic_metres = found.pressure / 1e5, 3600 * FLOW
     assert found.motor_power == pytest.approx(1e3 * bar * cubic_metres / 25) == pytest.approx(found.power / EFFICIENCY)
-    assert EFFICIENCY == pytest.approx(0.694, abs=1e-3)
+    assert pytest.approx(0.694, abs=1e-3) == EFFICIENCY
 
 
 def test_a_pump_is_compared_with_its_data_sheet():

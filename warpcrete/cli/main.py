@@ -262,6 +262,24 @@ def verify(**settings: Any) -> None:
     _part("verify").run(**settings)
 
 
+@cli.command("validate")
+@click.option("--kind", multiple=True, help="Compare only this kind of measurement, such as pipe or slump; repeatable")
+@click.option(
+    "--cases", type=click.Path(path_type=Path), help="File of your own measured cases  [default: the shipped ones]"
+)
+@click.option("--every", is_flag=True, help="Also print the table of all cases")
+@click.option("--out", type=click.Path(path_type=Path), help="New folder for the tables and validation.png")
+@click.option("--quiet", is_flag=True, help="Show no progress bar")
+def validate_command(**settings: Any) -> None:
+    """Compare blind predictions with measurements of pipes, lines, slip layers and fresh concrete.
+
+    Each case is predicted from what was known before the measurement. The table gives, for each kind of measurement,
+    the median ratio of prediction to measurement, the median error, and the share of cases inside their bands. Cases
+    that are held out were never used to fit a constant of the program.
+    """
+    _part("validate").run(**settings)
+
+
 ON_WORKERS = """\
   --scheduler WHICH      run on Dask workers (pip install 'warpcrete[cluster]'): 'local' starts one per GPU or core,
                          'slurm' submits jobs by Dask's configuration; or the address of a running scheduler

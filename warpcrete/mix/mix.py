@@ -186,7 +186,7 @@ def mix_of(
     if "yield stress" not in bulk:
         refuse("mix", ", ".join(given), "does not determine the yield stress of the concrete",
                "add spread, slump, viscometer, mortar or concrete")  # fmt: skip
-    bulk.setdefault("viscosity", unknown_viscosity())
+    bulk.setdefault("viscosity", unknown_viscosity(told))
     fluid = Concrete(
         name=name, density=bulk["density"].value, viscosity=bulk["viscosity"].value,
         yield_stress=bulk["yield stress"].value, slip_viscosity=1.0, slip_yield=0.0,

@@ -22,16 +22,17 @@ from ..theory.pipe import Concrete
 from ..theory.suspension import SUSPENSIONS, thickening
 from .figures import Figure, around, line_uncertainty, of_line
 from .given import PACKING, Measured, MixEntries
+from .layer import ESTIMATE, FILM, FILM_ERROR_FACTOR, PASTE_DENSEST, THICKENER_FACTOR, aggregate_factor, paste_layer
 
 RHEOMETER = 0.2
 """Relative uncertainty of measured constants of a concrete or mortar that are stated without one."""
 READ_SLUMP, READ_SPREAD, READ_TIME = 0.01, 0.02, 0.5
 """Possible reading errors of slump [m], spread [m] and T500 [s]; EN 12350-2 and -8 give a repeatability of 16 to 42
 mm."""
-HEAP_CENTRE, FLATTEST = 0.10, 0.295
-"""Height by which aggregate that piles up in the centre may raise a cone's top above that of a homogeneous heap [m],
-and largest slump of a cone [m]. For the cones of Yeh (2007), of which both slump and spread were measured, the centre
-is 0 to 100 mm higher than the spread implies (5th and 95th percentile of 82 cones), in the median 30 mm."""
+HEAP_CENTRE, HEAP_CENTRE_MEDIAN, FLATTEST = 0.10, 0.03, 0.295
+"""Height by which aggregate that piles up in the centre may raise a cone's top above that of a homogeneous heap, its
+median, and largest slump of a cone [m]. For the cones of Yeh (2007), of which both slump and spread were measured, the
+centre is 0 to 100 mm higher than the spread implies (5th and 95th percentile of 82 cones), in the median 30 mm."""
 THICKENING_UPPER, THICKENING_LOWER = (3.25, PACKING), (2.5, 0.65)
 """Intrinsic viscosity and densest packing for the lower and the upper end of the band of factors by which aggregate
 thickens mortar. The upper end stands for rough grains: an intrinsic viscosity a third above that of spheres, which is a
@@ -41,6 +42,8 @@ et al. 2008). The lower end stands for spheres of mixed sizes.
 T500_ERROR_FACTOR = 1.3
 """Factor by which the relation for T500 may be wrong, because of inertia and of lifting the cone in 1 to 3 s, as found
 in simulations."""
+USUAL_AGGREGATE = 0.66
+"""Share of sand and stones in the volume of a concrete whose parts are not known; 0.57 to 0.70 are usual."""
 ASSUMED_VISCOSITY = (70.0, 20.0, 400.0)
 """Plastic viscosity assumed if the mix contains no information about it, with its lower and upper limit [Pa s]. The
 band covers the three concretes of Xu, Li & Jiang (2021) and thinner ones."""
@@ -89,10 +92,21 @@ def viscosities(given: MixEntries) -> Iterator[Figure]:
                      "simulations; upper limit attributed to Sedran & de Larrard 1999", "cone")  # fmt: skip
 
 
-def unknown_viscosity() -> Figure:
-    """Return the assumed plastic viscosity of a mix that contains no information about it."""
-    return Figure("viscosity", *ASSUMED_VISCOSITY, "Pa s", "assumption",
-                  "Xu, Li & Jiang 2021 measured 297 to 397 Pa s; no source for thinner concretes")  # fmt: skip
+def unknown_viscosity(given: MixEntries) -> Figure:
+    """Return the plastic viscosity of a mix without any measurement of it, from its paste or as an assumption.
+
+    The paste's viscosity is that of the slip layer (:func:`.layer.paste_layer` times the layer's thickness), and sand
+    and stones thicken it (:func:`.layer.aggregate_factor`).
+    """
+    if given.paste_solids is None or given.paste_solids >= PASTE_DENSEST:
+        return Figure("viscosity", *ASSUMED_VISCOSITY, "Pa s", "assumption",
+                      "Xu, Li & Jiang 2021 measured 297 to 397 Pa s; no source for thinner concretes")  # fmt: skip
+    thick = THICKENER_FACTOR if given.thickener else 1.0
+    aggregate = USUAL_AGGREGATE if given.sand_and_stone is None else given.sand_and_stone
+    value = thick * paste_layer(given.paste_solids) * FILM * aggregate_factor(aggregate)
+    return Figure("viscosity", value, value / FILM_ERROR_FACTOR, value * FILM_ERROR_FACTOR, "Pa s",
+                  f"{ESTIMATE} {100 * given.paste_solids:.3g} % of powder in the paste",
+                  "paste of the slip layer, thickened by sand and stones")  # fmt: skip
 
 
 def mortar(given: MixEntries, concrete: Concrete, bulk: dict[str, Figure]) -> list[Figure]:

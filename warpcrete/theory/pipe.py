@@ -242,6 +242,12 @@ def velocity(concrete: Concrete, line: Line, state: Steady, radius: Sequence[flo
     return state.slip_velocity + np.where(state.plug_radius < inner, gained, 0.0) / concrete.viscosity
 
 
+def layer_share(concrete: Concrete, line: Line, flow: float) -> float:
+    """Return the slip velocity divided by the velocity on the axis of a round pipe, at a `flow` [m3/s]."""
+    state = steady(concrete, line, flow)
+    return state.slip_velocity / float(velocity(concrete, line, state, [0.0])[0])
+
+
 def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:
     """Return the steady state of Kaplan's two-regime model of a round pipe with a thin slip layer.
 

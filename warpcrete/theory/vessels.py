@@ -161,36 +161,42 @@ def duct_constants(aspect: float) -> tuple[float, float]:
 
 
 def duct_stress(
-    speed: np.ndarray, wide: np.ndarray, deep: float, viscosity: float, yield_stress: float
-) -> tuple[np.ndarray, np.ndarray]:
+    speed: np.ndarray, wide: np.ndarray, deep: float, viscosity: float, yield_stress: float,
+    layer: tuple[float, float] | None = None,
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return the mean wall stress [Pa] of rectangular ducts at mean speeds [m/s], and their hydraulic radii [m].
 
     `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side of all ducts. Bingham's law
     in the form of Kozicki, Chou & Tiu, which is exact in slots and pipes, reads
-    2 v / R = tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a + b))), with q = tau0 / tau.
+    2 v / R = tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a + b))), with q = tau0 / tau. With a slip `layer`,
+    given by its viscosity divided by its thickness [Pa s/m] and its yield stress [Pa], the slip velocity is added.
     """
     radius = wide * deep / (2 * (wide + deep))
     a, b = np.array([duct_constants(min(w, deep) / max(w, deep)) for w in wide]).T
     goal = 2 * speed * viscosity / radius
-    low, high = np.full_like(radius, yield_stress), 3 * yield_stress + 3 * (a + b) * goal
+    least = yield_stress if layer is None else min(yield_stress, layer[1])
+    low, high = np.full_like(radius, least), 3 * yield_stress + 3 * (a + b) * goal
     for _ in range(60):
         stress = 0.5 * (low + high)
         q = np.minimum(yield_stress / stress, 1.0)
-        less = stress * (1 / (a + b) - q / b + a / (b * (a + b)) * q ** (1 + b / a)) < goal
+        slip = 0.0 if layer is None else np.maximum(stress - layer[1], 0.0) / layer[0]
+        bulk = stress * (1 / (a + b) - q / b + a / (b * (a + b)) * q ** (1 + b / a))
+        less = bulk < goal - 2 * viscosity * slip / radius
         low, high = np.where(less, stress, low), np.where(less, high, stress)
     return 0.5 * (low + high), radius
 
 
 def funnel_time(
     half_widths: tuple[float, float], heights: tuple[float, float], depth: float, viscosity: float, yield_stress: float,
-    density: float, gravity: float = 9.81,
+    density: float, gravity: float = 9.81, layer: tuple[float, float] | None = None,
 ) -> float:  # fmt: skip
     """Estimate the time in which a V-funnel empties [s]; infinite if the yield stress holds the concrete back.
 
     The funnel is a stack of slices, each treated as a duct, with the inertia of the jet at the outlet. `half_widths`
     holds the half widths at the outlet and at the brim [m]. `heights` holds the heights of the straight outlet and of
-    the whole funnel [m]. The extensional flow in the taper is left out. The sum of times ends when the level reaches
-    the straight outlet. The concrete left there is already falling, but the slices would hold it back.
+    the whole funnel [m]. `layer` is a slip layer on all walls, as in :func:`duct_stress`; without it, concrete sticks
+    to them. The extensional flow in the taper is left out. The sum of times ends when the level reaches the straight
+    outlet. The concrete left there is already falling, but the slices would hold it back.
     """
     narrow, brim = half_widths
     throat, whole = heights
@@ -203,7 +209,7 @@ def funnel_time(
     # and each level of the concrete.
     left = []
     for speed in speeds:
-        stress, radius = duct_stress(speed * outlet / area, wide, depth, viscosity, yield_stress)
+        stress, radius = duct_stress(speed * outlet / area, wide, depth, viscosity, yield_stress, layer)
         taken = np.cumsum(stress / radius) * step + 0.5 * density * speed**2
         left.append(density * gravity * step * np.arange(1, SLICES_FUNNEL + 1) - taken)
     time = 0.0

@@ -42,6 +42,7 @@ UNITS = {
     "Pa/s": {"Pa/s": 1.0, "Pa/min": 1 / 60},
     "W": {"W": 1.0, "kW": 1e3, "hp": 550 * FOOT * POUND * 9.80665},
     "kg": {"kg": 1.0, "t": 1e3, "g": 1e-3, "lb": POUND, "lbs": POUND},
+    "Pa/m": {"Pa/m": 1.0, "kPa/m": 1e3, "MPa/m": 1e6, "bar/m": 1e5, "MPa/100m": 1e4},
     "degrees": {"degrees": 1.0, "deg": 1.0, "°": 1.0, "rad": 180 / math.pi},
     "kg/m3": {"kg/m3": 1.0, "t/m3": 1e3, "kg/m³": 1.0, "t/m³": 1e3, "g/cm3": 1e3, "g/m3": 1e-3, "kg/l": 1e3,
               "kg/L": 1e3, "lb/ft3": POUND / FOOT**3, "lb/ft³": POUND / FOOT**3, "pcf": POUND / FOOT**3,

@@ -27,8 +27,8 @@ QUANTITIES = (
 """Quantities of a blocked pipe.
 
 `blocked` is 0 or 1, so its mean over several seeds is a probability. The others are the blockage's position along the
-axis, the time of detection, the piston travel at which part of the concrete came to a stand, the pressure at detection
-and at that stand, and, at the blockage, the solid fraction and the number of force chains that span the pipe.
+axis, the time of detection, the piston travel at which a part of the concrete stopped, the pressures at detection and
+at that stop, and, at the blockage, the solid fraction and the number of force chains that span the pipe.
 """
 
 
