@@ -43,6 +43,7 @@ LIMITS = {
     "1/s": Limit(1e-9, 1e6, "concrete is sheared at 1 to 100 1/s"),
     "Pa": Limit(1e-9, 1e13, "slip layers have a yield stress of some Pa, diamond a modulus of 1e12 Pa"),
     "Pa/s": Limit(1e-9, 1e6, "the yield stress of fresh concrete grows by 0.1 to 2 Pa/s at rest"),
+    "Pa/m": Limit(1e-3, 1e9, "pumped concrete loses 1 to 50 kPa/m"),
     "Pa s": Limit(1e-6, 1e9, "air has a viscosity of 2e-5 Pa s, pitch of 1e8 Pa s"),
     "Pa s/m": Limit(1e-6, 1e13, "slip layers have 100 to 10000 Pa s/m"),
     "kg/m3": Limit(50.0, 3e4, "foams have a density of 100 kg/m3, osmium of 22600 kg/m3"),
