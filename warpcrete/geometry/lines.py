@@ -35,7 +35,7 @@ from .line_entries import (
     VALVE_DIAMETERS,
     WAYS,
 )
-from .mesh_parts import MeshBore, bore_of, directions_at, rotated_pieces
+from .mesh_bores import MeshBore
 from .pumps import Pump, pump_of
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
@@ -88,6 +88,8 @@ class Part:
     factor: float | None = None
     """Friction that the file states, relative to straight pipe of the part's length and bores; None if it states
     none."""
+    factor_range: tuple[float, float] | None = None
+    """Range of the stated friction, if it was fitted to measured pressures; None if it has no range."""
 
     @property
     def relative(self) -> float:
@@ -470,6 +472,9 @@ class _Course:
         return Part(number, "valve", self.diameter, length, rise, self.diameter), (Line(length),)
 
     def _bore(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
+        # Meshes need Warp, which takes seconds to import, so a line without them must not import it.
+        from .mesh_parts import bore_of, directions_at, rotated_pieces
+
         field, file = f"part {number}, bore", said.get("file")
         if not isinstance(file, str) or not file:
             refuse(f"{field}: file", file, "must be the path of a mesh file", "for example 'file: valve.stl'")

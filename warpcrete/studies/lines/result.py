@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,12 +17,10 @@ from ...mps.mixes import CONSTANTS
 from ...theory.bands import Band, combined
 from ...theory.pipe import Concrete, after_rest
 from .answers import EFFICIENCY, PumpMargin, band_sentences, motor_power, pressure_text
-from .fittings import METHODS_ON_BENDS, MODEL_ERRORS, range_of, uncertain_kinds
-from .losses import Part, PipeLine, friction, straight_friction, with_layer_factor
+from .fit import LineFit
+from .fittings import METHODS_ON_BENDS, MODEL_ERRORS, is_in_library, range_of, uncertain_kinds
+from .losses import GRAVITY, Part, PipeLine, friction, straight_friction, with_layer_factor
 from .practice import PracticeRow, practice_lines, practice_rows
-
-GRAVITY = 9.81
-"""Gravitational acceleration [m/s2]."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +89,8 @@ class LineResult:
     `layer_factor`."""
     stop: Stop | None = None
     """Stop of the pump, after which the line must start again; None for no stop."""
+    fit: LineFit | None = None
+    """Fit of the slip layer and of the bends to a trial line; None if the concrete's own constants hold."""
 
     def __repr__(self) -> str:
         return f"<LineResult of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
@@ -159,6 +160,11 @@ class LineResult:
         concrete and the model errors of fittings; all bends of a line deviate in the same direction. Simulated friction
         of another concrete is scaled in proportion to the closed form.
         """
+        return self._bands
+
+    @functools.cached_property
+    def _bands(self) -> tuple[np.ndarray, list[Band]]:
+        """Places and bands as :meth:`bands` returns them, calculated once."""
         places, ours = self.course(lambda loss: loss.friction + loss.weight)
         ends = {cause: [self._course_of(each) for each in pair] for cause, pair in self._variants().items()}
         for kind in uncertain_kinds(self.line.parts):
@@ -259,6 +265,9 @@ class LineResult:
         """Return remarks for the user about the line, failed checks, and places where the concrete column breaks."""
         found = self.line.remarks()
         found += [f"check FAILED in {name}: {what}" for name, bad in self.failed.items() for what in bad]
+        found += [f"part {x.part.number}, {x.part.label}, is sharper than all parts of the library of simulated parts; "
+                  "--simulate computes it" for x in self.losses
+                  if not self.simulated and not is_in_library(x.part)]  # fmt: skip
         course = self.course(lambda loss: loss.friction + loss.weight)[1]
         for number, loss in enumerate(self.losses):
             if course[number + 1] + loss.friction + loss.weight < 0:
@@ -291,6 +300,7 @@ class LineResult:
             "volume": quantity(self.volume, "m3"),
             "residence_time": quantity(self.residence_time, "s"),
             "restart": self._restart_record(),
+            "fit": None if self.fit is None else self.fit.record(),
             "practice": {row.rule: quantity(row.pressure, "Pa") for row in self.practice()[1]},
             "along": {
                 "place": {"values": places.tolist(), "unit": "m"},
@@ -325,7 +335,7 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
         "",
         f"- pressure at the pump {pressure_text(result.pressure)}; {band.low / 1e5:.4g} to {band.high / 1e5:.4g} bar",
         *(f"- {sentence}" for sentence in band_sentences(band)),
-        f"- by theory, with bends and reducers as straight pipe, {pressure_text(result.theory)}",
+        f"- with bends and reducers as straight pipe, {pressure_text(result.theory)} (theory)",
         f"- power into the concrete {result.power / 1e3:.3g} kW, of the pump's motor {result.motor_power / 1e3:.3g} kW "
         f"(efficiency {EFFICIENCY:.2f}: bar times m3/h over 25)",
         f"- the line holds {result.volume:.3g} m3, and concrete passes it in {_time(result.residence_time)}",
