@@ -18,8 +18,9 @@ from ..core.errors import positive
 from ..core.inputs.amounts import amount
 from ..core.inputs.fingerprints import fingerprint
 from ..core.inputs.limits import check_limit, check_velocity, check_whole
-from ..core.run.files import next_folder
+from ..core.run.files import next_folder, write_json
 from ..geometry.pumps import pump_of
+from ..mix.blocking import line_rules, narrowest, rule_lines, rule_records
 from ..mix.mix import Mix, mix_named
 from ..mps.mixes import concrete_of
 from ..studies.lines.fit import fit_line, fit_lines, read_taps
@@ -55,7 +56,7 @@ def run(line: str, *, method: str, simulate: bool, theory: bool, out: Path | Non
     stop = None if rest is None else Stop(rest, growth, THIXOTROPY_BAND if grown is None else None)
     if simulate or method != "flow":
         assert rate is not None
-        failed = _simulated(given, str(name), rate, method, out, _layer(mix, settings), stop, settings)
+        failed = _simulated(given, str(name), rate, method, out, mix, stop, settings)
         if failed:
             raise SystemExit(CHECK_FAILED)
         return
@@ -71,7 +72,8 @@ def run(line: str, *, method: str, simulate: bool, theory: bool, out: Path | Non
     with line_folder(out, {**asked, "method": "theory"}):
         assert rate is not None
         found = line_by_theory(given, concrete, rate, out=out, stop=stop, fit=fit, **layer)
-    click.echo("\n" + "\n".join(lines_of(found, settings["practice"])))
+        click.echo("\n" + "\n".join(lines_of(found, settings["practice"])))
+        print_rules(given, mix, out)
     if out is not None:
         click.echo(f"\nfolder: {out}")
 
@@ -133,15 +135,31 @@ def _with_pump(line: PipeLine, limits: Mapping[str, str | None]) -> PipeLine:
 
 
 def _simulated(
-    line: PipeLine, name: str, rate: float, method: str, out: Path | None, layer: dict[str, Any], stop: Stop | None,
+    line: PipeLine, name: str, rate: float, method: str, out: Path | None, mix: Mix | None, stop: Stop | None,
     settings: Mapping[str, Any],
 ) -> bool:  # fmt: skip
     """Simulate the parts of a line, print its pressure, and return whether a check of a part failed."""
     job = importlib.import_module(f"{__package__}.line_simulated")
     folder = out or next_folder("line")
     try:
-        return job.run(line, name, rate, method, folder, layer, stop, settings)
+        layer = _layer(mix, settings)
+        return job.run(line, name, rate, method, folder, layer, stop, settings, lambda: print_rules(line, mix, folder))
     except KeyboardInterrupt:
         if (folder / PARTS).is_dir():
             click.echo(f"interrupted; continue with the same command and --out {folder}")
         raise SystemExit(INTERRUPTED) from None
+
+
+def print_rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> None:
+    """Print what the rules of practice say about blocking of the line, and write it to its folder."""
+    verdicts = line_rules(line, None if mix is None else mix.given)
+    part = narrowest(line)
+    where = f"narrowest part {part.number}, {part.label}, {1e3 * part.narrow:.4g} mm"
+    text = rule_lines(verdicts, where)
+    if mix is None:
+        text.append(
+            "unknown  all rules on the mix: the concrete has no mix; 'warpcrete mix --help' shows how to write it"
+        )
+    click.echo("\n" + "\n".join(text))
+    if folder is not None:
+        write_json(folder / "blocking.json", rule_records(verdicts) | {"narrowest_part": part.number})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +22,12 @@ from ..studies.lines.run import run_line
 
 def run(
     line: PipeLine, name: str, rate: float, method: str, folder: Path, layer: Mapping[str, Any], stop: Stop | None,
-    settings: Mapping[str, Any],
+    settings: Mapping[str, Any], finish: Callable[[], None],
 ) -> bool:  # fmt: skip
     """Simulate a line, print its pressure, and return whether a check of a part failed.
 
     `layer` holds the uncertainty of the concrete as arguments of `run_line`, and `settings` the options of the command.
+    `finish` is called when the result has been printed, while the folder is locked.
     """
     elements = Elements(**{key: settings[key] for key in ("shapes", "coarse", "seeds", "stiffer")})
     asked = {"line": line.name, "parts": fingerprint(line.parts), "concrete": name, "flow": rate, "method": method,
@@ -44,6 +45,7 @@ def run(
                 tell = None if settings["quiet"] else (lambda phase, fraction: progress(phase, fraction, {}))
                 packed = run_elements(line, name, rate, elements=elements, progress=tell, **where)
             _print(line, name, rate, found, packed, folder, settings["practice"])
+            finish()
     finally:
         progress.close()
     return any(each is not None and bool(each.failed) for each in (found, packed))

@@ -264,10 +264,12 @@ def verify(**settings: Any) -> None:
 
 @cli.command("validate")
 @click.option("--kind", multiple=True, help="Compare only this kind of measurement, such as pipe or slump; repeatable")
+@click.option("--quick", is_flag=True, help="Use closed forms only, and simulate no flow")
 @click.option(
     "--cases", type=click.Path(path_type=Path), help="File of your own measured cases  [default: the shipped ones]"
 )
 @click.option("--every", is_flag=True, help="Also print the table of all cases")
+@click.option("--device", help="Device of the simulations: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 @click.option("--out", type=click.Path(path_type=Path), help="New folder for the tables and validation.png")
 @click.option("--quiet", is_flag=True, help="Show no progress bar")
 def validate_command(**settings: Any) -> None:
@@ -521,8 +523,10 @@ def line_command(line: str, **settings: Any) -> None:
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Write the resulting concrete to this new file, for --concrete"
 )
-def mix_command(name: str, out: Path | None) -> None:
-    _part("mix").run(name, out)
+@click.option("--bore", help="Narrowest bore through which the concrete is pumped, such as '100 mm', for the rule on "
+              "the largest stone")  # fmt: skip
+def mix_command(name: str, out: Path | None, bore: str | None) -> None:
+    _part("mix").run(name, out, bore)
 
 
 @cli.command("schema")

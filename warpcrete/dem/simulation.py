@@ -311,7 +311,7 @@ class ElementSimulation(Simulation):
             contacts = contact_sums(self.model, state, coordination=True)
             known = Known(
                 self.scene, self.model.walls, series, mass, contacts, wear=self.sampler.wear,
-                blocked=self.blockage.found if self.blockage is not None else None, log=self.sampler.log,
+                blockage=self.blockage, log=self.sampler.log,
             )  # fmt: skip
             result |= results_of(quantities(), known)
             if known.log is not None and known.pumped:

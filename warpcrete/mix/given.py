@@ -11,7 +11,17 @@ from ..core.errors import between, one_of, positive, refuse, suggested
 from ..core.inputs.amounts import amount, bare_number, is_amount
 from ..core.inputs.limits import check_limit
 from ..core.inputs.text_files import errors_located_at
-from .ingredients import MIN_AMOUNT, check_volume, is_thickener, mass_per_volume, paste_volumes
+from .ingredients import (
+    MIN_AMOUNT,
+    check_volume,
+    is_plasticizer,
+    is_thickener,
+    mass_per_volume,
+    paste_volumes,
+    powder_mass,
+    sand_and_stone_masses,
+    water_mass,
+)
 from .points import PUMPED, read_points
 
 T = TypeVar("T")
@@ -55,7 +65,10 @@ NUMBERS = {
         0.12,
         1.2,
     ),
-}
+    "voids": Entry("Voids of sand and stones together when compacted, share of their bulk volume", "m3/m3", 0.1, 0.5,
+                   "write per cent as in '24 %'"),
+    "fine_sand": Entry("Share of the sand's mass below 0.3 mm", "1", 0, 1, "write per cent as in '18 %'"),
+}  # fmt: skip
 """Numeric entries of a mix."""
 OTHERS = {
     "parts": "Mass of every ingredient in a cubic metre [kg/m3], or with its unit; liquids also by volume",
@@ -71,7 +84,8 @@ OTHERS = {
 }
 """Entries of a mix that are not single numbers, with their meaning."""
 KEYS = ("density", "air", "parts", "volume", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete",
-        "mortar", "viscometer", "slump", "spread", "t500", "water_binder", "thickener", "layer")  # fmt: skip
+        "mortar", "viscometer", "slump", "spread", "t500", "water_binder", "thickener", "layer", "voids",
+        "fine_sand")  # fmt: skip
 SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crushed": "reference",
           "angular": "reference", "reference": "reference"}  # fmt: skip
 """Words for the shape of stones, with the shapes that discrete elements use for them. A numeric shape factor stands for
@@ -152,6 +166,16 @@ class MixEntries:
     """Share of sand and stones together in the concrete's volume."""
     thickener: bool = False
     """True if the concrete contains a viscosity-modifying admixture."""
+    parts: Mapping[str, float] = field(default_factory=dict)
+    """Ingredients of a cubic metre [kg/m3] by their names."""
+    paste_share: float | None = None
+    """Share of powder, water and admixtures in the volume of the concrete."""
+    water_binder: float | None = None
+    """Mass of water over mass of all powder."""
+    voids: float | None = None
+    """Voids of sand and stones together when compacted, as a share of their bulk volume."""
+    fine_sand: float | None = None
+    """Share of the sand's mass below 0.3 mm."""
 
     @property
     def largest(self) -> float | None:
@@ -159,6 +183,29 @@ class MixEntries:
         if self.sieve is not None:
             return self.sieve[-1][0]
         return self.sizes[1] if self.sizes is not None else None
+
+    @property
+    def sand_mass(self) -> float:
+        """Mass of sand in a cubic metre [kg]; 0 if it is not known."""
+        sand, _ = sand_and_stone_masses(self.parts)
+        if sand == 0 and self.share is not None and self.sand_and_stone is not None:
+            return max(self.sand_and_stone - self.share, 0.0) * GRAVEL
+        return sand
+
+    @property
+    def sand_share(self) -> float | None:
+        """Share of sand in the aggregate, by mass or else by volume; None if it is not known."""
+        sand, stone = sand_and_stone_masses(self.parts)
+        if sand > 0 and stone > 0:
+            return sand / (sand + stone)
+        if self.share is None or self.sand_and_stone is None or self.share >= self.sand_and_stone:
+            return None
+        return 1 - self.share / self.sand_and_stone
+
+    @property
+    def plasticizer(self) -> bool:
+        """True if the ingredients name a plasticizer."""
+        return any(is_plasticizer(name) for name in self.parts)
 
 
 def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
@@ -214,6 +261,11 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
         paste_solids=_paste_solids(given),
         sand_and_stone=_sand_and_stone(given),
         thickener=_thickener(given),
+        parts=_masses(given),
+        paste_share=_paste_share(given),
+        water_binder=_water_binder(given),
+        voids=_number(given, "voids"),
+        fine_sand=_number(given, "fine_sand"),
     )
 
 
@@ -250,6 +302,19 @@ def _sand_and_stone(given: Mapping[str, Any]) -> float | None:
     powder, liquid = paste_volumes(_masses(given))
     air = _number(given, "air")
     return 1 - powder - liquid - (USUAL_AIR if air is None else air) if powder > 0 and liquid > 0 else None
+
+
+def _paste_share(given: Mapping[str, Any]) -> float | None:
+    """Return the share of powder and liquid in the volume of the concrete; None if the ingredients do not tell it."""
+    powder, liquid = paste_volumes(_masses(given))
+    return powder + liquid if powder > 0 and liquid > 0 else None
+
+
+def _water_binder(given: Mapping[str, Any]) -> float | None:
+    """Return the mass of water over that of powder, as stated or from the ingredients."""
+    parts = _masses(given)
+    powder, water = powder_mass(parts), water_mass(parts)
+    return _number(given, "water_binder") or (water / powder if powder > 0 and water > 0 else None)
 
 
 def _thickener(given: Mapping[str, Any]) -> bool:

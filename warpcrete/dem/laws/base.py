@@ -56,6 +56,9 @@ class ContactLaw(Declared, ABC):
           step [J];
         - `moment_energy(p, touch, history)`: elastic energy of that spring [J].
 
+        They are called where `touch.gap` is negative, and in a bonded pair also at positive gaps, where a law must
+        switch off its own forces. The energy must be zero at the gap 0 if there is no history.
+
         A CPU evaluates `force` and `moment` of several contacts at once in vector lanes. This works only if no branch
         assigns a vector or returns: a branch should choose a number, which the code then multiplies by.
         """

@@ -49,10 +49,15 @@ class BlockageWatch:
         pipe, blockage = model.scene.pipe, model.scene.blockage
         assert pipe is not None and blockage is not None
         self.axis, self.radius = pipe.axis, pipe.radius
+        stations = model.scene.stations
+        self.bores = stations.bores if stations is not None and not stations.bores.is_straight else None
+        """Radii of a pipe whose width changes along its axis, otherwise None."""
         self.window = blockage.travel or blockage_travel(2 * pipe.radius, pipe.concrete_length, model.stress_scale)
         """Piston travel during which a part of the concrete must stand still in a blocked pipe [m]."""
         self.found: dict[str, float] = {}
         """Position, time, pressure and so on of the first blockage, by name; empty while the pipe is not blocked."""
+        self.slowest = np.nan
+        """Advance of the slowest part over that of the piston, by volume, at the last check; NaN before two checks."""
         self._checked_travel = -np.inf
         self._stand_travel: float | None = None
         self._pressure = 0.0
@@ -69,11 +74,13 @@ class BlockageWatch:
             "standing": self._stand_travel,
             "pressure": self._pressure,
             "places": self._places,
+            "slowest": self.slowest,
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the recorded blockage and the data for the next check from a `state_dict`."""
         self.found, self._places = dict(state["found"]), np.array(state["places"])
+        self.slowest = float(state.get("slowest", np.nan))
         self._checked_travel, self._pressure = float(state["looked"]), float(state["pressure"])
         self._stand_travel = None if state["standing"] is None else float(state["standing"])
 
@@ -89,7 +96,9 @@ class BlockageWatch:
         if len(s) < STONES:
             return
         if self._checked_travel >= 0:
-            least = least_advance(self._places, s, volume, self.axis.length) / (travel - self._checked_travel)
+            moved = self._places + self._widening(0.5 * (self._places + s)) * (s - self._places)
+            least = least_advance(self._places, moved, volume, self.axis.length) / (travel - self._checked_travel)
+            self.slowest = least
             if least >= STANDING_RATIO:
                 self._stand_travel = None
             elif self._stand_travel is None:
@@ -97,6 +106,10 @@ class BlockageWatch:
             elif travel - self._stand_travel >= self.window and row["pressure"] > self._pressure:
                 self.found = self._describe(row, s, volume)
         self._checked_travel, self._places = travel, s
+
+    def _widening(self, s: np.ndarray) -> np.ndarray | float:
+        """Return the area of the bore at arc lengths `s` [m] over that at the piston, by which an advance counts."""
+        return 1.0 if self.bores is None else (self.bores.at(s) / self.radius) ** 2
 
     def _aggregates(self) -> tuple[np.ndarray, np.ndarray]:
         """Return arc lengths [m] and volumes [m3] of the aggregates, in the order of their permanent numbers."""
@@ -112,12 +125,13 @@ class BlockageWatch:
 
     def _describe(self, row: dict[str, float], s: np.ndarray, volume: np.ndarray) -> dict[str, float]:
         assert self._stand_travel is not None
-        wide = 2 * self.radius
+        wide = 2 * (self.radius if self.bores is None else self.bores.smallest)
         stations = np.arange(row["travel"], min(float(s.max()), self.axis.length) + 0.25 * wide, 0.25 * wide)
         forces, places, chains = axial_forces(self.model, self.state, self.axis)
         at = last_loaded(stations, forces, places)
-        slab = np.abs(s - at) < 0.5 * self.radius
-        solid = volume[slab].sum() / (bore_area(self.model.walls, self.axis, self.radius, at) * self.radius)
+        radius = self.radius if self.bores is None else float(self.bores.at(at))
+        slab = np.abs(s - at) < 0.5 * radius
+        solid = volume[slab].sum() / (bore_area(self.model.walls, self.axis, radius, at) * radius)
         return {
             "at": at,
             "time": row["time"],
@@ -125,7 +139,7 @@ class BlockageWatch:
             "pressure": row["pressure"],
             "pressure_before": self._pressure,
             "solid_fraction": float(solid),
-            "chains": float(count_spanning_networks(self.model, self.state, self.axis, at, wide, chains)),
+            "chains": float(count_spanning_networks(self.model, self.state, self.axis, at, 2 * radius, chains)),
         }
 
 

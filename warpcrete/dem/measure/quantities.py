@@ -14,8 +14,9 @@ from ...geometry.walls import Wall
 from ...standards.standard_test import report_unrest
 from ..scene.scene import Scene
 from ..scene.strokes import held, peaks
+from .blockage import BlockageWatch
 from .blockage_results import QUANTITIES as OF_BLOCKAGE
-from .blockage_results import blocked_words
+from .blockage_results import blocked_words, not_blocked_words
 from .probes import ContactSums
 from .sampling import STORED
 from .segregation import QUANTITIES as OF_SEGREGATION
@@ -50,8 +51,8 @@ class Known:
     contacts: ContactSums
     """Sums over the contacts at the end of the run, coordination number included."""
     wear: WearMap | None = None
-    blocked: dict[str, float] | None = None
-    """Findings of a :class:`BlockageWatch`; empty if the pipe was not blocked, None if the run had no such watch."""
+    blockage: BlockageWatch | None = None
+    """Watch for blockages; None if the run had none."""
     log: StationLog | None = None
     """Measurements in slices (stations) along the pipe; None without such measurements in every row."""
 
@@ -321,6 +322,8 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
         yield from report_unrest(run, run.scene.vessel.test)
     if run.result.get("blocked"):
         yield "BLOCKED", blocked_words(run)
+    elif "blockage_window" in run.result:
+        yield "blockage", not_blocked_words(run)
     if "segregation" in run.result:
         yield "segregation", segregation_words(run)
     yield from report_wear(run)

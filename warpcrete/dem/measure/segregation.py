@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...core.run.method import Quantity
+from ...geometry.bores import Bores
 from ..engine.model import Model
 from ..engine.state import State
 
@@ -54,10 +55,11 @@ def stones_of(state: State) -> Stones:
     return place[:, :3], place[:, 3], np.pi / 6 * size[body] ** 3 * share, size[body]
 
 
-def measured(
-    axis: Any, radius: float, stones: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-) -> dict[str, float]:
-    """Return the values of the columns UNITS for stones from :func:`stones_of` in a pipe with this `radius` [m]."""
+def measured(axis: Any, radius: float | Bores, stones: Stones) -> dict[str, float]:
+    """Return the values of the columns UNITS for stones from :func:`stones_of` in a pipe.
+
+    `radius` is the radius of the pipe [m], or its radii along the axis.
+    """
     centre, reach, volume, size = stones
     # The time series may contain only finite numbers, so return zeros for an empty pipe.
     if len(volume) == 0:
@@ -74,8 +76,10 @@ def measured(
     begin, end = _quantiles(s, volume, (ENDS, 1 - ENDS))
     inside = (along >= begin) & (along <= end)
     large = np.repeat(are_large(size, volume), len(points))
-    section, length = np.pi * radius**2, end - begin
-    inner, front = apart < 0.5 * radius, along > 0.5 * (begin + end)
+    middle = 0.5 * (begin + end)
+    here, wall = (radius.at(along), radius.at(s)) if isinstance(radius, Bores) else (radius, radius)
+    inner, front = apart < 0.5 * here, along > middle
+    whole, ahead_of, behind = _volumes(radius, begin, middle, end)
 
     def total(chosen: np.ndarray) -> float:
         return float(weight[chosen & inside].sum())
@@ -84,14 +88,22 @@ def measured(
         return total(chosen & large) / total(chosen) if total(chosen) > 0 else 0.0
 
     return {
-        "aggregate_inner": total(inner) / (0.25 * section * length),
-        "aggregate_outer": total(~inner) / (0.75 * section * length),
-        "aggregate_front": total(front) / (0.5 * section * length),
-        "aggregate_rear": total(~front) / (0.5 * section * length),
+        "aggregate_inner": total(inner) / (0.25 * whole),
+        "aggregate_outer": total(~inner) / (0.75 * whole),
+        "aggregate_front": total(front) / ahead_of,
+        "aggregate_rear": total(~front) / behind,
         "large_inner": share(inner),
         "large_outer": share(~inner),
-        "mixing": mixing(s, np.linalg.norm(centre - on_axis, axis=1) / radius, are_large(size, volume)),
+        "mixing": mixing(s, np.linalg.norm(centre - on_axis, axis=1) / wall, are_large(size, volume)),
     }
+
+
+def _volumes(radius: float | Bores, begin: float, middle: float, end: float) -> tuple[float, float, float]:
+    """Return the volumes of a pipe between `begin` and `end`, beyond `middle`, and before it [m3]."""
+    if isinstance(radius, Bores):
+        return radius.volume(begin, end), radius.volume(middle, end), radius.volume(begin, middle)
+    whole = np.pi * radius**2 * (end - begin)
+    return whole, 0.5 * whole, 0.5 * whole
 
 
 def _quantiles(values: np.ndarray, weights: np.ndarray, parts: tuple[float, ...]) -> list[float]:
@@ -132,7 +144,9 @@ def row_of(model: Model, state: State) -> dict[str, float]:
     """Return the values of the segregation columns for the present state of a scene with a pipe."""
     pipe = model.scene.pipe
     assert pipe is not None
-    return measured(pipe.axis, pipe.radius, stones_of(state))
+    stations = model.scene.stations
+    varies = stations is not None and not stations.bores.is_straight
+    return measured(pipe.axis, stations.bores if stations and varies else pipe.radius, stones_of(state))
 
 
 def _at(name: str, place: int) -> Callable[[Any], float | None]:

@@ -72,7 +72,8 @@ class Watch:
                 "precision float64, or a scene nearer to the origin",
             )
         work, free = row["wall_work"] + row["drive_work"], _free(row)
-        moving = row["kinetic_energy"] + row["elastic_energy"] + row["bond_energy"]
+        # An attracting contact law has negative energy, which is as much a scale of the scene as a positive one.
+        moving = row["kinetic_energy"] + abs(row["elastic_energy"]) + row["bond_energy"]
         self.scale = max(self.scale, moving, abs(work), self.floor)
         self.least = min(self.least, free)
         if limits.energy is not None and free - self.least > limits.energy * self.scale:
@@ -80,7 +81,8 @@ class Watch:
                 time,
                 fastest_body(self.model, self.state),
                 f"energy grew by {free - self.least:.3g} J without work of a wall or drive, "
-                f"{(free - self.least) / self.scale:.2g} of all energy in the scene (watch.energy = {limits.energy:g})",
+                f"{(free - self.least) / max(self.scale, 1e-300):.2g} of all energy in the scene "
+                f"(watch.energy = {limits.energy:g})",
             )
 
 

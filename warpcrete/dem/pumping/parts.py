@@ -30,6 +30,7 @@ from .parameters import (
     ConcreteChoice,
     ConcreteDefaults,
     ContactParameters,
+    IndexParameters,
     PlugParameters,
     RunParameters,
     coarser,
@@ -114,9 +115,9 @@ class PushParameters:
 @dataclass(frozen=True, kw_only=True)
 class PartElements(
     ConcreteDefaults, CourseParameters, PushParameters, ConcreteChoice, AggregateParameters, LawChoice, WallLawChoice,
-    ContactParameters, BondParameters, PlugParameters, RunParameters,
+    ContactParameters, BondParameters, PlugParameters, IndexParameters, RunParameters,
 ):  # fmt: skip
-    """All parameters of a part of a line: concrete, pipe, piston, contacts, plug and run."""
+    """All parameters of a part of a line: concrete, pipe, piston, contacts, plug, measurements and run."""
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:

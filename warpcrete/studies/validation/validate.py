@@ -18,6 +18,7 @@ from .cases import Case, held_out_groups, shipped_cases
 from .comparison import Comparison, compare
 from .figure import draw
 from .kinds import KINDS
+from .simulated import representatives, simulate
 
 Progress = Callable[[str, float], None]
 
@@ -28,7 +29,7 @@ class Summary:
 
     kind: str
     chosen: str
-    """Cases in the statistics: "all", "held out" or "others"."""
+    """Cases in the statistics: "all", "held out", "others" or "simulated"."""
     count: int
     groups: int
     """Number of independent groups among the cases."""
@@ -60,12 +61,13 @@ class Validation:
         """Return the statistics of each kind, for all cases and for held-out and other cases apart."""
         found = []
         for kind in KINDS:
-            own = [each for each in self.comparisons if each.case.kind == kind]
+            own = [each for each in self.comparisons if each.case.kind == kind and not each.simulated]
             parts = {
                 "all": own,
                 "held out": [x for x in own if x.held_out],
                 "others": [x for x in own if not x.held_out],
             }
+            parts |= {"simulated": [each for each in self.comparisons if each.case.kind == kind and each.simulated]}
             found += [
                 _summary(kind, name, part) for name, part in parts.items() if part and (name == "all" or part != own)
             ]
@@ -84,6 +86,7 @@ class Validation:
             "summaries": [vars(each) for each in self.summaries()],
             "cases": [
                 {"id": x.case.name, "kind": x.case.kind, "group": x.case.group, "held_out": x.held_out,
+                 "simulated": x.simulated,
                  "unit": KINDS[x.case.kind].unit, "measured": x.measured, "predicted": x.band.value,
                  "low": x.band.low, "high": x.band.high, "causes": dict(x.band.shares), "source": x.case.source,
                  "note": x.case.note}
@@ -124,12 +127,14 @@ CASE_COLUMNS = ("case", "kind", "held out", "unit", "measured", "predicted", "lo
 
 
 def validate(
-    cases: Sequence[Case] | None = None, *, kinds: Iterable[str] = (), progress: Progress | None = None
-) -> Validation:
+    cases: Sequence[Case] | None = None, *, kinds: Iterable[str] = (), quick: bool = False, device: str | None = None,
+    progress: Progress | None = None,
+) -> Validation:  # fmt: skip
     """Predict measured cases, by default all that are shipped, and compare the predictions with the measurements.
 
     `kinds` restricts the comparison, and an empty sequence means all kinds. Raises :class:`SceneError` for an unknown
-    kind. A case that the program refuses to predict is listed with the reason.
+    kind. Unless it is `quick`, one case of each group of slumps, spreads and funnels is also simulated as a flow, which
+    takes a few minutes. A case that the program refuses to predict is listed with the reason.
     """
     kinds = tuple(kinds)
     for kind in kinds:
@@ -137,14 +142,17 @@ def validate(
     everything = list(cases) if cases is not None else shipped_cases()
     held = held_out_groups(everything)
     chosen = [case for case in everything if not kinds or case.kind in kinds]
-    found, refused = [], {}
-    for place, case in enumerate(chosen):
+    found: list[Comparison] = []
+    refused: dict[str, str] = {}
+    jobs = [(case, False) for case in chosen] + [(case, True) for case in ([] if quick else representatives(chosen))]
+    for place, (case, as_flow) in enumerate(jobs):
         if progress is not None:
-            progress(case.name, place / len(chosen))
+            progress(case.name, place / len(jobs))
+        held_out = (case.kind, case.group) in held
         try:
-            found.append(compare(case, (case.kind, case.group) in held))
+            found.append(simulate(case, held_out, device=device) if as_flow else compare(case, held_out))
         except WarpcreteError as error:
-            refused[case.name] = one_line(str(error))
+            refused[f"{case.name}{', simulated' if as_flow else ''}"] = one_line(str(error))
     return Validation(found, refused)
 
 
@@ -165,8 +173,9 @@ def summary_cells(x: Summary) -> tuple[str, ...]:
 
 
 def _case_cells(x: Comparison) -> tuple[str, ...]:
+    name = f"{x.case.name}, simulated" if x.simulated else x.case.name
     numbers = (x.measured, x.band.value, x.band.low, x.band.high)
-    return (x.case.name, x.case.kind, "yes" if x.held_out else "no", KINDS[x.case.kind].unit,
+    return (name, x.case.kind, "yes" if x.held_out else "no", KINDS[x.case.kind].unit,
             *(f"{each:.4g}" for each in numbers), f"{x.ratio:.2f}", "yes" if x.inside else "no")  # fmt: skip
 
 
