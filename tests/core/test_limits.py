@@ -307,7 +307,7 @@ def test_the_nearest_word_is_suggested():
         (lambda: scenes.pipe(concrete="zahn"), "did you mean 'zhan'?"),
         (lambda: scenes.tube(concrete="n01"), "did you mean 'no1'?"),
         (lambda: scenes.pipe(unit="vertcal"), "did you mean 'vertical'?"),
-        (lambda: amount("flow", "30 m3/hr", "m3/s"), "did you mean 'm3/h'?"),
+        (lambda: amount("flow", "30 m3/hrs", "m3/s"), "did you mean 'm3/hr'?"),
         (lambda: mix_of({"density": 2300, "spred": 0.6}), "did you mean 'spread'?"),
         (lambda: line_of({"diamter": 0.1}), "did you mean 'diameter'?"),
     ):

@@ -249,7 +249,8 @@ def test_the_command_prints_and_writes_a_concrete(tmp_path):
 
 def test_a_line_has_the_band_of_its_mix(tmp_path):
     path, site = written(tmp_path, BULK | STONES), tmp_path / "site.yaml"
-    parts = [{"straight": "10 m"}, {"bend": {"to": "up", "radius": "0.5 m"}}, {"straight": "5 m"}]
+    bend = {"bend": {"to": "up", "radius": "0.5 m", "factor": 1}}
+    parts = [{"straight": "10 m"}, bend, {"straight": "5 m"}]
     site.write_text(yaml_text({"diameter": "125 mm", "flow": "20 m3/h", "concrete": "mix.yaml", "parts": parts}))
     mix, line = read_mix(path), line_of({"diameter": "125 mm", "parts": parts})
     found = run_line(line, mix.concrete, 20 / 3600, simulate=False, variants=mix.variants)
@@ -258,12 +259,13 @@ def test_a_line_has_the_band_of_its_mix(tmp_path):
     expected = combined(found.pressure, ends)
     assert (found.band().low, found.band().high) == pytest.approx((expected.low, expected.high))
     assert dict(found.band().shares) == pytest.approx(dict(expected.shares))
-    assert found.record()["layer_factor"] is None and "the bands of the mix" in found.record()["band"]
+    assert found.record()["layer_factor"] is None
+    assert "comes from the slip layer; measure it with" in found.record()["band"]
     done = CliRunner().invoke(cli, ["line", str(site), "--theory"])
     assert done.exit_code == 0, done.output
-    assert f"{found.band().low / 1e5:.4g} bar" in done.output and "of which the slip layer makes" in done.output
+    assert f"{found.band().low / 1e5:.4g} to " in done.output and "comes from the slip layer" in done.output
     given = CliRunner().invoke(cli, ["line", str(site), "--theory", "--layer-factor", "1.5"])
-    assert "with 1.5 times less or more resistance of the slip layer" in given.output
+    assert "100 % of the band of " in given.output and "comes from the slip layer" in given.output
     assert "layer_factor = 0.0" in str(CliRunner().invoke(cli, ["line", str(site), "--layer-factor", "0"]).exception)
     written(tmp_path, BULK | {"sizes": ["20 mm", "130 mm"]})
     assert "largest_stone = 0.13: does not pass through part 1" in str(

@@ -23,13 +23,11 @@ from ..record.checks import failed_checks
 from ..record.loading import is_finished, repeatable_scene
 from ..record.recorders import RECORDERS, DrawSettings, recorders_of
 from ..studies.lines.pipeline import check_pipeline, pipeline_estimate
+from .exits import CHECK_FAILED, INTERRUPTED
 
 KEPT = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), "pipeline_vertical", "pipeline_horizontal",
         "pipeline_other", "checkpoint_every", "threads")  # fmt: skip
 """Settings stored in scene.json for a resumed run."""
-CHECK_FAILED = 3
-"""Exit code of a finished run that failed one of the scene's checks."""
-INTERRUPTED = 130
 
 
 def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str, quiet: bool) -> None:

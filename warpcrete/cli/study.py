@@ -15,8 +15,8 @@ from ..core.run.files import next_folder, read_record
 from ..core.run.progress import ProgressBar
 from ..record.recorders import RECORDERS
 from ..studies.study import Study, resume_study, run_study
+from .exits import CHECK_FAILED, INTERRUPTED
 from .options import check_scene, quantity_of
-from .run import CHECK_FAILED, INTERRUPTED
 
 CASE_FAILED = 1
 """Exit code of a study in which a case ended with an error."""

@@ -11,8 +11,7 @@ from typing import Any
 import click
 
 from ..core.errors import refuse
-from ..core.inputs.amounts import amount
-from ..core.inputs.limits import check_limit, check_velocity
+from ..core.inputs.limits import check_velocity
 from ..core.inputs.parameters import Field, declared_fields, resolved
 from ..mix.mix import mix_named
 from ..mix.points import read_points
@@ -20,9 +19,8 @@ from ..mps.column import FLOW, ColumnParameters, ConcreteParameters
 from ..mps.mixes import CONSTANTS, concrete_of, file_constants
 from ..theory.pipe import Concrete, Line, measured_layer, restart_table, steady, table
 from ..theory.segregated import segregation_table
+from .option_amounts import growth_of
 
-THIXOTROPY = 0.5
-"""Default growth rate A_thix of the yield stress at rest [Pa/s], for moderate stiffening (Roussel 2006)."""
 LINE = ("length", "rise", "gravity")
 """Properties of a pipeline that the command takes as parameters of the same names. The pipeline's radius is half the
 parameter `diameter`."""
@@ -32,20 +30,6 @@ def fields() -> dict[str, Field]:
     """Return, by name, the parameters of the command: those parameters of pipe flows that the closed form uses."""
     pipe = {"diameter": declared_fields(ColumnParameters)["diameter"]}
     return {**declared_fields(ConcreteParameters), **pipe, **{name: declared_fields(Line)[name] for name in LINE}}
-
-
-def option_amount(field: str, given: str | None, unit: str) -> float | None:
-    """Return the value of an option as a number in `unit`, or None if the option is missing."""
-    if given is None:
-        return None
-    found = amount(field, given, unit)
-    check_limit(field, found, unit)
-    return found
-
-
-def option_amounts(field: str, given: Sequence[str], unit: str) -> list[float]:
-    """Return the values of a repeatable option as numbers in `unit`."""
-    return [found for each in given if (found := option_amount(field, each, unit)) is not None]
 
 
 def run(
@@ -100,13 +84,6 @@ def _share(given: float | None, name: str) -> float:
         refuse("aggregate", None, "must be given for --segregation, as the concrete does not state its aggregate",
                "add, for example, --aggregate 0.36")  # fmt: skip
     return mix.given.share
-
-
-def growth_of(rest: float | None, thixotropy: float | None) -> float:
-    """Return the stated or usual rate A_thix [Pa/s]; refuse a stated rate if no time of rest is given."""
-    if thixotropy is not None and rest is None:
-        refuse("thixotropy", thixotropy, "needs the time of rest", "add, for example, --rest 600")
-    return THIXOTROPY if thixotropy is None else thixotropy
 
 
 def _fitted(concrete: Concrete, line: Line, flows: list[float], pressures: list[float]) -> Concrete:

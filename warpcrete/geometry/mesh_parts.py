@@ -16,6 +16,7 @@ from .axis import Arc, Axis, Line
 from .bores import Bores
 from .inner_surface import DIRECTIONS_AROUND, InnerSurface, equal_radii
 from .mesh_axis import follow, pieces_through
+from .mesh_bores import MeshBore
 from .meshes import load
 
 DIAMETER_TOLERANCE, ROUNDNESS_TOLERANCE = 0.02, 0.05
@@ -44,33 +45,6 @@ WAYS: tuple[Way, ...] = (
     (0.0, -1.0, 0.0),
 )
 """Directions in which the bore of a mesh may start at the mesh's origin."""
-
-
-@dataclass(frozen=True)
-class MeshBore:
-    """Measured bore of a mesh that serves as one part of a pipeline."""
-
-    file: str
-    """Absolute path of the mesh file."""
-    scale: float
-    """Factor from the file's length unit to metres: 0.001 for mm."""
-    axis: Axis
-    """Centreline of the bore in the mesh's coordinates, starting at the mesh's origin."""
-    narrowest: float
-    """Smallest distance between two opposite places of the bore's wall [m]."""
-    digest: str
-    """Hash of the mesh file's content and of its scale."""
-    places: tuple[float, ...]
-    """Arc lengths of the stored cross-sections from the start of the bore, increasing [m]."""
-    radii: tuple[float, ...]
-    """Radii of circles with the areas of the stored cross-sections [m]."""
-    least: tuple[float, ...]
-    """Radii of the largest free circles about the axis in the stored cross-sections [m]."""
-
-    @property
-    def ends(self) -> tuple[float, float]:
-        """Diameters of the bore at its start and at its end [m]."""
-        return 2 * self.radii[0], 2 * self.radii[-1]
 
 
 def bore_of(

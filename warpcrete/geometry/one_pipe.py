@@ -62,10 +62,14 @@ def ends(line: PipeLine) -> np.ndarray:
 
 
 def check_straight_ends(line: PipeLine, name: Any) -> None:
-    """Refuse a pipeline that does not begin and end with a straight part.
+    """Refuse a line that a scene cannot simulate as a whole: it must begin and end straight and have no valve.
 
-    The error message calls the pipeline `name`.
+    `name` is the name of the line in the message.
     """
+    for part in line.parts:
+        if part.kind == "valve":
+            refuse("line", name, f"has a valve (part {part.number}), which a scene cannot simulate",
+                   "use 'warpcrete line', or replace it by straight pipe or a bore from a mesh")  # fmt: skip
     for place in (0, -1):
         if line.parts[place].kind != "straight":
             refuse("line", name, f"must begin and end straight: part {line.parts[place].number} is a "

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
 from ..core.errors import between, one_of, positive, refuse, suggested
-from ..core.inputs.amounts import amount, bare_number
+from ..core.inputs.amounts import amount, bare_number, is_amount
 from ..core.inputs.limits import check_limit
 from ..core.inputs.text_files import errors_located_at
 from .ingredients import (
@@ -17,6 +16,7 @@ from .ingredients import (
     check_volume,
     is_plasticizer,
     is_thickener,
+    mass_per_volume,
     paste_volumes,
     powder_mass,
     sand_and_stone_masses,
@@ -53,6 +53,7 @@ NUMBERS = {
         5000,
         "write another unit as in '2.35 t/m3'",
     ),
+    "volume": Entry("Volume of the load, if parts state the masses of a whole load", "m3", 1e-3, 1e4),
     "air": Entry("Air content, share of the volume", "m3/m3", 0, 0.3, "write per cent as in '2 %'"),
     "aggregate_density": Entry("Density of the coarse aggregate", "kg/m3", 1000, 8000),
     "slump": Entry("Slump of the Abrams cone", "m", 0.01, 0.29, "use spread for softer concrete"),
@@ -70,7 +71,7 @@ NUMBERS = {
 }  # fmt: skip
 """Numeric entries of a mix."""
 OTHERS = {
-    "parts": "Mass of every ingredient in a cubic metre [kg/m3]",
+    "parts": "Mass of every ingredient in a cubic metre [kg/m3], or with its unit; liquids also by volume",
     "aggregate": "Coarse aggregate: share of the volume, or mass in a cubic metre with a unit",
     "sieve": "Sieve curve of the coarse aggregate: openings [mm], and the share of the mass that passes each",
     "sizes": "Smallest and largest coarse aggregate [m], instead of a sieve curve",
@@ -82,8 +83,8 @@ OTHERS = {
     "thickener": "True if the concrete contains a viscosity-modifying admixture that parts do not name",
 }
 """Entries of a mix that are not single numbers, with their meaning."""
-KEYS = ("density", "air", "parts", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete", "mortar",
-        "viscometer", "slump", "spread", "t500", "water_binder", "thickener", "layer", "voids",
+KEYS = ("density", "air", "parts", "volume", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete",
+        "mortar", "viscometer", "slump", "spread", "t500", "water_binder", "thickener", "layer", "voids",
         "fine_sand")  # fmt: skip
 SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crushed": "reference",
           "angular": "reference", "reference": "reference"}  # fmt: skip
@@ -278,7 +279,8 @@ def _entry(given: Mapping[str, Any], name: str, read: Callable[[Any], T]) -> T |
 
 def _masses(given: Mapping[str, Any]) -> dict[str, float]:
     """Return the ingredients of a cubic metre [kg/m3] by their names."""
-    return {str(name): amount(f"mix parts: {name}", x, "kg/m3") for name, x in given.get("parts", {}).items()}
+    load = _number(given, "volume")
+    return {str(name): mass_per_volume(str(name), x, load) for name, x in given.get("parts", {}).items()}
 
 
 def _paste_solids(given: Mapping[str, Any]) -> float | None:
@@ -365,10 +367,10 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool]:
             "must be the ingredients of a cubic metre",
             "for example {cement: 340 kg/m3, water: 170 kg/m3}",
         )
-    masses = {}
+    masses, load = {}, _number(given, "volume")
     for name, value in parts.items():
         with errors_located_at(parts, name):
-            masses[str(name)] = amount(f"mix parts: {name}", value, "kg/m3")
+            masses[str(name)] = mass_per_volume(str(name), value, load)
             between(
                 f"mix parts: {name}", masses[str(name)], MIN_AMOUNT, 5000, "kg/m3", "leave out ingredients with no mass"
             )
@@ -386,13 +388,13 @@ def _share(given: Any, heavy: float) -> float:
 
     An amount in kg/m3 is divided by the density `heavy` of the stones [kg/m3].
     """
-    if isinstance(given, str) and re.search(r"(kg|t|g)/", given):
+    if is_amount(given, "kg/m3"):
         found = amount("mix aggregate", given, "kg/m3") / heavy
     else:
         found = amount("mix aggregate", given, "m3/m3")
         if found > 1:
             refuse("mix aggregate", given, "must be a share of the volume up to 1, or have a unit",
-                   "for example '36 %', '360 l/m3' or '950 kg/m3'")  # fmt: skip
+                   "for example '36 %', '360 l/m3', '950 kg/m3' or '1600 lb/yd3'")  # fmt: skip
     positive("mix aggregate", found)
     if found >= PACKING:
         refuse("mix aggregate", given, f"is {found:.3g} of the volume: more than loosely packed stones fill, {PACKING}",

@@ -16,7 +16,8 @@ The slip layer obeys tau = tau_L0 + eta_L V_L (Eq. 8). The bulk concrete fills t
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -146,11 +147,14 @@ def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> S
     """
     between("flow", flow, 0, np.inf, "[m3/s]")
     low = least_stress(concrete, line)
+    if flow == 0:
+        return steady_of_stress(concrete, line, low, form)
     high = 2 * low + 1.0
     while steady_of_stress(concrete, line, high, form).flow < flow:
         high *= 2
         if high > 1e30:
             refuse("flow", flow, "needs a wall stress beyond the range of numbers")
+    low, high = _narrowed(lambda stress: steady_of_stress(concrete, line, stress, form).flow - flow, low, high)
     for _ in range(200):  # Bisect until no floating-point number lies between the bounds.
         middle = 0.5 * (low + high)
         if not low < middle < high:
@@ -159,7 +163,41 @@ def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> S
             low = middle
         else:
             high = middle
-    return steady_of_stress(concrete, line, high if flow > 0 else low, form)
+    return steady_of_stress(concrete, line, high, form)
+
+
+def _narrowed(excess: Callable[[float], float], low: float, high: float) -> tuple[float, float]:
+    """Narrow an interval around the root of an increasing function to a few floating-point numbers.
+
+    The function is negative at `low` and not negative at `high`, before and afterwards. The Illinois method approaches
+    the root from one side and leaves the other end of the interval behind; steps to both sides of its estimate then
+    catch the root.
+    """
+    at_low, at_high, last = excess(low), excess(high), math.nan
+    if not at_low < 0 <= at_high:
+        return low, high
+    for step in (1e-6, 4e-15):
+        estimate = high
+        for _ in range(60):
+            trial = high - at_high * (high - low) / (at_high - at_low)
+            if not low < trial < high:
+                break
+            value = excess(trial)
+            if value < 0:
+                low, at_low, at_high = trial, value, at_high / (2 if last < 0 else 1)
+            else:
+                high, at_high, at_low = trial, value, at_low / (2 if last >= 0 else 1)
+            last, moved, estimate = value, abs(trial - estimate), trial
+            if moved <= step * trial:
+                break
+        for probe in (estimate * (1 - step), estimate * (1 + step)):
+            if low < probe < high:
+                value = excess(probe)
+                if value < 0:
+                    low, at_low = probe, value
+                else:
+                    high, at_high = probe, value
+    return low, high
 
 
 def after_rest(concrete: Concrete, rest: float, thixotropy: float) -> Concrete:
