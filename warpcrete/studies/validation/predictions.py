@@ -77,6 +77,17 @@ def _line(case: Case) -> list[Band]:
     return found
 
 
+def _fitting(case: Case) -> list[Band]:
+    """Predict the friction of a part divided by that of straight pipe of its length."""
+    line = line_of({"diameter": case.test["diameter"], "parts": [case.test["part"]]}, case.name, case.folder)
+    found = []
+    for q in case.flows:
+        (loss,) = run_line(line, mix_of_case(case).concrete, q, simulate=False).losses
+        low, high = (loss.at(each) / loss.straight for each in (0, 1))
+        found.append(Band(loss.friction / loss.straight, low, high))
+    return found
+
+
 def line_weight(case: Case) -> float:
     """Return the pressure due to the weight of the concrete in a case's line [Pa]."""
     line = line_of(case.lines[str(case.test["line"])], case.name, case.folder)
@@ -156,7 +167,14 @@ def _funnel(case: Case) -> list[Band]:
 
 
 PREDICTORS = {
-    "pipe": _pipe, "ratio": _ratio, "line": _line, "layer": _layer, "profile": _layer_share, "slump": _slump,
-    "spread": _spread, "funnel": _funnel,
-}  # fmt: skip
+    "pipe": _pipe,
+    "ratio": _ratio,
+    "line": _line,
+    "fitting": _fitting,
+    "layer": _layer,
+    "profile": _layer_share,
+    "slump": _slump,
+    "spread": _spread,
+    "funnel": _funnel,
+}
 """Functions that return a prediction with its band for each measured value of a case, by the kind of the case."""
