@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,12 +17,8 @@ from ..core.units import number
 
 RESTED = 1.0
 """Simulated time [s] that concrete must stay slow before it counts as being at rest."""
-FORMATS = {"m": (1e3, " mm", 1, 0), "s": (1.0, " s", 2, 2), "1": (1.0, "", 2, 2)}
-"""Format of results in the report, by SI unit.
-
-Each format has the factor from the SI unit to the unit in the report, the text of that unit, the decimals of a result,
-and the decimals of its closed forms.
-"""
+FORMATS = {"m": (1e3, " mm", 1, 0), "s": (1.0, " s", 2, 2), "Pa": (1.0, " Pa", 1, 1), "1": (1.0, "", 2, 2)}
+"""For each SI unit: factor and unit in the report, decimals of a result, and decimals of its closed forms."""
 Sizes = Mapping[str, float]
 """Dimensions of a vessel by name [m]."""
 Row = Mapping[str, float]
@@ -65,7 +62,9 @@ class Outcome:
     fill_height: float | None = None
     """Height of settled concrete in a mould before it is lifted [m]; None if concrete fills the mould exactly."""
     concrete: Any = None
-    """Bingham fluid, a :class:`warpcrete.theory.pipe.Concrete`, for the closed forms."""
+    """Bingham fluid, a :class:`warpcrete.theory.pipe.Concrete`, for the closed forms; None if it is unknown."""
+    density: float = 0.0
+    """Density of the concrete in the full vessel [kg/m3]."""
     gravity: float = 9.81
     whole: float = 0.0
     """Volume of all concrete [m3]."""
@@ -106,6 +105,10 @@ class ClosedForm:
     def name(self) -> str:
         """Name of the closed form's value in the results of a run."""
         return f"{self.quantity}_{self.suffix}"
+
+    def value(self, known: Outcome) -> float | None:
+        """Return the predicted value; None where the form does not hold, or for a concrete that is no Bingham fluid."""
+        return None if known.concrete is None else self.of(known)
 
 
 @dataclass(frozen=True)
@@ -154,7 +157,7 @@ class StandardTest:
         TESTS[self.name] = self
 
     def __reduce__(self) -> Any:
-        return _by_name, (self.name,)
+        return _by_name, (self.name, self.measure.__module__)
 
     def check_dimensions(self, given: Sizes) -> None:
         """Raise :class:`warpcrete.SceneError` if a dimension that the test needs is missing."""
@@ -178,11 +181,11 @@ class StandardTest:
             forms = [form for form in self.forms if form.quantity == each.name]
             yield replace(each, words=_beside(each, forms)) if forms else each
             for form in forms:
-                yield Quantity(form.name, each.unit, form.of)
+                yield Quantity(form.name, each.unit, form.value)
 
     def estimates(self, known: Outcome) -> dict[str, float]:
         """Return the quantities that closed forms predict, by name."""
-        found = ((form.quantity, form.of(known)) for form in self.forms if form.is_estimate)
+        found = ((form.quantity, form.value(known)) for form in self.forms if form.is_estimate)
         return {name: float(value) for name, value in found if value is not None}
 
     def judge(self, run: Run) -> dict[str, tuple[bool, str]]:
@@ -203,7 +206,9 @@ TESTS: dict[str, StandardTest] = {}
 """All tests by name. A test is added when it is created, so a scene's file may define its own."""
 
 
-def _by_name(name: str) -> StandardTest:
+def _by_name(name: str, module: str) -> StandardTest:
+    if name not in TESTS:  # Another process has not imported the scene's file that defines the test.
+        importlib.import_module(module)
     return TESTS[name]
 
 

@@ -1,4 +1,4 @@
-"""Closed forms and estimates of standard tests: slump, spread, L-box, V-funnel.
+"""Closed forms and estimates of standard tests: slump, spread, L-box, LCPC box, V-funnel.
 
 A long heap comes to rest where the yield stress on the plate balances the outward pressure of its slope (Roussel &
 Coussot 2005). The next order of shallow-layer theory adds the heap's resistance to stretching, which stops the heap
@@ -139,6 +139,33 @@ def box_at_rest(
         return filled(0.0, reach)[1], 0.0, reach
     far = root(lambda h: filled(h, length)[0] - volume, 0.0, volume / (length * width))
     return filled(far, length)[1], far, length
+
+
+def box_slope(near: float, width: float) -> tuple[float, float]:
+    """Return two integrals over the depth of concrete at rest in a long box, from 0 at its front to `near` [m].
+
+    With the constant A = 2 tau / (rho g b) of a box of `width` b [m], the first integral [m] is A times the length that
+    the concrete covers, and the second one [m2] is A / b times its volume (Roussel 2007). Both follow from the equation
+    of :func:`box_at_rest`.
+    """
+    bent = 0.5 * width * math.log1p(2 * near / width)
+    return near - bent, 0.5 * near * near - 0.5 * width * (near - bent)
+
+
+def box_yield_stress(reach: float, volume: float, width: float, density: float, gravity: float = 9.81) -> float:
+    """Return the yield stress [Pa] of concrete at rest that covers the length `reach` [m] of a box, short of its end.
+
+    This inverts :func:`box_at_rest`; the `volume` is in m3, and the concrete sticks to floor and sides (Roussel 2007).
+    """
+    mean = volume / (width * reach)
+
+    def too_deep(near: float) -> float:
+        reach_a, volume_a = box_slope(near, width)
+        return volume_a / reach_a - mean
+
+    # The mean depth is between a half and two thirds of the depth at the near end.
+    near = root(too_deep, 1.5 * mean, 2 * mean)
+    return 0.5 * density * gravity * width * box_slope(near, width)[0] / reach
 
 
 def root(function: Callable[[float], float], low: float, high: float) -> float:

@@ -17,6 +17,7 @@ from ...core.run.checks import with_cures
 from ...core.run.run_loop import Run
 from ...geometry.prisms import Solid
 from ...standards import StandardTest
+from ...theory.pipe import Concrete
 from ..laws import OWN_LAW, BinghamMortar, Contact, ContactLaw, LawChoice, PlasticMortar, RollingResistance
 from ..laws.base import RESISTANCES
 from ..scene.clumps import templates
@@ -268,8 +269,18 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         )  # fmt: skip
 
     def vessel(self, test: StandardTest, opened: float) -> Vessel:
-        """Return the description of a test's vessel; from the time `opened` [s] on, nothing holds the concrete back."""
-        return Vessel(test=test, opened=opened, rest_speed=self.rest_speed, dimensions=test.sizes(self))
+        """Return the vessel of a test; from the time `opened` [s] on, nothing holds the concrete back."""
+        return Vessel(
+            test=test, opened=opened, rest_speed=self.rest_speed, dimensions=test.sizes(self), concrete=self.fluid()
+        )
+
+    def fluid(self) -> Concrete | None:
+        """Return the Bingham fluid that a law with shells of mortar represents, without slip; None for other laws."""
+        if self.contact is not None or self.law not in ("mortar", "plastic"):
+            return None
+        density = self.bulk_density or self.packed * self.density
+        return Concrete(density=density, viscosity=self.viscosity, yield_stress=self.yield_stress, slip_viscosity=1e8,
+                        slip_yield=0.0)  # fmt: skip
 
     def fill(self, inside: Solid) -> Fill:
         """Return the grains to be packed into the closed solid `inside`, with their sizes and solid fraction."""

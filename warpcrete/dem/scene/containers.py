@@ -166,6 +166,14 @@ class Fill:
     pressure: float | None = None
     """Mean pressure of the finished packing, without gravity or friction [Pa]."""
 
+    @property
+    def filled_density(self) -> float:
+        """Density of the filled container [kg/m3], that of the grains alone if `bulk_density` is not given.
+
+        It is 0 if a pressure determines the packing, whose density is then not known in advance.
+        """
+        return self.bulk_density or self.density * (self.solid_fraction or 0.0)
+
     def __post_init__(self) -> None:
         positive("density", self.density, "kg/m3")
         if self.bulk_density is not None:

@@ -19,6 +19,7 @@ from ...core.inputs.parameters import Above, Declared, Within
 from ...geometry.axis import Axis
 from ...geometry.walls import Driven, MeshWall, Motion, PipeWall, PlaneWall, Prescribed, Stops, Wall
 from ...standards import StandardTest
+from ...theory.pipe import Concrete
 from ..laws import Contact, ContactLaw
 from .clumps import ClumpTemplate
 from .containers import Fill
@@ -309,6 +310,8 @@ class Vessel:
     """Speed limit for rest [m/s]: all bodies of the main heap must stay below it for a second."""
     dimensions: Mapping[str, float]
     """Dimensions of the vessel by name [m], as the test lists them."""
+    concrete: Concrete | None = None
+    """Bingham fluid that the contact law represents, for closed forms; None for other laws."""
 
     def __post_init__(self) -> None:
         between("opened", self.opened, 0, np.inf, "s")
