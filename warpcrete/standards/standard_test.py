@@ -55,7 +55,7 @@ class Outcome:
     fill_height: float | None = None
     """Height of settled concrete in a mould before it is lifted [m]; None if concrete fills the mould exactly."""
     concrete: Any = None
-    """Bingham fluid, a :class:`warpcrete.theory.pipe.Concrete`, for the closed forms."""
+    """Yield stress fluid, a :class:`warpcrete.theory.pipe.Concrete`, for the closed forms."""
     gravity: float = 9.81
     whole: float = 0.0
     """Volume of all concrete [m3]."""
@@ -74,7 +74,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class ClosedForm:
-    """Closed form that predicts a quantity of a test for a Bingham fluid."""
+    """Closed form that predicts a quantity of a test for a yield stress fluid."""
 
     quantity: str
     suffix: str
