@@ -3,7 +3,8 @@
     python notebooks/fluid_studies.py --device cuda --out studies
     python notebooks/fluid_studies.py --only resolution flow --out studies
 
-Writes `NAME.md` and `NAME.png` for each study into the new folder; notebooks/fluid.md shows and discusses them.
+Writes `NAME.md` and `NAME.png` for each study into the new folder; notebooks/fluid_pipes.md and fluid_phases.md show
+and discuss them.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""The scheme of Xu, Li & Jiang 2021 as printed, next to ours: a table and a picture for notebooks/fluid.md.
+"""The scheme of Xu, Li & Jiang 2021 as printed, next to ours: table and picture of notebooks/fluid_theory.md.
 
     python notebooks/paper_scheme.py --out FOLDER
 

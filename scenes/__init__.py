@@ -1,9 +1,10 @@
 """Scenes, one file for each: the function `scene(**parameters)` builds a scene, and `check(run)` judges its runs.
 
-Every file in this folder is a scene, which `modules` finds by the file's name with hyphens; the scene functions are
-also attributes of this package. If both a flow and discrete elements can simulate a test, there are two scenes, NAME
-and NAME-dem. Scenes import `core`, `geometry`, `theory`, `dem` and `mps`, and never what runs or records them. Start
-with `slump`, a complete scene in one file.
+Every file in this folder is a scene. Its name is the file's name with hyphens instead of underscores, and the function
+`modules` returns the modules of all scenes by name. The scene functions are also attributes of this package. If a test
+can be simulated both as a flow and with discrete elements, there are two scenes, NAME and NAME-dem. Scenes import
+`core`, `geometry`, `theory`, `dem` and `mps`, but never the modules that run or record scenes. Start with `slump`, a
+complete scene in one file.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ __all__ = ["by_method", "channel", "funnel", "funnel_dem", "jring_dem", "lbox", 
            "part_dem", "pipe", "slump", "slump_dem", "tube"]  # fmt: skip
 
 METHODS = ("mps", "dem")
-"""Names of the simulation methods in results: moving particles (mps) and discrete elements (dem)."""
+"""Names of the two simulation methods: "mps" for flows (moving particles or a grid), "dem" for discrete elements."""
 
 
 def modules() -> dict[str, ModuleType]:

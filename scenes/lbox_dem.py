@@ -16,7 +16,7 @@ from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed, Wall
 from warpcrete.standards import L_BOX
 
 ABOVE = 0.2
-"""Height of the walls above the concrete [m]."""
+"""Height by which the box's front wall extends above the concrete in the column [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -47,7 +47,8 @@ class Made:
         known: Any = None
         if isinstance(scene, Scene):
             contacts = SimpleNamespace(coordination_number=6.0)
-            known = KnownElements(scene, scene.walls, series, 1.0, contacts, blocked=self.blocked)  # type: ignore
+            watch = None if self.blocked is None else SimpleNamespace(found=self.blocked, window=0.1, slowest=1.0)
+            known = KnownElements(scene, scene.walls, series, 1.0, contacts, blockage=watch)  # type: ignore
             result["bodies"] = len(self.bodies.group)
             if scene.vessel is not None:
                 rows = [{name: column[k] for name, column in series.items()} for k in range(len(series["time"]))]

@@ -1,4 +1,4 @@
-"""A barrier for CPU threads that each run their own chunks of a simulation step.
+"""A barrier for CPU threads that each do their own part of a simulation step.
 
 Warp runs a CPU kernel on the thread that launches it and lets Python's other threads run meanwhile. Each thread
 therefore replays a launch graph of its own. The barrier is a kernel in these graphs: every thread waits in it until
@@ -11,7 +11,10 @@ sleeps (with a futex on Linux). This frees its core for a thread whose own core 
 import warp as wp
 
 GATE = 3
-"""Length of a barrier's integer array, which counts arrived threads, completed rounds and sleeping threads."""
+"""Length of a barrier's integer array.
+
+Its elements count the threads that have arrived, how often all threads have passed the barrier, and sleeping threads.
+"""
 SPINS = 2000
 """Number of times a waiting thread checks the barrier before it sleeps; the checks take about 30 microseconds."""
 

@@ -1,4 +1,4 @@
-"""Slots of the integer control array `flags` (one row per scene), which the kernels of all methods share."""
+"""Indices into the integer control array `flags` (one row per scene), which the kernels of all methods share."""
 
 import warp as wp
 

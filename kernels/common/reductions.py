@@ -1,4 +1,4 @@
-"""Sums over all rows of an array, always added in the same order so that every run gives the same bits."""
+"""Sums over all elements of an array, always added in the same order so that every run gives the same bits."""
 
 import functools
 from types import SimpleNamespace
@@ -15,7 +15,7 @@ def block_sums(width: int) -> SimpleNamespace:
 
     @wp.func
     def keep(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64):
-        """Store the sum of `own` over a block's threads in `partial[first + block]`; all these threads must call."""
+        """Store a block's sum of `own` in `partial[first + block]`; all threads of the block must call it."""
         whole = wp.tile_sum(wp.tile(own))
         sum = whole[0]
         if thread % width == 0:

@@ -1,8 +1,8 @@
 """Fast reads and writes of array rows, and products of sparse matrix rows, for the most expensive loops.
 
 Warp's own indexing allows negative indices and any stride, which costs a CPU six instructions per access. On a GPU it
-moves a 4-vector in four pieces, because its type guarantees no alignment. The functions of this module take contiguous
-one-dimensional arrays that Warp has allocated and indices from 0 on, and they check nothing.
+moves a 4-vector in four pieces, because its type guarantees no alignment. The functions of this module require
+contiguous one-dimensional arrays allocated by Warp and nonnegative indices, and they check nothing.
 """
 
 import functools

@@ -17,8 +17,9 @@ PLANE = wp.constant(0)
 PIPE = wp.constant(1)
 MESH = wp.constant(2)
 
-# Codes for an edge of a mesh face, unless exactly one other face shares the edge: BORDER if no other face does, and
-# SHARED minus a row number if several do. That row of the array of corner rings lists these faces.
+# For each edge of a mesh face, an array stores the opposite corner of the neighbouring face. Unless exactly one other
+# face shares the edge, it stores a negative code instead: BORDER if no other face shares the edge, and SHARED minus a
+# row number if several do. This row of a second array (`ring`) then lists the opposite corners of all these faces.
 BORDER = wp.constant(-1)
 SHARED = wp.constant(-2)
 

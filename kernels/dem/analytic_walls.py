@@ -84,7 +84,8 @@ def warp_force_function(scalar):
     add_to_wall = wall_force_function(scalar)
 
     @wp.func_native(LEADER)
-    # `leader` returns the first thread that touches, 32 if none touches, or -1 if the threads touch several walls.
+    # `leader` returns the number of the first thread whose sphere touches a wall, 32 if no sphere touches, or -1 if the
+    # spheres touch several walls.
     def leader(touches: wp.bool, w: wp.int32, lanes: wp.int32) -> wp.int32: ...
 
     @wp.func_native(WARP_TOTAL)
@@ -144,7 +145,7 @@ def contact_function(scalar, law, dissipation: bool, wear: bool):
     """Return the function `wall_contact_of`, which evaluates the contact of a sphere with one plane or pipe.
 
     The result is the distance to the surface, True if sphere and wall touch, the force and moment on the sphere, the
-    moment on the wall, and the energy lost. The function also steps the contact history.
+    moment on the wall, and the energy lost. The function also updates the contact history.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -339,7 +340,7 @@ def wall_kernel(scalar, law, dissipation: bool, wear: bool):
         # The next arguments are arrays of the model.
         wall_parameters: wp.array(dtype=Parameters),
         segments: wp.array(dtype=Segment),
-        # The next arguments are the range of rows that this launch processes, and the index of the CPU thread.
+        # The next arguments are the range of spheres that this launch processes, and the index of the CPU thread.
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,

@@ -86,9 +86,10 @@ def bond_functions(scalar):
     ):
         """Return the new force, moment and state of a bond; a broken bond returns the force and moment that broke it.
 
-        `force` and `moment` hold the shear (bending) vector and, last, the normal (twisting) component. `stretch` is
-        the exact change of the distance between the centres in this step. The approximation `velocity dt` along the
-        normal would count a rotation of the pair as stretch, with an error of first order in dt.
+        `force` consists of the shear force vector and the tension, `moment` of the bending moment vector and the
+        torsion. `stretch` is the exact change of the distance between the centres in this step. The approximation
+        `velocity dt` along the normal would count a rotation of the pair as stretch, with an error of first order in
+        dt.
         """
         n = touch.normal
         k = bond_stiffness(p, touch)

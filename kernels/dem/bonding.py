@@ -14,7 +14,8 @@ from .structs import array_structs
 def bond_kernels(scalar):
     """Return the kernels ``make`` (bond contacts within a gap) and ``reassign`` (change the kind of a random fraction).
 
-    They run over the spheres of one scene; the structs hold the arrays of that scene alone, not those of a batch.
+    They run over the spheres of one scene. The structs passed to them contain the arrays of this scene alone, not those
+    of a batch of scenes.
     """
     structs = array_structs(scalar)
     Bodies, Spheres, Pairs = structs.Bodies, structs.Spheres, structs.Pairs

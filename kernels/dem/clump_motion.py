@@ -17,8 +17,9 @@ from .warps import warp_functions
 def gather_functions(scalar, dissipation: bool, rows: int, width: int):
     """Return the functions that gather the force [N] and moment about the centroid [N m] of a body's spheres.
 
-    `gather` serves half lists (CPU). `gather_with_lanes` serves full lists (GPU): `lanes` threads share a body, and it
-    also returns the energy that the body's links lost [J]. Both clear the spheres' forces for the next step.
+    `gather` is used with half lists (CPU). `gather_with_lanes` is used with full lists (GPU): `lanes` threads share a
+    body, and it also returns the energy that the body's contacts lost [J]. Both functions clear the spheres' forces for
+    the next step.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -86,7 +87,7 @@ def gather_functions(scalar, dissipation: bool, rows: int, width: int):
 
 @functools.cache
 def sphere_motion_function(scalar, growth: bool, meshes: bool, half: bool):
-    """Return the function `move_sphere`, which moves a sphere with its body and checks the lists."""
+    """Return the function `move_sphere`, which moves a sphere with its body and checks the neighbour lists."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Links = structs.Scenes, structs.Spheres, links_struct(scalar)
@@ -128,8 +129,8 @@ def clump_kernel(
     rounds instead; for them the kernel only stores the forces.
 
     On a GPU (full lists), 2^`lane_bits` threads of a warp of `width` share a body. Each thread sums the forces of some
-    of the body's spheres (the results of a link take `rows` rows), all threads compute the body's motion, and each
-    updates the positions of its spheres. The launch consists of whole warps.
+    of the body's spheres, all threads compute the body's motion, and each updates the positions of its spheres. The
+    launch consists of whole warps. `rows` is the number of rows in which a link (a pair of spheres) stores its forces.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -145,7 +146,7 @@ def clump_kernel(
     def move_clumps(
         # The next arguments are arrays of the model.
         segments: wp.array(dtype=Segment), drive_axis: wp.array2d(dtype=wp.int32), drive_force: wp.array(dtype=scalar),
-        # The next arguments are the range of rows of this launch, in which 2^lane_bits threads share a body.
+        # The next arguments are the range of bodies of this launch, in which 2^lane_bits threads share a body.
         first: wp.int32, last: wp.int32, lane_bits: wp.int32,
         # The next arguments are arrays of the state that this kernel only reads.
         scenes: Scenes, pairs: Pairs,

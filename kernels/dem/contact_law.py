@@ -74,11 +74,13 @@ def contact_functions(scalar):
 
     @wp.func
     def plane_spring(touch: Touch, rate: t.vec3, history: t.vec3, stiffness: scalar, limit: scalar, dt: scalar):
-        """Step a spring in the contact plane; return its new force, True if it slips, and the energy lost by slip [J].
+        """Advance a spring in the contact plane by one step.
 
-        The spring is loaded at `rate` and its force is cut at `limit`. Its old force `history` rotates with the contact
-        plane. In the first step of a contact, only the time after first touch loads the spring. The energy lost is the
-        mean spring force of the step times the slip distance.
+        Return its new force, True if it slips, and the energy lost by slip [J].
+
+        The spring's ends move apart at the velocity `rate`, and its force is limited to `limit`. Its old force
+        `history` rotates with the contact plane. In the first step of a contact, only the time after first touch loads
+        the spring. The energy lost is the mean spring force of the step times the slip distance.
         """
         overlap = wp.max(-touch.gap, scalar(0.0))
         loading = dt
@@ -100,7 +102,7 @@ def contact_functions(scalar):
 
     @wp.func
     def shear_spring(touch: Touch, history: t.vec3, stiffness: scalar, limit: scalar, dt: scalar):
-        """Step the shear spring, which sliding loads, and return the same results as `plane_spring`."""
+        """Advance the shear spring of a contact by one step, and return the same results as `plane_spring`."""
         vn = wp.dot(touch.velocity, touch.normal)
         return plane_spring(touch, touch.velocity - vn * touch.normal, history, stiffness, limit, dt)
 

@@ -1,14 +1,14 @@
 """Contact forces between spheres over a stored neighbour list, on a CPU.
 
-A CPU uses *half* lists: each thread owns the spheres of a chunk. A pair inside a chunk has one entry, and its force is
-added to both spheres. A pair across two chunks has an entry at both spheres. (GPU lists hold every pair at both
-spheres; see `links`.) A pair is always evaluated in the order of its spheres' permanent numbers, so both copies compute
-and store the same bits.
+A CPU uses *half* lists: each thread owns a contiguous range of spheres, called a chunk. A pair inside a chunk has one
+list entry, and its force is added to both spheres. A pair across two chunks has an entry at both spheres. (GPU lists
+contain every pair at both spheres; see `links`.) A pair is always evaluated in the order of its spheres' permanent
+numbers, so both copies compute and store the same bits.
 
-The kernel goes through each row of the list twice. The first pass computes distances and sets one bit for each contact.
-The second pass gathers these contacts into lanes (see `lanes`) and evaluates the lanes whenever they are full. The bits
-of the first BLOCK entries are kept for the next step. With these bits, the next step finds the contacts that have ended
-without reading the history of other pairs.
+The kernel processes each sphere's list entries in blocks of BLOCK entries, in two passes. The first pass computes
+distances and sets one bit for each contact. The second pass gathers these contacts into lanes (see `lanes`) and
+evaluates the lanes whenever they are full. The bits of a sphere's first block are kept for the next step. With these
+bits, the next step finds the contacts that have ended without reading the history of other pairs.
 """
 
 import functools
@@ -39,8 +39,8 @@ def contact_kernel(
 ):
     """Return the CPU kernel that adds contact forces [N] and moments about sphere centres [N m], with half lists.
 
-    With `dissipation` it also adds up the energy that friction, dashpots and breaking bonds dissipate [J]. The launch
-    owns spheres `first` to `last`.
+    With `dissipation` it also adds up the energy that friction, dashpots and breaking bonds dissipate [J]. A launch
+    processes the spheres from `first` to `last`, which are those of one thread.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -62,7 +62,7 @@ def contact_kernel(
         # The next arguments are arrays of the model.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # The next arguments are the range of rows that this launch processes.
+        # The next arguments are the range of spheres that this launch processes.
         first: wp.int32,
         last: wp.int32,
         # The next arguments are arrays of the state that this kernel only reads.
@@ -84,8 +84,8 @@ def contact_kernel(
         begin, block, end, bits = wp.int32(0), wp.int32(0), wp.int32(0), wp.int32(0)
         dt = scalar(0.0)
         position_i, velocity_i, spin_i = t.vec4(), t.vec4(), t.vec3()
-        # One loop runs over the bits of a block, the blocks of a row and the rows of spheres. Nested loops would
-        # contain several calls of the long function `evaluate`; in one loop it is compiled once.
+        # A single loop runs over all contacts, blocks of list entries and spheres. Nested loops would contain several
+        # calls of the long function `evaluate`; in a single loop it is compiled once.
         going = wp.bool(True)
         while going:
             full = wp.bool(False)
@@ -103,7 +103,8 @@ def contact_kernel(
             else:
                 block = block + BLOCK
                 if wp.static(dissipation):
-                    # The lanes are evaluated after each block, so that the energies of a row add up block by block.
+                    # The lanes are evaluated after each block, so that a sphere's energy losses are added up block by
+                    # block.
                     full = block < end
                 if block >= end:
                     i = i + 1
@@ -131,8 +132,8 @@ def contact_kernel(
                 if block < end:
                     bits, held = close_entries(spheres, pairs, base, position_i, block, wp.min(BLOCK, end - block))
                     if wp.static(history or healing):
-                        # A pair that a stiff bond has held may already be separated when this kernel first checks the
-                        # pair after the break.
+                        # Pairs with a stiff bond (`held`) count as touching here: when this kernel first checks such a
+                        # pair after its bond broke, the spheres may already have separated.
                         parted = wp.static(ALL_TOUCHED) & ~(bits | held)
                         if block == begin:
                             before = spheres.touching[i]

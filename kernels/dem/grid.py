@@ -111,8 +111,8 @@ def grid_functions(scalar) -> SimpleNamespace:
 def grid_kernels(scalar) -> SimpleNamespace:
     """Return two kernels over points that sort points into cells.
 
-    ``count`` counts the points of each cell; `held` must be zero before. When the starts of the cells are known,
-    ``put`` writes the points there.
+    ``count`` counts the points of each cell; the array `held` must be zero before. When prefix sums have been written
+    to the array `start`, ``put`` writes the indices of the points to the array `point`, sorted by cell.
     """
     Grid = grid_struct(scalar)
     cell_at = grid_functions(scalar).cell_at

@@ -172,7 +172,7 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
 
 @functools.cache
 def evaluate_function(scalar, law, history: bool, bonds: bool, dissipation: bool, mixed: bool):
-    """Return the function `evaluate`, which computes forces and moments and steps histories and bonds of all lanes.
+    """Return the function `evaluate`, which computes forces and moments of all lanes and updates histories and bonds.
 
     Without `mixed`, all spheres have one material and all lanes share one parameter set. Reading parameters in the loop
     would keep the compiler from vectorising it.
@@ -222,7 +222,8 @@ def evaluate_function(scalar, law, history: bool, bonds: bool, dissipation: bool
                     get4(columns, wp.static(at["bond_force"]), lane),
                     get4(columns, wp.static(at["bond_moment"]), lane), lost, dt,
                 )  # fmt: skip
-                # An unbonded lane may yield NaN, so the selection is made for each component.
+                # The bond formulas may yield NaN in a lane without a bond. Multiplication by 0 would keep the NaN, so
+                # the bond's results are selected component by component.
                 total = wp.where(kind > 0, pull.contact, scalar(1.0)) * total + where3(kind > 0, pull.total)
                 bending = where3(kind > 0, pull.bending)
                 lost = wp.where(kind > 0, pull.lost, lost)

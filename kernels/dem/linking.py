@@ -1,4 +1,7 @@
-"""Kernels that derive the links of a GPU (each pair once) from its neighbour lists, after each rebuild."""
+"""Kernels that create a GPU's links after each rebuild of its neighbour lists.
+
+The lists contain every pair of spheres twice, once at each sphere. A link represents the pair once.
+"""
 
 import functools
 from types import SimpleNamespace
@@ -21,7 +24,10 @@ A row with more entries is rare: a large sphere among small ones has about a hun
 
 @functools.cache
 def mark_function(scalar):
-    """Return `mark_touching`, which records in a sphere's bit masks whether the entry at `place` touches."""
+    """Return `mark_touching`, which records in a sphere's bit masks whether the pair of a list entry touches.
+
+    `place` is the position of the entry in the sphere's row of the neighbour list.
+    """
     Spheres, Links = array_structs(scalar).Spheres, links_struct(scalar)
 
     @wp.func
@@ -46,8 +52,8 @@ def mark_function(scalar):
 def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, lanes: int):
     """Return the kernels of a rebuild: ``clear_links`` over links, ``count_own`` over spheres, and ``fill_links``.
 
-    ``fill_links`` runs with `lanes` threads a sphere, which share the sphere's entries. A link has `rows` rows of
-    results.
+    ``fill_links`` runs with `lanes` threads per sphere, which share the sphere's list entries. `rows` is the number of
+    rows in which a link stores its forces.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -66,7 +72,10 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
         flags: wp.array2d(dtype=wp.int32), scenes: Scenes, pairs: Pairs, count: wp.array(dtype=wp.int32),
         spheres: Spheres, links: Links,
     ):  # fmt: skip
-        """Count the pairs whose first entry is in each row, and clear the touching bits of scenes with stale lists."""
+        """Count, for each sphere, the pairs in its row in which it has the lower permanent number.
+
+        In scenes with stale lists, also clear the bits that mark touching pairs.
+        """
         i = wp.tid()
         s = spheres.scene[i]
         own = wp.int32(0)
@@ -82,7 +91,7 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
 
     @wp.func
     def twin_of(pairs: Pairs, begin: wp.int32, end: wp.int32, i: wp.int32):
-        """Return the entry of sphere i in a row sorted by sphere index (binary search)."""
+        """Find the list entry of sphere i in a row sorted by sphere index, by binary search."""
         low = begin
         high = end - 1
         while low < high:

@@ -1,6 +1,6 @@
-"""Contact forces between spheres on a GPU: one thread a pair, and sums for each sphere in a fixed order.
+"""Contact forces between spheres on a GPU: one thread per pair, and sums for each sphere in a fixed order.
 
-Neighbour lists hold every pair at both spheres; a *link* represents both entries of a pair, so each pair has one link.
+Neighbour lists contain every pair at both spheres; a *link* represents both list entries, so each pair has one link.
 A step evaluates only the near links (see :mod:`near`), because most links of a list do not touch. The kernel that moves
 bodies adds up the results of each sphere's links in the order of its list. Forces therefore need no atomic operations,
 and results do not depend on the order in which threads run. :mod:`surfaces` handles planes and pipes.
@@ -143,7 +143,8 @@ def result_functions(scalar, count: int):
                     lost = (((lost + wp.float64(a[3])) + wp.float64(c[3])) + wp.float64(e[3])) + wp.float64(g[3])
             block += BLOCK
             word += 1
-        for entry in range(begin + MASKED_ENTRIES, end):  # List entries beyond the first BITS have no touching bits.
+        # The remaining list entries have no bits that mark touching pairs, so the results of all of them are added.
+        for entry in range(begin + MASKED_ENTRIES, end):
             q = read_int(links.end, entry)
             r = row_of(row / 2, q)
             a, b = read_vec4(links.result, r), read_vec4(links.result, r + 1)
@@ -160,7 +161,7 @@ def result_functions(scalar, count: int):
 def contact_update_function(
     scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool
 ):
-    """Return the function `update_contact`: check a link for contact or a bond; clear an ended contact's history."""
+    """Return the function `update_contact`, which checks a link for contact and clears an ended contact's history."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
@@ -221,12 +222,14 @@ def contact_update_function(
         if wp.static(bonds):
             close = close or kind > 0
             if wp.static(subcycling):
-                # The sub-cycling rounds, not this kernel, step a pair that is held by a stiff bond.
+                # The sub-cycling rounds, not this kernel, compute the forces of a pair with a stiff bond.
                 held_apart = kind == HYDRATED
                 close = close and not held_apart
         after = wp.where(close, TOUCHING, APART)
         if held_apart:
-            after = STIFF  # the spheres may already be apart at the first check after the bond broke
+            # Unlike APART, this state makes a later check clear the contact history, even if the spheres are already
+            # apart at the first check after the bond broke.
+            after = STIFF
         if state != after:
             lost = scalar(0.0)
             row = scenes.row[s].pairs
@@ -234,7 +237,7 @@ def contact_update_function(
             if after == APART and state != PARTED:
                 lost = clear_parted(scenes, spheres, pairs, parameters, s, i, j, k, twin)
             if lost > scalar(0.0):
-                after = PARTED  # the link's rows stay in the sums for one more step, which counts the loss
+                after = PARTED  # the link's result stays in the sums for one more step, so that the loss is counted
             else:
                 mark_touching(spheres, links, i, k - row - pairs.start[i + s], close)
                 mark_touching(spheres, links, j, twin - row - pairs.start[j + s], close)
@@ -248,7 +251,7 @@ def contact_update_function(
 
 @functools.cache
 def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissipation: bool, mixed: bool):
-    """Return the function `evaluate`, which computes force and moments of a link and steps its history and bond.
+    """Return the function `evaluate`, which computes force and moments of a link and updates its history and bond.
 
     `mixed` is True if the spheres have several materials.
     """

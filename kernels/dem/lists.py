@@ -22,10 +22,10 @@ SAMPLED = wp.constant(16)
 
 @functools.cache
 def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool, healing: bool, lanes: int = 1):
-    """Return a kernel over the spheres of a chunk that fills the new rows with entries and their contact history.
+    """Return a kernel that completes the entries of a new neighbour list and copies contact history from the old list.
 
-    The kernel copies history, rolling moment and bond of each pair from the old list. On a GPU, `lanes` threads share
-    the entries of a sphere.
+    It copies contact history, rolling moment and bond of each pair. A launch runs over the range of spheres of one CPU
+    thread, or over all spheres on a GPU, where `lanes` threads share the entries of a sphere.
     """
     t = types(scalar)
     span = SPAN if half else 1
@@ -37,9 +37,9 @@ def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool,
     def row_of_entry(scenes: Scenes, pairs: Pairs, s: wp.int32, bond: wp.int32, own: wp.bool):
         """Return the bond state to store at an entry of a half list.
 
-        If the two spheres of a pair lie in different chunks, two CPU threads step the pair's bond. Each thread needs
-        its own copy of the bond's force and moment. The entry that owns the bond uses an even row of `load`; the other
-        entry uses the odd row after it.
+        If the two spheres of a pair belong to different CPU threads, both threads compute the pair's bond. Each thread
+        needs its own copy of the bond's force and moment. The entry that owns the bond uses an even row of `load`; the
+        other entry uses the odd row after it.
         """
         found = bond
         if bond > 0:
@@ -53,7 +53,7 @@ def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool,
 
     @wp.kernel(module="unique", enable_backward=False)
     def transfer_history(
-        # The next arguments are the range of rows that this launch processes.
+        # The next arguments are the range of spheres that this launch processes.
         first: wp.int32,
         last: wp.int32,
         # The next arguments are arrays that this kernel only reads.
@@ -116,7 +116,10 @@ def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool,
 
 @functools.cache
 def list_kernels(scalar):
-    """Return the kernels around a search: ``centres``, ``stretch``, ``starts``, ``drift``, ``clear_stale``."""
+    """Return the kernels that run before and after a search for neighbours.
+
+    They are ``centres``, ``stretch``, ``starts``, ``drift`` and ``clear_stale``.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs, Walls = structs.Scenes, structs.Spheres, structs.Pairs, structs.Walls
@@ -173,9 +176,10 @@ def list_kernels(scalar):
         start: wp.array(dtype=wp.int32),
         total: wp.array(dtype=wp.int32),
     ):
-        """Compute the row starts of stale scenes from a prefix sum over the whole batch.
+        """Compute where each sphere's row begins in the list of its scene, for scenes with stale lists.
 
-        The last row start of a scene is its number of entries, which goes into `total`.
+        `scanned` contains prefix sums of the row lengths over the whole batch. The end of the last row is the number of
+        list entries of the scene, which is stored in `total`.
         """
         e = wp.tid()
         s = slot_scene[e]

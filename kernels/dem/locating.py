@@ -1,4 +1,4 @@
-"""Kernels that find the new rows of pairs with stiff bonds and of their bodies after a list rebuild."""
+"""Kernels that find pairs with stiff bonds, and their bodies, in the arrays of a batch after a list rebuild."""
 
 import functools
 from types import SimpleNamespace
@@ -12,10 +12,10 @@ from .structs import array_structs, subcycled_struct
 
 @functools.cache
 def locating_kernels(scalar, half: bool, history: bool):
-    """Return the kernels ``note_spheres``, ``note_bodies``, ``locate_pairs`` and ``locate_bodies``.
+    """Return the kernels ``index_spheres``, ``index_bodies``, ``locate_pairs`` and ``locate_bodies``.
 
-    The first two record the row of each permanent sphere and body number. The other two then find the rows of stiff
-    pairs and their bodies after a list rebuild, and copy their data.
+    The first two store, for each permanent number of a sphere or body, its current array index. The other two use these
+    indices to find stiff pairs and their bodies after a list rebuild, and copy their data to `Subcycled`.
     """
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs

@@ -8,8 +8,8 @@ Minima whose normals differ by less than `MERGE_ANGLE` therefore count as one co
 
 A surface also hides what lies behind it. The farther of two contacts is dropped if its point lies behind the plane
 through the nearer contact point, perpendicular to the nearer normal. A tolerance of BEHIND allows for rounded corners.
-The outer skin of a wall that is thinner than the overlap thus adds no force. Edges of coincident faces that do not
-share corners are hidden in the same way. Where the overlap is small, no true contact is hidden.
+The far surface of a wall that is thinner than the overlap thus adds no force. Edges of coincident faces that do not
+share corners are hidden in the same way. If the overlap is small, no true contact is hidden.
 
 The kernel takes the arrays of walls and slots one by one and searches an old contact's history in its own loop. With
 structs, or with a function for the search, CUDA's compiler unrolls the loops differently and the kernel takes 5 %
@@ -35,7 +35,8 @@ MERGE_COSINE = math.cos(math.radians(MERGE_ANGLE))
 # Largest distance in front of the plane through a nearer contact at which a point still counts as hidden [sphere
 # radii].
 BEHIND = 2.0e-2
-# Slots of a sphere for mesh contacts, which follow the slots for planes and pipes. More contacts set OVERFLOW.
+# Number of contact slots of a sphere for meshes; they follow its slots for planes and pipes. If a sphere has more mesh
+# contacts, the flag OVERFLOW is set.
 MESH_SLOTS = 6
 Owners = wp.types.vector(MESH_SLOTS, wp.int32)
 
@@ -86,7 +87,8 @@ def surface_functions(scalar) -> SimpleNamespace:
             return True
         if feature < 4:
             edge = feature - 1
-            # Index of the far corner of the neighbouring face; `edge + 3` holds the index of the neighbouring face.
+            # For each edge of a face, `across` stores the far corner of the neighbouring face in column `edge`, and the
+            # index of the neighbouring face in column `edge + 3`.
             beyond = across[face, edge]
             if beyond == BORDER:
                 return True
@@ -124,7 +126,11 @@ def surface_functions(scalar) -> SimpleNamespace:
         corners: wp.array(dtype=t.vec3),
         faces: wp.array2d(dtype=wp.int32),
     ):
-        """Return the normal into the wall: opposite to `offset`, or to the face's normal if the centre is on it."""
+        """Return the unit normal into the wall at a face's point closest to a sphere.
+
+        It is opposite to `offset`, the vector from the point to the sphere's centre. If the centre lies on the face, it
+        is the face's own normal, which follows from the order of its corners.
+        """
         a = corners[faces[face, 0]]
         plain = wp.cross(corners[faces[face, 1]] - a, corners[faces[face, 2]] - a)
         n = -safe_normalize(offset, -wp.normalize(plain))
@@ -314,7 +320,7 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
         wall_parameters: wp.array(dtype=parts.Parameters), corners: wp.array(dtype=t.vec3),
         faces: wp.array2d(dtype=wp.int32), across: wp.array2d(dtype=wp.int32), ring_start: wp.array(dtype=wp.int32),
         ring: wp.array(dtype=wp.int32), face_wall: wp.array(dtype=wp.int32), wall_table: wp.array(dtype=parts.Wall),
-        # The next arguments are the range of rows that this launch processes, and the index of the CPU thread.
+        # The next arguments are the range of spheres that this launch processes, and the index of the CPU thread.
         first: wp.int32, last: wp.int32, part: wp.int32,
         # The next arguments are arrays of the state that this kernel only reads.
         scenes: parts.Scenes, candidates: parts.Candidates, wall_position: wp.array(dtype=t.vec3),
@@ -393,8 +399,8 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
                     wall_parameters[row + wall_table[w].material], wall_position[w], wall_velocity[w], wall_spin[w], n,
                     gaps[s], x, radius, velocity, spin, history, rolling, dt,
                 )  # fmt: skip
-                # The sphere's centre is behind the surface. The scene fails if the whole sphere could be behind it
-                # after one more step.
+                # If the sphere's centre is behind the surface, check whether the whole sphere could be behind it after
+                # one more step. If so, the scene fails.
                 if gaps[s] < -radius:
                     if dt * wp.dot(parts.xyz(velocity) - wall_velocity[w], n) - gaps[s] > scalar(2.0) * radius:
                         wp.atomic_cas(flags, scene, FAILED, 0, 1 + spheres.body[i])

@@ -80,7 +80,10 @@ def rotation_functions(scalar):
 
 @functools.cache
 def motion_functions(scalar, dissipation: bool):
-    """Return the functions that all kinds of bodies share: drives, damping, compensated positions and list checks."""
+    """Return the functions that all kinds of bodies share.
+
+    They are drive force, local damping, positions with compensated summation, and checks of the neighbour lists.
+    """
     t = types(scalar)
     xyz = vector_functions(scalar).xyz
     Scenes, Links = array_structs(scalar).Scenes, links_struct(scalar)
@@ -230,8 +233,9 @@ def sphere_kernel(
 ):
     """Return the kernel over single-sphere bodies that makes one leapfrog step on the sphere arrays alone.
 
-    The step is the same as in `clump_kernel`. With full lists (GPU) it adds up the results of `links`, where a link has
-    `rows` rows. The remaining arrays of bodies are updated later by `sync_kernel`, when they are needed.
+    The step is the same as in `clump_kernel`. With full lists (GPU) it adds up the forces of each sphere's links (its
+    pairs), which are stored in `rows` rows per link. `sync_kernel` updates the arrays of bodies later, when they are
+    needed.
     """
     t = types(scalar)
     span = SPAN if half else 1
@@ -255,7 +259,7 @@ def sphere_kernel(
         segments: wp.array(dtype=Segment),
         drive_axis: wp.array2d(dtype=wp.int32),
         drive_force: wp.array(dtype=scalar),
-        # The next arguments are the range of rows that this launch processes.
+        # The next arguments are the range of spheres that this launch processes.
         first: wp.int32,
         last: wp.int32,
         # The next arguments are arrays of the state that this kernel only reads.

@@ -3,7 +3,7 @@
 Near links form a second, shorter neighbour list of pairs (links). The main list holds all pairs within a skin that
 lasts for a hundred steps or more, and most of these pairs do not touch. Near links are the pairs within a fraction NEAR
 of the skin. They stay valid for a correspondingly shorter time, and a step evaluates only them. The device chooses them
-anew at a fixed interval (`CHOSEN` in `warpcrete/dem/engine/stages.py`), without the host. If a sphere moves too far
+anew at a fixed interval (`NEAR_LINK_INTERVAL` in `warpcrete/dem/engine`), without the host. If a sphere moves too far
 before the next choice, its scene evaluates all links until then. No contact is missed, and the results are the same
 either way.
 """
@@ -20,7 +20,7 @@ from .structs import APART, SINCE_BUILD, array_structs, links_struct
 NEAR = 0.25
 """Largest gap of a near link when it is chosen, as a fraction of the neighbour list's skin."""
 CHOICE_BLOCK = 256
-"""Threads in a block of the choosing kernel; its launches consist of whole blocks."""
+"""Number of threads in a block of the kernel that chooses near links; its launches consist of whole blocks."""
 TAKE_PLACES = """
 #if defined(__CUDA_ARCH__)
     __shared__ int before[32], begin;
@@ -47,9 +47,10 @@ TAKE_PLACES = """
 
 @wp.func_native(TAKE_PLACES)
 def take_place(count: wp.array(dtype=wp.int32), wants: wp.bool) -> wp.int32:
-    """Return a free index in the list of near links to each thread with a near link, else -1; a whole block calls this.
+    """Return a free index in the list of near links to each thread whose `wants` is true, and -1 to the others.
 
-    One atomic addition per block reserves the indices. Blocks run in any order, so the order of the list varies.
+    All threads of a block must call this function. One atomic addition per block reserves the indices. Blocks run in
+    any order, so the order of the list varies.
     """
 
 

@@ -199,7 +199,7 @@ def broken_function(scalar):
 
 @functools.cache
 def bond_pull_functions(scalar, dissipation: bool):
-    """Return the function `bond_pull`, which steps a pair's bond and adds up its forces and energy loss."""
+    """Return the function `bond_pull`, which advances a pair's bond by one step and computes its forces and losses."""
     t = types(scalar)
     PairTouch = pair_functions(scalar).PairTouch
     bond = bond_functions(scalar)
@@ -220,7 +220,10 @@ def bond_pull_functions(scalar, dissipation: bool):
     def bond_pull(
         p: Bond, pair: PairTouch, relative_spin: t.vec3, force: t.vec4, moment: t.vec4, lost: scalar, dt: scalar
     ):
-        """Compute the bond's new load, force, moment and state; `lost` is the energy lost by the contact alone [J]."""
+        """Compute the new forces, moments and state of a bond, and the energy lost.
+
+        `lost` is the energy that the contact alone loses in this step [J].
+        """
         touch = pair.touch
         n = touch.normal
         # The new distance minus the old one is computed as (d^2 - d_old^2) / (d + d_old), which avoids cancellation.

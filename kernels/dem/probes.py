@@ -30,7 +30,7 @@ BROKEN_TENSION = wp.constant(9)  # number of bonds broken in tension since the s
 BROKEN_SHEAR = wp.constant(10)  # number of bonds broken in shear since the start
 CONTACT_COLUMNS = wp.constant(11)
 ContactRow = wp.types.vector(int(CONTACT_COLUMNS), wp.float64)
-CONTACT_MAXIMA = (int(OVERLAP_MAX), int(DEPTH_MAX))  # Columns whose maximum is taken instead of their sum.
+CONTACT_MAXIMA = (int(OVERLAP_MAX), int(DEPTH_MAX))  # Columns of which the maximum is computed instead of the sum.
 
 # Columns of the sums over bodies.
 KINETIC = wp.constant(0)  # kinetic energy at the middle of the last step [J]
@@ -56,7 +56,7 @@ LANES = 256  # Number of partial sums of a column. The order of a sum depends on
 
 @functools.cache
 def column_kernels():
-    """Return two kernels that sum every column, or take its maximum where its bit in `maxima` is set.
+    """Return two kernels that compute the sum of every column, or its maximum if the column's bit in `maxima` is set.
 
     The first kernel reduces the rows to LANES partial results. The second kernel reduces these to one result.
     """
@@ -113,7 +113,10 @@ def wall_probe(scalar):
 
 @functools.cache
 def body_probe(scalar):
-    """Return the kernel that measures bodies of scene `s`: one row of values each, sorted by permanent number."""
+    """Return the kernel over bodies of scene `s` that writes a row of measured values for each body.
+
+    Rows are sorted by the bodies' permanent numbers.
+    """
     structs = array_structs(scalar)
     Scenes, Bodies = structs.Scenes, structs.Bodies
     axis = axis_functions(scalar)
@@ -300,7 +303,7 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
         bond_parameters: wp.array(dtype=Bond),
         wall_parameters: wp.array(dtype=WallParameters),
         segments: wp.array(dtype=Segment),
-        # The next arguments are the scene, and the range of rows that this launch processes.
+        # The next arguments are the scene, and the range of spheres that this launch processes.
         s: wp.int32,
         first: wp.int32,
         last: wp.int32,

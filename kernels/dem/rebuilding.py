@@ -11,11 +11,11 @@ from .structs import array_structs
 
 @functools.cache
 def rebuilding_kernels(scalar) -> SimpleNamespace:
-    """Return two kernels of one thread each, for a scene that runs alone: ``ask`` and ``fit``.
+    """Return two kernels of one thread each, for a scene that runs alone: ``needs_rebuild`` and ``fit``.
 
-    ``ask`` decides if the device must rebuild the lists now. It leaves rebuilds with sorting, and scenes that have
-    failed, to the host. ``fit`` decides if the arrays have room for the new lists. If the arrays are too small, the
-    host rebuilds the lists.
+    ``needs_rebuild`` decides if the device must rebuild the lists now. It leaves rebuilds with sorting, and scenes that
+    have failed, to the host. ``fit`` decides if the arrays have room for the new lists. If the arrays are too small,
+    the host rebuilds the lists.
     """
     Scenes = array_structs(scalar).Scenes
 
@@ -32,7 +32,7 @@ def rebuilding_kernels(scalar) -> SimpleNamespace:
         scanned: wp.array(dtype=wp.int32), room: wp.int32, face_scanned: wp.array(dtype=wp.int32), face_room: wp.int32,
         fits: wp.array(dtype=wp.int32), built: wp.array(dtype=wp.int32),
     ):  # fmt: skip
-        """Set `fits` to 1 if the rows found by the search fit into the allocated arrays.
+        """Set `fits` to 1 if the neighbours and mesh faces found by the search fit into the arrays, else to 0.
 
         Both `scanned` arrays are running sums of row lengths; the last value is the total number of entries. An empty
         `face_scanned` means that the scene has no meshes.

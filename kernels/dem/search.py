@@ -18,7 +18,7 @@ from .structs import array_structs
 
 @functools.cache
 def find_function(scalar, half: bool):
-    """Return the function `find`, which finds a pair's list entry; a half list may hold it at either sphere."""
+    """Return the function `find`, which finds a pair's list entry; a half list may contain it at either sphere."""
     Pairs = array_structs(scalar).Pairs
     read_int = row_functions(scalar).read_int
 
@@ -185,7 +185,7 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
         scenes: Scenes, spheres: Spheres, old_pairs: Pairs, new_place: wp.array(dtype=wp.int32), query: Query,
         old: wp.int32,
     ) -> wp.int32:  # fmt: skip
-        """Return the sphere to which an entry of the old list holds a bond across a gap wider than the skin, or -1."""
+        """Return the other sphere of an old list entry if its bond spans a gap wider than the skin, else -1."""
         if old_pairs.bond[old] <= 0:
             return -1
         j = new_place[query.base + decode(old_pairs.other[old])]
@@ -207,11 +207,12 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
 def half_search_kernel(scalar, bonds: bool):
     """Return the kernel ``search`` for half lists (CPU).
 
-    A pair inside a chunk is listed at its larger sphere; of two equal spheres, at that with the lower index. The
-    search then reaches no further than a sphere's own diameter plus the margin. Pairs across two chunks are listed at
-    both spheres, so a search near another chunk must reach as far as the largest sphere. Each task searches one chunk,
-    writes the rows one after the other into the chunk's part `room` of a buffer, and counts the entries. The output
-    `wanted` is the number of entries for which the chunk needs room.
+    A chunk is the range of spheres of one CPU thread. A pair inside a chunk is listed at its larger sphere; of two
+    equal spheres, at that with the lower index. The search then reaches no further than a sphere's own diameter plus
+    the margin. Pairs across two chunks are listed at both spheres, so a search near another chunk must reach as far as
+    the largest sphere. Each task searches one chunk, writes the rows of its spheres one after the other into the
+    chunk's part `room` of a buffer, and counts the entries. The output `wanted` is the number of entries for which the
+    chunk needs room.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -243,7 +244,7 @@ def half_search_kernel(scalar, bonds: bool):
     def search(
         grid: Grid,
         shift: wp.array(dtype=t.vec3),
-        # The next arguments are the rows and the index of this chunk, and the bounding boxes of all chunks.
+        # The next arguments are the range of spheres of this chunk and its index, and the bounding boxes of all chunks.
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,
@@ -350,7 +351,7 @@ def full_search_kernels(scalar, bonds: bool, lanes: int):
     order. If there are few spheres, eight threads (`lanes`) share each sphere, and each thread searches one octant. The
     last element of `total` receives the length of the longest row that does not fit into `finds`.
 
-    Pairs that a bond holds across more than the skin are taken from the old list. A wider search in the grid would make
+    Pairs whose bond spans a gap wider than the skin are copied from the old list. A wider search in the grid would make
     a few threads slow and let all others wait for them.
     """
     t = types(scalar)

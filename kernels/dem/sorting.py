@@ -11,7 +11,10 @@ from .structs import array_structs, scene_struct
 
 @functools.cache
 def permute_kernels(scalar) -> dict:
-    """Return kernels for target[i] = source[order[i]], by data type and whether the array has columns."""
+    """Return the kernels that permute the rows of arrays: target[i] = source[order[i]].
+
+    The key of a kernel is its data type, and True for two-dimensional or False for one-dimensional arrays.
+    """
     t = types(scalar)
     module = module_of("permuting", scalar)
 
@@ -96,7 +99,7 @@ def order_kernels(scalar):
 
     @wp.kernel(module=module_of("sorting", scalar), enable_backward=False)
     def counts(bodies: Bodies, order: wp.array(dtype=wp.int32), count: wp.array(dtype=wp.int32)):
-        """Count the spheres of the body that moves to place i."""
+        """Count the spheres of the body that moves to index i of the sorted order."""
         i = wp.tid()
         s = bodies.scene[i]
         count[i] = bodies.first[order[i] + s + 1] - bodies.first[order[i] + s]
@@ -113,7 +116,7 @@ def order_kernels(scalar):
         spheres: Spheres,
         old_place: wp.array(dtype=wp.int32),
     ):
-        """Compute the old place of the sphere at each new place; update `spheres.body` and `bodies.first`."""
+        """Compute the old index of the sphere at each new index; update `spheres.body` and `bodies.first`."""
         i = wp.tid()
         s = bodies.scene[i]
         base = scenes.row[s].spheres

@@ -40,7 +40,7 @@ LEAP = 0.4
 The gap between two spheres that approach each other may shrink by twice that distance in a step.
 """
 LONGEST = 1.0e30
-"""Step size [s] that means that no limit applies."""
+"""Time step [s] that stands for "no limit"."""
 
 
 def estimate_options(half: bool) -> dict:

@@ -62,7 +62,7 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
         pair_parameters: wp.array(dtype=PairParameters),
         wall_parameters: wp.array(dtype=WallParameters),
         segments: wp.array(dtype=Segment),
-        # The next arguments are the scene, and the range of rows that this launch processes.
+        # The next arguments are the scene, and the range of spheres that this launch processes.
         s: wp.int32,
         first: wp.int32,
         last: wp.int32,
@@ -130,9 +130,10 @@ STRESSES = wp.constant(6)
 
 @functools.cache
 def stress_probe(scalar):
-    """Return the kernel over spheres of scene `s` that adds force times branch vector of contacts to the bodies.
+    """Return the kernel over spheres of scene `s` that sums force times branch vector of contacts for each body.
 
-    The forces come from :func:`force_probe`. Each body of a pair receives half of the product; compression is positive.
+    The branch vector points from the centroid of one body to that of the other. The forces come from
+    :func:`force_probe`. Each body of a pair receives half of the product; compression is positive.
     Sums are integers in units of 1 / `scale` newton metres, so the order of the summation cannot change them.
     """
     t = types(scalar)

@@ -5,7 +5,7 @@ Arrays are flat over all scenes of a batch. Indices stored in state arrays (`bod
 alone and in a batch. Indices into the tables of meshes and pipe axes, which are not part of the state, count over the
 whole batch. Arrays of features that no scene uses have zero rows.
 
-The integer array `flags`, shape (scenes, FLAGS), is passed to kernels separately; `common.control` lists its slots.
+The integer array `flags`, shape (scenes, FLAGS), is passed to kernels separately; `common.control` lists its columns.
 """
 
 import functools
@@ -31,7 +31,7 @@ CLOCK = 8
 APART = wp.constant(0)  # the spheres do not touch
 TOUCHING = wp.constant(1)  # the spheres touch or are bonded, or a new list has taken over their contact history
 PARTED = wp.constant(2)  # contact just ended; energy left in its springs counts as lost in the next step
-STIFF = wp.constant(3)  # the spheres have a stiff bond, which sub-cycling rounds step
+STIFF = wp.constant(3)  # the spheres have a stiff bond, whose forces are computed in sub-cycling rounds
 
 
 @functools.cache
@@ -46,7 +46,7 @@ def scene_struct(scalar):
         speed_limit: scalar  # body speed above which the scene fails [m/s]
         skin: scalar  # margin of the pair lists beyond contact [m]
         mesh_skin: scalar  # margin of the sphere-triangle candidate lists [m]
-        # share of the mesh skin for motion of spheres; the rest is for motion of meshes [m]
+        # part of the mesh skin by which spheres may move before a rebuild; meshes may move by the rest [m]
         sphere_allowance: scalar
         growth_rate: scalar  # increase of the size scale factor per step, during growth in packing
         growth_end: scalar  # size scale factor at which the growth stops
@@ -59,7 +59,9 @@ def scene_struct(scalar):
         expected_speed: wp.float64  # largest speed expected before the next stable step estimate [m/s]
         wall_stiffness: wp.float64  # lower bound of the contact stiffness that a driven wall meets [N/m]
         largest_radius: scalar  # largest sphere radius, at full size [m]
-        bodies: wp.int32  # first row of the scene in this and each following flat array; `..._count`: number of rows
+        # The following integers are the scene's first rows in the flat arrays of bodies, spheres, pairs and so on, and
+        # (`..._count`) its numbers of rows.
+        bodies: wp.int32
         body_count: wp.int32
         spheres: wp.int32
         sphere_count: wp.int32
@@ -192,10 +194,10 @@ def array_structs(scalar) -> SimpleNamespace:
 
 @functools.cache
 def links_struct(scalar):
-    """Return the struct `Links`: the pairs as a GPU evaluates them, one thread a pair.
+    """Return the struct `Links`: the pairs as a GPU evaluates them, one thread per pair.
 
-    A GPU list holds each pair at both spheres. The pair's `entry` is in the row of the sphere with the lower permanent
-    number; its `twin` is in the row of the other sphere. Only entries store contact history, twins do not.
+    A GPU's neighbour list contains each pair twice. The pair's `entry` is in the row of the sphere with the lower
+    permanent number; its `twin` is in the row of the other sphere. Only entries store contact history, twins do not.
     """
     t = types(scalar)
 
@@ -204,7 +206,8 @@ def links_struct(scalar):
         link: wp.array(dtype=wp.vec4i)  # lower and higher sphere, entry and twin, numbered per scene; or -1: unused
         scene: wp.array(dtype=wp.int32)  # index of each link's scene in the batch, shape (links,)
         state: wp.array(dtype=wp.int32)  # state: APART, TOUCHING, PARTED or STIFF, shape (links,)
-        later_touching: wp.array(dtype=wp.int32)  # touching bits of later list entries, EXTRA_MASKS integers a sphere
+        # bit masks of the list entries beyond the first BLOCK that touched, EXTRA_MASKS integers per sphere
+        later_touching: wp.array(dtype=wp.int32)
         end: wp.array(dtype=wp.int32)  # for each list entry, the index p of its link in the scene; -1 - p for a twin
         # `result` holds the result of each link in this step. A link has two rows: (force on its lower sphere [N], arm
         # of that sphere [m]) and (contact moment divided by the arm [N], arm of the higher sphere [m]). With bonds,
@@ -223,10 +226,10 @@ def links_struct(scalar):
 
 @functools.cache
 def subcycled_struct(scalar):
-    """Return the struct `Subcycled`: pairs that are stepped in sub-cycling rounds, and the bodies that they join.
+    """Return the struct `Subcycled`: the pairs with stiff bonds, and the bodies that these pairs join.
 
-    The struct holds its own copy of everything that a round reads, in contiguous rows, because a GPU round is bound by
-    memory latency.
+    They move in several sub-cycling rounds per step. The struct contains its own copy of everything that a round reads,
+    in contiguous rows, because a round on a GPU is bound by memory latency.
     """
     t = types(scalar)
     Pairs = array_structs(scalar).Pairs

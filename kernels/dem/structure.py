@@ -12,7 +12,7 @@ def breakdown_kernel(scalar, law):
     """Return a kernel, one thread a scene, that updates the yield stress of a :class:`LubricationLayer` `law`.
 
     The yield stress that the layer gained at rest decays with the slip as exp(-slip / breakdown). Slip is the travel of
-    one wall since slip began, so the kernel may run at any time.
+    one wall since slip began. It is computed anew from this travel, so the kernel may run at any interval.
     """
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls

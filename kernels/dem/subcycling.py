@@ -41,9 +41,10 @@ RELAXATION = 0.01
 
 @functools.cache
 def stiff_pair_function(scalar, law, history: bool, dissipation: bool):
-    """Return the function `stiff_pair`, which computes the forces of a stiff pair and steps its contact and bond.
+    """Return the function `stiff_pair`, which computes the forces of a stiff pair and updates its contact and bond.
 
-    The function returns the force [N] on the sphere with the lower permanent number, and the moment of the bond [N m].
+    A stiff pair is joined by a stiff bond. The function returns the force [N] on the sphere with the lower permanent
+    number, and the moment of the bond [N m].
     """
     t = types(scalar)
     Subcycled = subcycled_struct(scalar)
@@ -153,7 +154,7 @@ def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: 
             scalar(RELAXATION) * step, dt,
         )  # fmt: skip
         if turn + 1 == rounds:
-            # The bond broke, so the contact kernels evaluate the pair from the next step on.
+            # If the bond broke, the contact kernels evaluate the pair from the next step on.
             if subcycled.held.bond[p] <= 0:
                 subcycled.active[p] = 0
                 total = t.vec3()
@@ -188,7 +189,7 @@ def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
         # The next arguments are arrays of the model.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
-        # The next arguments are the range of rows that this launch processes, and the number of the round.
+        # The next arguments are the range of pairs that this launch processes, and the number of the round.
         first: wp.int32,
         last: wp.int32,
         turn: wp.int32,
@@ -208,7 +209,10 @@ def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
 
 @functools.cache
 def kick_functions(scalar, dissipation: bool):
-    """Return `apply_kick` (apply the forces to a body) and `record_losses` (record losses and broken bonds)."""
+    """Return `apply_kick`, which applies forces to a body, and `record_losses`, which records losses and broken bonds.
+
+    The losses are the energy that the stiff pairs of a body dissipate in the rounds of a step.
+    """
     Spheres = array_structs(scalar).Spheres
     Subcycled = subcycled_struct(scalar)
     count_broken = broken_function(scalar)
@@ -226,7 +230,10 @@ def kick_functions(scalar, dissipation: bool):
 
     @wp.func
     def record_losses(subcycled: Subcycled, spheres: Spheres, q: wp.int32, i: wp.int32):
-        """Add energy loss and broken bonds of body q's stiff pairs to sphere i, each pair at its lower sphere only."""
+        """Add the energy loss and the broken bonds of body q's stiff pairs to sphere i.
+
+        Each pair is counted only at the body of its sphere with the lower permanent number.
+        """
         for place in range(subcycled.start[q], subcycled.start[q + 1]):
             if subcycled.ref[place] % 2 == 0:
                 p = subcycled.ref[place] / 2
@@ -282,7 +289,7 @@ def body_kernel(scalar):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def subcycle_bodies(
-        # The next arguments are the range of rows that this launch processes, and the number of the round.
+        # The next arguments are the range of bodies that this launch processes, and the number of the round.
         first: wp.int32,
         last: wp.int32,
         turn: wp.int32,
@@ -366,7 +373,7 @@ def prediction_kernel(scalar, meshes: bool, half: bool, dissipation: bool):
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def predict_bodies(
-        # The next arguments are the range of rows that this launch processes.
+        # The next arguments are the range of bodies that this launch processes.
         first: wp.int32,
         last: wp.int32,
         # The next arguments are arrays of the state that this kernel only reads.

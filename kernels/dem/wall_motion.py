@@ -153,8 +153,9 @@ def advance_kernel(scalar, strokes: bool):
         walls.moment[w] = m
         walls.impulse[w] = impulse + kick * f
         walls.angular_impulse[w] = angular_impulse + kick * m
-        # The wall's work on the concrete is added up in two halves. The first half, added here, belongs to the previous
-        # step, with the velocity of that step. The second half, for the coming step, is added below.
+        # The contact forces act half a step before and half a step after this point in time, and the wall's work on the
+        # concrete is added up accordingly. Here the work over half of the previous step is added, with the velocity of
+        # that step; below, the work over half of the coming step.
         work = work - wp.float64(0.5) * previous * (wp.dot(f, velocity) + wp.dot(m, spin))
         now = scenes.clock[s, TIME] + dt - walls.table[w].start_time
         if motion == PRESCRIBED and scenes.row[s].held == 0:

@@ -16,21 +16,24 @@ from ..common.control import HALTED
 from .structs import array_structs, flow_struct, row_place
 
 DEGREE = 4
-"""Degree of the Chebyshev polynomial, which applies the coarse matrix DEGREE - 1 times. A degree of 6 or 8 saves a
-third of the iterations for tall columns, but every iteration takes longer, so a GPU gains nothing."""
+"""Degree of the Chebyshev iteration that solves the coarse equations; it applies the coarse matrix DEGREE - 1 times. A
+degree of 6 or 8 saves a third of the conjugate-gradient iterations for tall columns, but every iteration takes longer,
+so a GPU gains nothing."""
 RATIO = 20.0
-"""Ratio of the largest to the smallest eigenvalue for which the Chebyshev polynomial is made. The eigenvalues are those
-of the coarse matrix divided by its diagonal, which are at most 2."""
+"""Ratio of the largest to the smallest eigenvalue for which the Chebyshev iteration is designed. The eigenvalues are
+those of the coarse matrix divided by its diagonal, which are at most 2."""
 MIDDLE, REACH = 1.0 + 1.0 / RATIO, 1.0 - 1.0 / RATIO
-"""Centre and half-width of the interval of eigenvalues, which extends from 2 / RATIO to 2."""
+"""Centre (MIDDLE) and half-width (REACH) of the interval of eigenvalues for which the Chebyshev iteration is designed.
+The interval extends from 2 / RATIO to 2."""
 
 
 @functools.cache
 def slot_function(scalar, dimensions: int):
-    """Build `slot_of`, which numbers the 3^d cubes around a cube; the cube itself has the middle number.
+    """Build `slot_of`, which returns the position of cube `other` relative to cube `own`, a number from 0 to 3^d - 1.
 
-    The two cubes must be adjacent or equal. This holds for the cubes of neighbouring particles, because a cube is at
-    least as wide as the reach of a particle.
+    The 3^d positions are those of the cube `own`, which has the middle number, and of the cubes around it. The two
+    cubes must be adjacent or equal. This holds for the cubes of neighbouring particles, because a cube is at least as
+    wide as the reach of a particle.
     """
     Matrix = array_structs(scalar, dimensions).Matrix
 
@@ -52,7 +55,8 @@ def slot_function(scalar, dimensions: int):
 def serial_coarse_kernel(scalar, dimensions: int, vector: bool):
     """Build the CPU kernel (one task) that forms the rows of the coarse matrix for cubes from `begin` to `end`.
 
-    The middle slot of a row holds 1 over the diagonal, or 0 if the cube contains no unknowns.
+    Each row has 3^d coefficients, one for each cube around the row's cube. The middle coefficient, which belongs to the
+    cube itself, is 1 over the diagonal, or 0 if the cube contains no unknowns.
     """
     FlowConstants = flow_struct(scalar)
     Matrix = array_structs(scalar, dimensions).Matrix
@@ -96,7 +100,8 @@ def serial_coarse_kernel(scalar, dimensions: int, vector: bool):
 def coarse_kernels(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
     """Build the GPU kernels that form the coarse matrix.
 
-    `pairs` runs with one task per particle, then `sums` with one task per entry of the coarse matrix.
+    First `pairs` sums the matrix coefficients of each particle over the cubes around it (one task per particle). Then
+    `sums` adds these sums over the particles of each cube (one task per entry of the coarse matrix).
     """
     FlowConstants = flow_struct(scalar)
     Matrix = array_structs(scalar, dimensions).Matrix
@@ -106,7 +111,7 @@ def coarse_kernels(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def pairs(flow: FlowConstants, flags: wp.array(dtype=wp.int32), matrix: Matrix):
-        """Sum the couplings of each particle with its own cube and with each of the cubes around it."""
+        """Sum each particle's matrix coefficients with particles of its own cube and of each adjacent cube."""
         if flags[HALTED] != 0:
             return
         i = wp.tid()
@@ -132,7 +137,7 @@ def coarse_kernels(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def sums(flow: FlowConstants, flags: wp.array(dtype=wp.int32), matrix: Matrix):
-        """Sum the couplings of all particles of a cube, which gives an entry of the coarse matrix."""
+        """Add up the results of `pairs` over the particles of a cube, which gives one entry of the coarse matrix."""
         if flags[HALTED] != 0:
             return
         entry = wp.tid()
@@ -190,8 +195,8 @@ def coarse_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
     `load` sums the residual over each cube and computes the first guess. Each call of `sweep` improves the solution by
     one step (Saad, Iterative Methods for Sparse Linear Systems, 2nd ed., algorithm 12.1). All lanes of a warp call
-    these functions together, for every `by`-th cube from `first` on; a CPU thread is a warp with one lane. The loops
-    over cubes are inside the functions, because a function on a CPU copies the structs that it receives.
+    these functions together and process every `by`-th cube from `first` on; a CPU thread counts as a warp with one
+    lane. The loops over cubes are inside the functions, because on a CPU each call copies the structs passed to it.
     """
     structs = array_structs(scalar, dimensions)
     Matrix = structs.Matrix
@@ -221,9 +226,10 @@ def coarse_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
         first: wp.int32, end: wp.int32, by: wp.int32, lane: wp.int32, abreast: wp.int32, old: wp.int32, before: scalar,
         matrix: Matrix, system: Solve,
     ) -> scalar:  # fmt: skip
-        """Make one Chebyshev step from the solution at index `old` of `lift`, and return the recurrence's next factor.
+        """Make one step of the Chebyshev iteration, and return the next factor of its recurrence.
 
-        `before` is the factor of the previous step. The new solution is written to the other half of `lift`.
+        `before` is the factor of the previous step. The array `lift` has two halves: the step reads the solution that
+        begins at index `old`, and writes the improved solution to the other half.
         """
         count = matrix.coarse.count
         now = scalar(1.0) / (scalar(wp.static(2.0 * MIDDLE / REACH)) - before)

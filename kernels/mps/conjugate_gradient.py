@@ -1,9 +1,10 @@
 """Conjugate gradients for the equations of the moving particle method, whose unknowns are vectors or numbers.
 
-A row of the matrix is the diagonal times the particle's own value, minus the pair coefficients times the neighbours'
-values. A row of velocities may also contain the wall's resistance to motion along it. The preconditioner is the
-diagonal. A whole solve is one kernel. On a CPU every thread processes some chunks of rows, and all threads meet at
-barriers where sums are formed; `resident_solver.py` is the version for a GPU. Sums are always formed in the same order.
+Each row of the matrix belongs to a particle. Its product with the unknowns is the diagonal times the particle's own
+value, minus the pair coefficients times the neighbours' values. If the unknowns are velocities, the row may also
+contain the wall's resistance to motion along the wall. The preconditioner is the diagonal. A whole solve is one kernel.
+On a CPU every thread processes some chunks of rows, and all threads meet at barriers where sums are formed;
+`resident_solver.py` is the version for a GPU. Sums are always formed in the same order, so results are reproducible.
 
 If some particles form rigid grains (`rigid`), their rows come first. The search directions are then rigid motions of
 each grain, computed from the resultant force and moment of the residual on the grain (`rigid.py`).
@@ -21,7 +22,7 @@ from ..common.types import cpu_flags
 from .rigid import share_function
 from .structs import array_structs, flow_struct, mps_functions, mps_types
 
-# Slots of the array `outcome` of a solve.
+# Indices of the array `outcome`, in which a solve stores its number of iterations and its residual norms.
 ITERATIONS = wp.constant(0)
 BEFORE = wp.constant(1)  # Norm of the residual at the start of the solve.
 AFTER = wp.constant(2)  # Norm of the residual at the end of the solve.
@@ -30,11 +31,12 @@ OUTCOME = 4
 
 @functools.cache
 def solver_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
-    """Build the functions that a solve applies to a row, for vectors or for numbers.
+    """Build the functions that a solve applies to each row of the equations, for vector or scalar unknowns.
 
     `inner` is the inner product of two values, `divided` the diagonal preconditioner, and `share` the preconditioner of
-    a rigid grain. `bounded` completes a row of the matrix product: velocities feel `drag` along the wall, and numbers
-    at the free surface are held at zero. `value` is the type of a row, `Solve` the struct of the working arrays.
+    a rigid grain. `bounded` adds boundary conditions to a row of the matrix product: for velocities the `drag` along
+    the wall; scalar unknowns at the free surface are held at zero. `value` is the type of an unknown, `Solve` the
+    struct of the working arrays.
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
@@ -78,10 +80,11 @@ def solver_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
 @functools.cache
 def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNamespace:
-    """Build what a CPU thread does in a solve: `begin` and `update` for its rows, `share` for its rigid grains.
+    """Build the functions that a CPU thread applies to a range of rows, or of rigid grains, in a solve.
 
-    Each function returns its contributions to two inner products: the residual with the preconditioned residual, and
-    the residual with itself.
+    `begin` computes the first search direction of each row. `update` changes solution and residual by a step along the
+    search direction. `share` computes the preconditioned residual of rigid grains. Each function returns its
+    contributions to two inner products: the residual with the preconditioned residual, and the residual with itself.
     """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value
@@ -146,12 +149,14 @@ def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def solve(
-        # The next arguments are the equations, the error code, the tolerance and the iteration limit.
+        # The next arguments are the flow's parameters (only the number of rows is read), the error code that is stored
+        # if the solve fails, the relative tolerance, and the maximum number of iterations.
         flow: FlowConstants,
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
-        # The next arguments are the chunks of this thread, and the barrier of all threads.
+        # The next arguments are the number of all chunks, the range of this thread's chunks, the number of threads, and
+        # the barrier at which they wait for each other.
         parts: wp.int32,
         lower: wp.int32,
         upper: wp.int32,

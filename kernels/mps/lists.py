@@ -1,8 +1,8 @@
 """Kernels that build the neighbour lists of the moving particle method.
 
-Every fluid particle has three rows: `near` for fluid particles within the reach of the operators, `far` for those
-within the density's reach only, and `wall` for wall particles. A skin is added to every reach, so that the lists stay
-valid for many steps.
+Every fluid particle has three lists: `near` with the fluid particles within the reach of the operators, `far` with the
+fluid particles farther away but within the larger reach of the density weights, and `wall` with the wall particles
+within this larger reach. A skin is added to every reach, so that the lists stay valid for many steps.
 """
 
 import functools
@@ -15,7 +15,7 @@ from .structs import array_structs, flow_struct, mps_types, row_place
 
 @functools.cache
 def list_kernels(scalar, dimensions: int, serial: bool):
-    """Build the kernels `place`, which writes the points of the hash grid, and `search`, which fills all rows."""
+    """Build the kernels `place`, which writes the points of the hash grid, and `search`, which fills all lists."""
     t = mps_types(scalar, dimensions)
     FlowConstants = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)
@@ -77,7 +77,8 @@ def list_kernels(scalar, dimensions: int, serial: bool):
                 if fars < lists.far_capacity:
                     lists.far[entry(i, fars, flow.count, lists.far_capacity)] = j
                 fars += 1
-        # Entries divided by capacity, in per mille, of the fullest row; this shows how much more capacity is needed.
+        # For the fullest of the particle's lists, this is the number of neighbours over the capacity, in per mille.
+        # After an overflow, the host computes a sufficient capacity from the maximum over all particles.
         needed = wp.max(nears * 1000 / lists.near_capacity, fars * 1000 / lists.far_capacity)
         needed = wp.max(needed, walls * 1000 / lists.wall_capacity)
         if nears > lists.near_capacity or fars > lists.far_capacity or walls > lists.wall_capacity:

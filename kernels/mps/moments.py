@@ -1,6 +1,7 @@
-"""Sums over every particle's neighbours at the start of a step: moments, apparent viscosity and wall terms.
+"""Evaluation of every particle's neighbourhood at the start of a step.
 
-The same sums also yield the predicted pressure, and show whether a particle belongs to the free surface.
+Weighted sums over the neighbours yield moment matrices, apparent viscosity, wall terms and the predicted pressure, and
+show whether a particle belongs to the free surface.
 """
 
 import functools
@@ -15,10 +16,10 @@ from .structs import array_structs, flow_struct, mps_functions, mps_types, row_p
 FREE = wp.constant(0.9)
 """Sum of weights, relative to the sum in a regular lattice, below which a particle may be at the free surface."""
 BENEATH = {2: 0.2, 3: 0.15}
-"""How far the neighbours of a surface particle must lie below it on average, by number of dimensions. It is minus the
-first moment of their weights, divided by the spacing and by the lattice's sum of weights. In the surface of a lattice
-this number is 0.33 in two and 0.28 in three dimensions. Below a hole of one particle inside the fluid, which is no free
-surface, it is 0.17 and 0.08."""
+"""Minimum mean depth of the neighbours below a particle at the free surface, by number of dimensions. The mean depth is
+minus the first moment of the neighbours' weights along the pipe, divided by the spacing and by the sum of weights of a
+full lattice. For a particle in the surface of a lattice it is 0.33 in two and 0.28 in three dimensions. For a particle
+below a hole of one particle inside the fluid, which is no free surface, it is 0.17 and 0.08."""
 
 
 @functools.cache
@@ -80,17 +81,17 @@ def moments_function(scalar, dimensions: int, serial: bool):
 
     @wp.struct
     class Moments:
-        number: scalar  # Sum of the weights of fluid neighbours.
+        number: scalar  # Sum of the weights of the fluid neighbours.
         whole_number: scalar  # Sum of the weights of all neighbours, walls included.
         dense: scalar  # Sum of the density weights, the particle's own weight included.
         fluid: t.mat  # Second moments of the fluid neighbours' relative positions.
         whole: t.mat  # Second moments of all neighbours' relative positions, walls included.
-        shear: t.mat  # Moments of the fluid neighbours' velocity differences with their relative positions.
+        shear: t.mat  # Weighted sum of (velocity difference) x (relative position)^T over the fluid neighbours.
         first: t.vec  # First moments of the fluid neighbours' relative positions.
         above: scalar  # First moment of all neighbours' relative positions along the pipe.
-        slope: t.vec  # Moments of the fluid neighbours' pressure differences with their relative positions.
-        rise: scalar  # Weighted sum of the fluid neighbours' pressure differences.
-        wall: scalar  # Viscous force of the wall particles on the particle, per stress of the wall.
+        slope: t.vec  # Weighted sum of (pressure difference) x (relative position) over the fluid neighbours.
+        rise: scalar  # Weighted sum of the pressure differences from the particle to its fluid neighbours.
+        wall: scalar  # Viscous force of the wall particles per volume and per wall stress, before calibration [1/m].
         inside: scalar  # Distance of the particle from the wall [m].
 
     @wp.func
@@ -104,7 +105,8 @@ def moments_function(scalar, dimensions: int, serial: bool):
         fields: Fields,
     ):
         m = Moments()
-        # This repeats the function `distance`, because with a call of it CUDA's compiler adds up in a different order.
+        # The code of the function `distance` is repeated below, because a call would make CUDA's compiler sum in a
+        # different order and thus change the last bits of the results.
         shortest = scalar(1.0e-3) * flow.spacing
         x = position[i]
         v = velocity[i]
@@ -147,14 +149,14 @@ def moments_function(scalar, dimensions: int, serial: bool):
                 m.above = m.above + w * d[last]
                 beyond = wp.length(f.across(y)) - flow.radius
                 if beyond > scalar(0.0) and y[last] > scalar(0.0):
-                    # Behind the wall the velocity is continued with its slope at the wall. The viscous force of the
-                    # wall particle is then the wall's stress times the following term.
+                    # Behind the wall the velocity profile is continued with its slope at the wall. The viscous force of
+                    # a wall particle is then the wall's stress times the term added here.
                     m.wall = m.wall + w / (r * r) * wp.max(m.inside + beyond, scalar(0.0))
         return m
 
     @wp.func
     def open_above(i: wp.int32, flow: FlowConstants, position: wp.array(dtype=t.vec), lists: Lists) -> wp.int32:
-        """Return 1 if no fluid lies above a particle, within the reach of its lists and 45 degrees of the upward axis.
+        """Return 1 if no fluid neighbour lies within 45 degrees of the upward direction of a particle, else 0.
 
         A particle below a hole inside the fluid is not at a free surface: it has fluid on the other side of the hole.
         """
@@ -194,7 +196,7 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, law:
     def geometry(
         # The next argument holds the parameters of the flow.
         flow: FlowConstants,
-        # The next arguments are the range of rows that this launch processes.
+        # The next arguments are the range of particles that this launch processes.
         first: wp.int32,
         end: wp.int32,
         # The next arguments are the state, which this kernel only reads.
@@ -203,7 +205,8 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, law:
         particle_velocity: wp.array(dtype=t.vec),
         particle_pressure: wp.array(dtype=scalar),
         lists: Lists,
-        # The next arguments are arrays that this kernel writes. The residual of `shifting` becomes the density error.
+        # The next arguments are arrays that this kernel writes. The density error becomes the residual of `shifting`,
+        # the solve that moves particles out of crowded regions.
         fields: Fields,
         matrix: Matrix,
         shifting: Solve,
@@ -246,13 +249,14 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, law:
             apparent, tangent = apparent_viscosity(flow, rate_of(m.shear * back))
             if wp.static(two_phase):
                 if i < matrix.grain_rows:
-                    # Only the mortar between wall and grain is sheared. It ends half a spacing before the centre of a
-                    # grain's particle.
+                    # The distance between wall and particle is shortened for a grain, because only the mortar in
+                    # between is sheared. The grain's surface lies half a spacing before the centre of its particle.
                     m.inside -= scalar(0.5) * flow.spacing
             fields.viscosity[i] = apparent
-            # The compliance is the velocity difference between wall and particle per wall stress. The stress falls
-            # linearly to 0 at the axis. The shear rate is stress / apparent at the particle, and higher at the wall by
-            # the difference in stress / tangent. The mean of both rates times the distance is the velocity difference.
+            # The compliance is the velocity difference between wall and particle per wall stress tau. The stress falls
+            # linearly to 0 at the axis, so it is tau (1 - bend) at the particle. The shear rate there is this stress
+            # over the apparent viscosity; at the wall it is higher by tau bend / tangent. The velocity difference is
+            # the mean of both rates times the distance.
             near_wall = wp.clamp(m.inside, scalar(1.0e-3) * flow.spacing, flow.radius)
             bend = near_wall / flow.radius
             fields.compliance[i] = near_wall * ((scalar(1.0) - bend) / apparent + scalar(0.5) * bend / tangent)

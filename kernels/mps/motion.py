@@ -8,7 +8,7 @@ from ..common.control import FAILED, HALTED, STALE, STEPS
 from .structs import LOST, array_structs, flow_struct, mps_functions, mps_types, row_place, span
 
 CROWDED = wp.constant(0.95)
-"""Distance, divided by the initial spacing, below which two particles are pushed apart."""
+"""Distance between two particles, divided by the initial spacing, below which they are pushed apart."""
 
 
 @functools.cache
@@ -29,7 +29,7 @@ def shift_kernel(scalar, dimensions: int, serial: bool):
     def shift(
         # The next argument holds the parameters of the flow.
         flow: FlowConstants,
-        # The next arguments are the range of rows that this launch processes.
+        # The next arguments are the range of particles that this launch processes.
         first: wp.int32,
         end: wp.int32,
         # The next arguments are the state, which this kernel only reads.
@@ -80,10 +80,10 @@ def advance_kernel(scalar, dimensions: int, serial: bool):
     def advance(
         # The next argument holds the parameters of the flow.
         flow: FlowConstants,
-        # The next arguments are the range of rows that this launch processes.
+        # The next arguments are the range of particles that this launch processes.
         first: wp.int32,
         end: wp.int32,
-        # The next arguments are the state, which this kernel only reads, apart from the flags `fields.event_flags`.
+        # The next arguments are the state, of which this kernel changes only the flags `fields.event_flags`.
         flags: wp.array(dtype=wp.int32),
         fields: Fields,
         # The next arguments are arrays that this kernel reads and writes.

@@ -15,10 +15,11 @@ from .flow_laws import BINGHAM, law_functions
 from .structs import array_structs, flow_struct, mps_functions, mps_types, row_place, span
 
 NEARER, DAMPED = wp.constant(0.45), wp.constant(2.0)
-"""Limits of a damping at walls: particles closer to a wall than NEARER spacings (in the initial lattice they are half a
-spacing away) get DAMPED times their diagonal in the pressure equation. A pressure increment changes the velocity that
-is continued behind the wall, and thereby the particle's own divergence. Very close to the wall this response exceeds
-twice the undamped diagonal, and the pressure would oscillate from step to step."""
+"""Damping of the pressure at walls: for particles closer to a wall than NEARER spacings, the diagonal of the pressure
+equation is multiplied by DAMPED. In the initial lattice the outermost particles are half a spacing from the wall. A
+pressure increment changes the particle's velocity, hence the velocity that is continued behind the wall, and thereby
+the particle's own divergence. Very close to the wall this response exceeds twice the undamped diagonal, and the
+pressure would oscillate from step to step."""
 
 
 @functools.cache
@@ -34,8 +35,9 @@ def wall_law_function(scalar, dimensions: int, slip_law: str):
     def wall_force(flow: FlowConstants, x: t.vec, v: t.vec, area: scalar, compliance: scalar, force: t.vec):
         """Return three values: `force` plus the slip layer's force, the layer's resistance, the wall's stress [Pa].
 
-        The slip law is Eq. 8 of Xu, Li & Jiang 2021. `area` is the wall's area divided by the particle's volume [1/m].
-        The resistance is the derivative of the layer's force with respect to the particle's velocity [kg/m3/s].
+        The slip law is Eq. 8 of Xu, Li & Jiang 2021. Forces are per volume [N/m3]. `area` is the wall's area divided by
+        the particle's volume [1/m], and `compliance` the velocity difference between particle and wall per wall stress.
+        The resistance is the increase of the layer's braking force with the particle's velocity [kg/m3/s].
         """
         resist = scalar(0.0)
         stress = scalar(0.0)
@@ -106,9 +108,11 @@ def other_wall_law_function(scalar, dimensions: int, slip_law: str):
 
 @functools.cache
 def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, slip_law: str = BINGHAM):
-    """Build the kernel that computes forces at the known velocities, and the matrix of the implicit solve.
+    """Build the kernel that sets up the implicit solve for the velocities.
 
-    The implicit forces are those of viscosity and of the slip layer. The pressure gradient and gravity are explicit.
+    The forces per volume at the known velocities are stored as the residual with which the solve starts. The matrix
+    contains the forces that act implicitly: inertia, viscosity and the slip layer's resistance. The pressure gradient
+    and gravity act explicitly, so they are part of the residual only.
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
@@ -124,7 +128,7 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, slip
     def momentum(
         # The next argument holds the parameters of the flow.
         flow: FlowConstants,
-        # The next arguments are the range of rows that this launch processes.
+        # The next arguments are the range of particles that this launch processes.
         first: wp.int32,
         end: wp.int32,
         # The next arguments are the state, which this kernel only reads.
@@ -158,9 +162,9 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, slip
                 laplacian = weight * (fields.inverse_number[i] + fields.inverse_number[j])
                 c = laplacian * scalar(2.0) * mu * other / (mu + other)
                 if wp.static(two_phase):
-                    # If one particle of a pair belongs to a rigid grain, only half of their distance is mortar that can
-                    # be sheared, which doubles the coefficient. The space between two grains counts as mortar too.
-                    # Nothing is sheared inside a grain.
+                    # Between a particle of a rigid grain and a particle of mortar, only half of the distance is mortar
+                    # that can be sheared, which doubles the coefficient. The coefficient is also doubled between
+                    # particles of two different grains. Within one grain nothing is sheared.
                     if i < matrix.grain_rows:
                         if j >= matrix.grain_rows:
                             c = laplacian * scalar(2.0) * other
@@ -194,7 +198,9 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, slip
 def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     """Build the kernel that sets up the equations of the pressure increment.
 
-    The right-hand side is the divergence of the velocities, the matrix a Laplacian over the density.
+    The right-hand side is -density / dt times the divergence of the velocities, with the reference density. The matrix
+    is minus the Laplacian; in two-phase flows each pair's coefficient is multiplied by the reference density over the
+    mean density of the pair.
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
@@ -209,7 +215,7 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     def divergence(
         # The next argument holds the parameters of the flow.
         flow: FlowConstants,
-        # The next arguments are the range of rows that this launch processes.
+        # The next arguments are the range of particles that this launch processes.
         first: wp.int32,
         end: wp.int32,
         # The next arguments are the state, which this kernel only reads.
@@ -271,7 +277,10 @@ def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
 
 @functools.cache
 def gradient_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
-    """Build the kernel of the projection's last stage: it makes velocities divergence-free and updates the pressure."""
+    """Build the kernel that subtracts the pressure increment's gradient from the velocities, and updates the pressure.
+
+    This last stage of the projection makes the velocities divergence-free.
+    """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
     FlowConstants = flow_struct(scalar)
@@ -283,7 +292,7 @@ def gradient_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     def project(
         # The next argument holds the parameters of the flow.
         flow: FlowConstants,
-        # The next arguments are the range of rows that this launch processes.
+        # The next arguments are the range of particles that this launch processes.
         first: wp.int32,
         end: wp.int32,
         # The next arguments are the state, which this kernel only reads.

@@ -1,10 +1,10 @@
 """Conjugate gradients on a GPU: a whole solve is one kernel, whose blocks stay resident and meet at barriers.
 
-Rows are divided into chunks as large as a block. Each chunk forms one partial sum, and the blocks share the chunks
-among them. Sums therefore have the same bits however many blocks there are: a flow may use many blocks while it runs
-alone, and few while it shares the GPU. The host launches no iterations, so the solves of many flows can run at the same
-time. A small system gets a single wide block, which needs no barrier and no partial sums. `conjugate_gradient.py`
-explains the rows of the matrix.
+Rows are divided into chunks with as many rows as a block has threads. Each chunk forms one partial sum, and the chunks
+are distributed among the blocks. Sums therefore have the same bits however many blocks there are: a flow may use many
+blocks while it runs alone, and few while it shares the GPU. Iterations need no launches by the host, so the solves of
+many flows can run at the same time. A small system gets a single wide block, which needs no barrier and no partial
+sums. `conjugate_gradient.py` explains the rows of the matrix.
 """
 
 import functools
@@ -20,7 +20,7 @@ from .conjugate_gradient import AFTER, BEFORE, ITERATIONS, solver_functions
 from .structs import array_structs
 
 RESIDENT = 3
-"""Number of blocks that certainly fit on a multiprocessor at once; the kernel uses at most 85 registers per thread."""
+"""Number of blocks that fit on a multiprocessor at once; the launch bounds limit a thread to 85 registers for this."""
 WIDE, SMALL = 1024, 40_000
 """Number of threads of the single block of a small system, and maximum number of matrix entries of a small system."""
 
@@ -35,9 +35,9 @@ def resident_blocks(device, rows: int, near_capacity: int, abreast: int) -> tupl
 
 @functools.cache
 def sum_functions(width: int) -> SimpleNamespace:
-    """Build `accumulate` and `total_of`, which form sums over all threads of blocks of `width` threads.
+    """Build `accumulate` and `total_of`, which form sums over all threads of all blocks, with `width` threads each.
 
-    Each thread first passes its contributions through `accumulate`; after a barrier `total_of` returns the total.
+    Each thread first passes its contributions to `accumulate`; after a barrier, `total_of` returns the total.
     """
     alone = width == WIDE
     keep, total = block_sums(width).keep, block_sums(width).total
@@ -46,9 +46,10 @@ def sum_functions(width: int) -> SimpleNamespace:
     def accumulate(
         thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64
     ) -> wp.float64:
-        """Return what the thread itself must add up: `own` if there is a single block, else 0.
+        """Return the contribution `own` if there is a single block; otherwise add it to a partial sum and return 0.
 
-        If there are several blocks, the sum of the chunk is stored in `partial` instead.
+        A thread adds up the returned values. If there are several blocks, the contributions of the threads of a chunk
+        are summed, and the sum is stored in `partial`.
         """
         if wp.static(alone):
             return own
@@ -70,11 +71,11 @@ def sum_functions(width: int) -> SimpleNamespace:
 
 @functools.cache
 def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNamespace:
-    """Build what a GPU thread does for its row, or its rigid grain, in a solve.
+    """Build the functions that a GPU thread applies to a row of the equations, or to a rigid grain, in a solve.
 
-    Each function returns its contributions to inner products. `begin`, `update` and `share` (for a grain) return the
-    inner products of the residual with the preconditioned residual and with itself. `multiply` returns the inner
-    product of the search direction with its matrix product.
+    Each function returns its contributions to inner products. `begin`, `update` and `share` (for a grain) return those
+    to the inner products of the residual with the preconditioned residual and with itself. `multiply` returns that to
+    the inner product of the search direction p with A p, where A is the matrix.
     """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value
@@ -99,10 +100,10 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
     def multiply(
         i: wp.int32, count: wp.int32, beta: scalar, old: wp.int32, matrix: Matrix, system: Solve
     ) -> wp.float64:
-        """Compute the new search direction of row `i` and its product with the matrix.
+        """Compute the new search direction of row `i`, and this row of the matrix times the search directions.
 
-        The previous directions begin at `old`. The new directions of the neighbours are computed again from the
-        previous ones, so that no barrier is needed between directions and product.
+        The previous search directions begin at index `old` of the array `direction`. The function computes the new
+        directions of the neighbours itself from their previous ones, so that no barrier is needed before the product.
         """
         if i >= count:
             return wp.float64(0.0)
@@ -159,12 +160,13 @@ def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, 
 
     @wp.kernel(enable_backward=False, module="unique", launch_bounds=(width, 1 if width == WIDE else RESIDENT))
     def solve(
-        # The next arguments are the equations, the error code, the tolerance and the iteration limit.
+        # The next arguments are the number of rows, the error code that is stored if the solve fails, the relative
+        # tolerance, and the maximum number of iterations.
         count: wp.int32,
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
-        # The next arguments are the number of blocks, and the barrier of these blocks.
+        # The next arguments are the number of blocks, and the barrier at which the blocks wait for each other.
         parties: wp.int32,
         gate: wp.array(dtype=wp.int32),
         # The next arguments are the state, which this kernel only reads.
@@ -181,7 +183,7 @@ def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, 
         lane = thread % width
         block = thread / width
         halted = flags[HALTED]
-        # The partial sums of the chunks of rows come first, then those of the chunks of grains.
+        # In the array `partial`, the sums of the chunks of rows come first, then those of the chunks of rigid grains.
         blocks = (count + width - 1) / width
         sums = blocks
         if wp.static(rigid):

@@ -18,9 +18,10 @@ from .structs import array_structs, flow_struct, mps_functions, mps_types
 
 @functools.cache
 def rotation_functions(scalar, dimensions: int):
-    """Build functions for rotations that serve two and three dimensions.
+    """Build functions for rotations in two or three dimensions.
 
-    `to_3d` converts a vector to three dimensions, `from_3d` converts it back, and `rotated` continues a rotation.
+    `to_3d` converts a vector to three dimensions, and `from_3d` converts it back. `rotated` applies a further small
+    rotation to a rotation matrix.
     """
     t = mps_types(scalar, dimensions)
     vec3 = types(scalar).vec3
@@ -56,7 +57,7 @@ def rotation_functions(scalar, dimensions: int):
             return t.mat(c, s, -s, c)
         else:
             after = wp.quat_to_matrix(wp.quat_from_axis_angle(angle / size, size)) * m
-            # Make the rows orthonormal again, because rounding errors accumulate.
+            # Make the rows of the rotation matrix orthonormal again, because rounding errors accumulate.
             x = wp.normalize(vec3(after[0, 0], after[0, 1], after[0, 2]))
             y = vec3(after[1, 0], after[1, 1], after[1, 2])
             y = wp.normalize(y - wp.dot(x, y) * x)
@@ -70,8 +71,8 @@ def body_functions(scalar, dimensions: int) -> SimpleNamespace:
     """Build functions that treat a grain as a rigid body.
 
     `lever_inertia` is the inertia of one particle of unit mass about a centre, and `inverted` inverts an inertia.
-    `resultant` and `moment` sum forces (or other vectors) over a grain's particles. `spun` is the velocity of a
-    particle due to the grain's spin.
+    `resultant` sums vectors, such as forces, over a grain's particles, and `moment` sums their moments about a centre.
+    `spun` is the velocity of a particle due to the grain's spin.
     """
     t = mps_types(scalar, dimensions)
     vec3, mat33 = types(scalar).vec3, types(scalar).mat33
@@ -86,7 +87,7 @@ def body_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def inverted(inertia: mat33) -> mat33:
-        """Return the inverse of an inertia; in a plane only its component about y is not zero."""
+        """Return the inverse of an inertia matrix; in two dimensions, only that of its component about y."""
         inverse = mat33()
         if wp.static(flat):
             if inertia[1, 1] > scalar(0.0):
@@ -113,7 +114,11 @@ def body_functions(scalar, dimensions: int) -> SimpleNamespace:
         borne: wp.array(dtype=t.vec), mean: t.vec, place: wp.array(dtype=t.vec), centre: t.vec, begin: wp.int32,
         end: wp.int32,
     ) -> vec3:  # fmt: skip
-        """Return the moment about `centre` of vectors at the particles minus `mean`, which contributes no moment."""
+        """Return the sum of the moments about `centre` of the vectors `borne` at a grain's particles.
+
+        `place` contains the positions of the particles, and `centre` is their mean. A constant vector has no moment
+        about this centre, so `mean` may be subtracted from all vectors to reduce rounding errors.
+        """
         sum = vec3()
         for i in range(begin, end):
             sum += wp.cross(to_3d(place[i] - centre), to_3d(borne[i] - mean))
@@ -130,9 +135,10 @@ def body_functions(scalar, dimensions: int) -> SimpleNamespace:
 
 @functools.cache
 def bodies_kernel(scalar, dimensions: int):
-    """Build the kernel that computes centre, inertia and mobilities of each grain for the viscous solve.
+    """Build the kernel that computes centre, inverse inertia and mobilities of each grain for the viscous solve.
 
-    It runs with one thread per grain.
+    It runs with one thread per grain. The mobilities are velocity per force and spin per moment, for the diagonal of
+    the matrix alone.
     """
     mat33 = types(scalar).mat33
     body = body_functions(scalar, dimensions)
@@ -168,8 +174,8 @@ def share_function(scalar, dimensions: int):
     """Build `share`, which applies the preconditioner to the residual of one rigid grain.
 
     Only the resultant force and moment of the residual matter. The function writes the preconditioned residual of the
-    grain's particles. It returns the inner product of the two residuals, and the square of the residual after its
-    projection onto rigid motions.
+    grain's particles. It returns two numbers: the inner product of residual and preconditioned residual, and the
+    squared norm of the residual's projection onto rigid motions.
     """
     t = mps_types(scalar, dimensions)
     body = body_functions(scalar, dimensions)
@@ -200,9 +206,10 @@ def share_function(scalar, dimensions: int):
 
 @functools.cache
 def velocities_kernel(scalar, dimensions: int):
-    """Build the kernel that makes the velocities of each grain's particles rigid before the particles advance.
+    """Build the kernel that replaces the velocities of each grain's particles by a rigid motion.
 
-    It preserves mean velocity and angular momentum, and runs with one thread per grain.
+    The rigid motion has the same mean velocity and angular momentum. The kernel runs before the particles advance, with
+    one thread per grain.
     """
     body = body_functions(scalar, dimensions)
     FlowConstants = flow_struct(scalar)

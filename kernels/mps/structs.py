@@ -1,7 +1,7 @@
 """Types, parameters, arrays and small functions that the kernels of the moving particle method share.
 
 The same source serves two and three dimensions. The last coordinate runs along the pipe, the others across it.
-Positions are relative to the piston, velocities are relative to the room.
+Positions are relative to the moving piston, velocities are relative to the pipe at rest.
 """
 
 import functools
@@ -59,7 +59,7 @@ def flow_struct(scalar):
         slip_yield: scalar  # Yield stress tau_L0 of the slip layer [Pa].
         slip_index: scalar  # Flow index of the slip layer.
         slip_quadratic: scalar  # Coefficient of the squared velocity of the slip layer [Pa s2/m2].
-        correction: scalar  # Share of the density error that one step corrects.
+        correction: scalar  # Fraction of the density error that one step corrects.
         skin: scalar  # Skin of the neighbour lists [m].
 
     return FlowConstants
@@ -78,18 +78,18 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
     @wp.struct
     class Particles:
         position: wp.array(dtype=t.vec)  # Particle position relative to the piston's centre [m], shape (n,).
-        rounding: wp.array(dtype=t.vec)  # Rounding error of the position, carried to the next step [m], shape (n,).
-        velocity: wp.array(dtype=t.vec)  # Particle velocity relative to the room [m/s], shape (n,).
+        rounding: wp.array(dtype=t.vec)  # Rounding error of the position, corrected in the next step [m], shape (n,).
+        velocity: wp.array(dtype=t.vec)  # Particle velocity relative to the pipe [m/s], shape (n,).
         pressure: wp.array(dtype=scalar)  # Pressure at each particle [Pa], shape (n,).
         density: wp.array(dtype=scalar)  # Density of each particle in two-phase flows [kg/m3], shape (n,); else empty.
         group: wp.array(dtype=wp.int32)  # Grain of each particle, -1 for mortar, in two-phase flows; else empty.
 
     @wp.struct
     class Lists:
-        near_capacity: wp.int32  # Maximum number of entries in a row of `near`.
-        far_capacity: wp.int32  # Maximum number of entries in a row of `far`.
-        wall_capacity: wp.int32  # Maximum number of entries in a row of `wall`.
-        near_count: wp.array(dtype=wp.int32)  # Number of entries in each row of `near`, shape (n,).
+        near_capacity: wp.int32  # Maximum number of a particle's entries in the neighbour list `near`.
+        far_capacity: wp.int32  # Maximum number of a particle's entries in the neighbour list `far`.
+        wall_capacity: wp.int32  # Maximum number of a particle's entries in the neighbour list `wall`.
+        near_count: wp.array(dtype=wp.int32)  # Number of each particle's entries in `near`, shape (n,).
         near: wp.array(dtype=wp.int32)  # Fluid neighbours within the operators' reach, shape (n * near_capacity,).
         far_count: wp.array(dtype=wp.int32)
         far: wp.array(dtype=wp.int32)  # Fluid neighbours within reach of the density only, shape (n * far_capacity,).
@@ -99,7 +99,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.struct
     class Fields:
-        pair_weight: wp.array(dtype=scalar)  # Weight of each entry of `near` divided by its squared distance [1/m2].
+        pair_weight: wp.array(dtype=scalar)  # Weight of each pair in `near` divided by the squared distance [1/m2].
         fluid_inverse: wp.array(dtype=t.mat)  # Inverse moment matrix of the fluid neighbours [1/m2], shape (n,).
         all_inverse: wp.array(dtype=t.mat)  # Inverse moment matrix of all neighbours, walls included [1/m2].
         inverse_number: wp.array(dtype=scalar)  # Calibration factor of the Laplacian at each particle, shape (n,).
@@ -107,24 +107,26 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         wall_scale: wp.array(dtype=wp.float64)  # Factor that scales the sum of wall areas to the true area, shape (1,).
         viscosity: wp.array(dtype=scalar)  # Apparent viscosity at each particle [Pa s], shape (n,).
         compliance: wp.array(dtype=scalar)  # Velocity difference between particle and wall per wall stress [m/s/Pa].
-        predicted: wp.array(dtype=scalar)  # Filtered pressure of the previous step, the prediction [Pa], shape (n,).
+        predicted: wp.array(dtype=scalar)  # Predicted pressure: that of the previous step, filtered [Pa], shape (n,).
         traction: wp.array(dtype=scalar)  # Shear stress of the wall beside each particle [Pa], shape (n,).
         increment: wp.array(dtype=scalar)  # Change of the pressure in this step [Pa], shape (n,).
         potential: wp.array(dtype=scalar)  # Potential whose gradient moves particles out of crowded regions [m2].
         extra_displacement: wp.array(dtype=t.vec)  # Displacement in this step not caused by velocity [m], shape (n,).
         position_at_build: wp.array(dtype=t.vec)  # Position when the neighbour lists were built [m], shape (n,).
-        event_flags: wp.array(dtype=wp.int32)  # Flags: stale neighbour lists (slot 0), lost particle (1), shape (2,).
+        # Two flags, shape (2,): index 0 is 1 if the neighbour lists are stale, index 1 is 1 if a particle is lost.
+        event_flags: wp.array(dtype=wp.int32)
 
     @wp.struct
     class Grains:
-        first: wp.array(dtype=wp.int32)  # First particle of each grain, then the end of the last, shape (grains + 1,).
+        # First particle of each grain, followed by the end of the last grain, shape (grains + 1,).
+        first: wp.array(dtype=wp.int32)
         offset: wp.array(dtype=t.vec)  # Initial offset of each particle from its grain's centre [m].
         middle: wp.array(dtype=t.vec)  # Position of each grain's centre [m], shape (grains,).
-        middle_rounding: wp.array(dtype=t.vec)  # Rounding error of `middle`, carried to the next step [m].
+        middle_rounding: wp.array(dtype=t.vec)  # Rounding error of `middle`, corrected in the next step [m].
         centre: wp.array(dtype=t.vec)  # Mean position of a grain's particles in this step [m], shape (grains,).
         inverse_inertia: wp.array(dtype=mat33)  # Inverse inertia of a grain about `centre` for unit masses [1/m2].
-        mobility: wp.array(dtype=scalar)  # Velocity per force from the matrix's diagonal alone (preconditioner).
-        spin_mobility: wp.array(dtype=mat33)  # Spin per moment from the matrix's diagonal alone (preconditioner).
+        mobility: wp.array(dtype=scalar)  # Velocity of a grain per force, for the matrix's diagonal (preconditioner).
+        spin_mobility: wp.array(dtype=mat33)  # Spin of a grain per moment, for the matrix's diagonal (preconditioner).
         step: wp.array(dtype=t.vec)  # Displacement of each grain in this step [m], shape (grains,).
         spin: wp.array(dtype=vec3)  # Angular velocity of each grain [rad/s], shape (grains,).
         turn: wp.array(dtype=t.mat)  # Rotation of each grain since the start, shape (grains,).
@@ -134,11 +136,12 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         count: wp.int32  # Number of cubes of the coarse grid.
         wide: wp.int32  # Number of cubes across the pipe, at least 3.
         of: wp.array(dtype=wp.int32)  # Cube of each particle, shape (n,).
-        first: wp.array(dtype=wp.int32)  # Start of each cube in `member`, then the end of the last, shape (count + 1,).
+        # Index of each cube's first particle in `member`, followed by the end of the last cube, shape (count + 1,).
+        first: wp.array(dtype=wp.int32)
         member: wp.array(dtype=wp.int32)  # Particles sorted by cube, shape (n,).
         neighbour: wp.array(dtype=wp.int32)  # Cubes around each cube, -1 where there is none, shape (3^d * count,).
-        # Coupling of a cube with the cubes around it, shape (3^d * count,). The middle slot, which is the cube itself,
-        # holds 1 over the diagonal.
+        # Coupling of each cube with the 3^d cubes around it, shape (3^d * count,). The middle entry, which belongs to
+        # the cube itself, is 1 over the diagonal instead.
         coefficient: wp.array(dtype=scalar)
         diagonal: wp.array(dtype=scalar)  # Diagonal of the coarse matrix, shape (count,).
         pair: wp.array(dtype=scalar)  # Coupling of each particle with the cubes around it, shape (3^d * n,); GPU only.
@@ -245,7 +248,8 @@ def mps_functions(scalar, dimensions: int) -> SimpleNamespace:
     def inverse(m: t.mat) -> t.mat:
         """Return the inverse of a moment matrix.
 
-        Where too few neighbours make the matrix nearly singular, its mean diagonal is inverted instead.
+        If too few neighbours make the matrix nearly singular, the result is the inverse of a multiple of the identity
+        matrix that has the same trace.
         """
         mean = wp.trace(m) / scalar(dimensions)
         whole = mean
@@ -264,10 +268,10 @@ def mps_functions(scalar, dimensions: int) -> SimpleNamespace:
 
 
 def row_place(serial: bool):
-    """Return the function of (row, entry, rows, capacity) that locates a list's entry in its flat array.
+    """Return the function of (row, entry, rows, capacity) that locates an entry of a neighbour list in a flat array.
 
-    A CPU reads one row after the other, so the entries of a row are contiguous. Neighbouring threads of a GPU read
-    the same entry of neighbouring rows, so there the same entries of all rows are contiguous.
+    Each particle has one row. A CPU reads one row after the other, so the entries of a row are contiguous. Neighbouring
+    threads of a GPU read entries with the same number in neighbouring rows, so there these entries are contiguous.
     """
     return place_by_row if serial else place_by_entry
 
@@ -283,5 +287,5 @@ def place_by_entry(row: wp.int32, entry: wp.int32, rows: wp.int32, capacity: wp.
 
 
 def span(serial: bool) -> int:
-    """Return the number of rows per task: many on a CPU, where every task has a cost, and one on a GPU."""
+    """Return the number of particles per task: many on a CPU, where every task has a cost, and one on a GPU."""
     return SPAN if serial else 1

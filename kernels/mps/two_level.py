@@ -22,10 +22,10 @@ from .structs import array_structs, flow_struct
 
 @functools.cache
 def serial_correction(scalar, dimensions: int, vector: bool):
-    """Build `correct`, which solves the coarse equations for the present residual on a CPU.
+    """Build `correct`, which solves the coarse equations for the current residual on a CPU.
 
-    It returns the index in `lift` at which the coarse solution begins, and stores each chunk's inner product of
-    residual and coarse solution in `partial`.
+    It returns the index at which the coarse solution begins in the array `lift`. It also stores, in the array
+    `partial`, the inner product of residual and coarse solution over each chunk of cubes.
     """
     cube, Solve = coarse_functions(scalar, dimensions, vector), solver_functions(scalar, dimensions, vector).Solve
     Matrix = array_structs(scalar, dimensions).Matrix
@@ -80,12 +80,14 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def solve(
-        # The next arguments are the equations, the error code, the tolerance and the iteration limit.
+        # The next arguments are the flow's parameters (only the number of rows is read), the error code that is stored
+        # if the solve fails, the relative tolerance, and the maximum number of iterations.
         flow: FlowConstants,
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
-        # The next arguments are the chunks of this thread, and the barrier of all threads.
+        # The next arguments are the number of all chunks, the range of this thread's chunks, the number of threads, and
+        # the barrier at which they wait for each other.
         parts: wp.int32,
         lower: wp.int32,
         upper: wp.int32,
@@ -178,10 +180,10 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
 
 @functools.cache
 def resident_correction(scalar, dimensions: int, vector: bool, width: int):
-    """Build `correct`, which solves the coarse equations for the present residual on a GPU, with one warp per cube.
+    """Build `correct`, which solves the coarse equations for the current residual on a GPU, with one warp per cube.
 
-    It returns the index in `lift` at which the coarse solution begins. The caller must place a barrier between the
-    residual and this function; the function itself ends with a barrier.
+    It returns the index at which the coarse solution begins in the array `lift`. The caller must place a barrier
+    between the computation of the residual and the call of this function; the function itself ends with a barrier.
     """
     cube, Solve = coarse_functions(scalar, dimensions, vector), solver_functions(scalar, dimensions, vector).Solve
     Matrix = array_structs(scalar, dimensions).Matrix
@@ -227,7 +229,7 @@ def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK
 
     @wp.func
     def turn(i: wp.int32, count: wp.int32, beta: scalar, old: wp.int32, matrix: Matrix, system: Solve):
-        """Compute the new search direction of row `i` from both parts of the preconditioned residual."""
+        """Compute the new search direction of row `i` from the residual over the diagonal and the coarse solution."""
         if i < count:
             now = system.preconditioned[i]
             if wp.static(vector) or matrix.free[i] == 0:
@@ -250,12 +252,13 @@ def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK
 
     @wp.kernel(enable_backward=False, module="unique", launch_bounds=(width, 1 if width == WIDE else RESIDENT))
     def solve(
-        # The next arguments are the equations, the error code, the tolerance and the iteration limit.
+        # The next arguments are the number of rows, the error code that is stored if the solve fails, the relative
+        # tolerance, and the maximum number of iterations.
         count: wp.int32,
         what: wp.int32,
         tolerance: wp.float64,
         maximum: wp.int32,
-        # The next arguments are the number of blocks, and the barrier of these blocks.
+        # The next arguments are the number of blocks, and the barrier at which the blocks wait for each other.
         parties: wp.int32,
         gate: wp.array(dtype=wp.int32),
         # The next arguments are the state, which this kernel only reads.

@@ -158,7 +158,7 @@ def test_errors_of_flows(device, row):
     """To the digit that the page has, and within what the README promises of cells of 5 mm."""
     given = dict(FLOWS[row])
     result = Simulation(getattr(scenes, given.pop("name"))(concrete="no1", **given), device=device).run().result
-    told = figures("fluid.md", rf"\| {re.escape(row)} \| [\d,]+ \| {N} % \| \+?{N} % \| {N} % \|")
+    told = figures("fluid_pipes.md", rf"\| {re.escape(row)} \| [\d,]+ \| {N} % \| \+?{N} % \| {N} % \|")
     agree(told, errors(result), SIMULATED)
     (promised,) = figures("README.md", rf"Pressure and slip of a flow within {N} % at 5 mm")
     assert row.endswith("10 mm") or max(map(abs, errors(result)[:2])) < float(promised)

@@ -141,7 +141,7 @@ def test_slots_and_ducts(law):
     stress, radius = duct_stress(np.array([0.1]), np.array([1e6]), 0.02, 30.0, 40.0, **law)
     assert radius[0] == pytest.approx(0.01, rel=1e-6)
     assert own.mean_velocity(stress[0], 0.01, "plane") == pytest.approx(0.1, rel=1e-6)
-    near, _ = duct_stress(np.array([0.3]), np.array([0.065]), 0.075, 30.0, 40.0, 1 + 1e-9)
+    near, _ = duct_stress(np.array([0.3]), np.array([0.065]), 0.075, 30.0, 40.0, flow_index=1 + 1e-9)
     plain, _ = duct_stress(np.array([0.3]), np.array([0.065]), 0.075, 30.0, 40.0)
     assert near == pytest.approx(plain, rel=1e-6)
     funnel = (0.0325, 0.2575), (0.15, 0.60), 0.075, 30.0, 20.0, 2300.0

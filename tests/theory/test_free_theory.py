@@ -92,6 +92,21 @@ def test_a_straight_funnel_empties_as_a_duct_does():
     assert math.isinf(funnel_time((0.03, 0.03), (0.0, 0.6), 0.06, 20.0, 500.0, 2300.0))
 
 
+def test_a_slip_layer_adds_its_velocity_to_that_of_a_duct():
+    """The wall stress of sticking concrete at 0.1 m/s also drives the layer: both velocities add up."""
+    wide, layer = np.array([0.065]), (700.0, 20.0)
+    stress, radius = duct_stress(np.array([0.1]), wide, 0.075, 40.0, 30.0)
+    faster = 0.1 + (stress - layer[1]) / layer[0]
+    again, same = duct_stress(faster, wide, 0.075, 40.0, 30.0, layer)
+    assert again == pytest.approx(stress, rel=1e-9) and same == radius
+    plug, _ = duct_stress(np.array([0.01]), wide, 0.075, 40.0, 300.0, layer)
+    assert plug == pytest.approx(20 + 7.0, rel=1e-9)
+    sticks = funnel_time((0.0325, 0.2575), (0.15, 0.6), 0.075, 50.0, 30.0, 2300.0)
+    stiff = funnel_time((0.0325, 0.2575), (0.15, 0.6), 0.075, 50.0, 30.0, 2300.0, layer=(1e12, 0.0))
+    slips = funnel_time((0.0325, 0.2575), (0.15, 0.6), 0.075, 50.0, 30.0, 2300.0, layer=(900.0, 10.0))
+    assert stiff == pytest.approx(sticks, rel=1e-6) and 0.1 * sticks < slips < 0.25 * sticks
+
+
 @pytest.mark.parametrize(("tau", "reaches"), [(50.0, True), (300.0, False)])
 def test_a_box_at_rest_holds_the_volume_and_bears_its_slope(tau, reaches):
     near, far, reach = box_at_rest(0.012, 0.7, 0.2, tau, 2300.0)

@@ -12,9 +12,10 @@ from ..core.errors import positive
 from ..core.inputs.amounts import amount
 from ..core.inputs.fingerprints import fingerprint
 from ..core.inputs.limits import check_limit, check_velocity, check_whole
-from ..core.run.files import atomic_file, next_folder
+from ..core.run.files import atomic_file, next_folder, write_json
 from ..core.run.progress import ProgressBar
-from ..mix.mix import completed, mix_named
+from ..mix.blocking import line_rules, narrowest, rule_lines, rule_records
+from ..mix.mix import Mix, completed, mix_named
 from ..mps.mixes import concrete_of
 from ..studies.lines.elements import ElementLine, Elements, element_table_lines, run_elements
 from ..studies.lines.folder import PARTS, line_folder
@@ -77,13 +78,14 @@ def run(
                 found = run_line(
                     given, concrete_of(name), rate, simulate=not theory,
                     cells=cells, layer_factor=LAYER_FACTOR if layer_factor is None else layer_factor,
-                    band=mix.band if mix is not None and layer_factor is None else None,
+                    variants=mix.variants if mix is not None and layer_factor is None else None,
                     progress=None if quiet else progress, **where,
                 )  # fmt: skip
             if method != "flow":
                 tell = None if quiet else (lambda phase, fraction: progress(phase, fraction, {}))
                 packed = run_elements(given, name, rate, elements=elements, progress=tell, **where)
             _print(given, name, rate, found, packed, folder)
+            _print_rules(given, mix, folder)
     except KeyboardInterrupt:
         if folder is not None and (folder / PARTS).is_dir():
             click.echo(f"interrupted; continue with the same command and --out {folder}")
@@ -114,3 +116,18 @@ def _print(
     took = (0.0 if found is None else sum(found.took.values())) + (0.0 if packed is None else packed.elapsed)
     if folder is not None:
         click.echo(f"\nfolder: {folder}; simulations took {took:.0f} s")
+
+
+def _print_rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> None:
+    """Print what the rules of practice say about blocking of the line, and write it to its folder."""
+    verdicts = line_rules(line, None if mix is None else mix.given)
+    part = narrowest(line)
+    where = f"narrowest part {part.number}, {part.label}, {1e3 * part.narrow:.4g} mm"
+    text = rule_lines(verdicts, where)
+    if mix is None:
+        text.append(
+            "unknown  all rules on the mix: the concrete has no mix; 'warpcrete mix --help' shows how to write it"
+        )
+    click.echo("\n" + "\n".join(text))
+    if folder is not None:
+        write_json(folder / "blocking.json", rule_records(verdicts) | {"narrowest_part": part.number})

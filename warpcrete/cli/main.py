@@ -18,7 +18,7 @@ from .console import prepare_streams
 from .texts import MIX_HELP
 
 EXIT_TIMEOUT = 3.0
-"""Time that a command has to end after it has reported a full disk [s]."""
+"""Time after which a command that has met a full disk is ended by force [s]."""
 
 # Warp takes half a second to load, and so do the scenes. Each subcommand therefore loads the modules that it needs only
 # when it is called.
@@ -263,6 +263,26 @@ def verify(**settings: Any) -> None:
     _part("verify").run(**settings)
 
 
+@cli.command("validate")
+@click.option("--kind", multiple=True, help="Compare only this kind of measurement, such as pipe or slump; repeatable")
+@click.option("--quick", is_flag=True, help="Use closed forms only, and simulate no flow")
+@click.option(
+    "--cases", type=click.Path(path_type=Path), help="File of your own measured cases  [default: the shipped ones]"
+)
+@click.option("--every", is_flag=True, help="Also print the table of all cases")
+@click.option("--device", help="Device of the simulations: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
+@click.option("--out", type=click.Path(path_type=Path), help="New folder for the tables and validation.png")
+@click.option("--quiet", is_flag=True, help="Show no progress bar")
+def validate_command(**settings: Any) -> None:
+    """Compare blind predictions with measurements of pipes, lines, slip layers and fresh concrete.
+
+    Each case is predicted from what was known before the measurement. The table gives, for each kind of measurement,
+    the median ratio of prediction to measurement, the median error, and the share of cases inside their bands. Cases
+    that are held out were never used to fit a constant of the program.
+    """
+    _part("validate").run(**settings)
+
+
 ON_WORKERS = """\
   --scheduler WHICH      run on Dask workers (pip install 'warpcrete[cluster]'): 'local' starts one per GPU or core,
                          'slurm' submits jobs by Dask's configuration; or the address of a running scheduler
@@ -488,8 +508,10 @@ def line_command(line: str, **settings: Any) -> None:
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Write the resulting concrete to this new file, for --concrete"
 )
-def mix_command(name: str, out: Path | None) -> None:
-    _part("mix").run(name, out)
+@click.option("--bore", help="Narrowest bore through which the concrete is pumped, such as '100 mm', for the rule on "
+              "the largest stone")  # fmt: skip
+def mix_command(name: str, out: Path | None, bore: str | None) -> None:
+    _part("mix").run(name, out, bore)
 
 
 @cli.command("schema")
@@ -559,7 +581,7 @@ def main() -> None:
     except InstabilityError as error:
         _fail(str(error), 1)
     except WarpcreteError as error:
-        if isinstance(error, DiskFullError):  # Libraries may wait for the disk when the program ends.
+        if isinstance(error, DiskFullError):  # At exit, libraries may wait for the full disk forever.
             end = threading.Timer(EXIT_TIMEOUT, os._exit, [2])
             end.daemon = True
             end.start()

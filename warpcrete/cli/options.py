@@ -109,7 +109,7 @@ NO_NUMBERS = ("nan", "inf", "infinity")
 def quantity_of(value: Any, field: Field, called: str) -> float:
     """Return a number, or a text such as "125 mm", in the field's unit; `called` is the name of its option."""
     if isinstance(value, str) and value.strip().lower().lstrip("+-") in NO_NUMBERS:
-        return float(value)  # The parameter's own check refuses such a value later.
+        return float(value)  # Accept NaN and infinity here: the parameter's own check refuses them later.
     return amount(called, value, field.units)
 
 

@@ -40,7 +40,7 @@ def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str
     if is_finished(folder):
         raise RunFolderError(f"resume = '{folder}': the run is already finished; start a new one with another --out")
     settings = dict(record.get("command", {}))
-    # Recorders that the interrupted run did not have stay off.
+    # Keep recorders off that the interrupted run did not have.
     settings = {kind.name: False for kind in RECORDERS} | settings
     if set(settings) != set(KEPT):
         raise RunFolderError(
@@ -153,14 +153,14 @@ def _pipeline_checked(scene: Any, settings: dict[str, Any]) -> dict[str, Any] | 
 class PipelineRecorder(Recorder):
     """Recorder that adds the pressure of a pipeline to the result of a finished run.
 
-    It must finish before the recorder of the table, which writes the result.
+    This recorder must finish before the recorder of tables, which writes the result.
     """
 
     def __init__(self, height: float | None, distance: float | None, other: dict[str, Any] | None) -> None:
         self.height, self.distance, self.other = height, distance, other
 
     def finish(self, simulation: Simulation, run: Run) -> None:
-        """Compute the pipeline's pressure from the plateau of the run, if there is one."""
+        """Compute the pipeline's pressure from the pressure plateau of the run, if there is one."""
         if run.finished and (self.height is not None or self.distance is not None):
             estimate = pipeline_estimate(run, self.height or 0.0, self.distance or 0.0, self.other)
             if estimate is not None:

@@ -186,7 +186,7 @@ def _new_study(
 
 
 def _fields(module: Any, options: Mapping[str, list[str]]) -> dict[str, Field]:
-    """Return the parameters of a scene by all their names, including those of contact laws among the options."""
+    """Return a scene's parameters by name and alias, with those of the contact laws that the options name."""
     found: dict[str, Field] = {}
     for name, field in module.scene.fields({}).items():
         found |= dict.fromkeys((name, *(alias.name for alias in field.of_kind(Alias))), field)

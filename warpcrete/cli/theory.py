@@ -72,7 +72,7 @@ def run(
         field.check_limits(values[name], name)
     thickness = values["slip_thickness"]
     constants = {name: values[name] for name in CONSTANTS}
-    if fit is not None:  # The slip layer is fitted and need not be stated.
+    if fit is not None:  # The fit replaces the slip layer's constants, so placeholders stand for missing ones.
         constants |= {name: constants[name] or 1.0 for name in ("slip_viscosity", "slip_yield")}
     concrete = concrete_of(values["concrete"], **constants)
     for flow in flows:

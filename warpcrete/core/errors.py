@@ -93,7 +93,7 @@ def quoted(value: Any) -> str:
         return f"a number of {value.bit_length()} bits"
     try:
         text = repr(value)
-    except (RecursionError, ValueError):  # The value is nested too deeply, or has a huge integer.
+    except (RecursionError, ValueError):  # `repr` fails for very deep nesting and for huge integers.
         text = f"<{type(value).__name__}>"
     return one_line(text, LONGEST_VALUE)
 
@@ -155,7 +155,7 @@ def between(field: str, value: float, lower: float, upper: float, unit: str = ""
 
 def one_of(field: str, value: Any, choices: Any) -> None:
     """Raise :class:`SceneError` unless `value` is one of `choices`."""
-    choices = list(choices)  # A list also accepts a `value` that is not hashable.
+    choices = list(choices)  # Search in a list, which works even if `value` is not hashable.
     if value not in choices:
         refuse(field, value, f"must be one of {', '.join(map(str, choices))}", suggested(value, choices))
 

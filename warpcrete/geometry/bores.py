@@ -12,7 +12,7 @@ from .axis import Arc, Axis
 FACETS = 32
 """Number of facets around the circumference of a pipe that is drawn with triangles."""
 VOLUME_SAMPLES = 400
-"""Number of arc lengths in the table of a pipe's volume, which gives the arc length for a share of the volume.
+"""Number of arc lengths at which the volume before them is tabulated, to find where a share of the pipe's volume ends.
 """
 
 

@@ -71,7 +71,7 @@ def merged_corners(vertices: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 def _cells(places: np.ndarray) -> np.ndarray:
-    """Return the index of the unit cell that holds each of `places` (n, 3); only occupied cells are counted."""
+    """Return the index of the unit cell that contains each of `places` (n, 3); only occupied cells are numbered."""
     number = np.zeros(len(places), np.int64)
     for axis in np.floor(places).astype(np.int64).T:
         _, column = np.unique(axis, return_inverse=True)

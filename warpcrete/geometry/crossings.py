@@ -1,4 +1,4 @@
-"""Check where a pipe comes close to itself."""
+"""Search for places where a pipe meets itself or comes too close to itself."""
 
 from __future__ import annotations
 

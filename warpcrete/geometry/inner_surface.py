@@ -26,8 +26,8 @@ VISIBILITY_TOLERANCE = 1e-3
 OFFSET = 1e-4
 """Distance in radii from a facet, on both of its sides, of the points from which the facet's visibility is tested."""
 CORNER_WEIGHT = 0.8
-"""Weight of a corner in a mean of a triangle's corner and centre. At these means, and at the centre, the visibility of
-the triangle is tested."""
+"""Weight of the corner in the weighted mean of a triangle's corner and its centre. The visibility of a triangle is
+tested at these means for its three corners, and at its centre."""
 
 
 class InnerSurface:
@@ -234,7 +234,10 @@ class InnerSurface:
 
 
 def equal_radii(sections: np.ndarray) -> np.ndarray:
-    """Return the radii [m] of circles with the area of each row of :meth:`InnerSurface.sections`, shape (n,)."""
+    """Return the radii [m] of circles that have the areas of cross-sections, shape (n,).
+
+    `sections` holds the distances from the axis to the wall, one row for each cross-section.
+    """
     return np.sqrt(np.mean(sections**2, axis=1))
 
 

@@ -51,7 +51,7 @@ LIMITED_AS = {
     "outlet": "diameter",
     "radius": "bend_radius",
 }
-"""Quantity whose permitted range also applies to a pipeline entry that has a different name."""
+"""Names of quantities whose limits (:mod:`warpcrete.core.inputs.limits`) apply to pipeline entries of another name."""
 MOST_PARTS, MOST_POINTS = 2000, 500
 """Largest numbers of parts in a line and of points in a hose; the longest lines ever pumped have some hundred parts."""
 BEGINS = {"level": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "down": (0.0, 0.0, -1.0)}

@@ -180,7 +180,7 @@ def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
     """Read the entries of a line's file, and return them with the path of the file.
 
     A relative path of a concrete's file is resolved from the folder of the line's file. Raises :class:`SceneError` if
-    the file does not exist or has another content.
+    the file does not exist or holds no 'key: value' lines.
     """
     if not isinstance(name, (str, Path)):
         refuse("line", name, "must be the path of a file", "'warpcrete line --help' shows an example")
@@ -444,8 +444,8 @@ def check_crossing(line: PipeLine, gap: float = 0.0, hint: str = "change the cou
     spans = []
     for part in parts:
         wide = max(part.diameter, part.outlet)
-        # With a gap, divide long parts into short pieces. Along the axis, two parallel legs of a U-turn are so close to
-        # each other that, as whole pieces, they would be skipped as neighbours.
+        # If a gap is required, divide long parts into short pieces. Otherwise the check would skip the two parallel
+        # legs of a U-turn, because pieces that follow each other closely along the axis count as neighbours.
         spans.append((part.length, wide, CROSSING_SAMPLES.get(part.kind, 2 + int(part.length / wide) if gap else 2)))
     found = first_crossing(line.axis, spans, gap)
     if found is None:

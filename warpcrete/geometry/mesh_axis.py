@@ -30,7 +30,7 @@ END_CHECK_DISTANCES = (0.1, 0.3)
 MAX_SECTIONS = 4000
 """Largest number of cross-sections of a bore."""
 TURNING_ROUNDS = 3
-"""Number of rounds in which all cross-sections are turned perpendicular to the curve through their centres."""
+"""Number of times that all cross-sections are turned perpendicular to the curve through their centres."""
 WINDOW = 2
 """Number of cross-sections on either side whose centres determine the local direction of the bore."""
 AXIS_TOLERANCE = 0.004
@@ -68,13 +68,13 @@ def follow(
 
     Each cross-section is perpendicular to the local direction of the bore and is measured by rays from the centre of
     the cross-section, so that outer skins, rims and lids have no influence. The bore ends where a cross-section is
-    open; this is also the case behind a lid.
+    open; cross-sections behind a lid are open too.
 
     Args:
         vertices: Corners of the mesh [m], shape (v, 3).
         faces: Corner indices of each triangle, shape (f, 3).
         start: Point on the axis where the bore begins [m], shape (3,).
-        ways: Unit directions in which the axis may start, shape (3,) each; the first that leads into the bore is taken.
+        ways: Unit directions in which the axis may start, shape (3,) each; the first that leads into the bore is used.
         field: Name of the field that error messages show.
         name: Value of that field in error messages.
 
@@ -116,7 +116,7 @@ def _extended_to_end(
         way = tangents[-1] + (far + step) * bend
         way = way / np.linalg.norm(way)
         further = _section(queries, points[-1] + 0.5 * (far + step) * (tangents[-1] + way), way, radii[-1])
-        # Near a lid, the rays of a slightly tilted cross-section end on the lid and change its size.
+        # Near a lid, some rays of a slightly tilted cross-section end on the lid, which changes the measured radius.
         if further is None or abs(further[1] / radii[-1] - 1) > RADIUS_TOLERANCE:
             step *= 0.5
         else:
@@ -170,7 +170,7 @@ def directions(points: np.ndarray, ahead: np.ndarray) -> np.ndarray:
 def _first_direction(
     queries: SurfaceQueries, start: np.ndarray, ways: Sequence[np.ndarray], extent: float, field: str, name: str
 ) -> tuple[np.ndarray, float]:
-    """Return the first of the directions `ways` in which a bore leads away from `start`, and its radius there [m]."""
+    """Return the first of the directions `ways` in which a bore leads away from `start`, and the bore's radius [m]."""
     beside = None
     for way in ways:
         first = _section(queries, start + NEAREST * extent * way, way, extent)
@@ -227,11 +227,11 @@ def _follow_bore(
 def _next_section(
     queries: SurfaceQueries, points: list[np.ndarray], tangent: np.ndarray, step: float, radius: float
 ) -> tuple[np.ndarray, float, np.ndarray] | None:
-    """Return centre, radius and direction of the section one `step` [m] further on, or None if none there is closed.
+    """Return centre, radius and direction of the cross-section one `step` [m] further, or None if there is none.
 
-    The section is turned perpendicular to the parabola through its own centre and two earlier ones. In a cone, the
-    centre of a tilted section is displaced from the axis by up to the radius times the slope. The iteration therefore
-    converges only if each round turns the section by a fraction of the remaining angle.
+    The cross-section is turned perpendicular to the parabola through its own centre and two earlier centres. In a cone,
+    the centre of a tilted cross-section is displaced from the axis by up to the radius times the slope. The iteration
+    therefore converges only if each repetition turns the cross-section by a fraction of the remaining angle.
     """
     way, found = tangent, None
     place = points[-1] + step * tangent
@@ -307,7 +307,7 @@ def _section(
         following = np.roll(corners, -1, axis=0)
         area = 0.5 * np.linalg.norm(np.cross(corners - point, following - point), axis=1)
         if not area.sum() > 0:
-            return None  # All surfaces that the rays meet pass through the point itself.
+            return None  # The area is zero if all surfaces that the rays meet pass through the point itself.
         middle = (area[:, None] * (corners + following + point) / 3).sum(axis=0) / area.sum()
         moved = np.linalg.norm(middle - point)
         point = middle
@@ -323,15 +323,15 @@ def _longest(
     attempt: Callable[..., Curve], points: np.ndarray, tangents: np.ndarray, here: int, position: np.ndarray,
     tangent: np.ndarray, allowed: float,
 ) -> tuple[Curve, int]:  # fmt: skip
-    """Return the curve of one kind that spans the most points after point `here`, and the index of its last point."""
+    """Return the longest curve that `attempt` fits from point `here` on, and the index of the last point on it."""
     best, reached = None, here
     step, last = 1, len(points) - 1
     while step > 0 and reached < last:
         stop = min(reached + step, last)
         curve = attempt(points, tangents, here, stop, position, tangent, allowed)
         if curve is None:
-            # The number of points to advance doubles after each success. After a failure it is halved, to find the
-            # limit in between.
+            # Search for the last point that the curve can reach. The number of points to advance doubles after each
+            # success; after a failure it is halved, to find the limit in between.
             step = step // 2 if best is not None else 0
         else:
             best, step = curve, 2 * (stop - reached) if stop - reached == step else step
@@ -360,7 +360,7 @@ def _biarc(
     points: np.ndarray, tangents: np.ndarray, here: int, stop: int, position: np.ndarray, tangent: np.ndarray,
     allowed: float,
 ) -> Curve:  # fmt: skip
-    """Return two arcs from `position` to the point `stop` if they pass all points between, else None."""
+    """Return two arcs from `position` to point `stop` if they pass the points between closely enough, else None."""
     if stop > here + 1 and (points[stop] - position) @ (tangent + tangents[stop]) <= 0:
         return None
     curve = biarc(position, tangent, points[stop], tangents[stop])

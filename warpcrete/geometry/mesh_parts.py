@@ -97,7 +97,7 @@ def bore_of(
     """
     check_file(file, fields[0], hint="give the path of an STL, OBJ, PLY ... file")
     digest = hashlib.sha256(file.read_bytes() + repr(scale).encode()).hexdigest()[:12]
-    # Check the unit first: for a mesh in the wrong unit, the end of the bore is out of reach.
+    # The measurement begins with a check of the mesh's size, because in a wrong unit the bore cannot be followed.
     found = _measured(fields, file, scale, digest, length, tuple(ways))
     found = _of_length(fields, found, length)
     name = str(file)
@@ -163,7 +163,7 @@ def _measured(
 
 
 def _axis(vertices: np.ndarray, faces: np.ndarray, ways: tuple[Way, ...], field: str, name: str) -> tuple[Axis, float]:
-    """Return the axis of a bore that begins at the mesh's origin, and its radius there [m]."""
+    """Return the axis of a bore that begins at the mesh's origin, and the bore's radius at the origin [m]."""
     start = np.zeros(3)
     sections = follow(vertices, faces, start, [np.array(way, float) for way in ways], field, name)
     way = sections.ahead
@@ -183,11 +183,11 @@ def _surface(bore: MeshBore, field: str) -> InnerSurface:
 
 
 def directions_at(axis: Axis, s: float) -> np.ndarray:
-    """Return the unit vectors of a mesh's x, y and z where the mesh lies on an axis, shape (3, 3).
+    """Return the directions of a mesh's x, y and z axes after the mesh is placed on a pipe's axis, shape (3, 3).
 
     The mesh is placed at the arc length `s` [m], with x along the axis. If the axis begins level, z points up at its
-    start. If the axis begins vertically, z is what a bend from level into the vertical would have turned "up" into.
-    From the start on, z is transported along the axis without twist.
+    start. If the axis begins vertically, z points where "up" would point after a bend from level to vertical. From the
+    start on, z is transported along the axis without twist.
     """
     tangent, level = np.array(axis.tangent), np.array([0.0, 0.0, 1.0])
     if abs(tangent @ level) > 0.5:

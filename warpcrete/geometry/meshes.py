@@ -18,7 +18,7 @@ from .axis import Axis
 from .cleaning import clean
 from .walls import MeshWall, PipeWall
 
-if TYPE_CHECKING:  # Importing trimesh takes half a second, and most scenes have no mesh.
+if TYPE_CHECKING:  # Import trimesh only for a mesh, because that takes half a second.
     import trimesh
 
 FARTHEST_WALL = 10.0
@@ -49,13 +49,13 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
     else:
         path = check_file(source, field, hint="give the path of an STL, OBJ, PLY ... file")
         try:
-            with np.errstate(all="ignore"):  # Invalid numbers are reported below.
+            with np.errstate(all="ignore"):  # Ignore NumPy's warnings: invalid numbers are refused below.
                 mesh = trimesh.load_mesh(path)
                 if isinstance(mesh, trimesh.Scene):
                     mesh = mesh.to_mesh()
         except Exception as error:  # Catch every error, because trimesh passes on any error of its readers.
             # A file in an unknown format fails in the last reader that trimesh tries, perhaps with an ImportError
-            # because that reader is not installed.
+            # because that reader is not installed. The text of this ImportError would mislead the user.
             why = (
                 "it is damaged or has another format"
                 if isinstance(error, ImportError)

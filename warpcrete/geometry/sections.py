@@ -8,8 +8,8 @@ from itertools import combinations, pairwise
 import numpy as np
 
 GAUSS = np.polynomial.legendre.leggauss(2)
-"""Nodes and weights of the two-point Gauss rule on [-1, 1]. The rule is exact for cubic polynomials, and the integrand
-over a band of a section is at most quadratic."""
+"""Nodes and weights of the two-point Gauss rule on [-1, 1]. The rule is exact for cubic polynomials. The width of a
+section between two heights without a corner or crossing, weighted with x or not, is at most quadratic in the height."""
 
 
 def section_area(

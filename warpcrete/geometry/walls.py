@@ -120,7 +120,7 @@ AddAxis = Callable[[Axis], tuple[int, int]]
 
 
 class _Wall:
-    """Common part of walls of all shapes."""
+    """Base class of walls of all shapes, which have a name, a frame and an optional motion."""
 
     name: str
     motion: Motion | None

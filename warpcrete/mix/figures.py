@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..core.errors import refuse
 
@@ -10,6 +10,12 @@ INSTRUMENTS = 2.0
 """Factor by which results of different instruments for one concrete may differ before they count as contradictory. The
 factor is a choice: comparisons of rheometers show that results differ (Ferraris & Martys 2003; RILEM TC 266-MRP 2023),
 but no figure was taken from them."""
+
+CONES = 3.0
+"""Factor by which the bands from spread and slump of one cone may differ before they count as contradictory. In 80
+pairs of Yeh (2007) they differ by up to 1.6."""
+STUDENT_T = {1: 12.7, 2: 4.30, 3: 3.18, 4: 2.78, 5: 2.57, 6: 2.45, 7: 2.36, 8: 2.31, 9: 2.26, 10: 2.23}
+"""Factor from the standard error to the 95 % confidence limit, Student's t, by the number of points minus two."""
 
 
 @dataclass(frozen=True)
@@ -52,16 +58,45 @@ def around(name: str, value: float, off: float, unit: str, way: str, source: str
 def reconciled(candidates: list[Figure]) -> tuple[Figure, list[str]]:
     """Return the first of several values for one property, and remarks on differences between the values.
 
-    The candidates come from different entries of the mix. Raises :class:`SceneError` if the bands of two candidates
-    contradict each other. Between a rheometer and a cone, bands may differ by a factor of :data:`INSTRUMENTS`.
+    The candidates come from different entries of the mix. Bands may differ by a factor of :data:`INSTRUMENTS` between a
+    rheometer and a cone, and of :data:`CONES` between spread and slump of one cone, where the slump widens the band.
+    Raises :class:`SceneError` if the bands of two candidates differ by more.
     """
     first, remarks = candidates[0], []
     for other in candidates[1:]:
         apart = max(other.low / max(first.high, 1e-9), first.low / max(other.high, 1e-9))
         words = f"{first.name}: {first.span} from {first.way}, but {other.span} from {other.way}"
-        if apart > (INSTRUMENTS if first.instrument != other.instrument else 1.0):
+        cones = first.instrument == other.instrument == "cone"
+        if apart > (CONES if cones else INSTRUMENTS if first.instrument != other.instrument else 1.0):
             refuse(f"mix {first.name}", f"{first.span} from {first.way}", f"contradicts {other.span} from {other.way}",
                    "leave out the less reliable one, or state its uncertainty")  # fmt: skip
-        if apart > 1:
+        if apart > 1 and cones:
+            remarks.append(f"{words}; the first is used, and its band reaches to the second's")
+            first = replace(first, low=min(first.low, other.high), high=max(first.high, other.low))
+        elif apart > 1:
             remarks.append(f"{words}; the first is used, because instruments often differ by as much")
     return first, remarks
+
+
+def line_uncertainty(error: float, count: int, value: float, default: float) -> float:
+    """Return the uncertainty of a value from a straight line through `count` points.
+
+    With three or more points, this is the half width of the 95 % confidence interval, from the standard `error`. With
+    two points, it is the share `default` of the value.
+    """
+    if count < 3:
+        return default * abs(value)
+    return STUDENT_T.get(count - 2, 2.1) * error
+
+
+def of_line(name: str, value: float, off: float, unit: str, way: str, count: int) -> Figure:
+    """Return a property from a straight line through `count` points, with the uncertainty `off` in `unit`.
+
+    Raises :class:`SceneError` if the value is impossible.
+    """
+    viscous = unit.startswith("Pa s")
+    if value < 0 or (viscous and value == 0):
+        refuse(f"mix {name}", round(value, 6), f"is the result of a straight line through {way}, but is impossible",
+               "check the points and their units")  # fmt: skip
+    source = "straight line, 95 %" if count > 2 else "straight line; two points give no uncertainty"
+    return Figure(name, value, max(value - off, 0.1 * value if viscous else 0.0), value + off, unit, way, source)

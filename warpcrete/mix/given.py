@@ -12,7 +12,16 @@ from ..core.errors import between, one_of, positive, refuse, suggested
 from ..core.inputs.amounts import amount, bare_number
 from ..core.inputs.limits import check_limit
 from ..core.inputs.text_files import errors_located_at
-from .ingredients import MIN_AMOUNT, check_volume
+from .ingredients import (
+    MIN_AMOUNT,
+    check_volume,
+    is_plasticizer,
+    is_thickener,
+    paste_volumes,
+    powder_mass,
+    sand_and_stone_masses,
+    water_mass,
+)
 from .points import PUMPED, read_points
 
 T = TypeVar("T")
@@ -51,10 +60,19 @@ NUMBERS = {
     ),
     "air": Entry("Air content, share of the volume", "m3/m3", 0, 0.3, "write per cent as in '2 %'"),
     "aggregate_density": Entry("Density of the coarse aggregate", "kg/m3", 1000, 8000),
-    "slump": Entry("Slump of the Abrams cone", "m", 0.01, 0.24, "use spread for softer concrete"),
+    "slump": Entry("Slump of the Abrams cone", "m", 0.01, 0.29, "use spread for softer concrete"),
     "spread": Entry("Spread of the Abrams cone", "m", 0.35, 1.2),
     "t500": Entry("Time until the spread reaches 500 mm", "s", 0.5, 120),
-}
+    "water_binder": Entry(
+        "Mass of water over mass of all powder (cement, ash, slag, filler); not needed if parts are given",
+        "1",
+        0.12,
+        1.2,
+    ),
+    "voids": Entry("Voids of sand and stones together when compacted, share of their bulk volume", "m3/m3", 0.1, 0.5,
+                   "write per cent as in '24 %'"),
+    "fine_sand": Entry("Share of the sand's mass below 0.3 mm", "1", 0, 1, "write per cent as in '18 %'"),
+}  # fmt: skip
 """Numeric entries of a mix."""
 OTHERS = {
     "parts": "Mass of every ingredient in a cubic metre [kg/m3]",
@@ -66,10 +84,12 @@ OTHERS = {
     "mortar": "Measured properties of the mortar",
     "viscometer": "Points of a viscometer: pairs of shear rate and stress, or the path of a CSV file",
     "layer": "Slip layer: its yield stress and viscosity, or points measured in a pipe or with a tribometer",
+    "thickener": "True if the concrete contains a viscosity-modifying admixture that parts do not name",
 }
 """Entries of a mix that are not single numbers, with their meaning."""
 KEYS = ("density", "air", "parts", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete", "mortar",
-        "viscometer", "slump", "spread", "t500", "layer")  # fmt: skip
+        "viscometer", "slump", "spread", "t500", "water_binder", "thickener", "layer", "voids",
+        "fine_sand")  # fmt: skip
 SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crushed": "reference",
           "angular": "reference", "reference": "reference"}  # fmt: skip
 """Words for the shape of stones, with the shapes that discrete elements use for them. A numeric shape factor stands for
@@ -81,6 +101,14 @@ PACKING = 0.57
 aggregate."""
 GRAVEL = 2650.0
 """Density of aggregate that is assumed if the mix states none [kg/m3]."""
+BINDER = 3000.0
+"""Density of the powder [kg/m3] assumed if the mix states only the ratio of water to binder: cement has 3100, slag 2900
+and fly ash 2250 kg/m3."""
+USUAL_AIR = 0.02
+"""Air content assumed if the mix states none, share of the volume."""
+PASTE_TOLERANCE = 0.08
+"""Largest difference between two shares of powder in the paste, from the ratio of water to binder and from the parts;
+the powder's density accounts for up to 0.07."""
 DENSITY_TOLERANCE = 0.03
 """Relative difference allowed between two densities that should be equal."""
 MORTARS = (1200.0, 2800.0)
@@ -108,6 +136,8 @@ class Layer:
     """Height of the pipe's end above its start [m]."""
     tribometer_points: tuple[list[float], list[float]] | None = None
     """Speeds [m/s] and stresses [Pa] measured with a tribometer."""
+    pipe: bool = False
+    """True if `constants` were fitted to pressures of a pipe, False if a tribometer measured them."""
 
 
 @dataclass(frozen=True)
@@ -134,6 +164,22 @@ class MixEntries:
     spread: float | None
     t500: float | None
     layer: Layer
+    paste_solids: float | None = None
+    """Share of powder in the volume of the paste, which is powder, water and admixtures without air."""
+    sand_and_stone: float | None = None
+    """Share of sand and stones together in the concrete's volume."""
+    thickener: bool = False
+    """True if the concrete contains a viscosity-modifying admixture."""
+    parts: Mapping[str, float] = field(default_factory=dict)
+    """Ingredients of a cubic metre [kg/m3] by their names."""
+    paste_share: float | None = None
+    """Share of powder, water and admixtures in the volume of the concrete."""
+    water_binder: float | None = None
+    """Mass of water over mass of all powder."""
+    voids: float | None = None
+    """Voids of sand and stones together when compacted, as a share of their bulk volume."""
+    fine_sand: float | None = None
+    """Share of the sand's mass below 0.3 mm."""
 
     @property
     def largest(self) -> float | None:
@@ -141,6 +187,29 @@ class MixEntries:
         if self.sieve is not None:
             return self.sieve[-1][0]
         return self.sizes[1] if self.sizes is not None else None
+
+    @property
+    def sand_mass(self) -> float:
+        """Mass of sand in a cubic metre [kg]; 0 if it is not known."""
+        sand, _ = sand_and_stone_masses(self.parts)
+        if sand == 0 and self.share is not None and self.sand_and_stone is not None:
+            return max(self.sand_and_stone - self.share, 0.0) * GRAVEL
+        return sand
+
+    @property
+    def sand_share(self) -> float | None:
+        """Share of sand in the aggregate, by mass or else by volume; None if it is not known."""
+        sand, stone = sand_and_stone_masses(self.parts)
+        if sand > 0 and stone > 0:
+            return sand / (sand + stone)
+        if self.share is None or self.sand_and_stone is None or self.share >= self.sand_and_stone:
+            return None
+        return 1 - self.share / self.sand_and_stone
+
+    @property
+    def plasticizer(self) -> bool:
+        """True if the ingredients name a plasticizer."""
+        return any(is_plasticizer(name) for name in self.parts)
 
 
 def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
@@ -193,6 +262,14 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
         spread=spread,
         t500=t500,
         layer=_entry(given, "layer", lambda found: _layer(found, folder)) or Layer(),
+        paste_solids=_paste_solids(given),
+        sand_and_stone=_sand_and_stone(given),
+        thickener=_thickener(given),
+        parts=_masses(given),
+        paste_share=_paste_share(given),
+        water_binder=_water_binder(given),
+        voids=_number(given, "voids"),
+        fine_sand=_number(given, "fine_sand"),
     )
 
 
@@ -202,6 +279,61 @@ def _entry(given: Mapping[str, Any], name: str, read: Callable[[Any], T]) -> T |
         return None
     with errors_located_at(given, name):
         return read(given[name])
+
+
+def _masses(given: Mapping[str, Any]) -> dict[str, float]:
+    """Return the ingredients of a cubic metre [kg/m3] by their names."""
+    return {str(name): amount(f"mix parts: {name}", x, "kg/m3") for name, x in given.get("parts", {}).items()}
+
+
+def _paste_solids(given: Mapping[str, Any]) -> float | None:
+    """Return the share of powder in the paste's volume, from the ingredients or from the ratio of water to binder."""
+    ratio = _number(given, "water_binder")
+    powder, liquid = paste_volumes(_masses(given))
+    found = powder / (powder + liquid) if powder > 0 and liquid > 0 else None
+    if ratio is None:
+        return found
+    stated = 1 / (1 + ratio * BINDER / 1000)
+    if found is not None and abs(stated - found) > PASTE_TOLERANCE:
+        refuse("mix water_binder", ratio, f"contradicts the parts: it means {stated:.3f} m3 of powder in a cubic metre "
+               f"of paste, and they contain {found:.3f}", "leave it out; the parts suffice")  # fmt: skip
+    return found or stated
+
+
+def _sand_and_stone(given: Mapping[str, Any]) -> float | None:
+    """Return the share of sand and stones in the volume of the concrete; None if the ingredients do not tell it."""
+    powder, liquid = paste_volumes(_masses(given))
+    air = _number(given, "air")
+    return 1 - powder - liquid - (USUAL_AIR if air is None else air) if powder > 0 and liquid > 0 else None
+
+
+def _paste_share(given: Mapping[str, Any]) -> float | None:
+    """Return the share of powder and liquid in the volume of the concrete; None if the ingredients do not tell it."""
+    powder, liquid = paste_volumes(_masses(given))
+    return powder + liquid if powder > 0 and liquid > 0 else None
+
+
+def _water_binder(given: Mapping[str, Any]) -> float | None:
+    """Return the mass of water over that of powder, as stated or from the ingredients."""
+    parts = _masses(given)
+    powder, water = powder_mass(parts), water_mass(parts)
+    return _number(given, "water_binder") or (water / powder if powder > 0 and water > 0 else None)
+
+
+def _thickener(given: Mapping[str, Any]) -> bool:
+    """Return whether the mix says or shows that it contains a viscosity-modifying admixture."""
+    parts = given.get("parts")
+    named = parts is not None and any(is_thickener(str(name)) for name in parts)
+    if "thickener" not in given:
+        return named
+    with errors_located_at(given, "thickener"):
+        said = given["thickener"]
+        if not isinstance(said, bool):
+            refuse("mix thickener", said, "must be true or false")
+        if named and not said:
+            refuse("mix thickener", said, "contradicts the parts, which name a viscosity-modifying admixture",
+                   "leave it out")  # fmt: skip
+    return said
 
 
 def _number(given: Mapping[str, Any], name: str) -> float | None:
@@ -389,7 +521,10 @@ def _layer(given: Any, folder: Path) -> Layer:
         for key in given:
             one_of("mix layer: key", key, ("tribometer",))
         return Layer(tribometer_points=_pairs("layer: tribometer", given["tribometer"], SLIPPED, folder))
-    constants = _constants("layer", given, LAYER_UNITS)
+    source = given.get("from", "tribometer")
+    one_of("mix layer: from", source, ("tribometer", "pipe"))
+    own = {key: value for key, value in given.items() if key != "from"}
+    constants = _constants("layer", own, LAYER_UNITS)
     if not set(UNITS) <= set(constants.values):
         refuse(
             "mix layer",
@@ -397,7 +532,7 @@ def _layer(given: Any, folder: Path) -> Layer:
             "must have yield_stress and viscosity, or points, or tribometer",
             "add what is missing",
         )
-    return Layer(constants)
+    return Layer(constants, pipe=source == "pipe")
 
 
 def _pairs(name: str, given: Any, columns: Mapping[str, str], folder: Path) -> tuple[list[float], list[float]]:

@@ -31,6 +31,18 @@ VARIABLE = ("lightweight", "light", "expanded", "clay", "pumice", "perlite", "re
 """Words for ingredients whose density varies too much for a calculation of their volume."""
 MIN_AMOUNT = 0.01
 """Smallest amount of an ingredient [kg/m3]; admixtures amount to 0.1 kg/m3 and more."""
+POWDERS = ("cement", "clinker", "cem", "opc", "binder", "powder", "slag", "ggbs", "ggbfs", "limestone", "filler",
+           "lime", "marble", "quartz", "metakaolin", "pozzolan", "trass", "ash", "flyash", "pfa", "silica",
+           "microsilica", "fume")  # fmt: skip
+"""Words for ingredients whose grains are finer than sand and belong to the paste."""
+LIQUIDS = ("water", "ice", "superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "admixture",
+           "admixtures", "retarder", "accelerator", "entrainer", "stabilizer", "stabiliser", "modifier", "vma", "pce",
+           "sp", "latex")  # fmt: skip
+"""Words for the liquids of the paste: water and dissolved admixtures."""
+PLASTICIZERS = ("superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "pce", "sp")
+"""Words for admixtures that make a concrete flow."""
+THICKENERS = ("vma", "stabilizer", "stabiliser", "modifier")
+"""Words for viscosity-modifying admixtures."""
 POSSIBLE_VOLUMES = (0.88, 1.05)
 """Smallest and largest possible volume of all ingredients in a cubic metre [m3/m3]; air fills the rest, and densities
 vary."""
@@ -42,12 +54,77 @@ VOLUME_WARNING, VOLUME_ERROR = 0.03, 0.07
 is refused."""
 
 
+def _words(name: str) -> list[str]:
+    """Return the words of an ingredient's name in lower case."""
+    return [word for word in re.split(r"[^a-z]+", name.casefold()) if word]
+
+
+def is_thickener(name: str) -> bool:
+    """Return whether an ingredient is a viscosity-modifying admixture."""
+    return any(word in THICKENERS for word in _words(name))
+
+
+def is_plasticizer(name: str) -> bool:
+    """Return whether an ingredient is a plasticizer or superplasticizer."""
+    return any(word in PLASTICIZERS for word in _words(name))
+
+
+def powder_mass(parts: Mapping[str, float]) -> float:
+    """Return the mass of powder (cement, ash, slag, filler) among the ingredients [kg/m3]."""
+    return sum(mass for name, mass in parts.items() if _noun(name) in POWDERS)
+
+
+def water_mass(parts: Mapping[str, float]) -> float:
+    """Return the mass of water among the ingredients [kg/m3]."""
+    return sum(mass for name, mass in parts.items() if _noun(name) in ("water", "ice"))
+
+
+def sand_and_stone_masses(parts: Mapping[str, float]) -> tuple[float, float]:
+    """Return the masses of sand and of coarse aggregate among the ingredients [kg/m3].
+
+    Both are 0 if an ingredient is aggregate of unknown size.
+    """
+    sand, stone = 0.0, 0.0
+    for name, mass in parts.items():
+        words = _words(name)
+        if DENSITIES.get(_noun(name)) != DENSITIES["sand"]:
+            continue
+        if "sand" in words or ("fine" in words and "coarse" not in words):
+            sand += mass
+        elif any(word in COARSE for word in words):
+            stone += mass
+        else:
+            return 0.0, 0.0
+    return sand, stone
+
+
+def _noun(name: str) -> str:
+    """Return the last known word of an ingredient's name, which says what it is; empty if no word is known."""
+    return next((word for word in reversed(_words(name)) if word in DENSITIES), "")
+
+
+def paste_volumes(parts: Mapping[str, float]) -> tuple[float, float]:
+    """Return the volumes of powder and of liquid in a cubic metre of concrete [m3], without air.
+
+    `parts` are the ingredients [kg/m3]. Both volumes are 0 if there is no water.
+    """
+    powder, liquid, water = 0.0, 0.0, False
+    for name, mass in parts.items():
+        noun = _noun(name)  # limestone sand is sand, and silica fume is powder
+        if noun in POWDERS:
+            powder += mass / DENSITIES[noun]
+        elif noun in LIQUIDS:
+            liquid += mass / DENSITIES[noun]
+            water = water or noun in ("water", "ice")
+    return (powder, liquid) if water else (0.0, 0.0)
+
+
 def density_of(name: str) -> float | None:
     """Return the usual density of an ingredient [kg/m3], or None if it varies or is unknown.
 
     Raises :class:`SceneError` for a name that is probably misspelt.
     """
-    words = [word for word in re.split(r"[^a-z]+", name.casefold()) if word]
+    words = _words(name)
     if any(word in VARIABLE for word in words):
         return None
     known = [DENSITIES[word] for word in words if word in DENSITIES]
@@ -72,7 +149,7 @@ def check_volume(parts: Mapping[str, float], coarse: float, air: float | None) -
         if density is None:
             complete = False
         else:
-            stated = any(word in COARSE for word in re.split(r"[^a-z]+", name.casefold()))
+            stated = any(word in COARSE for word in _words(name))
             filled += mass / (coarse if stated else density)
     if air is not None:
         gap = 1 - filled - air

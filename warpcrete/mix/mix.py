@@ -15,7 +15,8 @@ from ..core.inputs.concretes import NamedConcrete, concrete, known_only
 from ..theory.pipe import Concrete
 from .figures import Figure, around, reconciled, short
 from .given import DENSITY_TOLERANCE, MixEntries, read
-from .rheology import layer, mortar, unknown_viscosity, viscosities, yield_stresses
+from .layer import layers
+from .rheology import mortar, unknown_viscosity, viscosities, yield_stresses
 
 FLOW = {"density": "density", "viscosity": "viscosity", "yield_stress": "yield stress",
         "slip_viscosity": "slip viscosity", "slip_yield": "slip yield"}  # fmt: skip
@@ -23,6 +24,9 @@ FLOW = {"density": "density", "viscosity": "viscosity", "yield_stress": "yield s
 LAWS = {"flow_index": "flow index", "quadratic_viscosity": "quadratic viscosity", "slip_flow_index": "slip flow index",
         "slip_quadratic_viscosity": "slip quadratic viscosity"}  # fmt: skip
 """Names of the constants of other laws than Bingham's, which a mix has only if they are stated."""
+CAUSES = {"slip layer": ("slip_viscosity", "slip_yield"), "viscosity of the bulk": ("viscosity",),
+          "yield stress of the bulk": ("yield_stress",), "density": ("density",)}  # fmt: skip
+"""Causes of uncertainty, each with the constants of a flow that change together."""
 UNITS = {"density": "kg/m3", "viscosity": "Pa s", "yield_stress": "Pa", "slip_viscosity": "Pa s/m", "slip_yield": "Pa",
          "flow_index": "1", "quadratic_viscosity": "Pa s2", "slip_flow_index": "1",
          "slip_quadratic_viscosity": "Pa s2/m2"}  # fmt: skip
@@ -57,8 +61,10 @@ class Mix:
             refuse("figure", name, f"must be one of {', '.join(known)}")
         return known[name]
 
-    def _concrete(self, end: str) -> Concrete:
-        return Concrete(name=self.name, **{key: getattr(self[name], end) for key, name in self._constants.items()})
+    @property
+    def concrete(self) -> Concrete:
+        """The mix as a yield stress fluid with a slip layer."""
+        return Concrete(name=self.name, **self.flow)
 
     @property
     def _constants(self) -> dict[str, str]:
@@ -67,14 +73,18 @@ class Mix:
         return FLOW | {key: name for key, name in LAWS.items() if name in known}
 
     @property
-    def concrete(self) -> Concrete:
-        """The mix as a yield stress fluid with a slip layer."""
-        return self._concrete("value")
+    def variants(self) -> dict[str, tuple[Concrete, Concrete]]:
+        """Pairs of concretes by the cause of their uncertainty.
 
-    @property
-    def band(self) -> tuple[Concrete, Concrete]:
-        """Two fluids: one with all constants at the lower ends of their bands, one at the upper."""
-        return self._concrete("low"), self._concrete("high")
+        In each pair the properties of one cause, such as the slip layer, are at the lower and at the upper end of their
+        bands. A cause without a band is left out.
+        """
+        found = {}
+        for cause, keys in CAUSES.items():
+            ends = [{key: getattr(self[FLOW[key]], end) for key in keys} for end in ("low", "high")]
+            if ends[0] != ends[1]:
+                found[cause] = (replace(self.concrete, **ends[0]), replace(self.concrete, **ends[1]))
+        return found
 
     @property
     def flow(self) -> dict[str, float]:
@@ -196,12 +206,13 @@ def mix_of(
     if "yield stress" not in bulk:
         refuse("mix", ", ".join(given), "does not determine the yield stress of the concrete",
                "add spread, slump, viscometer, mortar or concrete")  # fmt: skip
-    bulk.setdefault("viscosity", unknown_viscosity())
+    bulk.setdefault("viscosity", unknown_viscosity(told))
     fluid = Concrete(
         name=name, density=bulk["density"].value, viscosity=bulk["viscosity"].value,
         yield_stress=bulk["yield stress"].value, slip_viscosity=1.0, slip_yield=0.0, **thickens,
     )  # fmt: skip
-    slip = {figure.name: figure for figure in layer(told, fluid)} | bulk
+    estimates = list(layers(told, fluid, bulk["viscosity"]))
+    slip = {figure.name: figure for figure in estimates[0]} | bulk
     figures = [*(slip[each] for each in FLOW.values()), *laws.values()]
     if told.sieve is None and told.sizes is None:
         remarks.append("the mix has no sieve curve: elements have the sizes of the scene, by default 5 to 20 mm")

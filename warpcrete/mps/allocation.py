@@ -1,4 +1,4 @@
-"""Allocation of the device arrays in structs of the kernels."""
+"""Allocation of the device arrays that are members of the kernels' structs."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import warp as wp
 
 
 def allocate(struct: Any, device: Any, into: Any = None, **values: Any) -> Any:
-    """Return an instance of a struct, a new one or `into`, after setting some of its members to device arrays.
+    """Set members of a kernel struct to new device arrays, and return the struct.
 
-    A value is host data, which is copied, or the size of an array of zeros.
+    `into` is the instance to change; without it a new instance is created. For each member, the value is either host
+    data, which is copied to the device, or the size of an array of zeros.
     """
     made = struct() if into is None else into
     for name, value in values.items():

@@ -29,7 +29,10 @@ cubes.
 
 
 class CoarseGrid:
-    """Grid of cubes around a column; all neighbours of a particle lie in its own cube or in an adjacent cube."""
+    """Grid of cubes around a column of particles.
+
+    All neighbours of a particle lie in the particle's own cube or in an adjacent cube.
+    """
 
     def __init__(self, structs: Any, scalar: Any, layout: Any, radius: float, reach: float, device: Any) -> None:
         """Build the cubes for the `layout` of a column, the pipe's `radius` [m] and the neighbours' `reach` [m]."""

@@ -26,7 +26,10 @@ SHEARED: dict[str, Any] = {
     "concrete": "own", "viscosity": 30.0, "yield_stress": 40.0, "slip_viscosity": 1000.0, "slip_yield": 20.0,
     "density": 2350.0, **dict.fromkeys(LAW_DEFAULTS),
 }  # fmt: skip
-"""Name of a self-compacting concrete; in the paper's case, slip makes up only 0.7 of its flow rate."""
+"""Parameters of a self-compacting concrete that is strongly sheared.
+
+In the pipe and at the flow rate of the paper, slip carries only 0.7 of this concrete's flow.
+"""
 MIN_SLIP_RATIO = 0.9
 """Minimum ratio of slip to mean velocity at which a column on a piston keeps its volume and force balance."""
 MIN_PARTICLES_ACROSS = 4
@@ -162,7 +165,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         return concrete_of(self.concrete, self.slip_thickness, **{name: getattr(self, name) for name in CONSTANTS})
 
     def coarse(self, concrete: Concrete, dimensions: int) -> Aggregates | None:
-        """Return the coarse aggregate with its mortar, or None in one phase."""
+        """Return the coarse aggregate with its mortar, or None for a flow with one phase."""
         fraction = self.aggregate_fraction
         if not self.aggregates or fraction == 0:
             return None
@@ -180,8 +183,8 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
     def volume_flow(self, concrete: Concrete, bulk: float, dimensions: int) -> float:
         """Return the given flow [m3/s], or the flow that the given pressure drives by theory.
 
-        `bulk` is the pipe's radius less the slip layer [m]. Raises :class:`SceneError` if flow and pressure are both
-        given, or if nothing flows.
+        `bulk` is the pipe's radius minus the thickness of the slip layer [m]. Raises :class:`SceneError` if flow and
+        pressure are both given, or if nothing flows.
         """
         flow = self.flow
         if self.pressure is not None:
@@ -195,10 +198,10 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         return flow
 
     def ends_for(self, concrete: Concrete, bulk: float, flow: float, dimensions: int) -> str:
-        """Return the chosen ends, or those that suit a `flow` [m3/s] in a pipe of radius `bulk` [m].
+        """Return the kind of the pipe's ends, "piston" or "periodic": the given kind, or the one that suits the flow.
 
-        A column between a piston and a wall that the concrete sticks to loses volume and force balance, so "piston"
-        requires slip.
+        `flow` [m3/s] is the volume flow and `bulk` [m] the pipe's radius minus the slip layer. A column that a piston
+        drives along a wall to which the concrete sticks loses volume and force balance, so "piston" requires slip.
         """
         if self.ends != "auto":
             return self.ends
@@ -216,8 +219,9 @@ def column_scene(
 ) -> FluidScene:
     """Return the scene of a column of concrete in a pipe.
 
-    `paper` holds the printed results of each concrete; they apply only to the paper's own case. Raises
-    :class:`SceneError` if the pressure moves nothing, or if the slip layer leaves no bore.
+    `paper` maps the name of a concrete to the results that the paper prints for it; they are used only if the scene is
+    the paper's own case. Raises :class:`SceneError` if the pressure is too low to move the concrete, or if the slip
+    layer fills the pipe.
     """
     Within(0, np.nextafter(given.diameter / 2, 0), "use less than the radius").check(
         "slip_thickness", given.slip_thickness, " m"
@@ -251,13 +255,13 @@ def _is_reference_case(given: FlowParameters) -> bool:
 
 
 ACCURACY = {2: 0.01, 3: 0.02}
-"""Accepted error of pressure and slip velocity in one phase, by number of dimensions."""
+"""Accepted relative error of pressure and slip velocity in flows with one phase, by number of dimensions."""
 TWO_PHASE_ACCURACY = 0.03
-"""Accepted error of the pressure in two phases, which may deviate more from the theory of one fluid."""
+"""Accepted relative error of the pressure in flows with two phases, which deviate more from the theory of one fluid."""
 WALL_ACCURACY = {True: 0.05, False: 0.03}
-"""Accepted error of the wall stress in two phases (key True) and in one phase (key False).
+"""Accepted relative error of the wall stress in flows with two phases (key True) or one phase (key False).
 
-Weight dominates the pressure and would hide an error of the wall stress there.
+The wall stress is checked separately, because weight dominates the pressure and would hide an error of the wall stress.
 """
 PROFILE_ACCURACY = 0.01
 """Accepted root mean square error of the velocity profile, relative to the mean velocity."""
@@ -278,7 +282,7 @@ CURES = {
 
 @with_cures(CURES)
 def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
-    """Return the acceptance checks of a flow: for each name whether it passed, and the value found."""
+    """Return the acceptance checks of a pipe flow by name: whether each one passed, and the measured value as text."""
     result, scene = run.result, run.scene
     two = scene.aggregates is not None
     if "pressure_error" not in result:
@@ -326,7 +330,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def plug_restart_state(scene: FluidScene) -> Steady:
-    """Return the state just after a rest, when the whole section slips as a plug on an intact layer."""
+    """Return the state just after a rest, when the whole cross section slips as a plug on an intact slip layer."""
     concrete = after_rest(scene.concrete, scene.rest, scene.thixotropy)
     stress = float(concrete.layer_law.stress(scene.velocity))
     return steady_of_stress(replace(concrete, yield_stress=max(stress, concrete.yield_stress)), scene.line, stress,
@@ -334,7 +338,7 @@ def plug_restart_state(scene: FluidScene) -> Steady:
 
 
 def flow_trading(dimensions: int) -> Trading:
-    """Return the knobs and quantities by which a flow trades accuracy for run time."""
+    """Return the settings that trade a flow's accuracy for run time, and the quantities that measure its accuracy."""
     return Trading(
         lambda given: _knobs(given, dimensions),
         quantities=("pressure", "slip_velocity"),
@@ -345,11 +349,11 @@ def flow_trading(dimensions: int) -> Trading:
 
 
 def _variants(given: FlowParameters, dimensions: int) -> dict[str, dict[str, Any]]:
-    """Return parameters of other concretes, flows and pipes in one phase, for which theory is the reference.
+    """Return variants of a one-phase flow, as changes of its parameters, whose accuracy is measured against theory.
 
-    With more or less flow, slip carries a larger or smaller part of the flow; the self-compacting concrete is sheared
-    almost everywhere. All variants keep the ends of the given flow, because the settings found for the given flow are
-    applied to the variants.
+    The variants have other concretes, flow rates and pipes. With more or less flow, slip carries a larger or smaller
+    part of the flow; the self-compacting concrete is sheared almost everywhere. All variants have the same kind of ends
+    (piston or periodic) as the given flow, because the settings found for the given flow are applied to the variants.
     """
     if given.aggregates or given.pressure is not None:
         return {}

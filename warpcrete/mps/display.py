@@ -151,13 +151,17 @@ class FlowDisplay(Display):
         return [DrawnWall("pipe", vertices, faces, False, PIPE)]
 
     def _travel(self) -> float:
-        """Return how far the piston is expected to move [m]; a run until steady takes some hundredths of a second."""
+        """Return how far the piston is expected to move [m].
+
+        A flow without a given duration becomes steady within some hundredths of a second.
+        """
         duration = self.simulation.scene.duration
         return self.simulation.scene.velocity * (0.05 if duration is None else duration)
 
     def bounds(self) -> np.ndarray:
         """Return the lowest and highest corner of the space that the column passes through [m], shape (2, 3)."""
         size = self.simulation.state.layout.height + self._travel()
-        # Long columns fill the picture by their length, short ones by their width.
+        # A long column fills the height of the picture. For a short column the box is enlarged in height, so that the
+        # column's width determines the scale.
         across = max(0.0, 4 * self.simulation.scene.radius - size)
         return np.array([[0.0, 0.0, -0.5 * across], [0.0, 0.0, size + 0.5 * across]])

@@ -1,7 +1,8 @@
-"""Forecasts of flows: a coarser copy gives the simulated time of the run, the first steps give their cost.
+"""Forecasts of the run time of flows.
 
-Start-up is physics rather than numerics, so the coarser flow needs as much simulated time as the finer one until it is
-steady.
+A coarser copy of the flow is run to predict the simulated time until the flow is steady. This time is set by physics
+rather than by the resolution, so it is the same for both. The wall time of a step is measured in the first steps of the
+flow itself.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from .scene import FluidScene
 from .simulation import FluidSimulation
 
 COARSE_PARTICLES = 2500
-"""Number of particles of the coarser copy."""
+"""Number of particles of the coarser copy that predicts the simulated time of a run."""
 TIMING_TIME = 1.0  # Wall time for which steps are timed [s].
 TIMED_STEPS = 10  # Number of steps that are timed together.
 
@@ -49,11 +50,11 @@ def flow_forecast(
     limits: Mapping[str, float] | None = None,
     governing: str = "choice: solves are implicit, so that viscosity and pressure set no limit",
 ) -> Forecast:
-    """Return the forecast of a flow; `probe` times one frame of the recordings.
+    """Return the forecast of a flow.
 
-    `simulated` creates the simulation. `course_of` and `features_of` take a prepared simulation; they return the
-    expected course of the run, and descriptions of the computed features. `limits` and `governing` describe the time
-    step, as in :class:`Forecast`.
+    `simulated` creates the simulation. `course_of` and `features_of` receive a prepared simulation; they return the
+    expected course of the run, and descriptions of the computed features. `probe` measures the wall time for one frame
+    of the recordings. `limits` and `governing` describe what limits the time step, as in :class:`Forecast`.
     """
 
     def begun() -> FlowRun:
@@ -62,7 +63,7 @@ def flow_forecast(
         return simulation
 
     scene = (loading := begun()).scene
-    # Take at most as many steps as lie between two samples.
+    # Time at most as many steps as lie between two samples of the time series.
     count = max(1, min(round(scene.sample_interval / scene.time_step), TIMED_STEPS))
     loading.flow.take(count)  # This call loads the kernels, so that later timings exclude the loading.
     course = course_of(loading)
@@ -100,8 +101,8 @@ def flow_forecast(
 def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | None, float, list[str]]:
     """Run a coarser copy of a flow, whose scene has some `changes`.
 
-    Return the run, the simulated time that it took [s], and remarks. If the copy has not become steady, a remark names
-    the state `unmet` that it missed. If the copy stops with an error, the run is None and the time is the longest
+    Return the run, its simulated time [s], and a list of remarks. If the copy has not become steady, the remark is the
+    text `unmet` with the simulated time. If the copy stops with an error, the run is None and the time is the longest
     allowed one.
     """
     copy = None
@@ -128,7 +129,8 @@ def step_time(simulation: Any) -> float:
     times: list[float] = []
     while sum(times) < TIMING_TIME:
         times.append(timed(lambda: flow.take(TIMED_STEPS), flow.device)[1])
-    # Other programs only slow steps down, and rarely during a long run, so the forecast uses the lower quartile.
+    # Other programs can only make steps slower, and they disturb only a small part of a long run. The lower quartile of
+    # the measured times is therefore a good estimate of the typical time.
     return float(np.quantile(times, 0.25)) / TIMED_STEPS
 
 

@@ -31,11 +31,12 @@ class Grains:
 
 
 def place_grains(scene: FluidScene, layout: Layout) -> Grains:
-    """Place grains of random size and shape at random, the largest class first, up to their volume fraction.
+    """Place grains of random size and shape at random positions, the largest size class first.
 
-    A grain consists of the particles inside its outline, a circle or ball of its size with a random waviness, clear of
-    walls, piston and surface. In two dimensions at least one particle of mortar stays between two grains. In three,
-    where random placing leaves less room, grains may touch. Raises :class:`SceneError` if the grains do not fit.
+    Each size class is placed up to its volume fraction. A grain consists of the particles inside its outline, which is
+    a circle or ball with a random waviness. The outline does not touch walls, piston or surface. In two dimensions at
+    least one particle of mortar stays between two grains. In three dimensions, where random placing leaves less room,
+    grains may touch. Raises :class:`SceneError` if the grains do not fit.
     """
     aggregates = scene.aggregates
     assert aggregates is not None

@@ -89,9 +89,10 @@ def file_constants(values: Mapping[str, Any]) -> dict[str, float]:
 
 
 def file_aggregates(values: Mapping[str, Any]) -> dict[str, float]:
-    """Return share, density and mortar of the coarse aggregate of the concrete file that a scene's parameters name.
+    """Return the aggregate's parameters from the concrete file that a scene's parameters name.
 
-    The result is empty unless the scene has two phases, the file describes a mix, and a value is missing.
+    They are volume fraction and density of the coarse aggregate, and the constants of the mortar. The result is empty
+    unless the scene has two phases, the file describes a mix, and the scene leaves out at least one of these values.
     """
     name = values.get("concrete")
     name = str(name) if isinstance(name, os.PathLike) else name

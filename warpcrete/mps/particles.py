@@ -156,7 +156,10 @@ class MovingParticles(Stepping):
         return (OPERATOR_REACH + SKIN) * self.state.layout.spacing, (DENSITY_REACH + SKIN) * self.state.layout.spacing
 
     def _reserve(self) -> None:
-        """Allocate list rows for 1.6 times the neighbours of the initial lattice, to leave room for crowded regions."""
+        """Allocate neighbour lists with room for 1.6 times as many neighbours as in the initial lattice.
+
+        Crowded regions need the additional room. If a list overflows nevertheless, this factor is increased.
+        """
         d, n = self.scene.dimensions, self.count
         ball = math.pi if d == 2 else 4 / 3 * math.pi
         near, whole = (ball * (reach / self.state.layout.spacing) ** d for reach in self._list_reach)
@@ -189,10 +192,10 @@ class MovingParticles(Stepping):
             )
 
     def build(self) -> None:
-        """Rebuild the neighbour lists at the current positions, and allocate longer rows if a list overflows.
+        """Rebuild the neighbour lists at the current positions, and allocate longer lists if one overflows.
 
-        The lists hold all neighbours within reach plus a skin, so the lists stay valid until a particle has moved about
-        half the skin.
+        The lists contain all neighbours within reach plus a skin, so they stay valid until a particle has moved by
+        about half the skin.
         """
         place, search = list_kernels(self.scalar, self.scene.dimensions, not self.parallel)
         near_reach, whole_reach = self._list_reach

@@ -45,7 +45,7 @@ def _pressure(axes: Any, run: Run) -> None:
         )
     piston = run.scene.ends == "piston"
     axes.set(xlabel="time [s]", ylabel=f"pressure {'on the piston' if piston else 'over the stretch'} [kPa]")
-    # The pressures of the first rows are far below all later ones and would stretch the axis.
+    # The first two pressures of the time series are far below all later ones and would stretch the axis.
     shown = np.append(run.series["pressure"][2:] / 1e3, theory)
     lowest, highest = np.nanmin(shown), np.nanmax(shown)
     if np.isfinite(lowest + highest):

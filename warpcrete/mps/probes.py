@@ -76,11 +76,12 @@ def section(flow: MovingParticles) -> float:
 
 
 def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> dict[str, float]:
-    """Return a row of the series; the change of momentum is taken from `before`, the previous row.
+    """Measure a flow and return a row of the time series.
 
-    The momentum of a channel is given per metre of depth. The pressure on the piston is extrapolated by a straight line
-    from the particles near it, plus half a spacing times the gradient: surface particles have zero pressure at their
-    centres, although half of each lies above its centre.
+    `before` is the previous row, from which the rate of change of momentum is computed. The momentum of a channel is
+    per metre of depth. The pressure on the piston is extrapolated by a straight line from the particles near the
+    piston. Half a spacing times the pressure gradient is added, because the pressure is zero at the centres of the
+    surface particles, which lie half a spacing below the surface.
     """
     scene, state, layout = flow.scene, flow.state, flow.state.layout
     snap = Snapshot.of(flow)
@@ -133,16 +134,20 @@ def measured(flow: MovingParticles, before: dict[str, float] | None = None) -> d
 
 
 def window(part: np.ndarray, weight: np.ndarray | float = 1.0) -> float:
-    """Return the number of particles, weighted with a factor that falls smoothly with height.
+    """Return the sum over all particles of `weight` times a factor that falls smoothly from 1 to 0 with height.
 
-    The number keeps its initial value if the concrete neither loses nor gains volume.
+    `part` is each particle's height relative to the column's height, and WINDOW the range in which the factor falls.
+    The sum keeps its initial value if the concrete neither loses nor gains volume.
     """
     lower, upper = WINDOW
     return float(np.sum(weight * 0.5 * (1 + np.cos(np.pi * np.clip((part - lower) / (upper - lower), 0, 1)))))
 
 
 def aggregate_fractions(flow: MovingParticles, snap: Snapshot) -> dict[str, float]:
-    """Return the volume fractions of coarse aggregate in the inner and outer half of the radius, front and rear."""
+    """Return the volume fractions of coarse aggregate in four parts of a column.
+
+    These are the inner half and the outer half of the radius, and the front half and the rear half of the length.
+    """
     if flow.state.grains is None:
         return {}
     coarse = flow.state.grains.group >= 0

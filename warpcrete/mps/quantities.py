@@ -14,7 +14,10 @@ from ..theory.pipe import Steady
 from .scene import FluidScene
 
 AVERAGED_FRACTION = 0.2
-"""Last fraction of a run of given duration over which quantities are averaged; other runs use the last row."""
+"""Last fraction of a run over which quantities are averaged if the run has a given duration.
+
+Other runs end when they are steady; for them the last row of the time series is used.
+"""
 THEORY_COLUMNS = ("pressure", "slip_velocity", "wall_stress")
 """Columns of the series that theory predicts."""
 UNITS = {"pressure": "Pa", "slip_velocity": "m/s", "wall_stress": "Pa"}
@@ -31,14 +34,14 @@ class RunData:
 
     @property
     def chosen(self) -> np.ndarray:
-        """Mask of the rows that are averaged."""
+        """Mask of the rows of the time series over which quantities are averaged."""
         time = self.series["time"]
         if self.scene.duration is None:
             return np.arange(len(time)) == len(time) - 1
         return time >= time[-1] * (1 - AVERAGED_FRACTION)
 
     def mean(self, name: str) -> float:
-        """Return the mean of a column over the chosen rows."""
+        """Return the mean of a column of the time series over the rows of `chosen`."""
         return float(self.series[name][self.chosen].mean())
 
     def by_theory(self, name: str) -> float:
@@ -123,7 +126,7 @@ QUANTITIES = (
 
 
 def report(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield lines of the report that go beyond the quantities: printed values, and whether the flow is not steady."""
+    """Yield further lines of the report: values printed in the paper, and a note if the flow is not steady."""
     if run.scene.published and "pressure" in run.result:
         for name, value in run.scene.published.items():
             factor, unit = shown(UNITS[name])

@@ -16,11 +16,14 @@ from ..core.units import quantity
 
 
 class FlowRun(Simulation):
-    """Simulation of one `flow`, which has `state`, `state_dict`, `load_state_dict`, `count` and `steps`."""
+    """Simulation of one flow, which is stored in the attribute `flow` once the particles are placed.
+
+    The flow must have the members `state`, `state_dict`, `load_state_dict`, `count` and `steps`.
+    """
 
     flow: Any
     goal: ClassVar[str] = "steady"
-    """Name under which the result stores `steady`."""
+    """Name under which the result of a run stores the attribute `steady`."""
 
     def set_up(self) -> None:
         """Start an empty series; the particles are placed later, because they take memory."""
@@ -38,11 +41,11 @@ class FlowRun(Simulation):
 
     @abstractmethod
     def sizes(self) -> dict[str, Any]:
-        """Return the sizes of the model for the result."""
+        """Return sizes of the model, such as the particle spacing, for the run's result."""
 
     @abstractmethod
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
-        """Return the entries and tables of the result that follow from the series, which has two rows or more."""
+        """Return the entries and tables of the result that follow from a time series with two rows or more."""
 
     @property
     def prepared(self) -> bool:
@@ -82,7 +85,7 @@ class FlowRun(Simulation):
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore a run from a `state_dict`, in place of `prepare`."""
+        """Restore a run from a `state_dict`; this replaces the call of `prepare`."""
         spent = dict(self._wall_times)
         self.prepare()
         self._wall_times = spent
@@ -99,7 +102,7 @@ class FlowRun(Simulation):
         return {name: np.array([row[name] for row in self._rows]) for name in (self._rows[0] if self._rows else ())}
 
     def result(self, finished: bool) -> Run:
-        """Return the run as it is now, with its quantities."""
+        """Return the results of the run so far: its time series, quantities and tables."""
         scene, flow, series = self.scene, self.flow, self.series()
         result: dict[str, Any] = {
             "scene": scene.name,

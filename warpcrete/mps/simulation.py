@@ -1,4 +1,7 @@
-"""Simulation of a pipe flow, from a scene to a finished run; `core/run_loop.py` has the loop common to all runs."""
+"""Simulation of a pipe flow, from a scene to a finished run.
+
+The module `core/run/run_loop.py` contains the loop common to all runs.
+"""
 
 from __future__ import annotations
 
@@ -85,7 +88,7 @@ class FluidSimulation(FlowRun):
 
     @property
     def frame_step(self) -> float:
-        """Size of the time steps [s]: constant for flows of particles alone, infinite for flows on a grid."""
+        """Size of the time steps [s] if it is constant (flows of particles alone); infinity for flows on a grid."""
         return np.inf if self.scene.ends == "periodic" else self.scene.time_step
 
     def unit(self, column: str) -> str:
@@ -131,7 +134,7 @@ class FluidSimulation(FlowRun):
         return self.steady and self.scene.duration is None
 
     def sizes(self) -> dict[str, Any]:
-        """Return the sizes of the model for the result."""
+        """Return sizes of the model, such as the particle spacing, for the run's result."""
         layout, grains = self.flow.state.layout, self.flow.state.grains
         found: dict[str, Any] = {
             "spacing": quantity(layout.spacing, "m"),
@@ -147,7 +150,7 @@ class FluidSimulation(FlowRun):
         return found
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
-        """Return entries of the result that the series gives, and no tables."""
+        """Return the entries of the result that follow from the time series; a pipe flow has no tables."""
         result = results_of(QUANTITIES, RunData(self.scene, series, self.scene.theory()))
         result["theory"] = self.scene.form
         result["profiles"] = [self._profile(part) for part in PROFILE_HEIGHTS]

@@ -9,8 +9,8 @@ A step is a pressure-correction scheme whose predictor uses the pressure of the 
 4. Positions: particles move with their velocities; a second, loose solve then shifts them out of crowded regions
    without changing any velocity.
 
-The method is that of Xu, Li & Jiang 2021, sections 2.1 to 2.5. Where the printed scheme fails, notebooks/fluid.md says
-what is done instead and why.
+The method is that of Xu, Li & Jiang 2021, sections 2.1 to 2.5. Where the printed scheme fails,
+notebooks/fluid_theory.md says what is done instead and why.
 """
 
 from __future__ import annotations
@@ -59,7 +59,11 @@ def step_parts(particles: Any) -> list[StepPart]:
 
 
 class StepPart:
-    """Part of a step that one thread does: the rows of its `parts`, and for the first thread the shared work."""
+    """Part of a time step that one thread does.
+
+    The thread processes the ranges of particles with the numbers `parts`. The first thread also does the work that is
+    not divided among threads.
+    """
 
     def __init__(self, particles: Any, parts: range, barrier_stages: list[Stage]) -> None:
         self.p, self.parts, self.barrier_stages = particles, parts, barrier_stages
@@ -87,7 +91,7 @@ class StepPart:
     # The following methods make stages from a kernel.
 
     def over_rows(self, kernel: Any, **named: Any) -> list[Stage]:
-        """Return stages that run a kernel over the rows of each part, followed by a barrier."""
+        """Return stages that run a kernel over this thread's ranges of particles, followed by a barrier."""
         p, found = self.p, []
         for part in self.parts:
             first, end = p.count * part // p.threads, p.count * (part + 1) // p.threads
@@ -96,11 +100,11 @@ class StepPart:
         return [*found, *self.barrier_stages]
 
     def by_first_thread(self, kernel: Any, tasks: int = 1, **named: Any) -> list[Stage]:
-        """Return stages in which the first thread runs a kernel for all, followed by a barrier."""
+        """Return stages in which the first thread alone runs a kernel, followed by a barrier of all threads."""
         return [*([self.p.stage(kernel, tasks, **named)] if self.parts.start == 0 else []), *self.barrier_stages]
 
     def in_blocks(self, kernel: Any, number: int | None = None, **named: Any) -> Stage:
-        """Return a stage that runs a kernel in whole GPU blocks, over all rows unless a number of blocks is given."""
+        """Return a stage that runs a kernel in whole GPU blocks: the given number, or enough for all particles."""
         return self.p.stage(kernel, BLOCK * (number or self.p.blocks), block=BLOCK, **named)
 
     # The following methods return the stages of a step, in the order of the step.
@@ -169,9 +173,9 @@ class StepPart:
     # The following methods return the linear solves.
 
     def coarse_matrix(self, vector: bool) -> list[Any]:
-        """Return stages that form the coarse matrix of the preconditioner, of velocities (`vector`) or of the pressure.
+        """Return stages that form the preconditioner's coarse matrix for velocities (`vector`) or for the pressure.
 
-        The coarse matrix of the pressure also serves the density solve.
+        The coarse matrix of the pressure is used in the density solve, too.
         """
         coarse = self.p.coarse
         if coarse is None:
@@ -185,7 +189,7 @@ class StepPart:
 
     @property
     def size(self) -> float:
-        """Norm of a vector of ones with a row for each particle, which turns an rms value into a norm."""
+        """Square root of the number of particles, by which an rms value is multiplied to obtain a norm."""
         return math.sqrt(self.p.count)
 
     @property

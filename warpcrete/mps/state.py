@@ -25,12 +25,12 @@ DENSITY_REACH = 3.1
 class FluidState:
     """State of a flow: all arrays that change in a run, and what follows from the initial positions.
 
-    The arrays have a row for each fluid particle, in an order that never changes. The structs `Particles` and `Grains`
-    in `kernels/mps/structs.py` give meaning, unit and shape.
+    The arrays of particles have one entry per fluid particle, in an order that never changes. The structs `Particles`
+    and `Grains` in `kernels/mps/structs.py` give meaning, unit and shape of the arrays.
     """
 
     flags: wp.array
-    """Control flags with the slots of `kernels/common/control.py`, shape (FLAGS,)."""
+    """Control flags, indexed by the constants in `kernels/common/control.py`, shape (FLAGS,)."""
     particles: Any
     """Arrays of the fluid particles, a struct `Particles`."""
     grain_arrays: Any
@@ -68,7 +68,8 @@ class FluidState:
     def _place_grains(self, fluid: np.ndarray) -> Any:
         grains = self.grains
         assert grains is not None
-        # Read the positions back, so that the offsets fit the values on the device in its precision.
+        # Read the positions back from the device, because the offsets must fit positions that are rounded to the
+        # precision of the device arrays.
         place = self.particles.position.numpy().astype(float)
         middle = np.stack([place[a:b].mean(0) for a, b in zip(grains.first[:-1], grains.first[1:])])
         offset = place[: grains.first[-1]] - middle[grains.group[: grains.first[-1]]]

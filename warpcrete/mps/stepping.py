@@ -1,6 +1,6 @@
-"""Time stepping of flows by graphs of several steps, alone or with several flows at a time on one GPU.
+"""Time stepping of flows by launch graphs of several steps, for one flow or for several flows at a time on one GPU.
 
-After some graphs the host reads the flags to see how far the flow has come.
+After several graphs the host reads the control flags on the device to find out how many steps the flow has completed.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from ..kernels.common.control import FAILED, HALTED, STALE, STEPS
 from ..kernels.mps.conjugate_gradient import AFTER, BEFORE, ITERATIONS
 from ..kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY
 
-LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}  # Maximum number of steps in one graph.
-GRAPHS_PER_CHECK = 4  # Number of graphs of the largest size that are launched between two reads of the flags.
+LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}  # Maximum number of steps in one launch graph.
+GRAPHS_PER_CHECK = 4  # Number of launch graphs of the largest size between two reads of the control flags.
 SOLVE_NAMES = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
 MAX_CONCURRENT_FLOWS = 64
 """Maximum number of flows that run on one GPU at the same time."""
 
 
 class Stepping(ABC):
-    """Flow that takes steps by replaying graphs; steps have a constant size unless a subclass overrides this."""
+    """Flow that advances in time by replaying launch graphs; steps have a constant size unless a subclass adapts it."""
 
     scene: Any
     device: Any
@@ -168,7 +168,7 @@ class _Run:
         return self.simulation.stepper
 
     def begin(self, abreast: int) -> None:
-        """Prepare the simulation and run it up to its first steps.
+        """Prepare the simulation and run it until its first steps can be launched.
 
         Raises :class:`CapacityError` if the device has no room for the simulation now.
         """
@@ -198,7 +198,7 @@ class _Run:
                 self._resume(None)
 
     def _resume(self, error: BaseException | None) -> None:
-        """Resume the run's coroutine until it wants a later time or ends; an `error` is raised inside the run."""
+        """Resume the run's coroutine until it requests steps or ends; an `error` is raised inside the coroutine."""
         assert self._coroutine is not None
         try:
             while True:

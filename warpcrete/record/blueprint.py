@@ -18,7 +18,7 @@ SLIM = 0.25
 column.
 """
 CHAINS, CUT = "scene/network", "scene/cut"
-"""Paths of the entities that are hidden in the view of the whole scene."""
+"""Paths of force chains and cut walls in the recording; the view of the whole scene hides these entities."""
 PAINT_LEGEND = "legend_of_walls"
 
 

@@ -15,7 +15,7 @@ SIZE, DENSITY = (9.0, 0.55), 100
 
 
 def legend_title(display: Display) -> str:
-    """Return the title of the legend: the quantity with its unit, or the kinds of things, that the colours show."""
+    """Return the title of the legend: the quantity with its unit or the categories that the colours show."""
     scale = display.scale()
     return capitalised(scale[0] if scale is not None else ", ".join(display.categories()))
 
@@ -47,7 +47,7 @@ def paint_meaning(paint: Paint) -> str:
 def legend(display: Display) -> bytes | None:
     """Return the legend as a PNG, or None if the colours need no explanation.
 
-    The legend is a colour bar with values, or a patch of colour for each kind of thing.
+    The legend is a colour bar with values, or a patch of colour for each category.
     """
     scale, categories = display.scale(), display.categories()
     if scale is not None:

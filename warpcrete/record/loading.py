@@ -88,7 +88,8 @@ def repeatable_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any],
     """
     record = read_record(path)
     _check_unchanged(path, record)
-    check_files(path, record.get("files", {}))  # Check the files before any of them is imported.
+    # Check the scene's input files before the scene is read, which may import one of them as a Python module.
+    check_files(path, record.get("files", {}))
     return saved_scene(path, known)
 
 

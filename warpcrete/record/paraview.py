@@ -119,7 +119,7 @@ class ParaViewRecorder(Recorder):
         self._write()
 
     def finish(self, simulation: Simulation, run: Run) -> None:
-        """Write the remaining frames."""
+        """Write the frames that are still in memory when the run has ended."""
         if self._files:
             try:
                 self._later.close()

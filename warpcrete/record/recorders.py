@@ -66,8 +66,8 @@ def recorders_of(
 
     Table, checks and picture are always included, the others if they have a true entry in `chosen`. `check` is the
     scene's acceptance check, and `command` holds settings that are stored for a resumed run. With `going_on`, the
-    folder must be that of the same, interrupted run. With `again`, an existing folder must hold the record of exactly
-    this run.
+    folder must be that of the same, interrupted run. With `again`, the scene.json of an existing folder must describe
+    exactly this run.
     """
     look = look or DrawSettings()
     found: list[Recorder] = [TableRecorder(folder, command, going_on=going_on, again=again), CheckRecorder(check)]

@@ -81,7 +81,7 @@ class RerunRecorder(Recorder):
         self._recording: Any = None
         self._later = RecorderThread(in_thread=False)
         self._display: Display | None = None
-        # Rerun's log would fill the terminal; its calls report errors anyway.
+        # Switch off Rerun's log, which would fill the terminal; Rerun's calls report errors anyway.
         os.environ.setdefault("RUST_LOG", "off")
         import rerun as rr
 
@@ -98,7 +98,7 @@ class RerunRecorder(Recorder):
                 )
 
     def start(self, simulation: Simulation) -> None:
-        """Open the sinks, and send the blueprint and all data that does not change."""
+        """Open the file and the viewer, and send the layout of the views and all data that does not change."""
         if self.path is not None:
             for path in self._parts_from(0):  # Delete parts of a run that stopped before its first checkpoint.
                 path.unlink(missing_ok=True)
@@ -108,7 +108,7 @@ class RerunRecorder(Recorder):
         self._log_zeros(display, simulation.stepper.time, simulation.stepper.steps)
 
     def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
-        """Delete the parts written after the checkpoint, and open the next part."""
+        """Delete the parts of the recording that were written after the checkpoint, and open the next part."""
         if self.path is not None:
             if not self.path.is_file():
                 warnings.warn(f"'{self.path}': is missing; a new recording starts here", stacklevel=2)
@@ -116,7 +116,7 @@ class RerunRecorder(Recorder):
                 return
             for path in self._parts_from(state["parts"]):
                 path.unlink()
-            if not simulation.at_end:  # The parts of a finished run may have been joined already.
+            if not simulation.at_end:  # Parts of a finished run may be missing because they are joined already.
                 for number in range(1, state["parts"]):
                     if not self._part(number).is_file():
                         warnings.warn(f"'{self._part(number)}': is missing; its frames are lost", stacklevel=2)
@@ -129,20 +129,20 @@ class RerunRecorder(Recorder):
             self._describe(display)
 
     def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
-        """Return the state from which the next part continues."""
+        """Return the data with which a resumed run continues the recording in its next part."""
         self._later.wait()
         following = self._parts + (self.path is not None)
         return {"recording_id": self._id, "parts": following, "places": self._places}
 
     def write(self, simulation: Simulation) -> None:
-        """Close the current part and open the next one."""
+        """Close the current part of the recording and open the next part."""
         if self.path is not None:
             self._flush()
             self._parts += 1
             self._open_sinks()
 
     def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
-        """Record the curves' values of one row."""
+        """Record the values of all curves at one sample of the run."""
         assert self._display is not None
         time, steps = simulation.stepper.time, simulation.stepper.steps
         values = {
@@ -158,10 +158,10 @@ class RerunRecorder(Recorder):
         self._later.submit(log)
 
     def frame(self, simulation: Simulation) -> None:
-        """Record bodies, moving walls and, if selected, the network."""
+        """Record bodies, moving walls and, if selected, the lines between bodies."""
         assert self._display is not None
         self._display.draw(self._later, self._draw)
-        if self._legend_due:  # Drawing the legend takes ten times as long as a frame.
+        if self._legend_due:  # Draw the legend after the first frame, because it takes ten times as long as a frame.
             self._legend_due = False
             self._later.submit(self._log_legend)
 
@@ -231,7 +231,7 @@ class RerunRecorder(Recorder):
                 middle = places + (number - 0.5 * (len(found) - 1)) * width
                 fields: dict[str, Any] = {"values": self._bars(np.array(values, dtype=float))}
                 path = f"profile/{profile.path}/{curve.name.replace(' ', '_')}"
-                # Converting the positions takes most of the time, so send them only when they have changed.
+                # Converting the positions of bars takes most of the time, so send them only when they have changed.
                 if not np.array_equal(self._places.get(path, ()), middle):
                     self._places[path] = middle
                     fields |= {"abscissa": middle, "widths": np.full(len(middle), width, np.float32),
@@ -261,7 +261,8 @@ class RerunRecorder(Recorder):
             except BaseException:
                 self._disconnect(POLL_INTERVAL)
                 raise
-            # If the viewer has disconnected, Rerun first waits for the viewer and only then closes the file.
+            # If the viewer has disconnected, closing takes longer: Rerun first waits for the viewer, then closes the
+            # file.
             if not self._disconnect(CLOSE_TIMEOUT if watched and not self.live else PATIENCE):
                 raise self._recording_error(RuntimeError("the writer thread did not finish in time"))
 
@@ -321,7 +322,7 @@ class RerunRecorder(Recorder):
         with_legend = display.scale() is not None or bool(display.categories())
         return blueprint(display, network=network, legend=with_legend, duration=simulation.expected_duration)
 
-    # The following methods manage the sinks and the parts of the file.
+    # The following methods manage the outputs of the recording (file and viewer) and the parts of the file.
 
     def _open(self, display: Display, recording_id: str, part: int, blueprint: Any) -> None:
         rr = self._rr
@@ -333,8 +334,8 @@ class RerunRecorder(Recorder):
         self._cut = [wall.name for wall in cut_walls(display)]
         self._paint: Paint | None = None
         self._legend_due = False
-        self._tensors: dict[int, Any] = {}  # Tensors for bars; the key is the number of bars.
-        # Last recorded positions of bars; the key is the path in the recording.
+        self._tensors: dict[int, Any] = {}  # tensors of bar charts for reuse, by their number of bars
+        # positions of the bars that were recorded last, by the path of the bar chart in the recording
         self._places: dict[str, np.ndarray] = {}
         if self.live is True:
             opened = screen_viewer(bind=self._bind)
@@ -346,7 +347,8 @@ class RerunRecorder(Recorder):
     def _open_sinks(self, **settings: Any) -> None:
         """Open the file of the current part and the connection to a viewer; raise :class:`RunFolderError` on failure.
 
-        Rerun's writer never returns if the disk fills up at a bad moment, so a thread waits for the writer.
+        Rerun's writer may never return if the disk is full. A separate thread therefore calls the writer, and this
+        method waits for the thread for a limited time.
         """
         failures: list[RuntimeError] = []
 
@@ -364,7 +366,7 @@ class RerunRecorder(Recorder):
     def _finishes(self, call: Callable[[], None], patience: float) -> bool:
         """Return whether a call of Rerun ends within `patience` [s]; stop waiting if the disk turns out to be full.
 
-        A call that never ends must not block the end of the program either.
+        A call that never ends must not block the exit of the program, so Rerun's exit handler is removed then.
         """
         calling = threading.Thread(target=call, daemon=True)
         calling.start()

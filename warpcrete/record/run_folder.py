@@ -45,7 +45,7 @@ class TableRecorder(Recorder):
     The recorder writes scene.json at the start, appends rows to series.csv, and writes result.json at checkpoints
     and at the end. Every row is flushed at once, so that an interrupted or killed run keeps all its samples.
     `command` holds settings that are stored in scene.json for a resumed run. With `going_on`, the folder is that of
-    the same, interrupted run. With `again`, an existing folder must hold the record of exactly this run.
+    the same, interrupted run. With `again`, the scene.json of an existing folder must describe exactly this run.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class TableRecorder(Recorder):
             raise cannot_write(self._series, error) from error
 
     def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
-        """Rewrite series.csv with the rows of the checkpoint."""
+        """Rewrite series.csv with the rows up to the checkpoint, and open the file for further rows."""
         self.claim(simulation)
         with atomic_file(self._series) as partial:
             self._file = partial.open("w", newline="", encoding="utf-8")

@@ -4,7 +4,7 @@ Rigid bodies are one point instancer with a prototype for each shape; fluid part
 """
 
 # pyright: reportAttributeAccessIssue=false
-# The pxr modules add their attributes when they are imported.
+# Pyright does not see the attributes that pxr modules add when they are imported.
 
 from __future__ import annotations
 
@@ -160,7 +160,7 @@ class UsdRecorder(Recorder):
         orient.Set(Gf.Quatd(float(w), float(x), float(y), float(z)), code)
 
     def finish(self, simulation: Simulation, run: Run) -> None:
-        """Write the file."""
+        """Write the USD file when the run has ended."""
         if self._stage is not None:
             try:
                 self._later.close()
@@ -193,14 +193,14 @@ class UsdRecorder(Recorder):
 
 
 class _Instances:
-    """Rigid bodies as a point instancer."""
+    """USD point instancer that shows rigid bodies."""
 
     def __init__(self, stage: Any, path: str, rigid: RigidBodies, velocities: bool) -> None:
         from pxr import Gf, Sdf, UsdGeom, Vt
 
         self._instancer = instancer = UsdGeom.PointInstancer.Define(stage, path)
         shapes = []
-        # The rotation of a single sphere about its centre is not visible.
+        # Orientations are left out if all shapes are single spheres, whose rotation about their centres is not visible.
         self._turn = any(len(prototype.radii) > 1 or np.any(prototype.offsets) for prototype in rigid.prototypes)
         self._velocities = velocities
         look = bodies_look(stage)
@@ -248,7 +248,7 @@ class _Instances:
 
 
 class _Points:
-    """Fluid particles as points."""
+    """USD points that show fluid particles."""
 
     def __init__(self, stage: Any, path: str, display: Display) -> None:
         from pxr import UsdGeom, Vt

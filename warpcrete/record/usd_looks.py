@@ -1,7 +1,7 @@
 """Materials, light and documentation of a USD scene."""
 
 # pyright: reportAttributeAccessIssue=false
-# The pxr modules add their attributes when they are imported.
+# Pyright does not see the attributes that pxr modules add when they are imported.
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LOOKS = "/Run/Looks"
 CLEAR, PAINT = 0.14, 0.6
 """Minimum opacity of glass, and opacity of walls that show a quantity such as wear by colours."""
 SUN, SKY = 0.6, 0.5
-"""Intensities of the directional light, independent of the size of its disc, and of the light from all directions."""
+"""Intensities of the sun, which the size of its disc does not change, and of the sky, which shines from all sides."""
 SUN_ANGLE = 4.0
 """Angular size of the sun's disc [degrees], which softens the edges of shadows."""
 
@@ -161,9 +161,9 @@ class Colours:
 
 
 class Painted:
-    """Colours of a painted wall over time, as steps of its values.
+    """Colours over time of a wall that shows a quantity such as wear, as indices into a table of colours.
 
-    A table, common to all frames, holds the colour of each step.
+    The table is common to all frames; its entries belong to the discrete values to which :class:`.Paint` rounds.
     """
 
     def __init__(self, mesh: Any) -> None:

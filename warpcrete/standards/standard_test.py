@@ -121,7 +121,7 @@ class StandardTest:
     columns: Mapping[str, str]
     """Units of the measured columns of the series, by name."""
     measure: Callable[[Specimen, Sizes], dict[str, float]]
-    """Function that measures these columns."""
+    """Function that measures the columns of one row from a :class:`Specimen` and the vessel's dimensions."""
     quantities: tuple[Quantity, ...]
     """Results, each computed from an :class:`Outcome`."""
     forms: tuple[ClosedForm, ...] = ()

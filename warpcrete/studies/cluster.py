@@ -272,7 +272,7 @@ def local_cluster(workers: int | None, device: str | None, threads: int = 1) -> 
         environments = [{"CUDA_VISIBLE_DEVICES": number} for number in numbers[: workers or len(numbers)]]
     else:
         environments = [{} for _ in range(workers or max(1, default_threads() // threads))]
-    # Dask sets these environment variables when a worker process starts, before Warp looks for devices.
+    # Dask sets a worker's CUDA_VISIBLE_DEVICES when the worker process starts, before Warp looks for devices.
     options = {
         "nthreads": 1,
         "memory_limit": 0,

@@ -159,7 +159,7 @@ def run_cases(
     """Run cases with the method's `run_many`, each CPU run with as many threads as `record` says (default 1).
 
     The runs end early when the callback `asked` returns True. Returns for each case the contents of its result.json,
-    the exception that ended it, or None if it had not started.
+    the exception that ended it, or None if it was stopped before it ran.
     """
     simulations: list[Simulation] = []
     report_progress = stop_callback(asked, simulations)

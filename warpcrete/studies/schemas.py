@@ -32,8 +32,9 @@ FOLDER = Path(__file__).parents[1] / "schemas"
 DRAFT = "http://json-schema.org/draft-07/schema#"
 """Draft of the JSON Schema standard that most editors support."""
 NUMBER = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
-"""Schema of a text entry that YAML may have read as a number."""
+"""Regular expression of a number in a text."""
 TEXT: Schema = {"type": ["string", "number"]}
+"""Schema of a text entry, which YAML may have read as a number."""
 TEXT_DESCRIPTIONS = {
     "name": "name of the concrete",
     "source": "origin of the numbers",
@@ -230,8 +231,10 @@ def _mix_section() -> Schema:
         "concrete": _object(of_concrete | off),
         "mortar": _object(constants | off | {"density": quantity("kg/m3", "density")}),
         "viscometer": _points(mixes.SHEARED),
+        "thickener": {"type": "boolean"},
         "layer": {"anyOf": [
-            _object({**of_layer, "viscosity": quantity("Pa s/m", "viscosity divided by thickness"), **off}, "",
+            _object({**of_layer, "viscosity": quantity("Pa s/m", "viscosity divided by thickness"), **off,
+                     "from": {"enum": ["tribometer", "pipe"], "description": "origin of the constants"}}, "",
                     ["yield_stress", "viscosity"]),
             _object({"points": _points(PUMPED), **{name: quantity("m", f"{name} of the pipe")
                                                    for name in ("diameter", "length", "rise")}}, "",

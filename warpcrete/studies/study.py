@@ -424,7 +424,7 @@ def _without_idle_parameters(scene: Any, cases: Sequence[Case]) -> list[Case]:
     used = {name for case in found for name in case.parameters}
     for case in cases:
         if set(case.parameters) - used:
-            scene(**case.parameters)  # raise the error that names the parameter
+            scene(**case.parameters)  # this raises the error that names the parameter without effect
     return found
 
 

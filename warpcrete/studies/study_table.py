@@ -36,7 +36,7 @@ def _row(study: Any, case: Any) -> tuple[dict[str, Any], dict[str, str]]:
     row: dict[str, Any] = {"case": case.name, "outcome": outcome, "seed": case.parameters.get("seed"), **case.varied}
     units: dict[str, str] = {}
     for name, entry in result.items():
-        if name in row:  # the value of a varied parameter takes precedence
+        if name in row:  # a varied parameter takes precedence over a result of the same name
             continue
         if isinstance(entry, dict) and set(entry) == {"value", "unit"}:
             units[name] = entry["unit"]

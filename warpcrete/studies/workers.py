@@ -87,7 +87,7 @@ class WorkerPool:
             raise
         try:
             worker.send(job)
-        except Exception:  # the job cannot be pickled
+        except Exception:  # if a job cannot be pickled, the worker has not received it and stays idle
             with self._lock:
                 self._idle.append(worker)
             raise
@@ -101,7 +101,7 @@ class _Worker:
     def __init__(self) -> None:
         self._ready = False
         self.failed = False
-        """True if the process ended before it was ready."""
+        """True if the worker process ended before it was ready for jobs."""
         try:
             self._process = subprocess.Popen(
                 [sys.executable, "-c", START_CODE, json.dumps([str(path) for path in sys.path])],
@@ -125,7 +125,7 @@ class _Worker:
             return pickle.load(self._process.stdout)
         except EOFError:
             raise WorkerDied(f"its process {self._end()}") from None
-        except Exception as error:  # the answer cannot be unpickled
+        except Exception as error:  # unpickling a damaged answer may raise any exception
             raise WorkerDied(f"its process failed: {type(error).__name__}: {error}") from error
 
     def wait_until_ready(self) -> None:
@@ -153,9 +153,10 @@ class _Worker:
 def serve() -> None:
     """Run the jobs that arrive on standard input and write the answers to standard output, until the parent ends."""
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # printed text must not mix with the answers
+    os.dup2(2, 1)  # redirect printed text to stderr, because stdout carries the answers
     warn_in_one_line()
-    warnings.simplefilter("ignore", PlausibilityWarning)  # the parent has issued these warnings already
+    # Ignore warnings about unlikely values, because the parent process has shown them already.
+    warnings.simplefilter("ignore", PlausibilityWarning)
     inbox: queue.Queue[Any] = queue.Queue()
     stop = threading.Event()
     threading.Thread(target=_listen, args=(inbox, stop), daemon=True).start()
@@ -181,7 +182,7 @@ def _listen(inbox: queue.Queue[Any], stop: threading.Event) -> None:
 def _answer(answers: Any, message: Any) -> None:
     try:
         data = pickle.dumps(message)
-    except Exception:  # the answer is an exception that cannot be pickled
+    except Exception:  # some exceptions cannot be pickled, so send their text instead
         data = pickle.dumps(WarpcreteError(f"{type(message).__name__}: {message}"))
     answers.write(data)
     answers.flush()

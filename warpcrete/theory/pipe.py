@@ -104,7 +104,7 @@ MIXES = {
     "no2": dict(cement=338, sand=890, gravel=936, water=179, superplasticizer=0.845, viscosity_modifier=0.676),
     "no3": dict(cement=360, sand=872, gravel=913, water=191, superplasticizer=0.900, viscosity_modifier=0.720),
 }
-"""Proportions of the three mixes [kg/m3]; the last two are in % of the cement (Xu et al. 2021, Table 1)."""
+"""Proportions of the three mixes [kg/m3]; Xu et al. 2021, Table 1, states superplasticizer and modifier in %."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -285,6 +285,12 @@ def velocity(concrete: Concrete, line: Line, state: Steady, radius: Sequence[flo
         return state.slip_velocity + np.where(state.plug_radius < inner, (at_wall - at_place) / (gradient or 1.0), 0.0)
     gained = gradient * (inner**2 - sheared**2) / 2 - concrete.yield_stress * (inner - sheared)
     return state.slip_velocity + np.where(state.plug_radius < inner, gained, 0.0) / concrete.viscosity
+
+
+def layer_share(concrete: Concrete, line: Line, flow: float) -> float:
+    """Return the slip velocity divided by the velocity on the axis of a round pipe, at a `flow` [m3/s]."""
+    state = steady(concrete, line, flow)
+    return state.slip_velocity / float(velocity(concrete, line, state, [0.0])[0])
 
 
 def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:

@@ -13,7 +13,7 @@ pressure over the square root of 3 reaches the yield stress.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -165,26 +165,29 @@ def duct_constants(aspect: float) -> tuple[float, float]:
 
 
 def duct_stress(
-    speed: np.ndarray, wide: np.ndarray, deep: float, viscosity: float, yield_stress: float, flow_index: float = 1.0,
-    quadratic_viscosity: float = 0.0,
+    speed: np.ndarray, wide: np.ndarray, deep: float, viscosity: float, yield_stress: float,
+    layer: Sequence[float] | None = None, flow_index: float = 1.0, quadratic_viscosity: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return the mean wall stress [Pa] of rectangular ducts at mean speeds [m/s], and their hydraulic radii [m].
 
     `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side of all ducts. The form of
     Kozicki, Chou & Tiu, which is exact in slots and pipes, reads 2 v / R = tau^(-b/a) / a times the integral of
     s^(b/a - 1) g(s) ds up to tau, with the shear rate g. For Bingham's law it is
-    tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a + b))), with q = tau0 / tau.
+    tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a + b))), with q = tau0 / tau. With a slip `layer`, given by its
+    viscosity divided by its thickness [Pa s/m], its yield stress [Pa], and for other laws its flow index and its
+    quadratic coefficient, the slip velocity is added.
     """
     law = FlowLaw(yield_stress, viscosity, flow_index, quadratic_viscosity)
     radius = wide * deep / (2 * (wide + deep))
     a, b = np.array([duct_constants(min(w, deep) / max(w, deep)) for w in wide]).T
-    goal = 2 * speed / radius
-    low, high = np.full_like(radius, yield_stress), 3 * law.stress((b + a / flow_index) * goal)
+    goal, slip = 2 * speed / radius, None if layer is None else FlowLaw(layer[1], layer[0], *layer[2:])
+    least = yield_stress if slip is None else min(yield_stress, slip.yield_stress)
+    low, high = np.full_like(radius, least), 3 * law.stress((b + a / flow_index) * goal)
     while np.any(_duct_rate(high, a, b, law) < goal):
         high *= 2
     for _ in range(60):
         stress = 0.5 * (low + high)
-        less = _duct_rate(stress, a, b, law) < goal
+        less = _duct_rate(stress, a, b, law) < goal - (0.0 if slip is None else 2 * slip.rate(stress) / radius)
         low, high = np.where(less, stress, low), np.where(less, high, stress)
     return 0.5 * (low + high), radius
 
@@ -205,14 +208,16 @@ def _duct_rate(stress: np.ndarray, a: np.ndarray, b: np.ndarray, law: FlowLaw) -
 
 def funnel_time(
     half_widths: tuple[float, float], heights: tuple[float, float], depth: float, viscosity: float, yield_stress: float,
-    density: float, gravity: float = 9.81, flow_index: float = 1.0, quadratic_viscosity: float = 0.0,
+    density: float, gravity: float = 9.81, layer: Sequence[float] | None = None, flow_index: float = 1.0,
+    quadratic_viscosity: float = 0.0,
 ) -> float:  # fmt: skip
     """Estimate the time in which a V-funnel empties [s]; infinite if the yield stress holds the concrete back.
 
     The funnel is a stack of slices, each treated as a duct, with the inertia of the jet at the outlet. `half_widths`
     holds the half widths at the outlet and at the brim [m]. `heights` holds the heights of the straight outlet and of
-    the whole funnel [m]. The extensional flow in the taper is left out. The sum of times ends when the level reaches
-    the straight outlet. The concrete left there is already falling, but the slices would hold it back.
+    the whole funnel [m]. `layer` is a slip layer on all walls, as in :func:`duct_stress`; without it, concrete sticks
+    to them. The extensional flow in the taper is left out. The sum of times ends when the level reaches the straight
+    outlet. The concrete left there is already falling, but the slices would hold it back.
     """
     narrow, brim = half_widths
     throat, whole = heights
@@ -225,7 +230,7 @@ def funnel_time(
     # and each level of the concrete.
     left = []
     for speed in speeds:
-        stress, radius = duct_stress(speed * outlet / area, wide, depth, viscosity, yield_stress, flow_index,
+        stress, radius = duct_stress(speed * outlet / area, wide, depth, viscosity, yield_stress, layer, flow_index,
                                      quadratic_viscosity)  # fmt: skip
         taken = np.cumsum(stress / radius) * step + 0.5 * density * speed**2
         left.append(density * gravity * step * np.arange(1, SLICES_FUNNEL + 1) - taken)

@@ -59,7 +59,7 @@ class Case:
 
 
 def start(scene: Scene, device: str, precision: str) -> Stepper:
-    """Return a stepper for a scene whose bodies the caller places one by one."""
+    """Return a stepper for a scene whose bodies have given positions instead of a random packing."""
     model = build_model(scene, find_device(device), precision)
     stepper = Stepper(model, State(model, placed_bodies(scene)), scene.time_step)
     stepper.choose_dt()

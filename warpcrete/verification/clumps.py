@@ -22,7 +22,7 @@ def union_properties(device, precision) -> list[Row]:
     ):
         x = np.linspace(-1.2, 3.4, 2_000_001)
         inside = [np.maximum(r**2 - (x - c) ** 2, 0.0) for c, r in zip(centres, radii, strict=True)]
-        square = np.max(inside, axis=0)  # Square of the union's radius at each position along the row.
+        square = np.max(inside, axis=0)  # Square of the radius of the union of spheres at each x.
         volume = np.trapezoid(math.pi * square, x)
         centre = np.trapezoid(math.pi * square * x, x) / volume
         along = np.trapezoid(math.pi / 2 * square**2, x)

@@ -24,7 +24,7 @@ from ..geometry.axis import Axis, Line
 from ..geometry.walls import Driven, PipeWall, PlaneWall, Prescribed
 
 STEPS = 2000
-ENERGY = 0.1  # Largest energy that a stable run may gain without work being done, relative to the energy in play.
+ENERGY = 0.1  # Largest acceptable energy gain without work, relative to the energy scale of the instability check.
 RADIUS = 0.03
 AXIS = Axis((0, 0, -1.0), (0, 0, 1), (Line(4.0),))
 
@@ -39,7 +39,7 @@ class Outcome:
     deepest: float
     """Largest overlap, divided by the overlap at which a sphere lies completely inside its contact partner."""
     growth: float
-    """Energy gained without work, divided by the energy scale of the stability watch."""
+    """Energy gained without work, divided by the energy scale that the check for instability uses."""
     steps: int
     expected_outcome: str = ""
     """Required result in this precision: `run`, or a pattern for the reason to stop; empty if both are acceptable."""
@@ -60,7 +60,7 @@ class Outcome:
 def cup(*, modulus=1e6, ratio=2.0, density=2500.0, velocity=0.3, gravity=9.81, restitution=0.5, friction=0.3,
         load=1e3, dt_fraction=0.8, bonds: Bonds | None = None, hydration: Hydration | None = None, count=80,
         origin=(0.0, 0.0, 0.0), **changes) -> Scene:  # fmt: skip
-    """Return the scene of a cup of spheres; `ratio` is the ratio of both sizes, `load` the plate's pressure [Pa]."""
+    """Return the scene of a cup of spheres; `ratio` is large over small size, `load` the pressure of the plate [Pa]."""
     random = np.random.default_rng(0)
     large = 0.012
     layer = 1.04 * large
@@ -94,7 +94,7 @@ def cup(*, modulus=1e6, ratio=2.0, density=2500.0, velocity=0.3, gravity=9.81, r
 
 
 def outcome(name: str, scene: Scene, device: str, precision: str, steps: int = STEPS) -> Outcome:
-    """Run a scene for a number of steps under the stability watch, and return its result."""
+    """Run a scene for a number of steps with regular checks for instability, and return its result."""
     simulation = ElementSimulation(scene, device=device, precision=precision)
     stopped = ""
     try:

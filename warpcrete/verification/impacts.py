@@ -42,7 +42,7 @@ def spheres_on_a_plane(law, radius, density, velocities, spins, device, precisio
     """Let spheres hit a plane without touching each other, and return their final velocities and spins."""
     velocities = np.asarray(velocities, dtype=float)
     count = len(velocities)
-    # The spheres just touch the plane, because in single precision a centre far from it has less accurate overlaps.
+    # The spheres start in touch with the plane: in single precision, overlaps are less accurate far from the origin.
     positions = np.stack([np.zeros(count), (np.arange(count) - count / 2) * 4 * radius, np.full(count, radius)], 1)
     dt = _duration(law, radius, density, np.abs(velocities[:, 2]).max()) / steps_per_contact
     scene = Scene(
@@ -122,7 +122,7 @@ def _peak(law, radius, density, speed, plane, device, precision):
 
 
 def restitution(device, precision) -> list[Row]:
-    """Compare the ratio of rebound to impact speed with the coefficient of restitution, for both laws (test 3)."""
+    """Compare rebound over impact speed with the restitution coefficient, for Hertz-Mindlin and linear law (test 3)."""
     rows = []
     wanted = np.array([0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
     for name in ("Hertz-Mindlin", "linear"):
@@ -138,7 +138,8 @@ def restitution(device, precision) -> list[Row]:
         error = np.abs(np.array(ours) - wanted)
         worst = 1 + int(np.argmax(error[1:]))
         rows.append(Row(f"test 3, {name}: e = {wanted[worst]:.1f}, the worst of 5", ours[worst], wanted[worst], 2e-3))
-        # With e = 0 the rebound never ends. The row shows the velocity after three durations of an elastic impact.
+        # With e = 0 the rebound never ends. Its velocity is therefore read after a fixed time: three (Hertz-Mindlin) or
+        # four (linear) durations of an elastic impact.
         rows.append(Row(f"test 3, {name}: e = 0", ours[0], 0.0, 1e-2, scale=1.0))
     return rows
 
@@ -169,7 +170,7 @@ def oblique(device, precision) -> list[Row]:
     rebound = np.degrees(np.arctan2(velocity[:, 0] - radius * spin[:, 1], velocity[:, 2]))
     OBLIQUE.curves.update(angle=TEST_4[:, 0], tangential=tangential, spin=turning, rebound=rebound)
     rows = []
-    steep = TEST_4[:, 0] < 15  # Sticking impacts depend most on how the shear spring is unloaded.
+    steep = TEST_4[:, 0] < 15  # Steep impacts stick, so they depend most on how the law unloads the shear spring.
     for name, ours, published, allowed_steep, allowed in (
         ("tangential restitution", tangential, TEST_4[:, 1], 0.1, 0.012),
         ("rebound angle", rebound, TEST_4[:, 3], 0.02, 0.015),
@@ -183,9 +184,9 @@ def oblique(device, precision) -> list[Row]:
             place = np.flatnonzero(which)[np.argmax(np.abs(ours - published)[which])]
             label = f"test 4: {name}, worst {where}"
             rows.append(Row(label, float(ours[place]), float(published[place]), tolerance, unit, scale))
-    # The error of each final spin is relative to the spin's expected value. An impact at 5 degrees causes hardly any
-    # spin. The spin then follows from the small difference between the tangential restitution and 1. The restitution
-    # is compared above.
+    # The error of each final spin is relative to the spin's expected value. An impact at 5 degrees is left out, because
+    # it causes hardly any spin. Its spin follows from the small difference between the tangential restitution and 1,
+    # and the restitution is compared above.
     for which, where, tolerance in ((TEST_4[:, 0] == 10, "at 10 degrees", 0.1), (~steep, "from 15 degrees on", 0.03)):
         label = f"test 4: final angular velocity {where}"
         rows.append(_largest_error(label, turning[which], TEST_4[which, 2], tolerance, "rad/s"))
@@ -232,7 +233,7 @@ def normalised(device, precision) -> list[Row]:
         exact = published[slip, 0] - 7 if name.startswith("surface") else np.full(int(slip.sum()), -5.0)
         rows.append(
             _largest_error(f"test 5: rebound {name} in full slip, rigid plane", found[1][slip], exact, 1.2e-2, "1")
-        )  # The overlap shortens the lever arm, which explains the larger tolerance.
+        )  # The overlap shortens the lever arm of friction, which explains the larger tolerance.
     return rows
 
 
@@ -249,7 +250,7 @@ def spinning(device, precision) -> list[Row]:
     spins = np.stack([0 * rates, -rates, 0 * rates], 1)
     velocity, spin = spheres_on_a_plane(law, radius, 2700.0, velocities, spins, device, precision)
     impulse = friction * (1 + e) * normal
-    # The lever arm ends at the plane, which lies inside the sphere by 0.05 % of the radius.
+    # The lever arm of friction ends at the plane, which lies inside the sphere by 0.05 % of the radius.
     rows.append(
         _largest_error("test 6, on a plane: tangential velocity", -velocity[:, 0], np.full(3, impulse), 3e-3, "m/s")
     )

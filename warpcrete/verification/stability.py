@@ -42,7 +42,7 @@ LAWS: dict[str, ContactLaw] = {
 
 
 def dense_block(law: ContactLaw, shape: ClumpTemplate, device, precision) -> tuple[Scene, BodyTable]:
-    """Return scene and bodies of a dense packing of about 120 bodies, squeezed into a pipe by a tenth of a radius."""
+    """Return scene and bodies of a dense packing of about 120 bodies in a short pipe, in which the bodies overlap."""
     fill = Fill(
         container=PipeContainer(AXIS, 0.025, 0.05), sizes=Uniform(8e-3, 12e-3), solid_fraction=0.66, templates=(shape,)
     )
@@ -53,9 +53,10 @@ def dense_block(law: ContactLaw, shape: ClumpTemplate, device, precision) -> tup
 
 
 def growth(scene: Scene, table, fraction: float, device, precision, bonds: Bonds | None = None) -> float:
-    """Return the largest energy in the last fifth of STEPS steps over that in the first; infinite if the run diverges.
+    """Return the largest energy in the last fifth of a run over that in the first fifth; infinite if the run diverges.
 
-    Near the stability limit, the energy of a stable leapfrog integration oscillates, but it does not grow.
+    The run has `STEPS` time steps, whose size is `fraction` times the estimated stable step. Near the stability limit,
+    the energy of a stable leapfrog integration oscillates, but it does not grow.
     """
     model = build_model(scene, find_device(device), precision)
     stepper = Stepper(model, State(model, table), TimeStep(safety=10.0))

@@ -18,7 +18,7 @@ from .case import Case, Row
 FINER = 4
 """Number of cells of the one-dimensional solution per cell of the grid."""
 SAMPLES = 40
-"""Number of instants at which both solutions are compared."""
+"""Number of instants at which the solution on the grid is compared with the one-dimensional solution."""
 START_CASES = (
     # Columns: Bingham number, viscous constant of the slip layer [Pa s/m], allowed error of a time step, and time at
     # which the flow is almost steady [s].

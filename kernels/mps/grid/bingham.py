@@ -1,8 +1,8 @@
 """The regularised Bingham law (Xu, Li & Jiang 2021, Eq. 15), and its means over cells in which the stress varies.
 
 The stress varies linearly across a pipe. The mean velocity of a cell is therefore an integral of the shear rate over
-the stress, which has a closed form here. Even a layer thinner than a cell that is sheared at a wall or beside a plug
-is therefore computed as accurately as the stress.
+the stress, which has a closed form here. A sheared layer at a wall or beside a plug is therefore computed as accurately
+as the stress, even if the layer is thinner than a cell.
 """
 
 import functools
@@ -15,7 +15,7 @@ from .cells import grid_parameters_struct
 
 @functools.cache
 def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
-    """Build the functions of the law: viscosity as a function of the rate, and rate as a function of the stress.
+    """Build the functions of the Bingham law: viscosity for a given shear rate, and shear rate for a given stress.
 
     `apparent` follows the regularised law. `rate_of` replaces the inverse of this law by two straight lines, one below
     and one above the yield stress; `rate_slope` is its derivative, `rate_integral` and `double_integral` are its
@@ -82,7 +82,7 @@ def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
 
 @functools.cache
 def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
-    """Build the functions of the law on a grid.
+    """Build the functions of the Bingham law on a grid.
 
     `apparent` is the viscosity at a shear rate, `apparent_at_edge` the viscosity at a corner near which a plug may end,
     and `at_wall` the stress of a wall on the cell beside it.
@@ -101,7 +101,8 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
         over one cell. If a plug ends within the cells, `rate` is larger than the shear rate at the corner itself.
         """
         viscosity = apparent(g, rate)
-        # This is the stress at the corner if no plug ends within the cells, according to the two straight lines.
+        # This is the stress at the corner if no plug ends within the cells. It follows from the two straight lines that
+        # approximate the shear rate as a function of the stress.
         most = wp.min(
             rate * unyielded_viscosity(g),
             g.yield_stress + g.viscosity * (rate - g.yield_stress / unyielded_viscosity(g)),
@@ -110,8 +111,9 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
             return viscosity
         low = scalar(0.0)
         high = most
-        # Find the corner's stress by bisection. The mean of the shear rate over both cells, weighted by the distance
-        # from the corner, is (F(s + d) - 2 F(s) + F(s - d)) / d^2, F = `double_integral`, s = `middle`, d = `change`.
+        # Find the corner's stress by bisection. Weight the shear rate with a hat function that falls from the corner to
+        # zero at the far sides of both cells: its mean is (F(s + d) - 2 F(s) + F(s - d)) / d^2, where F is
+        # `double_integral`, s is `middle` and d is `change`.
         for _ in range(20):
             middle = scalar(0.5) * (low + high)
             mean = (
@@ -156,7 +158,8 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
         are rings about an axis. Newton's method solves for the stress. It starts above the solution, where the function
         is convex.
         """
-        # Start from an upper bound of the stress: all of the speed is slip, or (with a margin) all of it is shear.
+        # Start from an upper bound of the stress: the smaller of the stress at which all of the speed is slip and (with
+        # a margin) the stress at which all of it is due to shear.
         sheared = scalar(3.0) * (g.yield_stress + scalar(4.0) * g.viscosity * speed / width)
         stress = wp.min(slip_yield + slip_viscosity * speed, sheared)
         growth = scalar(1.0)

@@ -13,8 +13,8 @@ from .cells import NOW, GridKind, grid_functions, grid_parameters_struct, grid_s
 def bin_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels `clear`, `tally`, `allot`, `sort` and `order`, which sort particles into cells in this order.
 
-    All cells share one list, in which each cell reserves as many places as it has particles. The order of the cells in
-    the list differs from run to run, but results do not depend on it.
+    All cells share one list of particles, in which each cell reserves as many places as it has particles. The order of
+    the cells in the list differs from run to run, but results do not depend on it.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)
@@ -52,7 +52,7 @@ def bin_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def sort(flags: wp.array(dtype=wp.int32), mesh: Fields):
-        """Write each particle into the list at the places of its cell, with one task per particle."""
+        """Write each particle into one of its cell's places in the list, with one task per particle."""
         if flags[HALTED] != 0:
             return
         p = wp.tid()
@@ -80,9 +80,9 @@ def bin_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
 @functools.cache
 def lift_kernel(scalar, of: GridKind):
-    """Build the kernel that opens a gate when its time has come, with one task per cell.
+    """Build the kernel that opens a gate, cell by cell at given times, with one task per cell.
 
-    It replaces the geometry of the cells at the gate by `after`, the geometry without the gate.
+    In each cell whose opening time has come, the geometry is replaced by `after`, the geometry without the gate.
     """
     dims, places, quarters = of.dimensions, 2**of.dimensions, 4 * of.pairs
     structs = grid_structs(scalar, dims)

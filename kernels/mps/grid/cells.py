@@ -2,17 +2,18 @@
 
 Cells are counted from the lowest cell, (0, 0) or (0, 0, 0); the last coordinate runs upwards or along the pipe. A frame
 one cell wide surrounds the grid, and `slots` is the number of cells including this frame. Cells, faces and edges share
-one numbering. Face c of axis a is the lower side of cell c along that axis; its row is c + a * slots. Edge c of the
-pair of axes a and b is the lowest edge of cell c that is parallel to neither axis; its row is c + (a + b - 1) * slots.
-In a plane an edge is a corner, and edge c is the lower left corner of cell c. Velocities are relative to the room.
-Volumes and areas are per metre of depth in plane flow, and per radian in axisymmetric flow.
+one numbering. Face c of axis a is the lower side of cell c along that axis; its index in arrays of faces is
+c + a * slots. Edge c of the pair of axes a and b is the lowest edge of cell c that is perpendicular to both axes; its
+index in arrays of edges is c + (a + b - 1) * slots. In a plane an edge is a corner, and edge c is the lower left corner
+of cell c. Velocities are relative to the vessel or pipe at rest. Volumes and areas are per metre of depth in plane
+flow, and per radian in axisymmetric flow.
 
 Walls coincide with sides of cells or, if `GridKind.cut`, pass through cells (cut cells). Then each face stores its
 distance from the nearest wall and the open part of its area, and cells and edges store the fraction of their volume
 free of wall. Concrete flows in and out of a cell through the open parts of its faces (Ng, Min & Gibou 2009). Shear and
 stretch are weighted with the open volumes of edges and cells (Batty & Bridson 2008). They also need velocities of some
-faces inside walls. These ghost faces are unknowns too. The friction of the wall acts on the velocity at the wall
-itself, which is interpolated between a ghost face and the next face in the concrete.
+faces inside walls, called ghost faces, whose velocities are unknowns as well. The friction of the wall acts on the
+velocity at the wall itself, which is interpolated between a ghost face and the next face in the concrete.
 """
 
 import functools
@@ -29,27 +30,27 @@ from ..structs import mps_types
 OPEN = wp.constant(0)
 SMOOTH = wp.constant(2)  # Number of the frictionless wall, which is an axis or a plane of symmetry.
 GATE = wp.constant(3)  # Number of the wall that opens at a given time.
-# The following constants are kinds of faces, except ROUGH, which is the number of a wall.
+# The following constants are kinds of faces, except ROUGH, which is the number that identifies a wall.
 AIR = wp.constant(0)  # Face without concrete on either side.
 LIQUID = wp.constant(1)  # Face with concrete on at least one side, which can flow through it; its velocity is unknown.
 FIXED = wp.constant(2)  # Face that is the side of a wall; its velocity is the wall's velocity across the face.
 INSIDE = wp.constant(3)  # Face inside a wall.
 ROUGH = wp.constant(4)  # Number of the wall that concrete sticks to; walls with higher numbers move.
 GHOST = wp.constant(4)  # Face inside a wall whose velocity enters the shear or stretch of the concrete beside it.
-# Slots of the array `drive`, which holds the force that drives the flow of a periodic pipe.
+# Indices of the array `drive`, which contains the force that drives the flow of a periodic pipe.
 FORCE = wp.constant(0)  # Driving force per volume at the start of the next step [N/m3].
 LAST_FORCE = wp.constant(1)  # Driving force per volume that acted in this step [N/m3].
 VELOCITY_CORRECTION = wp.constant(2)  # Velocity added to all faces along the pipe at the end of this step [m/s].
 DRIVE = 3
-# Slots of the array `clock`, which holds the time and the step control.
+# Indices of the array `clock`, which contains the time and the variables of the step control.
 DT = wp.constant(0)  # Time step [s].
 NOW = wp.constant(1)  # Present time [s].
 UNTIL = wp.constant(2)  # Time at which the flow must stop [s].
 WANTED = wp.constant(3)  # Time step that accuracy allows [s]; a step that ends at a given time may be shorter.
 SPEED = wp.constant(4)  # Root mean square speed of the concrete [m/s].
 CELLS_PER_SECOND = wp.constant(5)  # Number of cells that the fastest concrete crosses per second [1/s].
-BEFORE = wp.constant(6)  # Value of SPEED in the previous step [m/s].
-RATE = wp.constant(7)  # Rate of change of SPEED in the previous step [m/s2].
+BEFORE = wp.constant(6)  # Root mean square speed of the concrete in the previous step [m/s].
+RATE = wp.constant(7)  # Rate of change of the root mean square speed in the previous step [m/s2].
 LAST = wp.constant(8)  # Previous time step [s].
 CLOCK = 9
 
@@ -59,7 +60,7 @@ class GridKind(NamedTuple):
 
     dimensions: int = 2
     axial: bool = False
-    """True for a grid about an axis of symmetry, which is its left side."""
+    """True for an axisymmetric flow; the left side of the grid is the axis."""
     periodic: bool = False
     """True if the grid repeats itself along the last axis and is full of concrete; otherwise surfaces may be free."""
     cut: bool = False
@@ -111,7 +112,7 @@ def grid_parameters_struct(scalar, dimensions: int):
         quadratic_viscosity: scalar  # Coefficient c of the modified Bingham law [Pa s2], else 0.
         yield_stress: scalar  # Yield stress [Pa].
         regularisation: scalar  # Regularisation time beta of the law [s].
-        volume: scalar  # Volume of the mean particle, per metre of depth or per radian in two dimensions.
+        volume: scalar  # Mean volume of a particle, per metre of depth or per radian in two dimensions.
         inflow: t.vec  # Velocity of particles that re-enter the grid after they have left it [m/s].
         resistance: wp.float64  # Derivative of the wall force per volume with respect to the mean velocity [kg/m3/s].
 
@@ -137,7 +138,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
     class Fields:
         solid: wp.array(dtype=wp.int32)  # Number of the wall that fills each cell, or OPEN, shape (slots,).
         liquid: wp.array(dtype=wp.int32)  # 1 for cells with concrete that can flow, else 0, shape (slots,).
-        particle_density: wp.array(dtype=scalar)  # Particle density at a cell's centre, 1 if full, shape (slots,).
+        particle_density: wp.array(dtype=scalar)  # Density of particles at a cell's centre, 1 if full, shape (slots,).
         fill: wp.array(dtype=scalar)  # Fraction of a cell's open volume that concrete fills, shape (slots,).
         count: wp.array(dtype=wp.int32)  # Number of particles in each cell, shape (slots,).
         begin: wp.array(dtype=wp.int32)  # Index of each cell's first particle in `sorted_particles`, shape (slots,).
@@ -160,7 +161,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         wall_stiffness: wp.array(dtype=scalar)
         # Wall force in a cut cell at the known velocity, in the layout of `wall_stiffness`.
         wall_force: wp.array(dtype=scalar)
-        # Weight of the next face in the velocity at the wall, in the layout of `wall_stiffness`.
+        # Weight of the next face when the velocity at the wall is interpolated, in the layout of `wall_stiffness`.
         wall_weight: wp.array(dtype=scalar)
         shift: wp.array(dtype=scalar)  # Velocity that moves particles out of crowded regions [m/s], one per face.
         pressure: wp.array(dtype=scalar)  # Pressure in each cell [Pa], shape (slots,).
@@ -174,9 +175,9 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         strain_without_pair: wp.array(dtype=scalar)
         gained: wp.array(dtype=scalar)  # Yield stress gained at rest in each cell [Pa], shape (slots,), or empty.
         layer: wp.array(dtype=scalar)  # Yield stress that the slip layer gained at rest [Pa], one per face, or empty.
-        # Driving force of a pipe, in the slots FORCE to VELOCITY_CORRECTION, shape (DRIVE,).
+        # Driving force of a periodic pipe, with the indices FORCE to VELOCITY_CORRECTION, shape (DRIVE,).
         drive: wp.array(dtype=wp.float64)
-        clock: wp.array(dtype=wp.float64)  # Time and step control in the slots DT to LAST, shape (CLOCK,).
+        clock: wp.array(dtype=wp.float64)  # Time and step control, with the indices DT to LAST, shape (CLOCK,).
 
     @wp.struct
     class Geometry:
@@ -184,21 +185,22 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # quarters of the cell along each axis. Shape (slots * 2^axes,), in which the first axis varies fastest.
         depth: wp.array(dtype=scalar)
         room: wp.array(dtype=scalar)  # Fraction of each cell's volume that is free of wall, shape (slots,).
-        # Fraction of each quarter of a cell that is free of wall. Each pair of axes divides a cell into four quarters.
-        # Shape (slots * pairs * 4,), in which the pair's first axis varies fastest.
+        # Fraction of each quarter of a cell that is free of wall. For each pair of axes, a cell is halved along both
+        # axes, which gives four quarters. Shape (slots * pairs * 4,); the pair's first axis varies fastest.
         quarter_fraction: wp.array(dtype=scalar)
         # Open volume around a cell's centre, weighted by the same function of distance as particles, shape (slots,).
         weighted_volume: wp.array(dtype=scalar)
         opens: wp.array(dtype=scalar)  # Time at which the gate in a cell opens [s], shape (slots,); empty without gate.
         inlet: wp.array(dtype=t.vec)  # Positions where particles re-enter the grid [m]; may be empty.
-        gap: wp.array(dtype=scalar)  # Distance of each face's centre from the nearest wall [m], shape (axes * slots,).
+        # Distance of each face's centre from the nearest wall, negative inside a wall [m], shape (axes * slots,).
+        gap: wp.array(dtype=scalar)
         part: wp.array(dtype=scalar)  # Fraction of each face's area free of wall, shape (axes * slots,).
         shut: wp.array(dtype=wp.int32)  # Kind of each face that is closed, FIXED or INSIDE, shape (axes * slots,).
         surface: wp.array(dtype=wp.int32)  # Number of the wall nearest to each face, shape (axes * slots,).
 
     @wp.struct
     class Walls:
-        velocity: wp.array(dtype=t.vec)  # Velocity of each wall [m/s], indexed by its number; row 0 is unused.
+        velocity: wp.array(dtype=t.vec)  # Velocity of each wall [m/s], indexed by its number; index 0 is unused.
         spin: wp.array(dtype=vec3)  # Angular velocity of each wall about `pivot` [rad/s]; in plane flow about y.
         pivot: wp.array(dtype=t.vec)  # Point about which each wall rotates [m].
         slip_viscosity: wp.array(dtype=scalar)  # Viscous constant of a wall's slip layer [Pa s/m]; < 0 if frictionless.
@@ -219,7 +221,7 @@ def place_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def at(g: Grid, c: whole) -> wp.int32:
-        """Return the number of the cell with the indices `c`; the cell's edge and first face have the same number."""
+        """Return the number of the cell with the indices `c`, by which its faces and edges are numbered as well."""
         k = c[last]
         if wp.static(of.periodic):
             k = (k + g.n[last]) % g.n[last]
@@ -241,13 +243,16 @@ def place_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def moved(c: whole, axis: wp.int32, by: wp.int32) -> whole:
-        """Return the indices `c`, moved along an axis by a number of cells."""
+        """Return the indices of the cell that lies `by` cells from the cell `c` along an axis."""
         c[axis] = c[axis] + by
         return c
 
     @wp.func
     def on_grid(g: Grid, c: whole) -> wp.bool:
-        """Return whether a face or edge with the indices `c` exists; a periodic grid lacks those at its upper end."""
+        """Return whether a face or edge with the indices `c` exists.
+
+        A periodic grid has none at its upper end, because the upper end is the lower end again.
+        """
         found = c[last] >= 0 and c[last] <= g.n[last] - wp.static(1 if of.periodic else 0)
         for b in range(last):
             if c[b] < 0 or c[b] > g.n[b]:
@@ -256,7 +261,7 @@ def place_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def reached(g: Grid, c: whole) -> wp.bool:
-        """Return whether a face or edge with the indices `c` exists; a periodic grid counts as endless."""
+        """Return whether a face or edge with the indices `c` exists if a periodic grid is continued endlessly."""
         found = wp.bool(True)
         for b in range(wp.static(last if of.periodic else dims)):
             if c[b] < 0 or c[b] > g.n[b]:
@@ -296,7 +301,7 @@ def place_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def block(g: Grid) -> scalar:
-        """Return the product of a cell's widths, which times `cell_weight` is its volume."""
+        """Return the product of a cell's widths along all axes; times `cell_weight`, it is the cell's volume."""
         if wp.static(of.dimensions == 2):
             return g.width[0] * g.width[1]
         else:
@@ -423,7 +428,7 @@ def grid_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def wall_speed(walls: Walls, wall: wp.int32, x: vec, axis: wp.int32) -> scalar:
-        """Return the velocity component of a wall at the point `x` along an axis [m/s]."""
+        """Return the component along an axis of a wall's velocity at the point `x` [m/s]."""
         d = x - walls.pivot[wall]
         w = walls.spin[wall]
         if wp.static(of.dimensions == 2):

@@ -10,16 +10,16 @@ from ..structs import mps_types
 from .cells import OPEN, GridKind, grid_functions, grid_parameters_struct, grid_structs
 
 WET = wp.constant(0.02)
-"""Fill fraction of a cell above which its concrete can flow. With a smaller value, free surfaces at rest that coincide
-with the sides of cells would not stay at rest (1 mm/s in a fluid of 10 Pa s)."""
+"""Fill fraction of a cell above which its concrete can flow. With a smaller value, a free surface at rest that
+coincides with the sides of cells would start to move (at 1 mm/s in a test with a viscosity of 10 Pa s)."""
 
 
 @functools.cache
 def level_functions(scalar, of: GridKind) -> SimpleNamespace:
-    """Build functions that convert `particle_density` at a cell's centre to the cell's fill fraction.
+    """Build functions that convert the particle density at a cell's centre to the cell's fill fraction.
 
-    `level` does so at a free surface, and `lies` for a film of concrete that lies on a wall. `film` decides between
-    them. `behind` corrects the density beside walls.
+    `level` converts it at a free surface, and `lies` for a film of concrete that lies on a wall. `film` returns which
+    of the two cases applies. `behind` corrects the particle density beside walls.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)
@@ -33,8 +33,8 @@ def level_functions(scalar, of: GridKind) -> SimpleNamespace:
     def level(particle_density: scalar) -> scalar:
         """Return the height of a flat free surface in a cell, from 0 at the bottom to 1 at the top.
 
-        `particle_density` is the value at the cell's centre; a particle's weight falls linearly with the distance from
-        it.
+        `particle_density` is the value at the cell's centre. A particle's weight falls linearly with its distance from
+        the centre, to zero at a distance of one cell.
         """
         # With a linear weight of the particles, a surface at height h < 1/2, below the centre, gives a density of
         # (h + 1/2)^2 / 2, and a surface above the centre gives 1 - (3/2 - h)^2 / 2. Solve for h.
@@ -70,10 +70,10 @@ def level_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def behind(g: Grid, mesh: Fields, c: whole, d: vec) -> scalar:
-        """Return the share of a particle's weight that would fall on neighbouring wall cells.
+        """Return the part of a particle's weight that falls on neighbouring wall cells.
 
-        This share is added to the weight in the particle's own cell. Otherwise concrete that lies on a wall would have
-        only half its weight.
+        The caller adds this part to the weight in the particle's own cell. Otherwise concrete that lies on a wall would
+        count only half. `d` is the vector from the cell's centre to the particle.
         """
         sum = scalar(0.0)
         for n in range(1, corners):

@@ -17,22 +17,23 @@ from .other_laws import flow_functions
 from .structure import with_gain_function
 
 STIFFENING = wp.constant(2.0)
-"""Factor by which a step multiplies the change of a viscosity's logarithm, for unyielded concrete in flows with a free
-surface; 1 would be the whole change."""
+"""Exponent by which the viscosity of unyielded concrete is extrapolated in flows with a free surface. If `before` is
+the previous viscosity and `now` the viscosity at the present shear rate, the step uses the viscosity
+before * (now / before)^STIFFENING. With an exponent of 1 this would be `now`."""
 
 
 @functools.cache
 def relaxed_viscosity_function(scalar, of: GridKind):
-    """Build `relaxed_viscosity`, which moves a viscosity from its previous value towards that at the present rate."""
+    """Build `relaxed_viscosity`, which changes a viscosity from its previous value to one that suits the next step."""
     Grid = grid_parameters_struct(scalar, of.dimensions)
     law = flow_functions(scalar, of)
 
     @wp.func
     def relaxed_viscosity(g: Grid, before: scalar, now: scalar, rate: scalar) -> scalar:
-        """Return a viscosity between the previous value `before` and the value `now` at the present shear rate.
+        """Return the viscosity for a step, from the previous value `before` and the value `now` at the present rate.
 
-        Normally this is the geometric mean of both. With `now` itself, a plug that ends less than a cell from the wall
-        of a pipe would oscillate.
+        Normally it is the geometric mean of both values. With `now` itself, a plug that ends less than a cell from the
+        wall of a pipe would oscillate.
 
         Flows that may have a free surface also stop and start. In such flows, concrete that yields gets the value
         `now`. In concrete below the yield stress, a step can reduce the shear rate only by the ratio of stress to yield
@@ -56,8 +57,9 @@ def relaxed_viscosity_function(scalar, of: GridKind):
 def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels `rates` and `viscosity`, which compute the apparent viscosity of cells and then of edges.
 
-    Both use the magnitude of the whole strain rate tensor. Components that are defined elsewhere on the staggered grid
-    are averaged over the four nearest places.
+    Both kernels use the magnitude of the whole strain rate tensor. On the staggered grid, shear is defined at edges and
+    stretch in cells; components that are not defined at a place are averaged over the four nearest places that have
+    them.
     """
     dims, pairs = of.dimensions, of.pairs
     Grid = grid_parameters_struct(scalar, dims)
@@ -79,9 +81,9 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def change(g: Grid, mesh: Fields, c: whole, axis: wp.int32) -> scalar:
-        """Return the change of the shear stress at a corner over one cell along an axis, in two dimensions.
+        """Return by how much the shear stress at a corner changes over one cell along an axis, in two dimensions.
 
-        The stress is smoothed across that axis, so that oscillations from cell to cell do not amplify themselves.
+        The stress is smoothed across this axis, so that oscillations from cell to cell do not amplify themselves.
         """
         sum = scalar(0.0)
         for n in range(3):
@@ -173,8 +175,8 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
 def friction_function(scalar, of: GridKind):
     """Build `wall_friction`, the friction of a wall that passes between a face and the next face along an axis.
 
-    It returns the force that slows the face, the derivative of that force with respect to the face's velocity, and the
-    matrix coefficient of the next face.
+    It returns three values: the force that slows the face, the derivative of this force with respect to the face's
+    velocity, and the coefficient of the next face in the face's row of the matrix.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)
@@ -204,7 +206,10 @@ def friction_function(scalar, of: GridKind):
 
 @functools.cache
 def store_coefficient_function(scalar, serial: bool, of: GridKind):
-    """Build `store_coefficient`, which adds a neighbour to a matrix row if it is unknown, and returns the new count."""
+    """Build `store_coefficient`, which adds the coefficient of a neighbouring face to a row of the matrix.
+
+    It does so only if the velocity of the neighbouring face is unknown, and returns the row's number of coefficients.
+    """
     Fields = grid_structs(scalar, of.dimensions).Fields
     Matrix = array_structs(scalar, 2).Matrix
     f = grid_functions(scalar, of)
@@ -226,9 +231,11 @@ def store_coefficient_function(scalar, serial: bool, of: GridKind):
 
 @functools.cache
 def momentum_kernel(scalar, serial: bool, of: GridKind):
-    """Build the kernel that computes forces on faces at the known velocities, and the matrix of the implicit solve.
+    """Build the kernel that sets up the implicit solve for the velocities of the faces, with one task per cell.
 
-    The matrix has a row for each face. The kernel runs with one task per cell.
+    The forces on each face at the known velocities are stored as the residual with which the solve starts. The matrix
+    has a row for each face. It contains the forces that act implicitly: inertia, viscosity and the friction of walls.
+    Pressure, weight and driving force act explicitly, so they are part of the residual only.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)
@@ -254,8 +261,8 @@ def momentum_kernel(scalar, serial: bool, of: GridKind):
             if within:
                 edge_rate, edge_volume = f.shear(g, mesh, geometry, c, 0)
                 if edge_volume > scalar(0.0):
-                    # Store the mean of old and new stress. It affects the viscosity of the next step only, and with
-                    # the new stress alone the flow would oscillate from step to step.
+                    # Store the mean of the edge's previous and present shear stress. It affects only the viscosity and
+                    # wall stress of the next step. With the present stress alone, the flow would oscillate.
                     mesh.stress[number] = scalar(0.5) * (mesh.stress[number] + edge_rate * mesh.in_corner[number])
         for axis in range(dims):
             r = number + axis * g.slots

@@ -32,8 +32,8 @@ from .cells import (
 COURANT = wp.constant(wp.float64(1.0))
 """Maximum number of cells that the fastest concrete crosses in a step (Courant number)."""
 LONGER, SHORTER = wp.constant(wp.float64(1.25)), wp.constant(wp.float64(0.2))
-"""Maximum ratio of two successive wanted steps. Minimum ratio of a step, shortened because of its error, to the
-previous step."""
+"""LONGER: maximum ratio of a wanted time step to the previous wanted time step. SHORTER: minimum ratio of the wanted
+time step to the step that was just completed, as far as the error limits it; the Courant number may shorten it more."""
 SAFETY = wp.constant(wp.float64(0.9))
 LEAST = wp.constant(wp.float64(1.0e-4))
 """Ratio of the shortest to the longest time step."""
@@ -54,9 +54,9 @@ class Pace:
 
 @functools.cache
 def speed_kernels(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the kernels that measure the speed of the concrete.
+    """Build the kernels that measure the root mean square speed of the concrete, and how many cells it crosses.
 
-    They are `speeds` for a CPU, and `sums` followed by `speeds_of_sums` for a GPU.
+    A CPU runs the kernel `speeds`, a GPU the kernel `sums` followed by `speeds_of_sums`.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)
@@ -139,9 +139,9 @@ def clock_kernels(scalar, of: GridKind) -> SimpleNamespace:
         pace: Pace, clock: wp.array(dtype=wp.float64), viscous: wp.array(dtype=wp.float64),
         pressure: wp.array(dtype=wp.float64), crowding: wp.array(dtype=wp.float64),
     ):  # fmt: skip
-        """Set the next time step, and the residual norms at which the solves stop, which depend on the step.
+        """Set the next time step, and the residual norms at which the solves stop, which depend on the time step.
 
-        If less than four wanted steps are left before the end time, the time left is divided into equal steps.
+        If the time left before the end time is shorter than four wanted time steps, it is divided into equal steps.
         """
         left = clock[UNTIL] - clock[NOW]
         dt = clock[WANTED]
@@ -154,10 +154,10 @@ def clock_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def wanted(pace: Pace, clock: wp.array(dtype=wp.float64), first: wp.bool) -> wp.float64:
-        """Return the wanted length of the next step [s], from the error and the speed of this step."""
+        """Return the wanted length of the next step [s], from the error and the speed of the completed step."""
         dt = clock[DT]
-        # The growth is limited relative to the wanted step, because this step may have been shortened to end at a
-        # given time.
+        # The growth is limited relative to the previous wanted step, because the step actually made may have been
+        # shortened to end at a given time.
         longest = LONGER * clock[WANTED]
         longer = longest
         if not first:

@@ -23,14 +23,14 @@ from .cells import (
 )
 
 CORRECTED = 0.1
-"""Share of a cell's excess or lack of particles that one step corrects."""
+"""Fraction of a cell's excess or lack of particles that one step corrects."""
 
 
 @functools.cache
 def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
-    """Build the kernels `divergence` and `project`, which run before and after the pressure solve.
+    """Build the kernels `divergence`, which sets up the pressure solve, and `project`, which applies its solution.
 
-    Both run with one task per cell.
+    Both kernels run with one task per cell.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)
@@ -114,9 +114,9 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
     """Build the kernels `source` and `disperse`, which correct the density of particles.
 
     Particles slowly accumulate in some places and become sparse in others, because divergence-free velocities in the
-    cells do not prevent it. A share of the excess or lack is corrected by a displacement that does not change
-    velocities. It follows from a solve with the matrix of the pressure. `source` runs before the solve, `disperse`
-    after it. Each kernel has one task per cell.
+    cells do not prevent it. In each step a fraction of the excess or lack is corrected by displacements that do not
+    change velocities. The displacements follow from a solve with the matrix of the pressure. `source` sets up this
+    solve, and `disperse` applies its solution. Each kernel runs with one task per cell.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)
@@ -128,9 +128,9 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def missing(g: Grid, mesh: Fields, c: whole) -> scalar:
-        """Return by how much a cell's particle density is below 1 because the cells around it are not full.
+        """Return by how much a cell's particle density is below 1 because the cell and those around it are not full.
 
-        Concrete in the surrounding cells is assumed to be spread evenly.
+        Concrete is assumed to be spread evenly within each cell.
         """
         sum = scalar(0.0)
         for n in range(wp.static(3**dims)):
@@ -141,7 +141,8 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
                 by = rest % 3 - 1
                 rest = rest / 3
                 o[b] = c[b] + by
-                # The linear weight of particles has 3/4 of its integral in the cell, 1/8 in each neighbour on an axis.
+                # Along each axis, the linear weight of particles has 3/4 of its integral in the cell itself and 1/8 in
+                # each of the two neighbouring cells.
                 part *= wp.where(by == 0, scalar(0.75), scalar(0.125))
             near = f.at(g, o)
             if mesh.solid[near] == OPEN:
@@ -160,8 +161,8 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
         if mesh.liquid[number] != 0:
             excess = mesh.particle_density[number] - scalar(1.0)
             if excess < scalar(0.0):
-                # Near a free surface a lack of particles is normal. Only the part that exceeds the lack due to partly
-                # filled cells is corrected.
+                # Near a free surface a lack of particles is normal, because some cells are partly filled. Only a lack
+                # that exceeds this normal lack is corrected.
                 excess = wp.where(mesh.fill[number] < scalar(1.0), scalar(0.0), excess + missing(g, mesh, c))
                 excess = wp.min(excess, scalar(0.0))
             excess = wp.clamp(excess, scalar(-0.1), scalar(0.1))
@@ -193,8 +194,8 @@ def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
     """Build the kernels that keep the mean velocity along a periodic pipe constant.
 
     `deficit` (on a GPU `sums` and `deficit_of_sums`) computes the difference between the wanted and the present mean
-    velocity. `correct` adds this difference to all faces, which is equivalent to a uniform force. The next step starts
-    with a driving force increased by this force and by the resulting increase of wall friction.
+    velocity. `correct` adds this difference to the velocity of all faces, which is equivalent to a uniform force. For
+    the next step, the driving force is increased by this force and by the resulting increase of wall friction.
     """
     Grid = grid_parameters_struct(scalar, dimensions)
     Fields = grid_structs(scalar, dimensions).Fields

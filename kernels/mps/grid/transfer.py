@@ -31,15 +31,12 @@ CLEAR = wp.constant(0.02)
 """Minimum distance of particles from a wall, divided by the width of a cell."""
 
 LIGHT = wp.constant(0.1)
-"""Inertia of a ghost face inside a wall, relative to the inertia of a face that lies wholly in concrete."""
+"""Inertia of a ghost face (an unknown velocity inside a wall), relative to that of a face wholly in concrete."""
 
 
 @functools.cache
 def gather_kernel(scalar, of: GridKind):
-    """Build the kernel that determines kind and volume of each face and the velocity that particles bring to it.
-
-    It runs with one task per cell.
-    """
+    """Build the kernel that determines the kind and volume of each face, and its velocity from nearby particles."""
     dims, last = of.dimensions, of.dimensions - 1
     t = mps_types(scalar, dims)
     whole = t.whole
@@ -65,7 +62,10 @@ def gather_kernel(scalar, of: GridKind):
 
     @wp.func
     def needed(g: Grid, mesh: Fields, geometry: Geometry, c: whole, axis: wp.int32) -> wp.bool:
-        """Return whether there is concrete in a cell on either side of a face, or at one of its edges."""
+        """Return whether the concrete's shear or stretch depends on the velocity of a face inside a wall.
+
+        This holds if concrete is on either side of the face or at one of its edges, and the wall has friction.
+        """
         low = f.at(g, f.moved(c, axis, -1))
         if mesh.solid[f.at(g, c)] == SMOOTH or mesh.solid[low] == SMOOTH:
             return False
@@ -80,7 +80,7 @@ def gather_kernel(scalar, of: GridKind):
 
     @wp.func
     def from_particles(g: Grid, particles: Particles, mesh: Fields, c: whole, axis: wp.int32, before: scalar) -> scalar:
-        """Return the velocity that the particles around a face bring to it, or `before` if there are none."""
+        """Return the weighted mean velocity of the particles around a face, or `before` if there are none."""
         place = f.face_middle(g, c, axis)
         total = scalar(0.0)
         sum = scalar(0.0)
@@ -161,9 +161,9 @@ def gather_kernel(scalar, of: GridKind):
 def extend_kernel(scalar, of: GridKind):
     """Build the kernel that extends velocities to faces in the air and inside walls, from the faces beside them.
 
-    Particles near a free surface or a wall interpolate between these faces. Behind a pipe's wall the velocity is
-    continued linearly through its value at the wall. In cut cells, ghost faces have velocities of their own. The kernel
-    runs with one task per cell and extends the velocities by one cell per launch.
+    The velocities of particles near a free surface or a wall are interpolated from these faces. Behind a pipe's wall
+    the velocity is continued linearly through its value at the wall. In cut cells, ghost faces have velocities of their
+    own. The kernel runs with one task per cell and extends the velocities by one cell per launch.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)
@@ -202,7 +202,8 @@ def extend_kernel(scalar, of: GridKind):
                                 count += scalar(1.0)
                         elif mesh.kind[o] == LIQUID:
                             beside = mesh.velocity[o]
-                            # A face at the lower end of the frame has no cell before it, so it is not inside a wall.
+                            # A face at the lower end of the frame has a cell on one side only, so it does not count as
+                            # a face inside a wall.
                             if mesh.kind[r] == INSIDE and c[axis] >= 0 and along != axis and wp.static(not of.cut):
                                 beside = scalar(2.0) * mesh.slip[o] - beside
                             sum += beside
@@ -213,7 +214,7 @@ def extend_kernel(scalar, of: GridKind):
             after[r] = value
             known_after[r] = good
             if final != 0 and good != 0 and mesh.kind[r] == AIR:
-                mesh.velocity[r] = value  # Concrete can reach a face before its particles bring a velocity to the face.
+                mesh.velocity[r] = value  # Concrete may reach this face before any particle is near enough to set it.
 
     return extend
 
@@ -222,7 +223,7 @@ def extend_kernel(scalar, of: GridKind):
 def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
     """Build functions that interpolate fields of the grid linearly at a position.
 
-    `carry` interpolates velocities, and `clearance` interpolates the distance from the nearest wall.
+    `carry` interpolates the velocity, and `clearance` interpolates the distance from the nearest wall.
     """
     dims, last = of.dimensions, of.dimensions - 1
     t = mps_types(scalar, dims)
@@ -389,7 +390,7 @@ def advect_kernel(scalar, of: GridKind):
                 there = here
         after = x + dt * (there - moving)
         if wp.static(not of.periodic):
-            after -= scalar(0.5) * dt * (here - before)  # Move with the mean of the old and the new velocity.
+            after -= scalar(0.5) * dt * (here - before)  # Move with the mean of the previous and the new velocity.
             aside, _bent, _known = carry(g, mesh.shift, good, x)
             after += dt * aside
         if wp.static(of.periodic):

@@ -27,7 +27,10 @@ STICKY = wp.constant(20.0)
 
 @functools.cache
 def side_kernel(scalar, of: GridKind):
-    """Build the kernel that computes the stress of a pipe's walls (sides of cells) on the faces along them."""
+    """Build the kernel that computes the shear stress of a pipe's walls on the faces beside and parallel to them.
+
+    The walls of a pipe coincide with sides of cells. The kernel runs with one task per cell.
+    """
     Grid = grid_parameters_struct(scalar, 2)
     structs = grid_structs(scalar, 2)
     Fields, Walls = structs.Fields, structs.Walls
@@ -103,7 +106,8 @@ def side_kernel(scalar, of: GridKind):
 def wall_kernel(scalar, of: GridKind):
     """Build the kernel that computes the friction of walls which pass through cells (cut cells).
 
-    The friction acts on the velocity at the wall, interpolated between a face outside the wall and one inside it.
+    The friction acts on the velocity at the wall, which is interpolated between a face in the concrete and the next
+    face inside the wall. The kernel runs with one task per cell.
     """
     dims, last = of.dimensions, of.dimensions - 1
     Grid = grid_parameters_struct(scalar, dims)
@@ -115,7 +119,7 @@ def wall_kernel(scalar, of: GridKind):
 
     @wp.func
     def aside(g: Grid, mesh: Fields, c: whole, axis: wp.int32, other: wp.int32) -> scalar:
-        """Return the velocity along another axis at a face's centre, the mean of the surrounding faces in concrete."""
+        """Return the velocity along another axis at a face's centre, a mean over nearby faces in concrete."""
         sum = scalar(0.0)
         count = scalar(0.0)
         for n in range(4):
@@ -129,7 +133,10 @@ def wall_kernel(scalar, of: GridKind):
 
     @wp.func
     def weight(g: Grid, c: whole, axis: wp.int32, b: wp.int32) -> scalar:
-        """Return the radius of the point between a face and the next face [m], or 1 without an axis of symmetry."""
+        """Return the radius of the point halfway between a face and the next face along axis `b` [m].
+
+        The result is 1 if there is no axis of symmetry.
+        """
         if axis == b:
             return f.cell_weight(g, c)
         if axis == 0:
@@ -173,7 +180,8 @@ def wall_kernel(scalar, of: GridKind):
                             low = f.at(g, f.moved(out, axis, -1))
                             wall = geometry.surface[own + axis * g.slots]
                             if walls.slip_viscosity[wall] >= scalar(0.0):
-                                # This is the component of the wall's unit normal along axis b.
+                                # The slope of the distance from the wall is the component of the wall's unit normal
+                                # along axis b.
                                 share = wp.min(wp.abs(near - far) / g.width[b], scalar(1.0))
                                 area = share * weight(g, c, axis, b) * f.block(g) / g.width[b]
                                 area *= scalar(0.5) * (mesh.fill[own] + mesh.fill[low])
@@ -198,9 +206,9 @@ def wall_kernel(scalar, of: GridKind):
                                         speed, scalar(SLOW),
                                     )  # fmt: skip
                                 if hold > stiff:
-                                    # The concrete sticks, and the layer has the limited stiffness of a film of finite
-                                    # thickness. Half of this thickness is subtracted from the distance over which the
-                                    # concrete is sheared: the velocity is taken that far inside the concrete.
+                                    # Concrete sticks to this wall. The stiffness of the slip layer is limited to that
+                                    # of a film with a thickness of 1 / STICKY of a cell. To compensate for this film,
+                                    # friction acts on the velocity half its thickness inside the concrete.
                                     hold = stiff
                                     spring = scalar(0.5) * g.width[b] / scalar(STICKY)
                                     spring = wp.min(spring, scalar(0.5) * wp.max(near, far))

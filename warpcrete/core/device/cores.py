@@ -1,8 +1,8 @@
 """Detection of core contention: threads that wait for one another lose time if other processes use their cores.
 
 Threads of a run meet at barriers many times per step. If another process occupies the core of one thread, that thread
-arrives late by a time slice of the scheduler (milliseconds), and all other threads wait for it. One thread that
-computes all chunks in turn is then faster and gives the same results. If there are as many threads as cores, each
+arrives late by a time slice of the scheduler (milliseconds), and all other threads wait for it. A single thread that
+does the work of all threads is then faster and gives the same results. If there are as many threads as cores, each
 thread is pinned to a core of its own.
 """
 
@@ -35,8 +35,8 @@ def thread_pinner(threads: int) -> Callable[[], None]:
 
     def pin_to_core() -> None:
         if len(cores) == threads:
-            with contextlib.suppress(OSError):  # The process may have lost this core in the meantime.
-                os.sched_setaffinity(0, {next(places)})  # The thread number 0 stands for the calling thread.
+            with contextlib.suppress(OSError):  # The system may have withdrawn this core from the process.
+                os.sched_setaffinity(0, {next(places)})  # For `sched_setaffinity`, 0 is the calling thread.
 
     return pin_to_core
 
@@ -74,7 +74,7 @@ class CoreContention:
 
     @property
     def is_uncertain(self) -> bool:
-        """True if it is not known yet that the threads have enough cores; the caller should then take few steps."""
+        """True if it is not known yet whether the threads have enough cores; the caller should then check often."""
         return not self.contended and not self._cores_suffice
 
     def use_one_thread(self) -> bool:

@@ -128,7 +128,8 @@ class Exchange:
         self._pending_arrays = arrays
         if self.device.is_cuda:
             before = self._last_write
-            # Keep a reference to this memory: the cache may drop it when it needs room for another set of arrays.
+            # Keep a reference to the page-locked memory of this read, because the cache may drop this memory when it
+            # needs room for another set of arrays.
             self._pending_buffers = self._buffers("asked", arrays)
             self._pending_buffers.gather(arrays)
             self._read_event = self.device.stream.record_event(self._read_event)
@@ -160,7 +161,8 @@ class Exchange:
             return
         arrays = [array for array, _ in pairs]
         buffers = self._buffers("written", arrays)
-        if buffers.last_write > self._last_completed_write:  # A copy from this memory may still be in flight.
+        # Before the page-locked memory is reused, wait until its last copy to the device is complete.
+        if buffers.last_write > self._last_completed_write:
             self._wait()
         for view, (_, values) in zip(buffers.views, pairs):
             view[...] = values

@@ -27,7 +27,7 @@ def arrays_of(name: str, root: Any) -> Iterator[tuple[str, wp.array]]:
                 waiting.append((path, whole))
             elif value.ptr and getattr(value, "deleter", None) is not None:
                 yield path, value
-        elif isinstance(value, wp.Mesh):  # Warp hides the search tree of a mesh, so count its arrays only.
+        elif isinstance(value, wp.Mesh):  # Warp hides a mesh's search tree: count points and indices only.
             waiting += [(path, value.points), (path, value.indices)]
         elif isinstance(value, Mapping):
             waiting += [(f"{path}.{key}", each) for key, each in value.items()]
@@ -38,7 +38,7 @@ def arrays_of(name: str, root: Any) -> Iterator[tuple[str, wp.array]]:
 
 
 def footprint(**roots: Any) -> dict[str, int]:
-    """Return the device memory that each object holds [B]; shared memory counts for the first object."""
+    """Return the device memory of each object [B]; an array that several objects use counts for the first one only."""
     sizes: dict[str, int] = dict.fromkeys(roots, 0)
     counted: set[int] = set()
     for name, root in roots.items():

@@ -91,8 +91,8 @@ class Zero:
 class GraphLaunch:
     """Several stages that run with a single launch.
 
-    On a GPU they are captured as a graph, because the launch of a short kernel takes longer than the kernel itself. Any
-    object that can be recorded and called like a stage may be among them.
+    On a GPU they are captured as a graph, because the launch of a short kernel takes longer than the kernel itself.
+    `stages` may contain any object that can be recorded and called like a :class:`.Stage`.
     """
 
     def __init__(self, stages: Sequence[Any], device: Any) -> None:

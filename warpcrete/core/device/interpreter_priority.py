@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 LONGEST_YIELD = 5e-3
-"""Longest time for which a recorder waits for the run at a time [s]; a busy run must not block the recorder."""
+"""Longest time of a single wait of a recorder for the run [s], so that a busy run cannot block the recorder."""
 
 _run_waits = threading.Event()
 _count_lock, _waiting_runs = threading.Lock(), 0

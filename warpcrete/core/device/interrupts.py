@@ -1,4 +1,4 @@
-"""Handling of Ctrl-C and SIGTERM: deferred until a piece of work is complete, or used to end runs at a sample."""
+"""Handling of Ctrl-C and SIGTERM: deferred until a block of code has ended, or used to end runs in an orderly way."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def defer_interrupts() -> Iterator[None]:
 
 
 class StopAtSample:
-    """Context in which a first Ctrl-C ends all `simulations` at their next sample, and a second Ctrl-C at once.
+    """Context in which a first Ctrl-C ends all `simulations` when they next record a sample, and a second one at once.
 
     Ctrl-C has no effect while all simulations are writing their results. Outside the main thread, this context does
     nothing.

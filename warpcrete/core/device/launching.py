@@ -1,4 +1,4 @@
-"""Kernel launches: recorded once, then replayed in graphs of several steps; on a CPU, one thread replays each chunk.
+"""Kernel launches: recorded once, then replayed in graphs of several steps; each CPU thread replays its own graphs.
 
 Arguments are bound to a kernel's parameters by name, never by position.
 """
@@ -88,8 +88,8 @@ class Stage:
 
     On a GPU, stages with `on_side_stream` run on a side stream, at the same time as the stages that follow, until a
     stage with `joins_side_stream` waits for them. All `on_side_stream` stages of a step run one after the other. A
-    stage with `every` = n runs once in n steps: before the first of every n steps of a graph, or after some of the
-    graphs if a graph has fewer than n / 2 steps (see :class:`Launcher`).
+    stage with `every` = n runs once in n steps: in the first of every n steps of a graph. If a graph has fewer than
+    n / 2 steps, the :class:`Launcher` runs this stage between graphs instead.
     """
 
     def __init__(
@@ -140,7 +140,8 @@ _compile_callback: ContextVar[Callable[[str, float], None] | None] = ContextVar(
 def report_compiling(tell: Callable[[str, float], None]) -> Iterator[None]:
     """Report the progress of compiling while the block runs.
 
-    The function `tell` is called with "compiling" and the fraction done, if compiling takes a while.
+    The function `tell` is called with "compiling" and the fraction done, if compiling takes longer than
+    `COMPILE_PROGRESS_DELAY`.
     """
     token = _compile_callback.set(tell)
     try:
@@ -235,7 +236,7 @@ class Launcher:
         self.threads, self.device = threads, device
         self._graphs: dict[tuple[int, bool, GraphLaunch | None], list[Any]] = {}
         self._periodic_launch: Callable[[], None] | None = None
-        # number of steps since the last run of the stages that do not run in every step
+        # `_steps_without_periodic` is the number of steps since the stages with `every` > 1 ran last.
         self._steps_without_periodic = 0
         self.gate = wp.zeros(GATE, dtype=wp.int32, device=device)
         """Counters of the barrier at which the threads wait for one another, shape (GATE,)."""
@@ -251,7 +252,7 @@ class Launcher:
         return [Stage(barrier, 1, {"gate": self.gate, "parties": self.threads}, self.device)]
 
     def invalidate_graphs(self) -> None:
-        """Discard all graphs, because arrays or chunks that they contain have changed."""
+        """Discard all graphs, because their arrays or the division of the work among the threads have changed."""
         self._graphs.clear()
         self._periodic_launch = None
 
@@ -265,9 +266,9 @@ class Launcher:
     ) -> None:
         """Replay one graph for each entry of `sizes`, which is the number of steps in the graph.
 
-        `step` has the stages of each thread. `single_thread_step` returns the same step for one thread that does all
-        the work, and the stages of `appended` become the end of each graph on a GPU. On a CPU, `ended` is called after
-        each graph; if it returns True, the remaining steps would do nothing and are left out.
+        `step` contains the stages of each thread. `single_thread_step` returns the same step for one thread that does
+        all the work. The stages of `appended`, which only a GPU uses, are added at the end of each graph. On a CPU,
+        `ended` is called after each graph; if it returns True, the remaining steps would do nothing and are left out.
         """
         left = list(sizes)
         while left:
@@ -330,7 +331,7 @@ class Launcher:
             for call in calls:
                 call()
             return
-        if len(calls) == 1:  # Use the calling thread, because it is not pinned to a core.
+        if len(calls) == 1:  # Run a single call in the calling thread, because this thread is not pinned to a core.
             with defer_interrupts():
                 calls[0]()
             return

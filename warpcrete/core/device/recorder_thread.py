@@ -40,7 +40,7 @@ class RecorderThread:
         return cls(parallel(simulation.device) or spare, simulation.device.is_cuda)
 
     def submit(self, job: Callable[[], None]) -> None:
-        """Run a job, or append it to the queue."""
+        """Append a job to the queue of the recorder thread; if there is no such thread, run the job at once."""
         self._raise_error()
         if not self.in_thread:
             job()

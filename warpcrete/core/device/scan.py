@@ -1,4 +1,4 @@
-"""Exclusive prefix sums on a device, which give the start of each row from the lengths of all rows.
+"""Exclusive prefix sums on a device, which turn the lengths of a table's rows into the start of each row.
 
 The sums use kernels of this package, so that any graph can contain them.
 """

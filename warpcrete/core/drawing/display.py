@@ -175,13 +175,13 @@ class Display(ABC):
         if self._current_snapshot is None:
             return work()
         results = self._current_snapshot.derived
-        if name not in results:  # Two threads may both compute the value; their results are equal.
+        if name not in results:  # No lock is needed: two threads would compute equal results.
             results[name] = work()
         return results[name]
 
     @property
     def time(self) -> float:
-        """Simulated time that is drawn [s]."""
+        """Simulated time of the state that is drawn [s]."""
         return self.simulation.stepper.time if self._current_snapshot is None else self._current_snapshot.time
 
     def draw(self, later: RecorderThread, job: Callable[[float, int], None]) -> None:

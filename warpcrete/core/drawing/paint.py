@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 COLOUR_STEPS, STEPS_PER_DECADE = 2048, 128
-"""Number of steps into which painted values are rounded: in total, and from a value to ten times that value."""
+"""Number of discrete values to which painted quantities are rounded, on a logarithmic scale: in total and per decade.
+"""
 SMALLEST_VALUE = 1e-6
 """Smallest painted value, in the displayed unit; smaller values are shown as zero."""
 COLOURS = 256
@@ -63,16 +64,16 @@ class Paint:
         return self.label.rpartition("[")[2].rstrip("]")
 
     def colours(self) -> np.ndarray:
-        """Return the RGB bytes of all steps, shape (STEPS, 3)."""
+        """Return the RGB bytes of all discrete values that a recording can store, shape (COLOUR_STEPS, 3)."""
         values = SMALLEST_VALUE * 10 ** (np.arange(COLOUR_STEPS) / STEPS_PER_DECADE)
         values[0] = 0.0
         return palette_colours(values, self.upper if self.upper > 0 else np.inf, name=self.palette)
 
     def steps(self, values: np.ndarray) -> np.ndarray:
-        """Return the nearest step of each value in the displayed unit, with the shape of `values`.
+        """Return the index of the discrete value nearest to each value, with the shape of `values`.
 
-        All values that have the scale's first colour get the same step. The viewer interpolates steps between
-        vertices, so distant steps at two vertices would show other colours between these vertices.
+        `values` are in the displayed unit. All values that have the scale's first colour get the same index. The viewer
+        interpolates indices between vertices, so very different indices of neighbours would give wrong colours between.
         """
         least = max(SMALLEST_VALUE, self.upper / COLOURS)
         place = STEPS_PER_DECADE * np.log10(np.maximum(values, least) / SMALLEST_VALUE)

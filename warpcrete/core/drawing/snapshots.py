@@ -41,7 +41,7 @@ class PinnedPool:
         self._arrival_flag: wp.array | None = None
 
     def arrival_flag(self, device: Any) -> wp.array:
-        """Return an array on a device, shape (1,), that holds 1; a copy of it is a flag of arrival."""
+        """Return a device array, shape (1,), with the value 1; its copy, made last, shows that all copies arrived."""
         if self._arrival_flag is None:
             self._arrival_flag = wp.ones(1, dtype=wp.int32, device=device)
         return self._arrival_flag
@@ -56,7 +56,8 @@ class PinnedPool:
             if names in self._free:
                 self._outdated_queues.append(self._free[names][1])
             self._free[names] = where, deque()
-        for queue in self._outdated_queues:  # Free memory here: a recorder's thread must not call the driver.
+        # Free outdated memory here, in the run's thread, because a recorder's thread must not call the CUDA driver.
+        for queue in self._outdated_queues:
             queue.clear()
         free = self._free[names][1]
         # No lock is needed: several threads return memory to this queue, but only one thread takes memory from it.
@@ -80,7 +81,7 @@ class PendingCopies:
         self._buffers.gather([*sources_and_flag.values()])
 
     def __del__(self) -> None:
-        # The memory must not be reused while the device may still write to it.
+        # The page-locked memory must not be reused while the device may still write to it.
         if hasattr(self, "_views") and self._views[""][0] == 1:
             self._return_queue.append(self._buffers)
 
@@ -112,7 +113,7 @@ class Snapshot:
     """Results computed from the values, by name, shared by all displays of this snapshot."""
 
     def read(self, name: str) -> Any:
-        """Return the value with a name, after its copy has arrived."""
+        """Return the value stored under `name`; if it is a copy in flight, wait until the copy has arrived."""
         found = self.found[name]
         return found[name] if isinstance(found, PendingCopies) else found
 

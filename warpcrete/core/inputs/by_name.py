@@ -125,7 +125,7 @@ class ByName(CompositeRule):
         return short.get(kind, f"{kind.__module__}:{kind.__qualname__}")
 
     def class_of(self, field: Field, value: Any) -> type | None:
-        """Return the class of which a value of `field` is the name or an instance; return None for the value None.
+        """Return the class that `value` names, or the class of the object `value`; return None for the value None.
 
         Raises :class:`SceneError` if the name leads to no class of the kind that `field` requires.
         """

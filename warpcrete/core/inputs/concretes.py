@@ -1,4 +1,4 @@
-"""Concretes by name or from a file, with the parameters that each simulation method takes from them.
+"""Concretes by name or from a file, with the parameters that they define for each simulation method.
 
 A file is YAML or JSON with up to two sections of parameters, both in SI units:
 
@@ -6,7 +6,7 @@ A file is YAML or JSON with up to two sections of parameters, both in SI units:
   contacts and bonds;
 - `flow`: the five constants of a Bingham fluid with a slip layer, and those of other flow laws, if any.
 
-A section `mix` may take the place of both; it describes the concrete by amounts with units, from which
+A section `mix` may replace both sections. It describes the concrete by amounts with units, from which
 :mod:`warpcrete.mix` derives the parameters.
 
 The key `base` names another concrete, whose sections the values in this file complete or replace. The keys `source` and
@@ -111,7 +111,7 @@ def _read(path: Path, depth: int) -> NamedConcrete:
     mix = MixSection(given["mix"], path.parent, **sections) if "mix" in given else None
     if "base" in texts:
         base = _base(texts.pop("base"), path, depth)
-        # Values in this file take precedence over values that follow from the mix of its base.
+        # Values in a concrete's file take precedence over values that follow from the mix of the base concrete.
         if mix is None and base.mix is not None:
             mix = replace(base.mix, **{section: {**getattr(base.mix, section), **sections[section]}
                                        for section in SECTIONS})  # fmt: skip

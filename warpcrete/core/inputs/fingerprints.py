@@ -32,7 +32,7 @@ def _feed(digest: Any, value: Any) -> None:
     elif isinstance(value, np.ndarray):
         digest.update(f"{value.dtype}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
     elif isinstance(value, Mapping):
-        for key, item in value.items():  # Keep the order of entries, because the order numbers the kinds of bonds.
+        for key, item in value.items():  # Keep the order: kinds of bonds are numbered by it.
             _feed(digest, key)
             _feed(digest, item)
     elif isinstance(value, list | tuple):

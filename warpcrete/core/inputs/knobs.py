@@ -9,7 +9,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Level:
-    """One setting of a knob."""
+    """One setting of a knob, which is a parameter that trades accuracy for computing time."""
 
     label: str
     """Name of the level in tables, such as "10 mm"."""

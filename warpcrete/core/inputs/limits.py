@@ -145,7 +145,7 @@ def warn(text: str) -> None:
 
 
 def _meant(value: float, unit: str, limit: Limit) -> str:
-    """Return another unit in which a number would be usual, as a question; empty if there is none."""
+    """Return a question such as "125 mm?", with a unit in which the number would be usual; empty if there is none."""
     low, high = limit.usual or (limit.low, limit.high)
     if limit.usual is None and limit_of("", unit) is limit:
         return ""  # Limits that belong to a unit are too wide to suggest another unit.

@@ -379,11 +379,11 @@ class SceneFunction(Generic[P, S]):
         return {name: value for name, value in scene.parameters.items() if name in names or name not in declared}
 
     def declared(self, given: Mapping[str, Any]) -> Any:
-        """Return the dataclass of parameters: the given values, values that follow from these, and defaults."""
+        """Return the parameters as an instance of their dataclass: given values, values implied by them, defaults."""
         return self.parameters(**self.with_objects(self.completed(given)))
 
     def completed(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return parameters by their own names, together with parameters that follow from the given ones.
+        """Return parameters by name, with aliases replaced, together with parameters that follow from the given ones.
 
         For example, the name of a concrete implies its parameters. Implied parameters that have no effect are left out.
         """
@@ -395,7 +395,7 @@ class SceneFunction(Generic[P, S]):
         return values | {name: value for name, value in implied.items() if name in meant}
 
     def effective_values(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the given parameters by their own names, without those that have no effect."""
+        """Return the given parameters by name, with aliases replaced, without parameters that have no effect."""
         values = self.resolved(given)
         meant = self._effective({**self.parameters.implied(values), **values})
         return {name: value for name, value in values.items() if name in meant}
@@ -417,7 +417,8 @@ class SceneFunction(Generic[P, S]):
         def held(name: str) -> Any:
             return values.get(name, known[name].default)
 
-        while any(not meant(name) for name in values):  # A removed parameter may be a condition for others.
+        # Repeat until nothing changes, because a removed parameter may be a condition for other parameters.
+        while any(not meant(name) for name in values):
             values = {name: value for name, value in values.items() if meant(name)}
         return values
 

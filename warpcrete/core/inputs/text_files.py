@@ -66,7 +66,7 @@ def name_of(path: Path | str) -> str:
     """Return the name of a file without its extension, as text that can be encoded as UTF-8 in any locale."""
     name = Path(path).stem
     try:
-        return os.fsencode(name).decode("utf-8", "replace")  # The locale may not be UTF-8.
+        return os.fsencode(name).decode("utf-8", "replace")  # Decode again, because the locale may not be UTF-8.
     except UnicodeEncodeError:
         return name
 

@@ -85,7 +85,7 @@ def parsed_yaml(text: str, path: Path) -> Any:
     parser.Resolver, parser.Scanner = UntaggedResolver, DepthLimitedScanner
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Ignore warnings about anchors that are defined twice.
+            warnings.simplefilter("ignore")  # Ignore warnings about YAML anchors that are defined twice.
             node = parser.compose(text)
         return None if node is None else _Values(path).value(node)
     except Unreadable:

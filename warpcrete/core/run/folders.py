@@ -20,7 +20,7 @@ except ImportError:  # Folders are not locked on systems other than POSIX.
     fcntl = None
 
 KILL_GRACE = 2.0
-"""Time allowed for the processes of a killed run to end [s]."""
+"""Time for which a locked folder is tried again, because the processes of a killed run need some time to end [s]."""
 
 
 class FolderLock:
@@ -39,7 +39,7 @@ class FolderLock:
         self._file = self._locked()
         os.ftruncate(self._file, 0)
         owner = f"process {os.getpid()} on {socket.gethostname()} since {time.strftime('%Y-%m-%d %H:%M:%S')}"
-        with suppress(OSError):  # On a full disk, the lock file does not name its owner.
+        with suppress(OSError):  # On a full disk, the folder is locked, but the lock file does not name the owner.
             os.write(self._file, owner.encode())
         remove_partial(folder)
 
@@ -88,7 +88,7 @@ def _lock(file: int) -> bool:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
-    except OSError:  # The file system has no locks, so the folder counts as locked.
+    except OSError:  # The file system does not support locks, so treat the lock as obtained.
         return True
     return True
 
@@ -117,7 +117,7 @@ def locked_folder(folder: Path, record: str) -> Iterator[None]:
         yield
     finally:
         for lock in folder.rglob(f"*/{LOCK}"):
-            with suppress(RunFolderError):  # A folder that another process still holds is in use.
+            with suppress(RunFolderError):  # Skip a folder that another process has locked, because it is in use.
                 FolderLock(lock.parent).release()
         hold.release()
 
@@ -134,7 +134,7 @@ def make_folder(folder: Path) -> FolderLock:
     except OSError as error:
         raise RunFolderError(f"out = '{folder}': cannot be created ({error.strerror}); choose another path") from error
     hold = FolderLock(folder)
-    if not is_empty(folder):  # Another run has used the folder first.
+    if not is_empty(folder):  # Between the check and the lock, another run has written into the folder.
         hold.release()
         check_new(folder)
     hold.created = created

@@ -1,4 +1,4 @@
-"""Times at which recorders take frames."""
+"""Schedule of frames: the simulated times at which recorders draw the state of a run."""
 
 from __future__ import annotations
 

@@ -16,8 +16,8 @@ class Recorder:
     """
 
     expendable: ClassVar[bool] = False
-    """True if the run goes on without this recorder if it fails, with a warning. A full disk ends the run in any case:
-    the run can be resumed when there is space, and then no data is missing."""
+    """True if a failure of this recorder only causes a warning, after which the run goes on without the recorder. A
+    full disk ends the run in any case: the run can be resumed when there is space, and then no data is missing."""
 
     def claim(self, simulation: Any) -> None:
         """Take exclusive resources, such as the run folder, before any work is done."""

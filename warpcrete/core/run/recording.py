@@ -23,7 +23,7 @@ class Recording:
         """Recorders that have started and have not failed, in the order in which they are called."""
         self.failures: list[Exception] = []
         """Errors of recorders because of which the run could not write its data to disk or end properly."""
-        self._states: dict[str, Any] = {}  # recorders' states at the last checkpoint, by class name
+        self._states: dict[str, Any] = {}  # data from each recorder's last checkpoint, by its class name
 
     def begin(self, states: dict[str, Any]) -> None:
         """Start every recorder, or resume it if `states` has its state from a checkpoint."""

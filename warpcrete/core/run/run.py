@@ -17,7 +17,7 @@ from ..units import number, shown
 from .viewer import LOOPBACK, Viewer, has_screen, screen_viewer, web_viewer
 
 DEFAULT_PLOT_COLUMNS = ("pressure", "spread", "front", "inside")
-"""Columns that a plot shows by default: the first of these names that the series contains."""
+"""Names of columns in order of preference: by default, a plot shows the first of them that the series contains."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Run:
     """Quantities of the whole run: `{"value", "unit"}` if a quantity has a unit, otherwise a plain number."""
     finished: bool
     interrupted: bool = False
-    """True if an interruption (Ctrl-C) ended the run at once instead of at a sample."""
+    """True if an interruption (Ctrl-C) ended the run at once, before it reached the next sample."""
     folder: Path | None = None
     tables: dict[str, Table] = field(default_factory=dict)
     """Tables of quantities over a coordinate other than time, by file name."""

@@ -135,7 +135,7 @@ class Simulation:
         self.resumes = False
         """True if the run goes on from a checkpoint, in an existing folder."""
         self._checkpoint_time: float | None = None  # simulated time of the state in the checkpoint [s]
-        # wall time that the run had taken up to the checkpoint from which it goes on [s]
+        # wall time that a resumed run had taken before the checkpoint was written [s]
         self._time_before_resume = 0.0
         self._samples_taken = 0  # number of rows in the series, not counting the row at t = 0
         self._resumed: dict[str, Any] | None = None
@@ -145,7 +145,7 @@ class Simulation:
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of scene {self.scene.name!r} on {self.device}, {self.precision}>"
 
-    # Members that each simulation method defines.
+    # The following members are defined by each simulation method.
 
     @abstractmethod
     def set_up(self) -> None:
@@ -223,7 +223,7 @@ class Simulation:
         """Yield requests that step the run to a time [s]; a subclass adds the actions that are due on the way."""
         yield Until(time)
 
-    # Writing and reading of checkpoints.
+    # The following methods write and read checkpoints.
 
     def save(self, path: Path) -> None:
         """Write a checkpoint of the present state, which takes effect once all recorders have written their data.
@@ -276,7 +276,7 @@ class Simulation:
         self.resumes, self._saved_at = True, wall_clock.perf_counter()
         return contents
 
-    # Course of a run, from its preparation to its end.
+    # The following methods run the simulation, from its preparation to its end.
 
     def begin(self, path: Path | None = None) -> None:
         """Prepare the state at t = 0, or restore it from the checkpoint at `path` if this file exists.
@@ -397,7 +397,7 @@ class Simulation:
     def _loop(self) -> Coroutine:
         interval, duration, stepper = self.scene.sample_interval, self.duration, self.stepper
         if self.at_end:
-            self.ended_early()  # This call sets the reason for the end of the run.
+            self.ended_early()  # `ended_early` also stores findings for the results, such as a steady flow.
             return True
         if not self.rows:
             self._sample()
@@ -440,7 +440,7 @@ class Simulation:
         if self.checkpoint_path is not None:
             try:
                 self.save(self.checkpoint_path)
-            except RunFolderError as error:  # The previous checkpoint is still there.
+            except RunFolderError as error:  # The run goes on, because the previous checkpoint is still valid.
                 if is_full(error):
                     raise
                 warnings.warn(f"the checkpoint could not be written: {error}", stacklevel=2)

@@ -86,7 +86,7 @@ def _ports(bind: str, data: int) -> list[str]:
 
 
 def _host(bind: str) -> str:
-    """Return the host name by which others reach the address of a socket."""
+    """Return the host name by which browsers and other machines reach the address of a socket."""
     address = ipaddress.ip_address(bind)
     if address.is_unspecified:
         return socket.gethostname()

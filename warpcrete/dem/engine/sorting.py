@@ -17,7 +17,10 @@ SORTED = {
     "spheres": ("scene", "body", "force", "moment"),
     "slots": (),
 }
-"""Structs whose rows a re-sorting moves, with the arrays that it skips (recomputed, unaffected or zero)."""
+"""Structs whose arrays are permuted when bodies are re-sorted, each with the names of its arrays that are not permuted.
+
+Those arrays are recomputed, do not depend on the order, or contain only zeros.
+"""
 
 
 def sort_bodies(batch: Batch, due: np.ndarray, old_place: wp.array, new_place: wp.array) -> None:
@@ -62,7 +65,7 @@ def sorting_kernels(batch: Batch) -> list[Any]:
 
 
 def _moved(batch: Batch, struct: str) -> list[wp.array]:
-    """Return the arrays of a struct whose rows a re-sorting moves."""
+    """Return the arrays of a struct that must be permuted when bodies are re-sorted."""
     names = getattr(batch.structs, struct.capitalize()).vars
     arrays = [getattr(getattr(batch, struct), name) for name in names if name not in SORTED[struct]]
     return [array for array in arrays if array.size]

@@ -14,12 +14,12 @@ from ...core.errors import between
 from ...core.inputs.parameters import Declared, Field, OneOf, declared_fields
 
 RESISTANCES = ("friction", "rolling_friction", "yield_stress", "viscosity", "plastic_viscosity")
-"""Names of the fields by which laws resist sliding and rolling."""
+"""Names of the parameters by which contact laws resist sliding and rolling."""
 
 
 @dataclass(frozen=True)
 class OnDevice:
-    """Rule for a field that has another `name` on the device, where the function `of` converts its value."""
+    """Rule for a parameter whose device counterpart has another `name` and a value that the function `of` computes."""
 
     name: str
     of: Callable[[Any], Any] = lambda value: value
@@ -45,8 +45,8 @@ class ContactLaw(Declared, ABC):
 
         - `force(p, touch, history, dt)`: force on body a [N], the contact's new history (a vector in the contact
           plane, for springs the shear force), and the energy lost in the step [J];
-        - `stiffness(p, touch)`: k_n, k_s [N/m] and dashpots c_n, c_s [N s/m] for the stable time step, as they are or
-          soon will be at the closing speed of the touch;
+        - `stiffness(p, touch)`: k_n, k_s [N/m] and dashpots c_n, c_s [N s/m] for the estimate of the stable time step;
+          they must cover the coming steps, in which the overlap grows at the present closing speed;
         - `energy(p, touch, history)`: elastic energy [J].
 
         A law that `rolls` has two more functions:
@@ -56,6 +56,9 @@ class ContactLaw(Declared, ABC):
           step [J];
         - `moment_energy(p, touch, history)`: elastic energy of that spring [J].
 
+        They are called where `touch.gap` is negative, and in a bonded pair also at positive gaps, where a law must
+        switch off its own forces. The energy must be zero at the gap 0 if there is no history.
+
         A CPU evaluates `force` and `moment` of several contacts at once in vector lanes. This works only if no branch
         assigns a vector or returns: a branch should choose a number, which the code then multiplies by.
         """
@@ -63,24 +66,24 @@ class ContactLaw(Declared, ABC):
     @property
     @abstractmethod
     def stress_scale(self) -> float:
-        """Stress that a deep contact carries [Pa]."""
+        """Stress scale of the law [Pa]: the order of magnitude of the stress in a deeply overlapping contact."""
 
     @property
     @abstractmethod
     def has_history(self) -> bool:
-        """True if contacts must remember their shear; otherwise no memory is allocated for contact history."""
+        """True if contacts must store their shear force from step to step; otherwise they need no memory for it."""
 
     @property
     def has_shear(self) -> bool:
-        """True if a contact transmits shear forces; if none does, the rotation of single spheres is not computed."""
+        """True if contacts transmit shear forces; if no law does, the rotation of single spheres is not computed."""
         return self.has_history
 
     @abstractmethod
     def frictionless(self) -> "ContactLaw":
-        """Return the law for packing: without friction, and with damping."""
+        """Return a copy of the law for packing aggregates, without friction and with enough damping to come to rest."""
 
     def gripped(self, grip: float) -> "ContactLaw":
-        """Return the law for a wall that resists sliding and rolling `grip` times as much as the bodies do.
+        """Return the law for contacts with a wall that resists sliding and rolling `grip` times as much as bodies do.
 
         The fields named in RESISTANCES are multiplied by `grip`, also in nested laws.
         """
@@ -95,11 +98,11 @@ class ContactLaw(Declared, ABC):
 
     @classmethod
     def functions(cls, scalar: Any) -> SimpleNamespace:
-        """Return the struct `Parameters` and the device functions of the law, in one precision."""
+        """Return the struct `Parameters` and the device functions of the law for the number type `scalar`."""
         return _functions(cls, scalar)
 
     def row(self) -> dict[str, Any]:
-        """Return the device values of the parameters, by the names of the fields of `Parameters`."""
+        """Return the parameters as they are stored on the device, by the field names of the struct `Parameters`."""
         values = {}
         for name, field in declared_fields(type(self)).items():
             value = getattr(self, name)
@@ -131,7 +134,7 @@ def _device_type(field: Field, scalar: Any) -> Any:
 
 
 def damping_ratio(restitution: float) -> float:
-    """Return the ratio to critical damping that gives a coefficient of restitution between 0 and 1.
+    """Return the damping, as a fraction of critical damping, that gives a coefficient of `restitution` from 0 to 1.
 
     It is exact for the linear and the Hertz-Mindlin law with a dashpot that may pull: -ln e / sqrt(ln^2 e + pi^2).
     """

@@ -1,4 +1,4 @@
-"""Choice of a contact law in place of a scene's own: a law of this package by a short name, or a user's class."""
+"""Parameters that replace a scene's own contact law by a law of this package or by a user's class."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -27,7 +27,7 @@ OWN_WALL_LAW = Needs("wall_contact", lambda law: law is None, "is left out (its 
 class LawChoice:
     """Contact law.
 
-    Parameter that replaces the scene's own law of all contacts.
+    The parameter chooses another law for all contacts than the scene's own.
     """
 
     contact: Annotated[
@@ -42,7 +42,7 @@ class LawChoice:
 class WallLawChoice:
     """Contact law.
 
-    Parameter that replaces the law of contacts with pipe and piston.
+    The parameter chooses another law for the contacts of aggregates with pipe and piston.
     """
 
     wall_contact: Annotated[

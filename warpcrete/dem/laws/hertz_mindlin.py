@@ -41,7 +41,7 @@ class HertzMindlin(ContactLaw):
     def of(
         cls, young_modulus: float, poisson_ratio: float, *, rigid_partner: bool = False, **others: Any
     ) -> "HertzMindlin":
-        """Return the contact of two bodies of one material, or with a rigid partner, from Young's modulus [Pa]."""
+        """Return the law for two bodies with this Young's modulus [Pa], or for one such body and a rigid partner."""
         positive("young_modulus", young_modulus, "Pa")
         between("poisson_ratio", poisson_ratio, 0, 0.5)
         bodies = 1 if rigid_partner else 2
@@ -62,7 +62,7 @@ class HertzMindlin(ContactLaw):
 
     @property
     def has_shear(self) -> bool:
-        return True  # the shear dashpot acts even without friction
+        return True  # the shear dashpot transmits a force even without friction
 
     def frictionless(self) -> "HertzMindlin":
         return replace(self, friction=0.0, restitution=min(self.restitution, 0.2))
@@ -78,7 +78,7 @@ class HertzMindlin(ContactLaw):
 
         @wp.func
         def stiffness(p: Parameters, touch: Touch):
-            # Use the largest overlap of an impact that begins with the current overlap and closing speed.
+            # Use the stiffness at the largest overlap that an impact with the current closing speed will reach.
             zero = scalar(0.0)
             root = wp.sqrt(touch.reduced_radius)
             overlap = wp.max(-touch.gap, zero)
@@ -115,8 +115,8 @@ class HertzMindlin(ContactLaw):
             kept = scalar(1.0)
             released = zero
             if before > zero and overlap > zero:
-                # Energy that the spring loses because its stiffness follows the overlap. While loading, the force
-                # stays and the spring gets stiffer. While unloading with `rescale`, the force falls with the stiffness.
+                # The shear spring loses energy because its stiffness changes with the overlap. While loading, its force
+                # stays and it gets stiffer. While unloading with `rescale`, its force falls with the stiffness.
                 ratio = wp.sqrt(overlap / before)
                 stored = scalar(0.5) * wp.length_sq(history) / ks
                 released = stored * (ratio - scalar(1.0))

@@ -28,7 +28,7 @@ from .base import ContactLaw, OnDevice
 
 @dataclass(frozen=True, kw_only=True)
 class BinghamMortar(ContactLaw):
-    """Hard cores with soft shells: core stiffness A E*/L, shear slider with limit mu N_core + A tau_0."""
+    """Hard cores in soft mortar shells: core stiffness A E*/L, shear slider with limit mu N_core + A tau_0."""
 
     called = "mortar"
 
@@ -78,14 +78,14 @@ class BinghamMortar(ContactLaw):
 
         @wp.func
         def stiffness(p: Parameters, touch: Touch):
-            # Assume that the cores touch, since they may do so before the next estimate of the stable step.
+            # Include the stiffness of the hard cores, which may touch before the stable step is estimated again.
             core = p.effective_modulus * area(touch) / touch.length
             kn = shell_stiffness(p, touch) + core
             drag = shell_drag(p, touch)
             cn = scalar(2.0) * p.normal_damping_ratio * wp.sqrt(touch.mass * core) + scalar(3.0) * drag
             ks, cs = kn * p.shear_to_normal, drag
             if p.bending > scalar(0.0):
-                # For stability, a rotational stiffness k_r acts like a shear stiffness of at most k_r / r^2.
+                # In the stable step, the rotational stiffness k_r counts like a shear stiffness of at most k_r / r^2.
                 kr, cr = bending(p, touch)
                 square = touch.smaller_radius * touch.smaller_radius
                 ks += kr / square
@@ -133,9 +133,9 @@ class BinghamMortar(ContactLaw):
 
 
 def shell_functions(scalar: Any, parameters: Any) -> SimpleNamespace:
-    """Return device functions for laws with shells, whose parameters are like those of :class:`BinghamMortar`.
+    """Return device functions of contacts between mortar shells, for laws with parameters of :class:`BinghamMortar`.
 
-    They are `area`, `shell_stiffness`, `shell_drag`, `bending`, `core_overlap`, `moment` and `moment_energy`.
+    The functions are `area`, `shell_stiffness`, `shell_drag`, `bending`, `core_overlap`, `moment` and `moment_energy`.
     """
     t = types(scalar)
     f = contact_functions(scalar)
@@ -156,7 +156,7 @@ def shell_functions(scalar: Any, parameters: Any) -> SimpleNamespace:
 
     @wp.func
     def bending(p: Parameters, touch: Touch):
-        """Return the spring [N m/rad] and the dashpot [N m s/rad] of a disc that is bent."""
+        """Return the bending stiffness [N m/rad] and viscous damping [N m s/rad] of the mortar disc of a contact."""
         square = scalar(0.25) * touch.smaller_radius * touch.smaller_radius
         return square * shell_stiffness(p, touch), scalar(3.0) * square * shell_drag(p, touch)
 

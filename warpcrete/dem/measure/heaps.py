@@ -4,8 +4,8 @@ A heap of aggregates has no smooth surface, and single aggregates roll away from
 a laser scan from above: each ray of a vertical grid finds the highest point of any sphere, and heights are averaged
 over areas wider than several aggregates. The spread is that of the main body only, because one stray aggregate would
 otherwise determine it. An aggregate is a stray if at least one empty cell, as wide as the largest aggregate, separates
-it from the main body. The same method measures the first and the last state, so the effect of surface roughness cancels
-in a slump.
+it from the main body. A slump is the difference of two heights measured in this way, so the effect of surface
+roughness cancels.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ Range = tuple[float, float]
 
 
 def surface(spheres: np.ndarray, x: Range, y: Range, cell: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the heights of the surface over a rectangle [m], at the centres of cells with about the side `cell` [m].
+    """Return the heights of the surface of spheres over a rectangle [m], at the centres of cells of about `cell` [m].
 
     `spheres` has rows of centre and radius [m], shape (n, 4); `x` and `y` are the ranges of the rectangle [m]. Returns
-    x and y of the cell centres and the heights, with shapes (nx, 1), (1, ny) and (nx, ny). A height is -inf where there
-    is no sphere.
+    x and y of the cell centres and the heights, with shapes (nx, 1), (1, ny) and (nx, ny). A height is -inf where a
+    vertical line through the cell centre meets no sphere.
     """
     low, high = np.array([x[0], y[0]]), np.array([x[1], y[1]])
     count = np.maximum(np.ceil((high - low) / cell - 1e-9).astype(int), 1)
@@ -50,14 +50,14 @@ def surface(spheres: np.ndarray, x: Range, y: Range, cell: float) -> tuple[np.nd
 
 
 def main_body(spheres: np.ndarray) -> np.ndarray:
-    """Return a mask of the spheres that belong to the main body, shape (n,).
+    """Return a mask of the spheres that belong to the main body of a heap, shape (n,); the others are strays.
 
     The plan view is divided into cells as wide as the largest sphere. The main body occupies the cell with the most
     spheres and all occupied cells connected to it by sides or corners.
     """
     side = 2 * float(spheres[:, 3].max())
     place = np.floor((spheres[:, :2] - spheres[:, :2].min(0)) / side).astype(int) + 1
-    # Clip the cell indices, so that an aggregate that rolled far away cannot overflow the cell numbers.
+    # Clip the cell indices, because an aggregate that rolled far away could overflow the integer that numbers a cell.
     place = np.minimum(place, 1 + 4 * len(spheres))
     row = int(place[:, 1].max()) + 1
     keys, cell, count = np.unique(place[:, 0] * row + place[:, 1], return_inverse=True, return_counts=True)
@@ -83,7 +83,8 @@ def spread(spheres: np.ndarray) -> float:
     point that lies above or below a sphere. `spheres` has rows of centre and radius [m], shape (n, 4), n > 0.
     """
     far = np.hypot(spheres[:, 0], spheres[:, 1]) + spheres[:, 3]
-    # The heap extends at least this far in every direction, so spheres that end nearer to the origin can be skipped.
+    # The reach of the outer spheres alone is a lower bound of the heap's reach in every direction. Skip all spheres
+    # that lie nearer to the origin than the smallest of these reaches.
     least = float(_reaches(spheres[far >= 0.8 * far.max()]).min())
     return 2 * float(np.mean(_reaches(spheres[far >= least])))
 

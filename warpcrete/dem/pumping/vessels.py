@@ -26,17 +26,17 @@ from ..scene.sizes import Gaussian, Sizes, Uniform
 
 LAWS = ("linear", "bonds", "mortar", "plastic", "rolling")
 LAW_MODULUS = {"mortar": 1e6, "plastic": 1e6}
-"""Contact modulus [Pa] of laws that cannot use Zhan's 1e5 Pa: mortar needs cores that are stiffer than its shells."""
+"""Default contact modulus [Pa] of laws that cannot use Zhan's 1e5 Pa: mortar needs cores stiffer than its shells."""
 LAW_FRACTION = {"mortar": 0.66, "plastic": 0.66}
-"""Solid fraction of packings by contact law, for laws that do not use LOOSE.
+"""Solid fraction of packings by contact law, for laws whose packings need more than DEFAULT_FRACTION.
 
-Shells of mortar must overlap on all sides.
+In a denser packing the mortar shells of neighbours overlap on all sides.
 """
 DEFAULT_FRACTION = 0.6
 LAW_FRICTION = {"mortar": 0.0, "plastic": 0.0, "rolling": 0.5}
-"""Friction coefficient by contact law, for laws that do not use Zhan's 0.05.
+"""Default friction coefficient by contact law, for laws that do not use the 0.05 of Zhan et al. 2019.
 
-Spheres that resist rolling must not slide instead.
+With law rolling, low friction would let spheres slide instead of roll, so rolling resistance would have no effect.
 """
 CONTACTS = 6.9
 """Mean number of neighbours whose shells touch a mortar sphere's shell in a packing; packings had 6.7 to 6.9."""
@@ -182,9 +182,9 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
     """Parameters that all tests of fresh concrete in a vessel have in common."""
 
     HOLDING: ClassVar[dict[str, float]] = {}
-    """Default grip of the mould for each contact law whose default is not 0.
+    """Default of `mould_grip` for each contact law whose default is not 0; used by tests with a funnel.
 
-    Without grip, mortar falls out of a funnel in two seconds whatever its viscosity.
+    Without friction on the walls, mortar falls out of a funnel in two seconds whatever its viscosity.
     """
 
     def __post_init__(self) -> None:
@@ -202,17 +202,17 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 
     @property
     def stiffness(self) -> float:
-        """Effective modulus of the contacts in the scene's own laws [Pa]."""
+        """Effective modulus of contacts [Pa]: the parameter `modulus`, or the default of the contact law."""
         return self.modulus if self.modulus is not None else LAW_MODULUS.get(self.law, 1e5)
 
     @property
     def packed(self) -> float:
-        """Solid fraction of the packing."""
+        """Solid fraction of the packing: the parameter `solid_fraction`, or the default of the contact law."""
         return self.solid_fraction if self.solid_fraction is not None else LAW_FRACTION.get(self.law, DEFAULT_FRACTION)
 
     @property
     def grain_friction(self) -> float:
-        """Coefficient of friction between grains."""
+        """Coefficient of friction between grains: the parameter `friction`, or the default of the contact law."""
         return self.friction if self.friction is not None else LAW_FRICTION.get(self.law, 0.05)
 
     @property
@@ -224,7 +224,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 
     @property
     def is_gripped(self) -> bool:
-        """True if the law resists sliding or rolling by fields that a grip can multiply."""
+        """True if the contact law has parameters for friction or viscosity, which the grip of a wall can scale."""
         law = self.grain_law()
         return law.gripped(0.5) != law
 
@@ -248,7 +248,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         return {("aggregate", name): self.grain_law().gripped(grip) for name, grip in grips.items()}
 
     def bonds(self) -> Bonds | None:
-        """Return the bonds between grains, or None if the law has none."""
+        """Return the properties of the bonds between grains, or None if the contact law has no bonds."""
         if self.law != "bonds":
             return None
         return Bonds(
@@ -257,11 +257,11 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         )  # fmt: skip
 
     def vessel(self, test: StandardTest, opened: float) -> Vessel:
-        """Return the vessel of a test; from the time `opened` [s] on, nothing holds the concrete back."""
+        """Return the description of a test's vessel; from the time `opened` [s] on, nothing holds the concrete back."""
         return Vessel(test=test, opened=opened, rest_speed=self.rest_speed, dimensions=test.sizes(self))
 
     def fill(self, inside: Solid) -> Fill:
-        """Return the fill of concrete in a closed solid."""
+        """Return the grains to be packed into the closed solid `inside`, with their sizes and solid fraction."""
         return Fill(
             container=MeshContainer(inside.trimesh()),
             sizes=self.distribution(),
@@ -299,8 +299,9 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 def shear_means() -> tuple[float, float, float]:
     """Return three means over contacts in all directions n, in simple shear of rate 1 with strain rate tensor D.
 
-    They are the means of |D n| across n, of its square, and of the square of the component of D n along n. The squares
-    are 1/10 and 1/15 exactly. The first mean is a sum over directions spread evenly on a Fibonacci lattice.
+    The first is the mean magnitude of the part of D n across n (sliding), the second the mean of its square, and the
+    third the mean square of the part along n (approach). The second and third are 1/10 and 1/15 exactly. The means are
+    computed over directions spread evenly on a Fibonacci lattice.
     """
     count = 20_000
     z = (2 * np.arange(count) + 1) / count - 1
@@ -387,11 +388,11 @@ def vessel_knobs(given: VesselParameters, narrowest: float) -> Iterator[Knob]:
 
 
 BALANCED = 0.01
-"""Largest error of the momentum balance, relative to the largest impulse."""
+"""Largest error of the momentum balance that a valid run may have, relative to the largest impulse."""
 FEWEST = 200
-"""Fewest grains that represent concrete in a vessel; with fewer, single stones decide the outcome."""
+"""Minimum number of grains that represent concrete in a vessel; with fewer, the outcome depends on single grains."""
 STRAYS = 0.05
-"""Largest fraction of the grains that may leave a heap."""
+"""Largest fraction of the grains that may roll away from the heap in a valid run."""
 
 CURES = {
     "momentum balance": "--precision float64, or a smaller --safety",
@@ -405,7 +406,7 @@ CURES = {
 
 @with_cures(CURES)
 def check_vessel(run: Run) -> dict[str, tuple[bool, str]]:
-    """Return the checks of a run in a vessel by name: whether the check passed, and the values it found."""
+    """Return the checks of a run in a vessel by name, each as a tuple (True if passed, text with measured values)."""
     result, test = run.result, run.scene.vessel.test
     balance, overlap, grains = result["momentum_balance_error"], result["largest_overlap"], result["bodies"]
     found = {
@@ -420,7 +421,7 @@ def check_vessel(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def vessel_remarks(given: VesselParameters, what: str) -> tuple[str, ...]:
-    """Return the simplifications of a scene as remarks; `what` names the parts along which the concrete may slide."""
+    """Return remarks on simplifications of a scene; `what` names the surfaces along which concrete may slide freely."""
     found = []
     if given.law == "mortar":
         found.append(

@@ -43,7 +43,7 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
     if found.flow and not sized and (found.mix is not None or not found.elements):
         warn(f"concrete {found.name} has no sieve curve, so its aggregate gets the scene's default sizes; give a "
              "sieve curve, for example sizes = '4:0,8:0.4,16:1'")  # fmt: skip
-    if "density" in values:  # a given density of the aggregates replaces the concrete's bulk density
+    if "density" in values:  # a given density of aggregates replaces the bulk density of the concrete
         section = {key: value for key, value in section.items() if key != "bulk_density"}
     return known_only("elements", section, known, name)
 

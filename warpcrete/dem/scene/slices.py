@@ -13,19 +13,26 @@ from ...geometry.axis import Axis
 from ...geometry.bores import Bores
 
 CLEAR, FEWEST = 1.0, 2
-"""Distance from a stretch's ends, in pipe radii, within which line fits ignore slices; fewest slices for a line fit."""
+"""Limits for line fits of measurements along a straight stretch of pipe.
+
+`CLEAR` is the distance from the ends of the stretch, in pipe radii, within which slices are ignored. `FEWEST` is the
+minimum number of slices for a fit.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stations:
-    """Slices of a pipe between given arc lengths, in which a run measures while concrete fills them."""
+    """Slices of a pipe between given arc lengths, in which a run measures stresses, solid fraction and velocities.
+
+    A slice is measured only while concrete fills it.
+    """
 
     axis: Axis
     bores: Bores
     edges: tuple[float, ...]
     """Arc lengths of the slices' ends, rising [m], shape (slices + 1,)."""
     wall: str = "pipe"
-    """Name of the wall whose shear stress is measured."""
+    """Name of the wall on which the shear stress is measured."""
     origin: float = 0.0
     """Arc length that counts as zero in the results [m]."""
     middle: tuple[float, float] | None = None
@@ -60,7 +67,7 @@ class Stations:
 
     @property
     def straights(self) -> tuple[tuple[float, float], ...]:
-        """Ends of the straight stretches [m]: before and behind the middle, or the whole pipe."""
+        """Arc lengths of both ends of each straight stretch [m]: before and behind `middle`, or the whole pipe."""
         if self.middle is None:
             return ((self.edges[0], self.edges[-1]),)
         return (self.edges[0], self.middle[0]), (self.middle[1], self.edges[-1])

@@ -70,7 +70,7 @@ class FreeDisplay(Display):
         return particles, np.concatenate(angles)
 
     def radii(self) -> np.ndarray:
-        """Return the radii of drawn particles [m]: half a particle distance in the section, half a cell behind it."""
+        """Return the radii of drawn particles [m], larger where fewer of the particles are drawn."""
         layout, (_, angles) = self.simulation.state.layout, self._drawn_particles
         if self._solid:
             fewer = (len(layout.fluid) / len(angles)) ** (1 / 3)
@@ -81,7 +81,10 @@ class FreeDisplay(Display):
         return size.astype(np.float32)
 
     def centres(self) -> np.ndarray:
-        """Return the positions of drawn particles [m], shape (n, 3): z is up, the section lies in the plane y = 0."""
+        """Return the positions of drawn particles [m], shape (n, 3).
+
+        The axis z points upwards; the section of a two-dimensional flow lies in the plane y = 0.
+        """
         x = self.read("particles.position").astype(float)
         particles, angles = self._drawn_particles
         x = x[particles]

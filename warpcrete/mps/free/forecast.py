@@ -1,4 +1,8 @@
-"""Forecast of a free-surface flow: a coarser copy gives the time until it rests, the first steps give their cost."""
+"""Forecast of the run time of a free-surface flow.
+
+A coarser copy of the flow is run to predict the simulated time until the concrete rests. The wall time of a step is
+measured in the first steps of the flow itself.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,10 @@ from .scene import FreeScene
 from .simulation import FreeSimulation
 
 DURATION_FACTOR = 1.2
-"""Ratio of a funnel's emptying time to an estimate without stretching in the taper; measured 1.0 to 1.3."""
+"""Ratio of the time in which a funnel empties to its closed-form estimate, which neglects stretching in the taper.
+
+Simulations gave ratios from 1.0 to 1.3.
+"""
 COARSE_CELLS_HIGH = 12
 """Number of cells over the concrete's initial height in the coarser copy."""
 
@@ -42,7 +49,8 @@ def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None,
 def course_of(simulation: FreeSimulation) -> Course:
     """Return the course of a run until the concrete rests or a funnel is empty."""
     scene = simulation.scene
-    # The default estimate of the step is the time in which concrete crosses one cell after a fall by its own height.
+    # Without further knowledge, the mean time step is estimated as the time in which concrete that has fallen by its
+    # initial height crosses one cell.
     height = scene.extent[1, 1]
     swift = scene.spacing / math.sqrt(2 * scene.gravity * height)
     mean = min(scene.time_step, swift) if scene.step_error else scene.time_step

@@ -1,4 +1,4 @@
-"""Knobs by which a free-surface flow trades accuracy for run time."""
+"""Settings ("knobs") that trade the accuracy of a free-surface flow for run time."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from .scene import FreeConcrete
 def free_knobs(
     given: FreeConcrete, spacing: float, fall: float, coarsest: float, factors: Iterable[float], power: float
 ) -> Iterator[Knob]:
-    """Yield the knobs of a free-surface flow: cell width, time step or its error, regularisation and precision.
+    """Yield the settings that trade accuracy for run time: cell width, time step or its error, and others.
 
-    Cells are `spacing` [m] times `factors` wide, at most `coarsest` [m]. With equal steps a cell must be wider than the
-    distance that concrete passes in a step after a fall by `fall` [m]. Run time is proportional to the spacing to the
-    power `power`.
+    The others are regularisation and precision. Cell widths are `spacing` [m] times each of `factors`, at most
+    `coarsest` [m]. With equal steps a cell must be wider than the distance that concrete covers in a step after a fall
+    by `fall` [m]. Run time is assumed proportional to the cell width to the power `power`.
     """
     finest = 0.0 if given.step_error else given.time_step * math.sqrt(2 * given.gravity * fall)
     yield scaled("spacing", "spacing", spacing, [f for f in factors if finest < f * spacing <= coarsest], power, "m")

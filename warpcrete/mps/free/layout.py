@@ -111,9 +111,10 @@ def free_layout(scene: FreeScene) -> GridLayout:
 def fill_cells(
     room: Room, per_axis: int, concrete: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions of particles in the concrete [m], shape (n, axes), and masses relative to a whole particle.
+    """Return the positions of particles in the concrete [m], shape (n, axes), and their relative masses, shape (n,).
 
-    The particles of a cell together have the mass of the concrete in the cell.
+    A mass of 1 is that of a particle in a full cell. The particles of a partly filled cell together have the mass of
+    the concrete in the cell, within the limits of MAX_MASS.
     """
     axes = len(room.cells)
     each = _sample_points(room, per_axis)

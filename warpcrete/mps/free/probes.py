@@ -27,7 +27,10 @@ UNITS = {
 
 
 def surface(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
-    """Return the middles of the cell columns [m] and the concrete's height in each [m], averaged over the depth."""
+    """Return the horizontal positions of all vertical columns of cells [m], and the height of concrete in each [m].
+
+    In three dimensions the height is averaged over the depth of the room.
+    """
     layout = flow.state.layout
     across = layout.left + (np.arange(layout.cells[0]) + 0.5) * layout.spacing
     full = (flow.state.cells("fill") * flow.state.cells("room")).sum(0) * layout.step
@@ -81,7 +84,7 @@ def speeds(flow: GridFlow) -> np.ndarray:
 
 
 def _at_start(layout: GridLayout) -> Specimen:
-    """Return the concrete of a flow before its first step."""
+    """Return the measurable properties of the concrete before the first step, from the initial particles."""
     top, end = (float(layout.fluid[:, axis].max()) + 0.5 * layout.particle_spacing for axis in (-1, 0))
     return Specimen(
         top=lambda radius: top,
@@ -95,7 +98,7 @@ def _at_start(layout: GridLayout) -> Specimen:
 
 
 def specimen(flow: GridFlow) -> Specimen:
-    """Return the concrete of a flow."""
+    """Return the measurable properties of the concrete, from the fill of the cells and the particles."""
     layout, (across, height) = flow.state.layout, surface(flow)
     top, far, fill = float((bases(flow) + height).max()), reach(flow), flow.state.cells("fill")
     mass = flow.state.particles.mass.numpy().astype(float)
@@ -106,16 +109,18 @@ def specimen(flow: GridFlow) -> Specimen:
         # The median ignores concrete that clings to the walls of a column.
         depth=lambda low, high, width: float(np.median(height[(across > low) & (across < high)])),
         front=lambda: float(across[height > 0.5 * layout.spacing].max(initial=0.0)) + 0.5 * layout.spacing,
-        # The outlet lies below the first column of cells: see the fullest cell there, from the outlet to the brim.
+        # The outlet lies below the first column of cells. Seen from above, the fullest cell of this column covers the
+        # outlet.
         screen=lambda width, breadth: float(fill.reshape(fill.shape[0], -1)[:, 0].max()),
         inside=float(np.sum(mass) / np.sum(layout.mass)),
     )
 
 
 def measured(flow: GridFlow, whole: float) -> dict[str, float]:
-    """Return a row of the series; `whole` is the initial volume of the concrete, as :func:`volume` gives it.
+    """Measure a flow and return a row of the time series.
 
-    The volume error is what the surface loses or gains. Concrete that has left through an open side is not an error.
+    `whole` is the initial volume of the concrete, in the unit of :func:`volume`. The volume error is the volume that
+    the flow gains or loses at its surface by numerical errors. Concrete that has left through an open side is no error.
     """
     concrete = specimen(flow) if flow.steps else _at_start(flow.state.layout)
     row = dict.fromkeys(UNITS, 0.0)

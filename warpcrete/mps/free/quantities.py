@@ -18,7 +18,7 @@ from ..quantities import largest
 from .scene import FreeScene, Points
 
 SAMPLES = 30
-"""Number of sample points along each axis for the part of the concrete's initial space that walls occupy."""
+"""Number of sample points along each axis by which the free fraction of the concrete's initial space is measured."""
 
 
 def outcome(scene: FreeScene, series: Mapping[str, np.ndarray], volume: float) -> Outcome | None:
@@ -49,13 +49,13 @@ QUANTITIES = (
 
 
 def quantities() -> tuple[Quantity, ...]:
-    """Return all results, those of standard tests with their closed forms included."""
+    """Return all result quantities of free-surface flows, including those of standard tests and their closed forms."""
     tests = quantities_of_tests(StandardTest.with_forms, lambda k: outcome(k.scene, k.series, k.volume))
     return (*tests, *QUANTITIES)
 
 
 def report(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield lines of the report that go beyond the quantities: published values, and a flow that is not at rest."""
+    """Yield further lines of the report: published values, and a note if the concrete is not at rest."""
     for name, value in run.scene.published.items():
         if name in run.result:
             yield f"{name}, Xu", f"{1e3 * value:.0f} mm printed (Xu, Li & Jiang 2021)"
@@ -63,7 +63,7 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
 
 
 def expected(scene: FreeScene) -> dict[str, float]:
-    """Return the quantities of a test by closed forms."""
+    """Return the results that closed forms predict for the scene's standard test; empty without a test."""
     known = outcome(scene, {}, start_volume(scene))
     return known.test.estimates(known) if known else {}
 

@@ -1,6 +1,6 @@
 """Simulation of concrete with a free surface, from a scene to a finished run.
 
-The module `core/run_loop.py` has the loop common to all runs.
+The module `core/run/run_loop.py` contains the loop common to all runs.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class FreeSimulation(FlowRun):
         return self.steady
 
     def sizes(self) -> dict[str, Any]:
-        """Return the sizes of the model for the result."""
+        """Return sizes of the model, such as the number of cells, for the run's result."""
         scene, layout = self.scene, self.flow.state.layout
         volume = self.volume * (2 * math.pi if scene.axial else 1.0)
         return {
@@ -92,7 +92,7 @@ class FreeSimulation(FlowRun):
         }
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
-        """Return entries of the result that the series and the surface give, and no tables."""
+        """Return the entries of the result that follow from the time series and the surface; there are no tables."""
         result = results_of(quantities(), RunData(self.scene, series, self.volume))
         across, height = surface(self.flow)
         result["surface"] = {

@@ -44,7 +44,8 @@ from .state import GridState, grid_numbers
 HISTORY = 256  # Maximum number of iterations of a solve whose residuals are kept.
 ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # Relative rounding error of the flow through a cell's sides.
 EXTRAPOLATED_CELLS = 3  # Number of cells beyond the concrete, in air and walls, to which velocities are extrapolated.
-# Tolerances of the solve that moves particles apart, relative to the solve's initial residual and to a full cell.
+# Two tolerances of the solve that moves crowded particles apart. The first is relative to the initial residual. The
+# second is relative to the residual that displaces the volume of a whole cell in one step.
 DISPERSION_TOLERANCES = 0.1, 1e-5
 MIN_RELATIVE_SPEED = 0.05
 """Minimum speed, relative to the typical speed of the flow, to which the error of a step is compared."""
@@ -61,7 +62,7 @@ class System:
     arrays: Any
     """Working arrays of the solve, a struct `Solve` of numbers."""
     numbers: Any
-    """Struct `Flow` of constants, of which the solve reads only the number of rows."""
+    """Struct `FlowConstants`, of which the solve reads only the number of rows."""
 
 
 class GridFlow(Stepping):
@@ -331,14 +332,14 @@ class GridFlow(Stepping):
 
     @property
     def _size(self) -> float:
-        """Norm of a vector of ones with a row for each initially full cell, which turns an rms value into a norm."""
+        """Square root of the number of initially full cells, by which an rms value is multiplied to obtain a norm."""
         layout = self.state.layout
         return math.sqrt(max(self.count * (layout.particle_spacing / layout.spacing) ** layout.axes, 1.0))
 
     def _extrapolate(self, kernel: Any) -> list[Stage]:
         """Return stages that extrapolate velocities beyond the concrete, each by one cell.
 
-        The last stage writes the first of the two arrays.
+        The stages alternate between two arrays, in such an order that the last stage writes to the first array.
         """
         found = []
         for turn in range(EXTRAPOLATED_CELLS):

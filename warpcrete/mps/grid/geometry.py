@@ -123,7 +123,8 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
         share = _positive_fraction(_corner_values(lowest, others), axes - 1)
         below = np.roll(solid, 1, axis)
         closed = (share < MIN_OPEN_FRACTION) | (solid != NONE) | (below != NONE)
-        # Only a wall square to the axis fixes the velocity across a face; an inclined wall leaves it free.
+        # Only a wall perpendicular to the axis prescribes the velocity across a closed face. Near an inclined wall
+        # this velocity is not prescribed.
         slope = np.abs(depth - np.roll(depth, 1, axis)) / room.width[axis]
         beside = (solid == SMOOTH) ^ (below == SMOOTH)
         on_it = np.abs(distance) < MAX_WALL_OFFSET * room.width[axis]
@@ -225,8 +226,8 @@ def _room_walls(room: Room) -> list[tuple[Distance, int]]:
 def _weighted_volume(room: Room, corners: np.ndarray, shut: np.ndarray, wall: np.ndarray, axial: bool) -> np.ndarray:
     """Return the open volume around the middle of each cell, weighted as the kernel `fill` weights particles.
 
-    The weight is a hat function that reaches to the middles of the neighbouring cells. The share that would belong to a
-    cell that is `wall` counts for the cell in which the volume lies.
+    The weight is a hat function that falls to zero at the middles of the neighbouring cells. The part of a volume that
+    would be assigned to a neighbouring cell of `wall` counts for the cell in which the volume lies.
     """
     axes = len(room.cells)
     fine = SAMPLES_PER_CELL[axes]
@@ -257,9 +258,10 @@ def _weighted_volume(room: Room, corners: np.ndarray, shut: np.ndarray, wall: np
 
 
 def _wall_share(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
-    """Return the share of each cell's open volume that hat functions assign to neighbouring wall cells.
+    """Return the part of each cell's open volume that hat functions assign to neighbouring wall cells.
 
-    `found` holds the weights of `fine` sample points along each axis of each cell; `wall` marks the wall cells.
+    `found` contains the weights of the sample points, of which each cell has `fine` along each axis. `wall` is a mask
+    of the wall cells.
     """
     axes, half = wall.ndim, fine // 2
     shape = [n for length in wall.shape for n in (length, fine)]
@@ -288,7 +290,10 @@ def _corner_values(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
 
 
 def _positive_fraction(corners: np.ndarray, ends: int) -> np.ndarray:
-    """Return the fraction of each cell with positive values, linear between corners along the last `ends` axes."""
+    """Return the fraction of each cell in which a field, interpolated linearly between its corners, is positive.
+
+    The last `ends` axes of `corners`, each of length 2, contain the values at the corners.
+    """
     if ends == 1:
         a, b = corners[..., 0], corners[..., 1]
         high, low = np.maximum(a, b), np.minimum(a, b)

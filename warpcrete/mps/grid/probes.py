@@ -18,10 +18,11 @@ POINTS_PER_CELL = 40
 
 
 def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str, float]:
-    """Return a row of the series; the change of momentum is taken from `before`, the previous row.
+    """Measure a flow and return a row of the time series.
 
-    The momentum of a channel is given per metre of depth. The pressure of a periodic pipe is the force per volume that
-    drives it, weight included, times its length.
+    `before` is the previous row, from which the rate of change of momentum is computed. The momentum of a channel is
+    per metre of depth. The pressure of a periodic pipe is the driving force per volume times the pipe's length; the
+    driving force balances friction and weight.
     """
     scene, state, layout = flow.scene, flow.state, flow.state.layout
     drive = state.mesh.drive.numpy()
@@ -69,7 +70,10 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
 
 
 def _structure(flow: GridFlow, beside: list[int]) -> dict[str, float]:
-    """Return the yield stress gained at rest that slip layer and concrete at the wall still have, as a mean [Pa]."""
+    """Return what is left of the yield stress gained at rest [Pa], as means over slip layer and concrete at the wall.
+
+    The result is empty for concrete without thixotropy.
+    """
     if not flow.state.layout.kind.thixotropic:
         return {}
     layer, bulk = flow.state.faces("layer")[1], flow.state.faces("gained")[0]
@@ -86,9 +90,10 @@ def _mass_in_window(layout: GridLayout, places: np.ndarray, scene: FluidScene) -
 
 
 def profile(flow: GridFlow, height: float | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return distances from the axis or middle [m], in rising order, and the mean velocity of the cell at each [m/s].
+    """Return the velocity profile of a pipe at a `height` [m], by default at half the height of the grid.
 
-    By default the profile is that at mid-height of the stretch, else at `height` [m].
+    The profile consists of the distances of the cells from the axis or the middle [m], in rising order, and the cells'
+    mean velocities [m/s].
     """
     layout = flow.state.layout
     height = 0.5 * layout.height if height is None else height
@@ -99,7 +104,7 @@ def profile(flow: GridFlow, height: float | None = None) -> tuple[np.ndarray, np
 
 
 def theory_profile(scene: FluidScene, layout: GridLayout) -> np.ndarray:
-    """Return the theoretical velocity [m/s], averaged over the section of each cell, in the order of `profile`."""
+    """Return the theoretical velocity [m/s], averaged over the width of each cell, in the order of `profile`."""
     nx = layout.cells[0]
     across = np.abs(layout.left + (np.arange(nx * POINTS_PER_CELL) + 0.5) * layout.spacing / POINTS_PER_CELL).reshape(
         nx, POINTS_PER_CELL

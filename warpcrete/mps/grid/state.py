@@ -22,9 +22,9 @@ MESH_ARRAYS = ("solid", "velocity", "pressure", "in_cell", "in_corner", "stress"
 STRUCTURE_ARRAYS = ("gained", "layer")
 """Names of further mesh arrays that the next step depends on if the concrete gained structure at rest."""
 FACE_ARRAYS = ("kind", "velocity", "start", "volume", "wall_area", "traction", "traction_slope", "slip", "shift")
-"""Names of mesh arrays with a row for each face (FACE_ARRAYS), edge (EDGE_ARRAYS) or particle (PARTICLE_LISTS).
+"""Names of mesh arrays with one entry per face (FACE_ARRAYS), edge (EDGE_ARRAYS) or particle (PARTICLE_LISTS).
 
-All other mesh arrays have a row for each cell.
+Most other mesh arrays have one entry per cell.
 """
 EDGE_ARRAYS = ("in_corner", "strain_without_pair")
 PARTICLE_LISTS = ("cell_of_particle", "place", "sorted_particles")
@@ -43,7 +43,7 @@ class GridState:
     """
 
     flags: wp.array
-    """Control flags with the slots of `kernels/common/control.py`, shape (FLAGS,)."""
+    """Control flags, indexed by the constants in `kernels/common/control.py`, shape (FLAGS,)."""
     particles: Any
     """Arrays of the particles, a struct `Particles`."""
     mesh: Any
@@ -123,7 +123,7 @@ class GridState:
         )
 
     def _rows(self, name: str) -> int:
-        """Return the number of rows of the mesh array with a given name."""
+        """Return the number of entries of the mesh array with a given name."""
         if name in PARTICLE_LISTS:
             return self.count
         if name == "reserved_places":
@@ -151,11 +151,11 @@ class GridState:
         return self.layout.particle_spacing
 
     def faces(self, name: str) -> np.ndarray:
-        """Return a mesh array with rows for faces, shape (axes, *shape), in double precision."""
+        """Return a mesh array with one entry per face, in double precision, shape (axes, *shape)."""
         return getattr(self.mesh, name).numpy().astype(float).reshape(-1, *self.shape)
 
     def cells(self, name: str) -> np.ndarray:
-        """Return an array of the mesh or geometry with a row for each cell, in double precision.
+        """Return an array of the mesh or geometry with one entry per cell, in double precision.
 
         The frame around the grid is left out, and the last axis comes first.
         """

@@ -1,4 +1,8 @@
-"""Forecast of a flow through a part: a coarser copy gives the time until it is steady, the first steps their cost."""
+"""Forecast of the run time of a flow through a part.
+
+A coarser copy of the flow is run to predict the simulated time until the flow is steady. The wall time of a step is
+measured in the first steps of the flow itself.
+"""
 
 from __future__ import annotations
 

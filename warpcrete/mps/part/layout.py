@@ -87,7 +87,7 @@ def bore_distance(scene: PartScene) -> Distance:
         inner = scene.inner
         return lambda x: inner.distance(frame.to_scene(x))
     places, radii = np.array(scene.bores.places), np.array(scene.bores.radii)
-    # In a cone the distance to the wall is the gap, measured square to the axis, times the cosine of the slope.
+    # In a cone the distance to the wall is the gap perpendicular to the axis times the cosine of the slope.
     lean = np.concatenate([[1.0], np.sqrt(1 + (np.diff(radii) / np.diff(places)) ** 2), [1.0]])
 
     def distance(x: np.ndarray) -> np.ndarray:

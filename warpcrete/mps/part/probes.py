@@ -26,7 +26,7 @@ UNITS = {
 """Units of the columns of the time series."""
 
 FULL = 0.3
-"""Minimum fraction of the bore's volume within a slice that cells must cover; other slices are left out."""
+"""Minimum fraction of the bore's volume that cells must cover in a slice one cell thick; other slices are left out."""
 
 
 def friction_ahead(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
@@ -49,10 +49,11 @@ def friction_ahead(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
 
 
 def straight_lines(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return straight lines fitted to the pressure in the straight stretches upstream and downstream of the middle.
+    """Return lines fitted to the pressure in the straight pipes upstream and downstream of a part's middle.
 
-    Each line is its slope [Pa/m] and its value at arc length zero [Pa]. A length of CLEARANCE radii at both ends of a
-    stretch is left out. A stretch with fewer than three points gives NaN.
+    The middle consists of the part's bends and tapers. Each line is returned as its slope [Pa/m] and its value at arc
+    length zero [Pa]. A length of CLEARANCE radii at both ends of a straight pipe is left out. With fewer than three
+    points, slope and value are NaN.
     """
     begin, end = scene.middle
     first, last = float(scene.bore(0.0)), float(scene.bore(scene.axis.length))
@@ -69,7 +70,8 @@ def straight_lines(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> tup
 def stations_of(scene: PartScene, s: np.ndarray, friction: np.ndarray) -> Table:
     """Return a table of the bore's radius, the remaining friction and the pressure at arc lengths `s` [m].
 
-    The column `friction` is the frictional loss still to come downstream [Pa]; the pressure includes weight.
+    The argument `friction`, which becomes the column `friction_ahead`, is the frictional loss from each arc length to
+    the end of the part [Pa]. The pressure includes the weight of the concrete.
     """
     columns = {"place": s, "radius": scene.bore(s), "friction_ahead": friction, "pressure": friction + scene.weight(s)}
     return Table(columns, {"place": "m", "radius": "m", "friction_ahead": "Pa", "pressure": "Pa"})
@@ -95,7 +97,7 @@ def losses(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> list[float]
 
 
 def _stretches(sections: Sequence[Section]) -> Iterator[tuple[int, int]]:
-    """Yield the numbers of the first and last section of each row of successive straight sections."""
+    """Yield the numbers of the first and last section of each series of successive straight sections."""
     first = None
     for k, section in enumerate(sections):
         if section.straight and first is None:
@@ -106,7 +108,10 @@ def _stretches(sections: Sequence[Section]) -> Iterator[tuple[int, int]]:
 
 
 def measured(flow: GridFlow) -> dict[str, float]:
-    """Return a row of the series; its `pressure` is that at the start of the part, weight included."""
+    """Measure a flow and return a row of the time series.
+
+    The entry `pressure` is the pressure at the start of the part, including the weight of the concrete.
+    """
     scene: PartScene = flow.scene
     if not flow.steps:
         return dict.fromkeys(UNITS, 0.0)

@@ -1,6 +1,6 @@
 """Simulation of concrete through a part of a line, from a scene to a finished run.
 
-The module `core/run_loop.py` has the loop common to all runs.
+The module `core/run/run_loop.py` contains the loop common to all runs.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class PartSimulation(FlowRun):
         return self.steady
 
     def sizes(self) -> dict[str, Any]:
-        """Return the sizes of the model and of the part for the result."""
+        """Return sizes of the model and of the part, such as the number of cells, for the run's result."""
         scene, layout = self.scene, self.flow.state.layout
         return {
             "cells": math.prod(layout.cells),
@@ -82,7 +82,10 @@ class PartSimulation(FlowRun):
         }
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
-        """Return entries of the result from the series and the pressure along the part, and the table of stations."""
+        """Return the entries of the result, and a table of the pressure along the part.
+
+        The entries follow from the time series and from the current pressure along the part.
+        """
         scene = self.scene
         result = results_of(QUANTITIES, RunData(scene, series))
         s, pressure = friction_ahead(self.flow)

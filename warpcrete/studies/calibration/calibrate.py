@@ -36,7 +36,8 @@ Progress = Callable[[str, float, dict[str, Any]], None]
 MIN_VALUES = 3
 """Minimum number of runs that must yield a target's quantity before a posterior is computed."""
 SETTLED_ERROR_RATIO = 0.5
-"""Ratio of emulator error to target uncertainty (standard deviations) below which more runs change nothing."""
+"""Ratio of the error of the Gaussian-process emulator to the uncertainty of a target, both as standard deviations,
+below which more runs would not change the answer."""
 SETTLED_SHIFT = 0.25
 """Shift of the posterior mean in one round, in posterior standard deviations, below which the answer is settled."""
 
@@ -80,7 +81,8 @@ def run_calibration(
     with files_read() as files:
         read = isinstance(targets, Path)
         task, raw = read_task(targets, modules) if read else (task_of(targets, modules), dict(targets))
-    files.pop(str(targets.resolve()) if read else "", None)  # its contents are in the record
+    # The record contains the targets, so their file may change before the calibration is resumed.
+    files.pop(str(targets.resolve()) if read else "", None)
     free = len(task.free)
     most = 10 + 10 * free if trials is None else trials
     batch_size = 4 + 2 * free if batch is None else batch
@@ -192,7 +194,7 @@ def run_round(
     calibration: Calibration, modules: Mapping[str, Any], place: int, trials: Sequence[Trial], where: Mapping[str, Any],
     tell: Progress, part: tuple[float, float],
 ) -> bool:  # fmt: skip
-    """Run all scenes of a round and store the results in `trials`; return False if the user interrupted the round.
+    """Run all scenes for one round of trials and store their results; return False if the user interrupted the round.
 
     `part` holds two fractions of all work: the fraction done before this round, and the fraction that this round takes.
     Raises :class:`WarpcreteError` if runs were lost because a process died or the disk was full.

@@ -87,7 +87,7 @@ def _same(folder: Path, scene: Any, digest: str) -> Iterator[tuple[Path, bool]]:
 
 
 def _free_folder(folder: Path) -> Path:
-    """Return `folder`, or a numbered variant of it if it exists, because two kinds of part may round to one name."""
+    """Return `folder`, or a numbered variant of it if it exists; names of similar parts may agree after rounding."""
     count, free = 1, folder
     while free.exists():
         count += 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from ...core.drawing.html import html_table
 from ...core.run.run import dataframe
 from ...core.units import quantity
 from ...mps.mixes import CONSTANTS
+from ...theory.bands import Band, combined
 from ...theory.pipe import Concrete
 from .losses import Part, PipeLine, friction, with_layer_factor
 
@@ -49,8 +50,8 @@ class LineResult:
     """Wall time of each new simulation [s], by its folder's name."""
     failed: dict[str, list[str]] = field(default_factory=dict)
     """Failed checks of the simulations with their findings, by folder name."""
-    extremes: tuple[Concrete, Concrete] | None = None
-    """Concretes that define the lower and upper end of the band; None if `layer_factor` defines it."""
+    variants: Mapping[str, tuple[Concrete, Concrete]] | None = None
+    """Pairs of concretes by the cause of their uncertainty; None if `layer_factor` is the only cause."""
 
     def __repr__(self) -> str:
         return f"<LineResult of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
@@ -89,27 +90,48 @@ class LineResult:
         """Hydraulic power transferred to the concrete [W]; the pump itself consumes more."""
         return self.pressure * self.flow
 
-    def band(self) -> tuple[float, float]:
-        """Return the lower and upper pressure at the start of the line [Pa] from the uncertainty of the concrete.
+    def band(self) -> Band:
+        """Return the pressure at the start of the line [Pa] with its band and the share of each cause of the band."""
+        return self.bands()[1][0]
 
-        The two pressures belong to a slip layer whose resistance is `layer_factor` times smaller and larger, or to the
-        two concretes of `extremes`. Simulated friction is scaled in proportion to the closed form.
+    def bands(self) -> tuple[np.ndarray, list[Band]]:
+        """Return places along the line between its parts [m], and the pressure there with its band [Pa].
+
+        For each cause, the pressure is calculated with the two concretes at the ends of this cause's band. Simulated
+        friction is scaled in proportion to the closed form.
         """
-        low, high = (float(self.course(of)[1][0]) for of in self.ends())
-        return low, high
+        places, ours = self.course(lambda loss: loss.friction + loss.weight)
+        ends = {cause: [self._course_of(each) for each in pair] for cause, pair in self._variants().items()}
+        found = [
+            combined(value, {cause: (low[k], high[k]) for cause, (low, high) in ends.items()})
+            for k, value in enumerate(ours.tolist())
+        ]
+        return places, found
 
-    def ends(self) -> list[Callable[[Loss], float]]:
-        """Return, for both ends of the band, a function that gives the pressure loss of a part [Pa]."""
-        factors = (1 / self.layer_factor, self.layer_factor)
-        others = self.extremes or [with_layer_factor(self.concrete, factor) for factor in factors]
-        return [lambda x, c=c: x.friction * friction(x.part, c, self.flow) / x.theory + x.weight for c in others]
+    def _variants(self) -> Mapping[str, tuple[Concrete, Concrete]]:
+        if self.variants is not None:
+            return self.variants
+        low, high = (with_layer_factor(self.concrete, x) for x in (1 / self.layer_factor, self.layer_factor))
+        return {"slip layer": (low, high)} if self.layer_factor > 1 else {}
+
+    def _course_of(self, concrete: Concrete) -> list[float]:
+        """Return the pressure between the parts [Pa] if the line is filled with another concrete."""
+
+        def loss(x: Loss) -> float:
+            own = x.friction * friction(x.part, concrete, self.flow) / x.theory
+            return own + x.weight * concrete.density / self.concrete.density
+
+        return self.course(loss)[1].tolist()
 
     @property
     def band_text(self) -> str:
-        """Description of the band for the user."""
-        if self.extremes is not None:
-            return "all constants at the lower and upper ends of the mix's bands"
-        return f"{self.layer_factor:g} times less or more resistance of the slip layer"
+        """Description of the uncertainty band of the pressure, for the user."""
+        if self.variants is None:
+            return f"{self.layer_factor:g} times less or more resistance of the slip layer"
+        shares = sorted(self.band().shares.items(), key=lambda item: -item[1])
+        if not shares:
+            return "no uncertainty of the mix"
+        return f"the bands of the mix, of which the {shares[0][0]} makes {100 * shares[0][1]:.0f} %"
 
     def course(self, of: Callable[[Loss], float]) -> tuple[np.ndarray, np.ndarray]:
         """Return places along the line between its parts [m] and the pressure there [Pa], both of shape (parts + 1,).
@@ -136,7 +158,7 @@ class LineResult:
 
     def record(self) -> dict[str, Any]:
         """Return the contents of line.json."""
-        low, high = self.band()
+        band = self.band()
         return {
             "line": self.line.name,
             "source": self.line.source,
@@ -146,9 +168,10 @@ class LineResult:
             "rise": quantity(self.line.rise, "m"),
             "pressure": quantity(self.pressure, "Pa"),
             "pressure_theory": quantity(self.theory, "Pa"),
-            "pressure_low": quantity(low, "Pa"),
-            "pressure_high": quantity(high, "Pa"),
-            "layer_factor": None if self.extremes else self.layer_factor,
+            "pressure_low": quantity(band.low, "Pa"),
+            "pressure_high": quantity(band.high, "Pa"),
+            "band_shares": dict(band.shares),
+            "layer_factor": None if self.variants is not None else self.layer_factor,
             "band": self.band_text,
             "power": quantity(self.power, "W"),
             "recorded": None if self.line.recorded is None else quantity(self.line.recorded, "Pa"),
@@ -168,12 +191,13 @@ class LineResult:
 
 def lines_of(result: LineResult) -> list[str]:
     """Return a headline and a table of the parts as lines of Markdown."""
-    low, high = result.band()
+    band = result.band()
     found = [
         f"**{result.line.name}**: {result.line.length:.4g} m, {result.line.rise:.4g} m up, {result.concrete.name} at "
         f"{3600 * result.flow:.4g} m3/h",
         "",
-        f"- pressure at the pump {_bar(result.pressure)}; {_bar(low)} to {_bar(high)} with {result.band_text}",
+        f"- pressure at the pump {_bar(result.pressure)}; {_bar(band.low)} to {_bar(band.high)} with "
+        f"{result.band_text}",
         f"- by theory, with bends and reducers as straight pipe, {_bar(result.theory)}",
         f"- power into the concrete {result.power / 1e3:.3g} kW",
     ]
@@ -200,11 +224,12 @@ def draw(result: LineResult) -> Any:
 
     figure = Figure(figsize=(7.5, 4.2), layout="constrained")
     axes = figure.add_subplot()
-    low, high = (result.course(of)[1] / 1e5 for of in result.ends())
-    places, ours = result.course(lambda x: x.friction + x.weight)
+    places, bands = result.bands()
+    low, ours, high = (np.array([getattr(each, end) for each in bands]) for end in ("low", "value", "high"))
+    low, high = low / 1e5, high / 1e5
     words = (
         "band of the mix"
-        if result.extremes
+        if result.variants is not None
         else (f"resistance of the slip layer {result.layer_factor:g} times less or more")
     )
     axes.fill_between(places, low, high, color="C0", alpha=0.15, linewidth=0, label=words)

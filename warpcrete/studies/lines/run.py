@@ -21,8 +21,8 @@ from .result import LineResult, Loss, draw, lines_of
 GRAVITY = 9.81
 """Gravitational acceleration [m/s2]."""
 CELLS = 12
-"""Default number of cells across the narrowest bore of a bend or reducer. With 12 cells, straight stretches of parts of
-125 mm deviate from theory by -0.7 to 1.7 %, with 8 cells by 1.6 %.
+"""Default number of cells across the narrowest bore of a bend or reducer. With 12 cells, the pressure loss of straight
+stretches in parts of 125 mm deviates from theory by -0.7 to 1.7 %, with 8 cells by 1.6 %.
 """
 TUBE_CELLS = 20
 """Number of particles across a straight pipe, which is cheaper to simulate because it is periodic."""
@@ -43,7 +43,7 @@ def run_line(
     simulate: bool = True,
     cells: int = CELLS,
     layer_factor: float = LAYER_FACTOR,
-    band: tuple[Concrete, Concrete] | None = None,
+    variants: Mapping[str, tuple[Concrete, Concrete]] | None = None,
     device: str | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
@@ -53,7 +53,8 @@ def run_line(
     Each kind of part is simulated once, without weight. Straight pipe is periodic. A bend or reducer lies between
     straight stretches with `cells` cells across the narrowest bore, and its loss excludes that of these stretches.
     Without `simulate`, the closed form of straight pipe replaces all simulations. The band of the pressure belongs to a
-    slip layer whose resistance is wrong by `layer_factor`, or to the two concretes in `band`. Runs are stored in the
+    slip layer whose resistance is wrong by `layer_factor`, or to the pairs of concretes in `variants`, as
+    :attr:`warpcrete.mix.mix.Mix.variants` gives them. Runs are stored in the
     new folder `out`, or in one locked by :func:`warpcrete.studies.lines.folder.line_folder`, where interrupted runs
     continue; finished runs in `known`, the folder of an earlier line, are reused. Raises :class:`SceneError` for an
     impossible flow or setting.
@@ -110,7 +111,7 @@ def run_line(
             else found[part.loss_key] * (part.length * part.relative_loss if part.is_by_length else 1.0)
         )
         losses.append(Loss(part, ours, theory, concrete.density * GRAVITY * part.rise))
-    result = LineResult(line, concrete, flow, losses, layer_factor, simulate, out, took, failed, band)
+    result = LineResult(line, concrete, flow, losses, layer_factor, simulate, out, took, failed, variants)
     if out is not None:
         _write(result, out)
     return result

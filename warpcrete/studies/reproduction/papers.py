@@ -25,8 +25,9 @@ class Row:
     """A parameter that the paper varies alone, with the paper's claim about it."""
 
     name: str
-    """Name of the varied parameter of the scene function."""
+    """Name of the variation in the report and in the option `--only`."""
     parameter: str
+    """Name of the varied parameter of the scene function."""
     values: tuple[Any, ...]
     claim: str
     """Claim of the paper about the effect of the parameter."""
@@ -106,7 +107,7 @@ ZHAN = (
     Row("hydrated modulus", "hydration_modulus", (2e4, 1e6, 1e7, 1e8, 1e9), "grows with the stiffness (at 20 %)",
         judge_growing, base={"hydration": 0.2}),
 )  # fmt: skip
-"""Parameter variations in section 5 of Zhan et al. 2019, on unit D; the pressures are peak pressures."""
+"""Parameter variations in section 5 of Zhan et al. 2019, on pipe unit D (bend to vertical); peak pressures count."""
 SMALLEST = {10e-3: 5e-3, 20e-3: 5e-3, 40e-3: 10e-3, 60e-3: 10e-3}
 """Smallest aggregate size [m] in each grading of Zhan et al., by the grading's largest size [m]."""
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
@@ -128,8 +129,8 @@ CONCRETES: dict[str, dict[str, Any]] = {
     "stiff stones": {"concrete": "zhan", "modulus": 1e7, "solid_fraction": 0.62, "layer_viscosity": 1660.0},
 }
 """Concretes of the reproduction: Table 1 of Zhan et al. as printed; the same concrete with a wall layer and wall
-friction calibrated on units A and B; and loosely packed stones with a modulus of 1e7 Pa, the same friction and
-another layer.
+friction calibrated on vertical and horizontal pipe (units A and B); and loosely packed stones with a modulus of 1e7 Pa,
+the same friction and another layer.
 """
 
 OPEN_ASSUMPTIONS: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {
@@ -145,14 +146,14 @@ OPEN_ASSUMPTIONS: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {
 }  # fmt: skip
 """Assumptions about details that Zhan et al. leave open. Each entry has parameters that are added to the calibrated
 concrete, the parameter variations that are run with them, and a description. Nothing is calibrated again, so the
-pressures of units A and B may change.
+pressures of the pipe units used for calibration (A and B) may change.
 """
 COARSE = dict(shapes="spheres", size_min=15e-3, size_max=40e-3)
 """Parameters of a quick reproduction, which uses spheres of 15 to 40 mm instead of clumps of 5 to 20 mm."""
 
 
 def zhan_case(row: Row, value: Any, quick: bool) -> dict[str, Any]:
-    """Return the scene parameters of Zhan's unit D at one value of a varied parameter."""
+    """Return the scene parameters of Zhan's pipe unit D (bend to vertical) at one value of a varied parameter."""
     case: dict[str, Any] = {"unit": "bend-to-vertical", "shapes": "reference", **(COARSE if quick else {})}
     case |= dict(row.base) | {row.parameter: value}
     if row.parameter == "size_max":

@@ -163,7 +163,7 @@ def _with_scatter(values: list[float]) -> str:
 
 
 def _pipelines(found: Reproduction) -> Iterator[str]:
-    """Yield the table of whole pipelines by the paper's Eq. 13, from the final pressures of units A and B."""
+    """Yield the table of whole pipelines by the paper's Eq. 13, from final pressures of straight units (A and B)."""
     yield "Eq. 13, pressure of a whole pipeline from one metre of vertical and one metre of horizontal pipe [MPa]:"
     yield ""
     yield "| pipeline | recorded | paper | " + " | ".join(columns_with_results(found)) + " |"

@@ -24,7 +24,7 @@ KNOWN_RESULTS = "known.json"
 QUICK = ("literal", "calibrated")
 """Concretes in a quick reproduction."""
 HYDRATED = ("calibrated", "literal")
-"""Concretes that are run with hydrated bonds by default; stiff stones would need ten times as many steps."""
+"""Concretes that are run with hydrated bonds by default; the concrete "stiff stones" would need ten times the steps."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 
@@ -134,7 +134,8 @@ def zhan_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[s
     names = reproduction.columns or (QUICK if reproduction.quick else (*CONCRETES, *OPEN_ASSUMPTIONS))
     studies = [(name, _cases(reproduction, name, hydrated=False)) for name in names]
     hydrated = [name for name in HYDRATED if name in names and not reproduction.quick]
-    if reproduction.columns and reproduction.rows:  # the user named a column and a row
+    # If the user named columns and rows, only the rows decide whether cases with hydrated bonds are run.
+    if reproduction.columns and reproduction.rows:
         hydrated = [name for name in names if name in CONCRETES]
     studies += [(f"{name}, hydrated", _cases(reproduction, name, hydrated=True)) for name in hydrated]
     return [(group, "pipe", cases) for group, cases in studies if cases]
@@ -143,7 +144,8 @@ def zhan_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[s
 def _cases(reproduction: Reproduction, name: str, hydrated: bool) -> list[dict[str, Any]]:
     """Return the parameters of a report column's cases that have no result yet, for all seeds.
 
-    With `hydrated` these are the rows about hydrated bonds, and otherwise the units and all other rows.
+    With `hydrated` these are the variations of parameters of hydrated bonds, otherwise the pipe units and all other
+    variations.
     """
     asked = [each for each in rows_of(name) if each in (reproduction.rows or rows_of(name))]
     units = [unit_case(unit, reproduction.quick) for unit in UNITS] if UNITS_ROW in asked and not hydrated else []
@@ -188,7 +190,7 @@ def _run(
     if (folder / "study.json").is_file():
         return resume_study(folder, module, processes=processes, progress=tell)
     same: dict[str, list[Mapping[str, Any]]] = {}
-    for case in cases:  # several rows contain the reference case: run it once
+    for case in cases:  # several variations contain the reference case: run it once
         same.setdefault(repr(module.scene.declared(_effective_parameters(module, case))), []).append(case)
     first = [_effective_parameters(module, loss_key[0]) for loss_key in same.values()]
     listed = [Case(f"{place + 1:03d}", each, each) for place, each in enumerate(first)]
@@ -207,7 +209,7 @@ def _store_results(reproduction: Reproduction, group: str, study: Study) -> None
     keys = read_json(study.folder.with_suffix(".json"))
     for case in study.cases:
         named = keys[case.name]
-        for key in [named] if isinstance(named, str) else named:  # folders of version 0.2 have one key per case
+        for key in [named] if isinstance(named, str) else named:  # in version 0.2, a case has a single key
             if case.name in study.results:
                 reproduction.results[key] = study.results[case.name]
             elif case.name in study.failures:

@@ -34,7 +34,7 @@ class Advice:
     ratio: float
     """Wall time of a run with these settings, divided by that of the scene without them."""
     left_out: tuple[str, ...]
-    """Descriptions of recommended settings that this scene cannot take; the promise does not hold without them."""
+    """Descriptions of recommended settings that this scene cannot use; the promise does not hold without them."""
     outside: tuple[str, ...]
     """Differences of this scene from the measured one, in words; the promise is untested for such differences."""
     tried: tuple[str, ...]

@@ -38,7 +38,7 @@ class Trade:
         self.folder, self.module, self.record = folder, module, record
         self.scene_name: str = record["scene"]
         self.base: dict[str, Any] = dict(record["parameters"])
-        if module.trading.tolerance:  # let checks accept the largest error of interest
+        if module.trading.tolerance:  # let the scene's checks accept the largest wanted error
             self.base.setdefault(module.trading.tolerance, WANTED_ERRORS[0])
         self.repeat: int = record["repeat"]
         self.device: str = record["device"]
@@ -88,7 +88,7 @@ class Trade:
 
     @property
     def given(self) -> Setting:
-        """Setting of the scene as given."""
+        """Setting in which no knob is changed: the scene as given."""
         return self.points[0]
 
     @property
@@ -358,7 +358,7 @@ class Trade:
         return found
 
     def shift(self, knob: Knob, level: int) -> float:
-        """Return the largest error of a knob's level against the knob's finest complete level; infinity on failure.
+        """Return the largest error of a knob's level against the finest level that was measured; infinity on failure.
 
         A difference that the scatter between seeds explains counts as zero. The knob does not cause such a
         difference, and the differences would accumulate over all knobs.

@@ -237,7 +237,8 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
             refuse("scene", trade.scene_name, f"does not run as given: {given.failure}")
         return
     needed = trade.rounds(2 * len(trade.seeds)) * given.cost
-    if trade.spent > 0 and needed > trade.budget:  # a resumed study may need only few further runs
+    # If nothing was run now (`spent` is 0), the study was resumed and may need only a few further runs.
+    if trade.spent > 0 and needed > trade.budget:
         refuse(
             "budget", f"{trade.budget:.3g} s", "is too short for two runs" + " for every seed" * trade.has_seeds,
             f"one run takes {given.cost:.3g} s; give {5 * needed:.2g} s or more",
@@ -285,7 +286,7 @@ def _run_reference(trade: Trade, tell: Tell) -> None:
         cost = trade.given.cost * math.prod(trade.ratio(by_name[name], k) for name, k in top.items())
         if cost * trade.rounds(len(trade.seeds)) <= max(FINEST_UNTIL * trade.budget - trade.spent, 0.0):
             break
-        if top == trade.record.get("finest"):  # an earlier call ran this setting when the budget was larger
+        if top == trade.record.get("finest"):  # keep the finest setting of an earlier call with a larger budget
             break
         # Compute for each knob: logarithm of the time factor saved by one coarser level, over the added error.
         saved = {}

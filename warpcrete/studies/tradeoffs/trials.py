@@ -26,7 +26,7 @@ class WorkerJob:
     cases: list[Case]
     """Cases of the setting, one for each seed."""
     load_kernels: bool
-    """True if to load the kernels before the first run."""
+    """True if the kernels must be loaded before the first run."""
     time_left: float
     """Time left for the runs [s]; the first run takes place even if there is none."""
 
@@ -84,6 +84,6 @@ def _run(
         return error
     (outcome,) = run_cases(record, module, folder, [case], stop_requested)
     if isinstance(outcome, dict) and outcome.get("finished"):
-        # Read the file, so that a resumed study sees exactly the same numbers.
+        # Read the results back from the file, so that a resumed study works with exactly the same numbers.
         return read_json(folder / case.name / "result.json")
     return outcome

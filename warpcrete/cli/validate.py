@@ -1,0 +1,49 @@
+"""Command `warpcrete validate`: blind predictions next to measurements."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from ..core.run.files import check_new
+from ..core.run.folders import new_folder
+from ..core.run.progress import ProgressBar
+from ..studies.validation.cases import read_cases
+from ..studies.validation.validate import SUMMARY_COLUMNS, markdown, summary_cells, validate
+
+
+def run(
+    kind: tuple[str, ...],
+    quick: bool,
+    cases: Path | None,
+    out: Path | None,
+    every: bool,
+    device: str | None,
+    quiet: bool,
+) -> None:
+    """Predict the measured cases and print the comparison; with `out`, also write tables and figure."""
+    if out is not None:
+        check_new(out)
+    given = None if cases is None else read_cases(cases)
+    bar = ProgressBar()
+    try:
+        found = validate(
+            given,
+            kinds=kind,
+            quick=quick,
+            device=device,
+            progress=None if quiet else lambda name, part: bar(name, part, {}),
+        )
+    finally:
+        bar.close()
+    if every:
+        click.echo(found.table())
+    else:
+        click.echo("\n".join(markdown(SUMMARY_COLUMNS, [summary_cells(each) for each in found.summaries()])))
+        for name, why in found.refused.items():
+            click.echo(f"refused: {name}: {why}")
+    if out is not None:
+        with new_folder(out):
+            found.write(out)
+        click.echo(f"written: {out / 'validation.md'}, {out / 'validation.png'}")

@@ -1,0 +1,184 @@
+"""Slip layer of a mix: measured, or estimated from the composition, the viscosity or the slump of the concrete.
+
+Pumped concrete slips on a thin layer of paste and fine mortar, whose wall stress is yield stress + viscosity * slip
+velocity; this viscosity is divided by the layer's thickness [Pa s/m]. The estimates hold for pipes of 100 to 150 mm.
+Each has a band that includes the error of the estimate itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ..theory.fits import StraightLine, straight_line
+from ..theory.laws import BINGHAM
+from ..theory.pipe import Concrete, Line, measured_layer
+from .figures import Figure, line_uncertainty, of_line
+from .given import MixEntries
+
+TRIBOMETER_RATIO = (0.3, 2.0)
+"""Smallest and largest ratio of the layer constant that pipe pressures imply to the one that a tribometer measured, in
+404 pipe flows of 22 concretes (Tavangar 2022)."""
+PIPE_UNCERTAINTY = 0.3
+"""Relative uncertainty of a layer fitted to pipe pressures of an earlier delivery. Deliveries of one recipe on one line
+differ by more than the 15 % that Mai et al. (2014) found on a single site; Deng et al. (2024) found -38 to +31 %."""
+PASTE_CONSTANT, PASTE_DENSEST = 128.0, 0.85
+"""Constants of :func:`paste_layer`: viscosity [Pa s/m] and densest packing of the powder. They were fitted to eight
+families of concretes in level lines of 325 to 1,044 m, with water-binder ratios of 0.17 to 0.44; four families were
+held out."""
+PASTE_ERROR_FACTOR = 1.7
+"""Factor, in both directions, by which the layer of a mix may differ from :func:`paste_layer`: 90 % of the concretes of
+the fitted families differ by less."""
+PASTE_YIELD = (10.0, 0.0, 50.0)
+"""Yield stress of a layer that is estimated from the paste, with its lower and upper limit [Pa]."""
+THICKENER_FACTOR, THICKENER_ERROR = 3.0, 1.25
+"""Factor by which a viscosity-modifying admixture raises the layer's resistance, and the factor by which it may differ.
+The three concretes of Xu, Li & Jiang (2021), which contain such an admixture, have 2.9 to 3.1 times the wall stress of
+:func:`paste_layer` at 0.5 m/s."""
+AGGREGATE_DENSEST, FILM = 0.80, 3e-3
+"""Constants of :func:`film_layer`: densest packing of sand and stones together, and thickness of the layer [m].
+Measured thicknesses are 1 to 3 mm (Deng et al. 2024; Zhao et al. 2024), and Xu's layers imply 6 mm."""
+FILM_ERROR_FACTOR = 3.0
+"""Factor, in both directions, by which a layer may differ from :func:`film_layer`."""
+SLUMP_ERROR_FACTOR = 2.0
+"""Factor, in both directions, by which a layer may differ from :func:`slump_layer`."""
+ASSUMED = (850.0, 10.0)
+"""Layer assumed if the mix determines none: viscosity [Pa s/m] and yield stress [Pa] of a self-compacting concrete with
+500 kg of powder in a cubic metre, by :func:`paste_layer`."""
+ASSUMED_ERROR_FACTOR = 3.0
+"""Factor, in both directions, by which an assumed slip layer may differ from the true one."""
+ASSUMPTION, ESTIMATE = "assumption", "estimate from"
+"""Beginnings of the origin of a property that was not measured: it does not follow from the mix, or from its paste
+only."""
+Pair = tuple[Figure, Figure]
+
+
+def paste_layer(solids: float) -> float:
+    """Return the layer's viscosity [Pa s/m] from the share of powder in the volume of the paste.
+
+    The relation is that of Krieger & Dougherty (1959) for spheres, 128 (1 - solids / 0.85)^(-2.5 0.85).
+    """
+    return PASTE_CONSTANT * (1 - solids / PASTE_DENSEST) ** (-2.5 * PASTE_DENSEST)
+
+
+def film_layer(viscosity: float, aggregate: float) -> float:
+    """Return the layer's viscosity [Pa s/m], as if the layer were the paste between the aggregates.
+
+    `viscosity` is the concrete's [Pa s], and `aggregate` the share of sand and stones in its volume. Aggregate thickens
+    the paste by f = (1 - aggregate / 0.80)^(-2.5 0.80) (Krieger & Dougherty 1959); the layer is 3 mm thick.
+    """
+    return viscosity / (aggregate_factor(aggregate) * FILM)
+
+
+def aggregate_factor(aggregate: float) -> float:
+    """Return the factor by which a share of sand and stones thickens paste (Krieger & Dougherty 1959)."""
+    return (1 - aggregate / AGGREGATE_DENSEST) ** (-2.5 * AGGREGATE_DENSEST)
+
+
+def slump_layer(slump: float) -> tuple[float, float]:
+    """Return viscosity [Pa s/m] and yield stress [Pa] of the layer from the slump [m].
+
+    The Chinese rule JGJ/T 10 gives the pressure loss 2 / r (K1 + 1.3 K2 v) 0.9 with K1 = 300 - slump [Pa] and K2 =
+    400 - slump [Pa s/m], for slumps in millimetres. It goes back to Morinaga (1973).
+    """
+    return 0.9 * 1.3 * (400 - 1e3 * slump), 0.9 * max(300 - 1e3 * slump, 0.0)
+
+
+def layers(given: MixEntries, concrete: Concrete, viscosity: Figure) -> Iterator[Pair]:
+    """Generate viscosity and yield stress of the slip layer, the most reliable first.
+
+    Each pair follows from one entry of the mix: from measurements, from the paste, from the film between aggregates,
+    from the slump, and last from an assumption. `concrete` supplies density, yield stress and viscosity of the bulk,
+    and `viscosity` is the bulk's viscosity with its band and origin.
+    """
+    yield from _measured(given, concrete)
+    thick, blur = (THICKENER_FACTOR, THICKENER_ERROR) if given.thickener else (1.0, 1.0)
+    more = f", times {thick:g} for a viscosity-modifying admixture (Xu, Li & Jiang 2021)" if given.thickener else ""
+    if given.paste_solids is not None and given.paste_solids < 0.95 * PASTE_DENSEST:
+        value, error = thick * paste_layer(given.paste_solids), blur * PASTE_ERROR_FACTOR
+        yield _pair(value, (value / error, value * error), PASTE_YIELD, concrete,
+                    f"{100 * given.paste_solids:.3g} % of powder in the paste",
+                    f"128 (1 - solids / 0.85)^-2.125, fitted to level lines{more}")  # fmt: skip
+    if (
+        given.sand_and_stone is not None
+        and given.sand_and_stone < 0.95 * AGGREGATE_DENSEST
+        and not viscosity.way.startswith((ASSUMPTION, ESTIMATE))
+        and concrete.bulk_law.name == BINGHAM
+    ):
+        ends = [film_layer(x, given.sand_and_stone) for x in (viscosity.value, viscosity.low, viscosity.high)]
+        yield _pair(ends[0], (ends[1] / FILM_ERROR_FACTOR, ends[2] * FILM_ERROR_FACTOR), PASTE_YIELD, concrete,
+                    f"viscosity, {100 * given.sand_and_stone:.3g} % of aggregate",
+                    "paste between the aggregates, in a film of 3 mm")  # fmt: skip
+    if given.slump is not None:
+        value, stress = slump_layer(given.slump)
+        error = SLUMP_ERROR_FACTOR * blur
+        yield _pair(thick * value, (thick * value / error, thick * value * error),
+                    (stress, stress / error, stress * error), concrete,
+                    f"slump of {1e3 * given.slump:.4g} mm", f"JGJ/T 10, after Morinaga 1973{more}")  # fmt: skip
+    value, stress = ASSUMED
+    error = ASSUMED_ERROR_FACTOR * blur
+    yield _pair(
+        thick * value, (thick * value / error, thick * value * error), (stress, 0.0, 5 * stress), concrete, ASSUMPTION,
+        f"uncertain by a factor of {error:.3g}: state the parts of the mix, or measure it",
+    )  # fmt: skip
+
+
+def _measured(given: MixEntries, concrete: Concrete) -> Iterator[Pair]:
+    """Generate the measured layer, if there is one, from constants, from pressures of a pipe or from a tribometer."""
+    own = given.layer
+    if own.constants is not None:
+        eta, tau = (own.constants.values[key] for key in ("viscosity", "yield_stress"))
+        yield _pair_of(eta, tau, *_factors(own.constants.uncertainty, own.pipe), "layer",
+                       "as given" + ("" if own.constants.uncertainty is not None else _SOURCES[own.pipe]))  # fmt: skip
+    if own.pipe_points is not None:
+        flows, pressures = own.pipe_points
+        line = Line(radius=own.diameter / 2, length=own.length, rise=own.rise / own.length)
+        way = f"{len(flows)} points of a pipe of {1e3 * own.diameter:g} mm"
+        yield _fitted(measured_layer(concrete, line, flows, pressures), len(flows), way, True)
+    if own.tribometer_points is not None:
+        speeds, stresses = own.tribometer_points
+        yield _fitted(straight_line(speeds, stresses), len(speeds), f"{len(speeds)} points of a tribometer", False)
+
+
+_SOURCES = {True: "; 30 % between deliveries", False: "; a tribometer differs from pipes by 0.3 to 2 (Tavangar 2022)"}
+"""Origin of the band of a measured layer without a stated uncertainty: fitted to pipe pressures, or by a tribometer."""
+
+
+def _factors(uncertainty: float | None, pipe: bool) -> tuple[float, float]:
+    """Return the factors from a measured constant to the ends of its band."""
+    if uncertainty is not None:
+        return 1 - uncertainty, 1 + uncertainty
+    return (1 / (1 + PIPE_UNCERTAINTY), 1 + PIPE_UNCERTAINTY) if pipe else TRIBOMETER_RATIO
+
+
+def _pair_of(eta: float, tau: float, low: float, high: float, way: str, source: str) -> Pair:
+    return (Figure("slip viscosity", eta, low * eta, high * eta, "Pa s/m", way, source),
+            Figure("slip yield", tau, low * tau, high * tau, "Pa", way, source))  # fmt: skip
+
+
+def _pair(
+    value: float,
+    ends: tuple[float, float],
+    stress: tuple[float, float, float],
+    concrete: Concrete,
+    way: str,
+    source: str,
+) -> Pair:
+    """Return an estimated layer.
+
+    A layer is concrete without its stones, so that its yield stress cannot exceed the concrete's.
+    """
+    tau, low, high = (min(each, concrete.yield_stress) for each in stress)
+    return (Figure("slip viscosity", value, *ends, "Pa s/m", way, source),
+            Figure("slip yield", tau, low, high, "Pa", way, source))  # fmt: skip
+
+
+def _fitted(fit: StraightLine, count: int, way: str, pipe: bool) -> Pair:
+    """Return a layer fitted to measured points, with the error of the fit and that of the instrument."""
+    found = []
+    for name, value, error, unit in (("slip viscosity", fit.slope, fit.slope_error, "Pa s/m"),
+                                     ("slip yield", fit.offset, fit.offset_error, "Pa")):  # fmt: skip
+        line = of_line(name, value, line_uncertainty(error, count, value, 0.0), unit, way, count)
+        low, high = _factors(None, pipe)
+        found.append(Figure(name, value, min(line.low, low * value), max(line.high, high * value), unit, way,
+                            f"straight line{_SOURCES[pipe]}"))  # fmt: skip
+    return found[0], found[1]

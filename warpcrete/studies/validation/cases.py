@@ -1,0 +1,127 @@
+"""Measured cases: their files, entries and sources, and the choice of the cases that are never fitted."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ...core.errors import one_of, refuse
+from ...core.inputs.amounts import amount
+from ...core.inputs.text_files import errors_located_at, read_mapping
+from .kinds import KINDS
+
+SHIPPED = Path(__file__).parents[2] / "measured" / "cases"
+FILE_KEYS = ("sources", "lines", "cases")
+KEYS = ("id", "kind", "group", "source", "where", "mix", "flow", "measured", "uncertainty", "note", "test")
+"""Entries of a case. `mix` and `test` are the inputs of the prediction, `flow` and `measured` belong together."""
+HELD_OUT_SHARE = 3
+"""One in this number of groups is held out."""
+FITTED = {"slump": ("yeh-2007",), "layer": ("suzuki-2004",)}
+"""Groups from which a constant of the program was taken before cases were held out, by kind: the height of the centre
+of a heap, and the factor of a viscosity-modifying admixture. They are never held out."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """Measurement with everything that a user would have known before it."""
+
+    name: str
+    kind: str
+    group: str
+    """Mix, line or laboratory that several cases share; they are fitted or held out together."""
+    source: str
+    """Publication and the table, figure or section in it."""
+    mix: Mapping[str, Any]
+    """Section `mix` of a concrete's file, as a user would write it."""
+    test: Mapping[str, Any]
+    """Dimensions of the pipe, part, line or apparatus."""
+    flows: tuple[float, ...]
+    """Flow rates [m3/s]; one for each measured value, or empty."""
+    measured: tuple[float, ...]
+    """Measured values in the SI unit of the case's kind."""
+    note: str = ""
+    lines: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    """Pump lines of the case's file by name."""
+    folder: Path = SHIPPED
+
+
+def held_out_groups(cases: Sequence[Case]) -> set[tuple[str, str]]:
+    """Return the groups, as pairs of kind and group, to which no constant of the program may be fitted.
+
+    They are a third of the groups of each kind, rounded; of two groups one is held out. The order follows from a hash
+    of the names, so that nobody can choose after seeing the results.
+    """
+    found = set()
+    for kind in {case.kind for case in cases}:
+        groups = {case.group for case in cases if case.kind == kind}
+        count = round(len(groups) / HELD_OUT_SHARE)
+        free = sorted(groups - set(FITTED.get(kind, ())), key=lambda name: hashlib.sha256(name.encode()).hexdigest())
+        found |= {(kind, name) for name in free[:count]}
+    return found
+
+
+def shipped_cases() -> list[Case]:
+    """Return all cases that are shipped with the package, in the order of their files."""
+    return [case for path in sorted(SHIPPED.glob("*.yaml")) for case in read_cases(path)]
+
+
+def read_cases(path: Path) -> list[Case]:
+    """Read the cases of a file.
+
+    Raises :class:`SceneError` if an entry is unknown or missing, or if two cases have the same name.
+    """
+    given = read_mapping(path, "cases")
+    for key in given:
+        with errors_located_at(given, key):
+            one_of("key of a file of cases", key, FILE_KEYS)
+    entries = given.get("cases")
+    if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:
+        refuse("cases", entries, "must be a list of measured cases", "see the shipped files for examples")
+    found = []
+    for number, entry in enumerate(entries):
+        with errors_located_at(entries, number):
+            found.append(_case(entry, given.get("sources") or {}, given.get("lines") or {}, path.parent))
+    names = [case.name for case in found]
+    for name in names:
+        if names.count(name) > 1:
+            refuse("case id", name, "is used twice", "give every case its own id")
+    return found
+
+
+def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], folder: Path) -> Case:
+    if not isinstance(given, Mapping):
+        refuse("case", given, "must hold 'key: value' lines")
+    for key in given:
+        one_of("key of a case", key, KEYS)
+    for key in ("id", "kind", "source", "measured"):
+        if key not in given:
+            refuse("case", str(given.get("id", "")), f"has no {key}", "add it")
+    one_of("case kind", given["kind"], KINDS)
+    one_of("case source", given["source"], sources)
+    unit = KINDS[given["kind"]].unit
+    flows = tuple(amount("case flow", x, "m3/s") for x in _listed(given.get("flow", [])))
+    measured = tuple(amount("case measured", x, unit) for x in _listed(given["measured"]))
+    if flows and len(flows) != len(measured):
+        refuse("case measured", len(measured), f"must have one value for each of the {len(flows)} flows")
+    where = str(given.get("where", ""))
+    return Case(
+        name=str(given["id"]),
+        kind=str(given["kind"]),
+        group=str(given.get("group", given["id"])),
+        source=f"{sources[given['source']]}{', ' + where if where else ''}",
+        mix=given.get("mix") or {},
+        test=given.get("test") or {},
+        flows=flows,
+        measured=measured,
+        note=str(given.get("note", "")),
+        lines=lines,
+        folder=folder,
+    )
+
+
+def _listed(given: Any) -> Sequence[Any]:
+    """Return a list as it is, and a single value as a list of one."""
+    return given if isinstance(given, Sequence) and not isinstance(given, str) else [given]

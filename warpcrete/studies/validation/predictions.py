@@ -1,0 +1,166 @@
+"""Blind predictions of measured cases, each calculated in the way that the documentation describes for users."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+from ...core.errors import refuse
+from ...core.inputs.amounts import amount
+from ...mix.mix import Mix, mix_of
+from ...mix.rheology import HEAP_CENTRE, HEAP_CENTRE_MEDIAN, READ_SPREAD
+from ...theory.bands import Band, combined
+from ...theory.inverse import BASE, HEIGHT, TOP, VOLUME
+from ...theory.pipe import Concrete, Line, layer_share, steady
+from ...theory.vessels import funnel_time, heap_at_rest, long_heap_spread, tall_cone_slump
+from ..lines.losses import line_of
+from ..lines.run import run_line
+from .cases import Case
+
+LINE_DENSITY = "2400 kg/m3"
+"""Density assumed for a mix that states none; only weight and slump depend on it, and friction does not."""
+
+
+def mix_of_case(case: Case, section: Mapping[str, object] | None = None) -> Mix:
+    """Return the mix of a case, with an assumed density if the publication states none."""
+    given = dict(section or case.mix)
+    if "density" not in given and "parts" not in given:
+        given["density"] = LINE_DENSITY
+    return mix_of(given, case.folder, case.name)
+
+
+def _number(case: Case, key: str, unit: str) -> float:
+    """Return an entry of a case's section `test` in `unit`."""
+    if key not in case.test:
+        refuse("case test", case.name, f"has no {key}", "add it")
+    return amount(f"case test: {key}", case.test[key], unit)
+
+
+def _banded(mix: Mix, evaluate: Callable[[Concrete], float]) -> Band:
+    """Return a quantity that depends on the concrete, with the band that the mix's uncertain properties cause."""
+    ends = {cause: (evaluate(low), evaluate(high)) for cause, (low, high) in mix.variants.items()}
+    return combined(evaluate(mix.concrete), ends)
+
+
+def _gradient(concrete: Concrete, diameter: float, flow: float) -> float:
+    """Return the friction of straight pipe per metre [Pa/m]."""
+    return steady(concrete, Line(radius=diameter / 2, length=1.0, rise=0.0), flow).pressure
+
+
+def _pipe(case: Case) -> list[Band]:
+    mix, diameter = mix_of_case(case), _number(case, "diameter", "m")
+    return [_banded(mix, lambda c, q=q: _gradient(c, diameter, q)) for q in case.flows]
+
+
+def _ratio(case: Case) -> list[Band]:
+    """Predict the friction of one concrete divided by that of another, in one pipe at one flow."""
+    diameter = _number(case, "diameter", "m")
+    mix, other = mix_of_case(case), mix_of_case(case, case.test["reference"])
+    found = []
+    for q in case.flows:
+        over, under = (_banded(each, lambda c, q=q: _gradient(c, diameter, q)) for each in (mix, other))
+        ends = {"concrete": (over.low / under.value, over.high / under.value),
+                "reference": (over.value / under.high, over.value / under.low)}  # fmt: skip
+        found.append(combined(over.value / under.value, ends))
+    return found
+
+
+def _line(case: Case) -> list[Band]:
+    """Predict the pressure at the pump less the weight of the concrete, both for the line's own density."""
+    mix = mix_of_case(case)
+    line = line_of(case.lines[str(case.test["line"])], case.name, case.folder)
+    found = []
+    for q in case.flows:
+        result = run_line(line, mix.concrete, q, simulate=False, variants=mix.variants)
+        band, weight = result.band(), sum(loss.weight for loss in result.losses)
+        found.append(Band(band.value - weight, max(band.low - weight, 0.0), band.high - weight, band.shares))
+    return found
+
+
+def line_weight(case: Case) -> float:
+    """Return the pressure due to the weight of the concrete in a case's line [Pa]."""
+    line = line_of(case.lines[str(case.test["line"])], case.name, case.folder)
+    return mix_of_case(case).concrete.density * Line().gravity * line.rise
+
+
+def _layer(case: Case) -> list[Band]:
+    """Predict the wall stress of the slip layer at one slip velocity [Pa]."""
+    speed = _number(case, "speed", "m/s")
+    return [_banded(mix_of_case(case), lambda c: float(c.layer_law.stress(speed)))]
+
+
+def _layer_share(case: Case) -> list[Band]:
+    """Predict the share of the largest velocity in a pipe that the slip layer contributes."""
+    mix, line = mix_of_case(case), Line(radius=_number(case, "diameter", "m") / 2, length=1.0, rise=0.0)
+    return [_banded(mix, lambda c, q=q: layer_share(c, line, q)) for q in case.flows]
+
+
+def _slump(case: Case) -> list[Band]:
+    """Predict the slump [m] from the yield stress of the mix, or from its spread.
+
+    A heap that spreads wider than twice its height is described by the theory of wide heaps, a stiffer one by that of
+    tall cones. Aggregate that piles up in the centre raises it by up to 100 mm (:data:`HEAP_CENTRE`).
+    """
+    mix = mix_of_case(case)
+
+    def slump(concrete: Concrete) -> float:
+        tau, rho = concrete.yield_stress, concrete.density
+        return min(HEIGHT - heap_at_rest(VOLUME, tau, rho)[1], tall_cone_slump(TOP, BASE, HEIGHT, tau, rho))
+
+    homogeneous = _banded(mix, slump)
+    value = homogeneous.value - HEAP_CENTRE_MEDIAN
+    return [Band(value, max(homogeneous.low - HEAP_CENTRE, 0.005), homogeneous.high, homogeneous.shares)]
+
+
+def _spread(case: Case) -> list[Band]:
+    """Predict the spread [m] from the yield stress of the mix.
+
+    The band includes the reading error and the difference between a heap that resists its stretch and a long one.
+    """
+    mix = mix_of_case(case)
+    own = mix.concrete
+
+    def width(stress: float) -> float:
+        return 2 * heap_at_rest(VOLUME, stress, own.density)[0]
+
+    spread = width(own.yield_stress)
+    ends = {
+        "yield stress": (width(mix["yield stress"].high), width(mix["yield stress"].low)),
+        "theory": (spread, long_heap_spread(VOLUME, own.yield_stress, own.density)),
+        "reading": (spread - READ_SPREAD, spread + READ_SPREAD),
+    }  # fmt: skip
+    return [combined(spread, ends)]
+
+
+FUNNEL = (0.0325, 0.2575), (0.15, 0.6), 0.075
+"""Half widths and heights of the V-funnel of EN 12350-9, and the distance of its parallel sides [m]."""
+
+
+def _funnel(case: Case) -> list[Band]:
+    """Predict the time of the V-funnel [s].
+
+    Concrete neither sticks to the funnel's wet steel nor slips on it as in a pipe. The prediction is the geometric mean
+    of both times, and its band reaches from one to the other.
+    """
+    mix = mix_of_case(case)
+
+    def time(concrete: Concrete, slips: bool) -> float:
+        layer = (concrete.slip_viscosity, concrete.slip_yield, concrete.slip_flow_index,
+                 concrete.slip_quadratic_viscosity) if slips else None  # fmt: skip
+        law = {"flow_index": concrete.flow_index, "quadratic_viscosity": concrete.quadratic_viscosity}
+        return funnel_time(
+            *FUNNEL, concrete.viscosity, concrete.yield_stress, concrete.density, layer=layer, **law
+        )  # fmt: skip
+
+    slips, sticks = (_banded(mix, lambda c, s=slips: time(c, s)) for slips in (True, False))
+    value = math.sqrt(slips.value * sticks.value)
+    ends = {"walls": (slips.value, sticks.value),
+            "concrete": (value * slips.low / slips.value, value * sticks.high / sticks.value)}  # fmt: skip
+    return [combined(value, ends)]
+
+
+PREDICTORS = {
+    "pipe": _pipe, "ratio": _ratio, "line": _line, "layer": _layer, "profile": _layer_share, "slump": _slump,
+    "spread": _spread, "funnel": _funnel,
+}  # fmt: skip
+"""Functions that return a prediction with its band for each measured value of a case, by the kind of the case."""

@@ -1,0 +1,183 @@
+"""Comparison of predictions with measured cases: ratios, medians and the share of cases inside their bands."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...core.drawing.html import html_table
+from ...core.errors import WarpcreteError, one_line, one_of
+from ...core.run.files import atomic_file, write_json
+from .cases import Case, held_out_groups, shipped_cases
+from .comparison import Comparison, compare
+from .figure import draw
+from .kinds import KINDS
+from .simulated import representatives, simulate
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Statistics of the comparisons of one kind."""
+
+    kind: str
+    chosen: str
+    """Cases in the statistics: "all", "held out", "others" or "simulated"."""
+    count: int
+    groups: int
+    """Number of independent groups among the cases."""
+    ratio: float
+    """Median of prediction over measurement."""
+    error: float
+    """Median factor between prediction and measurement, less 1."""
+    inside: float
+    """Share of the cases inside their bands."""
+    factor: float
+    """Median factor from a prediction to the ends of its band."""
+
+
+@dataclass(repr=False)
+class Validation:
+    """All comparisons, with their statistics, table and figure."""
+
+    comparisons: list[Comparison]
+    refused: dict[str, str]
+    """Cases that the program refuses to predict, with the reason."""
+
+    def __repr__(self) -> str:
+        return f"<Validation of {len(self.comparisons)} cases>"
+
+    def _repr_html_(self) -> str:
+        return html_table([summary_cells(each) for each in self.summaries()], SUMMARY_COLUMNS, repr(self))
+
+    def summaries(self) -> list[Summary]:
+        """Return the statistics of each kind, for all cases and for held-out and other cases apart."""
+        found = []
+        for kind in KINDS:
+            own = [each for each in self.comparisons if each.case.kind == kind and not each.simulated]
+            parts = {
+                "all": own,
+                "held out": [x for x in own if x.held_out],
+                "others": [x for x in own if not x.held_out],
+            }
+            parts |= {"simulated": [each for each in self.comparisons if each.case.kind == kind and each.simulated]}
+            found += [
+                _summary(kind, name, part) for name, part in parts.items() if part and (name == "all" or part != own)
+            ]
+        return found
+
+    def table(self) -> str:
+        """Return the statistics and the cases as Markdown."""
+        lines = [*markdown(SUMMARY_COLUMNS, [summary_cells(each) for each in self.summaries()]), ""]
+        lines += markdown(CASE_COLUMNS, [_case_cells(each) for each in self.comparisons])
+        lines += [f"- refused: {name}: {why}" for name, why in self.refused.items()]
+        return "\n".join(lines)
+
+    def record(self) -> dict[str, Any]:
+        """Return the contents of validation.json, in SI units."""
+        return {
+            "summaries": [vars(each) for each in self.summaries()],
+            "cases": [
+                {"id": x.case.name, "kind": x.case.kind, "group": x.case.group, "held_out": x.held_out,
+                 "simulated": x.simulated,
+                 "unit": KINDS[x.case.kind].unit, "measured": x.measured, "predicted": x.band.value,
+                 "low": x.band.low, "high": x.band.high, "causes": dict(x.band.shares), "source": x.case.source,
+                 "note": x.case.note}
+                for x in self.comparisons
+            ],
+            "refused": self.refused,
+        }  # fmt: skip
+
+    def plot(self) -> Any:
+        """Return a Matplotlib figure of predicted over measured values with their bands."""
+        return draw(self.comparisons)
+
+    def write(self, folder: Path) -> None:
+        """Write validation.md, validation.csv, validation.json and validation.png into a folder."""
+        folder.mkdir(parents=True, exist_ok=True)
+        with atomic_file(folder / "validation.md") as partial:
+            partial.write_text(self.table() + "\n", encoding="utf-8")
+        with atomic_file(folder / "validation.csv") as partial, partial.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(CASE_COLUMNS)
+            writer.writerows(_case_cells(each) for each in self.comparisons)
+        write_json(folder / "validation.json", self.record())
+        with atomic_file(folder / "validation.png") as partial:
+            self.plot().savefig(partial, dpi=150, format="png")
+
+
+SUMMARY_COLUMNS = (
+    "kind",
+    "cases",
+    "number",
+    "groups",
+    "median ratio",
+    "median error",
+    "inside",
+    "median factor of band",
+)
+CASE_COLUMNS = ("case", "kind", "held out", "unit", "measured", "predicted", "low", "high", "ratio", "inside")
+
+
+def validate(
+    cases: Sequence[Case] | None = None, *, kinds: Iterable[str] = (), quick: bool = False, device: str | None = None,
+    progress: Progress | None = None,
+) -> Validation:  # fmt: skip
+    """Predict measured cases, by default all that are shipped, and compare the predictions with the measurements.
+
+    `kinds` restricts the comparison, and an empty sequence means all kinds. Raises :class:`SceneError` for an unknown
+    kind. Unless it is `quick`, one case of each group of slumps, spreads and funnels is also simulated as a flow, which
+    takes a few minutes. A case that the program refuses to predict is listed with the reason.
+    """
+    kinds = tuple(kinds)
+    for kind in kinds:
+        one_of("kind", kind, KINDS)
+    everything = list(cases) if cases is not None else shipped_cases()
+    held = held_out_groups(everything)
+    chosen = [case for case in everything if not kinds or case.kind in kinds]
+    found: list[Comparison] = []
+    refused: dict[str, str] = {}
+    jobs = [(case, False) for case in chosen] + [(case, True) for case in ([] if quick else representatives(chosen))]
+    for place, (case, as_flow) in enumerate(jobs):
+        if progress is not None:
+            progress(case.name, place / len(jobs))
+        held_out = (case.kind, case.group) in held
+        try:
+            found.append(simulate(case, held_out, device=device) if as_flow else compare(case, held_out))
+        except WarpcreteError as error:
+            refused[f"{case.name}{', simulated' if as_flow else ''}"] = one_line(str(error))
+    return Validation(found, refused)
+
+
+def _summary(kind: str, chosen: str, part: Sequence[Comparison]) -> Summary:
+    ratios = np.array([each.ratio for each in part])
+    return Summary(
+        kind, chosen, len(part), len({each.case.group for each in part}),
+        float(np.median(ratios)),
+        math.exp(float(np.median(np.abs(np.log(ratios))))) - 1,
+        float(np.mean([each.inside for each in part])),
+        float(np.median([each.band.factor for each in part])),
+    )  # fmt: skip
+
+
+def summary_cells(x: Summary) -> tuple[str, ...]:
+    return (KINDS[x.kind].label, x.chosen, str(x.count), str(x.groups), f"{x.ratio:.2f}", f"{100 * x.error:.0f} %",
+            f"{100 * x.inside:.0f} %", f"{x.factor:.2f}")  # fmt: skip
+
+
+def _case_cells(x: Comparison) -> tuple[str, ...]:
+    name = f"{x.case.name}, simulated" if x.simulated else x.case.name
+    numbers = (x.measured, x.band.value, x.band.low, x.band.high)
+    return (name, x.case.kind, "yes" if x.held_out else "no", KINDS[x.case.kind].unit,
+            *(f"{each:.4g}" for each in numbers), f"{x.ratio:.2f}", "yes" if x.inside else "no")  # fmt: skip
+
+
+def markdown(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    return [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|", *(f"| {' | '.join(row)} |" for row in rows)]

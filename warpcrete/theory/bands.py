@@ -1,0 +1,50 @@
+"""Uncertainty bands: several independent causes combined into one band, with the share of each cause."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Band:
+    """Value with the band in which the true value is expected, and the causes of the band."""
+
+    value: float
+    low: float
+    high: float
+    shares: Mapping[str, float] = field(default_factory=dict)
+    """Share of each cause in the squared width of the band; the shares add up to 1."""
+
+    @property
+    def factor(self) -> float:
+        """Square root of the ratio of the band's ends: the band reaches from value / factor to value * factor."""
+        return math.sqrt(self.high / self.low) if self.low > 0 else math.inf
+
+    def contains(self, value: float) -> bool:
+        """Return whether a value lies in the band."""
+        return self.low <= value <= self.high
+
+
+def combined(value: float, ends: Mapping[str, tuple[float, float]]) -> Band:
+    """Combine independent causes of uncertainty into one band.
+
+    `ends` gives, for each cause, the two values that result if only this cause is at one end of its own band.
+    Deviations of a positive value are combined as logarithms, because a layer that is uncertain by a factor of three
+    divides and multiplies by three. Deviations to one side are added in squares, as for independent errors.
+    """
+    logarithmic = value > 0 and all(end > 0 for pair in ends.values() for end in pair)
+    below, above = 0.0, 0.0
+    widths = {}
+    for cause, pair in ends.items():
+        moves = [math.log(end / value) if logarithmic else end - value for end in pair]
+        down, up = max(0.0, *(-move for move in moves)), max(0.0, *moves)
+        below, above = below + down * down, above + up * up
+        widths[cause] = (down + up) ** 2
+    total = sum(widths.values())
+    shares = {cause: width / total for cause, width in widths.items()} if total > 0 else {}
+    down, up = math.sqrt(below), math.sqrt(above)
+    if logarithmic:
+        return Band(value, value * math.exp(-down), value * math.exp(up), shares)
+    return Band(value, value - down, value + up, shares)
