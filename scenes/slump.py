@@ -55,7 +55,7 @@ def scene(parameters: SlumpParameters) -> FreeScene:
     """Model a cone of concrete on a plate whose mould is lifted: slump, spread, T500.
 
     The mould opens from below as it is lifted, and has no friction; the concrete sticks to the plate by default. The
-    concrete is a Bingham fluid, and the flow is symmetric about the axis.
+    concrete is a yield stress fluid, and the flow is symmetric about the axis.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """

@@ -213,9 +213,10 @@ def theory(
     rest: str | None, thixotropy: str | None, segregation: tuple[str, ...], aggregate: str | None,
     **values: Any,
 ) -> None:  # fmt: skip
-    """Compute the flow of a Bingham fluid with a slip layer in a pipe and a channel.
+    """Compute the flow of a yield stress fluid with a slip layer in a pipe and a channel.
 
-    The pressure follows from a flow, or the flow from a pressure.
+    The pressure follows from a flow, or the flow from a pressure. The concrete is a Bingham fluid by default; with
+    --flow-index or --quadratic-viscosity it obeys the Herschel-Bulkley or the modified Bingham law.
     """
     job, amounts = _part("theory"), _part("option_amounts")
     one, several = amounts.option_amount, amounts.option_amounts

@@ -1,4 +1,4 @@
-"""Command `warpcrete theory`: the closed-form solution for a Bingham fluid with a slip layer."""
+"""Command `warpcrete theory`: the closed-form solution for a yield stress fluid with a slip layer."""
 
 from __future__ import annotations
 

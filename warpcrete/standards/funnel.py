@@ -28,7 +28,8 @@ def _time_of_ducts(k: Outcome) -> float | None:
     size, concrete = k.size, k.concrete
     halves = (size["outlet_width"] / 2, size["top_width"] / 2)
     time = funnel_time(halves, (size["outlet_height"], _height(size)), size["breadth"], concrete.viscosity,
-                       concrete.yield_stress, concrete.density, k.gravity)  # fmt: skip
+                       concrete.yield_stress, concrete.density, k.gravity, flow_index=concrete.flow_index,
+                       quadratic_viscosity=concrete.quadratic_viscosity)  # fmt: skip
     return time if math.isfinite(time) else None
 
 

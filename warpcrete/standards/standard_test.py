@@ -62,7 +62,7 @@ class Outcome:
     fill_height: float | None = None
     """Height of settled concrete in a mould before it is lifted [m]; None if concrete fills the mould exactly."""
     concrete: Any = None
-    """Bingham fluid, a :class:`warpcrete.theory.pipe.Concrete`, for the closed forms; None if it is unknown."""
+    """Yield stress fluid, a :class:`warpcrete.theory.pipe.Concrete`, for the closed forms; None if it is unknown."""
     density: float = 0.0
     """Density of the concrete in the full vessel [kg/m3]."""
     gravity: float = 9.81
@@ -83,7 +83,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class ClosedForm:
-    """Closed form that predicts a quantity of a test for a Bingham fluid."""
+    """Closed form that predicts a quantity of a test for a yield stress fluid."""
 
     quantity: str
     suffix: str

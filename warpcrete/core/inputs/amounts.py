@@ -58,6 +58,8 @@ UNITS = {
     "m2/N": {"m2/N": 1.0, "m²/N": 1.0, "1/Pa": 1.0},
     "Pa s": {"Pa s": 1.0, "Pa.s": 1.0, "Pa·s": 1.0, "Pas": 1.0, "mPa s": 1e-3},
     "Pa s/m": {"Pa s/m": 1.0, "Pa.s/m": 1.0, "Pa·s/m": 1.0},
+    "Pa s2": {"Pa s2": 1.0, "Pa s²": 1.0, "Pa.s2": 1.0, "Pa·s²": 1.0},
+    "Pa s2/m2": {"Pa s2/m2": 1.0, "Pa s²/m²": 1.0, "Pa.s2/m2": 1.0, "Pa·s²/m²": 1.0},
 }  # fmt: skip
 """Accepted unit names, by internal unit: `UNITS[internal][written]` is the factor that converts a value in the written
 unit to the internal unit. Gallons and fluid ounces (oz/yd3) are those of the United States."""

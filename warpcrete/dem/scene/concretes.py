@@ -38,7 +38,8 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
     found = completed(name)
     section = found.elements or _of_flow(found)
     if found.mix is not None:
-        section = {**found.elements, **_of_flow(found), **found.mix.elements}
+        layer_given = {"layer_yield", "layer_viscosity"} <= set(found.mix.elements)
+        section = {**found.elements, **_of_flow(found, layer_given), **found.mix.elements}
     sized = any(size in values or size in section for size in SIZES)
     if found.flow and not sized and (found.mix is not None or not found.elements):
         warn(f"concrete {found.name} has no sieve curve, so its aggregate gets the scene's default sizes; give a "
@@ -48,11 +49,12 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
     return known_only("elements", section, known, name)
 
 
-def _of_flow(found: NamedConcrete) -> dict[str, Any]:
+def _of_flow(found: NamedConcrete, layer_given: bool = False) -> dict[str, Any]:
     """Return the parameters of a concrete for which only flow properties are known: bulk density and slip layer.
 
     The slip layer alone acts on the walls, without friction. All other parameters keep the values of Zhan (2019, Table
-    1).
+    1). Raises :class:`SceneError` for a slip layer of another law than Bingham's, which elements do not have, unless
+    `layer_given` says that other values replace it.
     """
     flow = found.flow
     missing = [name for name in ("density", "slip_viscosity", "slip_yield") if name not in flow]
@@ -63,6 +65,10 @@ def _of_flow(found: NamedConcrete) -> dict[str, Any]:
             f"is missing in {found.name}, but discrete elements need it",
             "add it to the file's section 'flow', or give the section 'elements'",
         )
+    for name, plain in (("slip_flow_index", 1.0), ("slip_quadratic_viscosity", 0.0)):
+        if flow.get(name, plain) != plain and not layer_given:
+            refuse(f"concrete flow {name}", flow[name], "describes a slip layer that discrete elements do not have: "
+                   "theirs is linear", "give layer_yield and layer_viscosity in the section 'elements'")  # fmt: skip
     return {
         "bulk_density": flow["density"],
         "wall_friction": 0.0,

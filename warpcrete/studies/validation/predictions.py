@@ -97,7 +97,7 @@ def line_weight(case: Case) -> float:
 def _layer(case: Case) -> list[Band]:
     """Predict the wall stress of the slip layer at one slip velocity [Pa]."""
     speed = _number(case, "speed", "m/s")
-    return [_banded(mix_of_case(case), lambda c: c.slip_yield + c.slip_viscosity * speed)]
+    return [_banded(mix_of_case(case), lambda c: float(c.layer_law.stress(speed)))]
 
 
 def _layer_share(case: Case) -> list[Band]:
@@ -156,8 +156,12 @@ def _funnel(case: Case) -> list[Band]:
     mix = mix_of_case(case)
 
     def time(concrete: Concrete, slips: bool) -> float:
-        layer = (concrete.slip_viscosity, concrete.slip_yield) if slips else None
-        return funnel_time(*FUNNEL, concrete.viscosity, concrete.yield_stress, concrete.density, layer=layer)
+        layer = (concrete.slip_viscosity, concrete.slip_yield, concrete.slip_flow_index,
+                 concrete.slip_quadratic_viscosity) if slips else None  # fmt: skip
+        law = {"flow_index": concrete.flow_index, "quadratic_viscosity": concrete.quadratic_viscosity}
+        return funnel_time(
+            *FUNNEL, concrete.viscosity, concrete.yield_stress, concrete.density, layer=layer, **law
+        )  # fmt: skip
 
     slips, sticks = (_banded(mix, lambda c, s=slips: time(c, s)) for slips in (True, False))
     value = math.sqrt(slips.value * sticks.value)
