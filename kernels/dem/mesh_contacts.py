@@ -308,7 +308,7 @@ def mesh_parts(scalar, law) -> SimpleNamespace:
 
 
 @functools.cache
-def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
+def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Kernel:
     """Return the kernel over spheres that adds the contact forces of triangle meshes to spheres and walls."""
     t = types(scalar)
     parts, rolls = mesh_parts(scalar, law), law.rolls
@@ -430,7 +430,7 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
 
 
 @functools.cache
-def candidate_kernels(scalar):
+def candidate_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
     """Return the kernels that count and store the faces within reach (radius plus mesh skin) of each sphere."""
     t = types(scalar)
     structs = array_structs(scalar)

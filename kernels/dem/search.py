@@ -204,7 +204,7 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
 
 
 @functools.cache
-def half_search_kernel(scalar, bonds: bool):
+def half_search_kernel(scalar, bonds: bool) -> wp.Kernel:
     """Return the kernel ``search`` for half lists (CPU).
 
     A chunk is the range of spheres of one CPU thread. A pair inside a chunk is listed at its larger sphere; of two
@@ -343,7 +343,7 @@ def recording_functions(scalar, bonds: bool):
 
 
 @functools.cache
-def full_search_kernels(scalar, bonds: bool, lanes: int):
+def full_search_kernels(scalar, bonds: bool, lanes: int) -> tuple[wp.Kernel, wp.Kernel]:
     """Return the kernels ``search`` and ``fill`` for full lists (GPU).
 
     ``search`` counts the neighbours of each sphere (`count` must be zero before) and stores them in `finds` as far as

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import re
 from contextlib import suppress
-from typing import Any
 
 import numpy as np
 
 from ..errors import refuse, suggested
+from ..narrowing import is_number
 
 NUMBERS = (int, float, np.integer, np.floating)
 UNITS = {
@@ -51,7 +51,7 @@ def _split(value: str) -> re.Match[str] | None:
     return NUMBER.fullmatch(value.strip()) if len(value) <= LONGEST else None
 
 
-def bare_number(value: Any) -> bool:
+def bare_number(value: object) -> bool:
     """Return whether `value` is a number, or a text that holds a number without a unit."""
     if not isinstance(value, str):
         return isinstance(value, NUMBERS)
@@ -59,7 +59,7 @@ def bare_number(value: Any) -> bool:
     return text is not None and not text[2]
 
 
-def amount(field: str, value: Any, unit: str) -> float:
+def amount(field: str, value: object, unit: str) -> float:
     """Return a number or a text such as "125 mm" as a number in `unit`.
 
     `unit` is a key of :data:`UNITS`, and `field` names the parameter in error messages. A number without a unit counts
@@ -75,7 +75,7 @@ def amount(field: str, value: Any, unit: str) -> float:
             more = "; write a decimal point instead of a decimal comma, as in 10.3"
         elif text is not None and (meant := suggested(text[2], known)):
             more = f"; {meant}"
-    elif isinstance(value, NUMBERS) and not isinstance(value, bool):
+    elif is_number(value):
         with suppress(OverflowError):
             number = float(value)
     if not math.isfinite(number):

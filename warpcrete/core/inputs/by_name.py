@@ -14,7 +14,7 @@ import importlib
 import inspect
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
@@ -31,7 +31,7 @@ _trusted: ContextVar[bool] = ContextVar("trusted", default=False)
 
 
 @contextmanager
-def names_from_file() -> Iterator[None]:
+def names_from_file() -> Generator[None]:
     """Forbid imports of modules that a file names, while the block runs; also usable as a decorator.
 
     Modules that are loaded already stay usable. Inside :func:`trusted_files` the imports are allowed.
@@ -44,7 +44,7 @@ def names_from_file() -> Iterator[None]:
 
 
 @contextmanager
-def trusted_files() -> Iterator[None]:
+def trusted_files() -> Generator[None]:
     """Allow imports of modules that a file names, while the block runs."""
     token = _trusted.set(True)
     try:
@@ -54,7 +54,7 @@ def trusted_files() -> Iterator[None]:
 
 
 @contextmanager
-def _folder_on_path() -> Iterator[None]:
+def _folder_on_path() -> Generator[None]:
     """Add the current folder to the end of Python's module search path, while the block runs.
 
     `python -m` puts the current folder first. Here it comes last, so that a local file cannot hide an installed
@@ -105,9 +105,9 @@ class ByName(CompositeRule):
         """
         if value is None:
             return {field.name: None}, True
-        kind = type(value)
+        kind: type[Any] = type(value)
         _note_source(kind)
-        own = {}
+        own: dict[str, Any] = {}
         for key, (_, path) in _leaves(field.name, kind):
             own[key] = value
             for step in path:
@@ -132,7 +132,8 @@ class ByName(CompositeRule):
         if value is None:
             return None
         if isinstance(value, field.kind):
-            return type(value)
+            kind: type[Any] = type(value)
+            return kind
         if isinstance(value, str) and value in self.classes:
             return self.classes[value]
         words = f"must be one of {', '.join(self.classes)}, or package.module:Class for your own class"
@@ -165,7 +166,7 @@ def _imported(field: Field, value: str, module: str, name: str) -> type:
     return _checked(field, found, value)
 
 
-def _checked(field: Field, found: Any, name: str) -> type:
+def _checked(field: Field, found: object, name: str) -> type:
     kind: type = field.kind
     if not (isinstance(found, type) and issubclass(found, kind) and is_dataclass(found)):
         refuse(field.name, name, f"must be a frozen dataclass that derives from {kind.__module__}:{kind.__name__}")

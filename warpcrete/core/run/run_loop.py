@@ -98,7 +98,7 @@ class Simulation:
             refuse("scene", type(scene).__name__, f"must be a {' or a '.join(t.__name__ for t in known)}", hint)
         return super().__new__(kind)
 
-    def __init__(
+    def __init__(  # pyright: ignore[reportInconsistentConstructor]  # The scene's type selects the subclass.
         self,
         scene: Any,
         *,
