@@ -314,6 +314,8 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
     parts, rolls = mesh_parts(scalar, law), law.rolls
     span = SPAN if half else 1
 
+    # The arrays of walls and slots are separate arguments, because with structs CUDA's compiler orders the arithmetic of
+    # this kernel in another way, which is slower and changes the last digit.
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def mesh_contacts(
         # The next arguments are arrays of the model.
@@ -326,7 +328,7 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
         scenes: parts.Scenes, candidates: parts.Candidates, wall_position: wp.array(dtype=t.vec3),
         wall_orientation: wp.array(dtype=t.quat), wall_velocity: wp.array(dtype=t.vec3),
         wall_spin: wp.array(dtype=t.vec3),
-        # The next arguments are arrays of the state that this kernel reads and writes.
+        # Outputs, which this kernel also reads.
         flags: wp.array2d(dtype=wp.int32), spheres: parts.Spheres, slot_wall: wp.array2d(dtype=wp.int32),
         slot_normal: wp.array2d(dtype=t.vec3), slot_overlap: wp.array2d(dtype=scalar),
         slot_history: wp.array2d(dtype=t.vec3), slot_rolling: wp.array2d(dtype=t.vec3),

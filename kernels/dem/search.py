@@ -244,10 +244,12 @@ def half_search_kernel(scalar, bonds: bool) -> wp.Kernel:
     def search(
         grid: Grid,
         shift: wp.array(dtype=t.vec3),
-        # The next arguments are the range of spheres of this chunk and its index, and the bounding boxes of all chunks.
+        # The next arguments are the range of spheres of this chunk and its index, the range of entries of `other` that
+        # belongs to the chunk, and the bounding boxes of all chunks.
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,
+        room: wp.vec2i,
         boxes: wp.array2d(dtype=t.vec3),
         # The next arguments are arrays of the state that this kernel only reads.
         flags: wp.array2d(dtype=wp.int32),
@@ -256,10 +258,9 @@ def half_search_kernel(scalar, bonds: bool) -> wp.Kernel:
         old_pairs: Pairs,
         old_place: wp.array(dtype=wp.int32),
         stretched: wp.array(dtype=scalar),
-        # The next arguments are arrays that this kernel writes.
+        # Outputs.
         count: wp.array(dtype=wp.int32),
         place: wp.array(dtype=wp.int32),
-        room: wp.vec2i,
         wanted: wp.array(dtype=wp.int32),
         other: wp.array(dtype=wp.int32),
     ):

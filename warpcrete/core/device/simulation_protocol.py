@@ -21,31 +21,27 @@ class Clocked(Protocol):
         ...
 
 
+class Stepped(Clocked, Protocol):
+    """State that a simulation can step."""
+
+    def advance(self, until: float) -> None:
+        """Step the state until its time reaches `until` [s]."""
+
+
 class SimulationOnDevice(Protocol):
     """Simulation with its device, its threads and the state of its run."""
 
     stop_requested: bool
     """True if the run must end at its next sample."""
 
-    @property
-    def device(self) -> wp.Device:
-        """Warp device of the run."""
-        ...
-
-    @property
-    def threads(self) -> int:
-        """Number of CPU threads of the run."""
-        ...
-
-    @property
-    def shares_cores(self) -> bool:
-        """True if other runs use the cores that the threads of this run leave free."""
-        ...
-
-    @property
-    def finishing(self) -> bool:
-        """True if the run writes its results."""
-        ...
+    finishing: bool
+    """True if the run writes its results."""
+    device: wp.Device
+    """Warp device of the run."""
+    threads: int
+    """Number of CPU threads of the run."""
+    shares_cores: bool
+    """True if other runs use the cores that the threads of this run leave free."""
 
     @property
     def stepper(self) -> Clocked:

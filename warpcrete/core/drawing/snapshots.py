@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -14,6 +13,7 @@ import warp as wp
 
 from ..device.arrays import DeviceArray, ones
 from ..device.exchange import PinnedBuffers
+from ..device.simulation_protocol import SimulationOnDevice
 
 COPY_TIMEOUT = 60.0
 """Maximum time that copies from a device may take to arrive before an error is raised [s]."""
@@ -21,7 +21,7 @@ POLL_INTERVAL = 1e-3
 """Time between two checks whether copies have arrived [s]; each check takes Python's interpreter lock from the run."""
 
 
-def on_host(found: Any) -> Any:
+def on_host(found: object) -> object:
     """Return a Warp array as a NumPy array of its own; return anything else unchanged."""
     if not isinstance(found, DeviceArray):
         return found
@@ -37,7 +37,7 @@ class PinnedPool:
     """Pool of page-locked memory for asynchronous copies from a GPU; it is reused because its allocation is slow."""
 
     def __init__(self) -> None:
-        self._free: dict[tuple[str, ...], tuple[Any, deque[PinnedBuffers]]] = {}
+        self._free: dict[tuple[str, ...], tuple[Sequence[object], deque[PinnedBuffers]]] = {}
         self._outdated_queues: list[deque[PinnedBuffers]] = []
         self._arrival_flag: DeviceArray | None = None
 
@@ -108,12 +108,12 @@ class Snapshot:
     time: float
     """Simulated time of the snapshot [s]."""
     steps: int
-    found: dict[str, Any]
+    found: dict[str, object]
     """Values by name; for a copy that is in flight, the value is the :class:`PendingCopies` object with the copy."""
-    derived: dict[Hashable, Any] = field(default_factory=dict[Hashable, Any])
+    derived: dict[Hashable, object] = field(default_factory=dict[Hashable, object])
     """Results computed from the values, by name, shared by all displays of this snapshot."""
 
-    def read(self, name: str) -> Any:
+    def read(self, name: str) -> object:
         """Return the value stored under `name`; if it is a copy in flight, wait until the copy has arrived."""
         found = self.found[name]
         return found[name] if isinstance(found, PendingCopies) else found
@@ -127,10 +127,10 @@ class _Latest:
         self.pool = PinnedPool()
 
 
-_latest: WeakKeyDictionary[Any, _Latest] = WeakKeyDictionary()
+_latest: WeakKeyDictionary[SimulationOnDevice, _Latest] = WeakKeyDictionary()
 
 
-def snapshot_of(simulation: Any, sources: Mapping[str, Callable[[], Any]]) -> Snapshot:
+def snapshot_of(simulation: SimulationOnDevice, sources: Mapping[str, Callable[[], object]]) -> Snapshot:
     """Return a snapshot of the present values of `sources`, by name.
 
     Several displays that request a name at the same step share one read.

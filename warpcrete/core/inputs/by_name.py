@@ -81,12 +81,12 @@ class ByName(CompositeRule):
     def __hash__(self) -> int:
         return hash(tuple(self.classes.items()))
 
-    def fields(self, field: Field, value: Any) -> dict[str, Field]:
+    def fields(self, field: Field, value: object) -> dict[str, Field]:
         """Return the fields of a class as parameters by name; `value` is the class's name or an instance."""
         kind = self.class_of(field, value)
         return {} if kind is None else own_fields(field.name, kind)
 
-    def with_objects(self, field: Field, values: Mapping[str, Any]) -> dict[str, Any]:
+    def with_objects(self, field: Field, values: Mapping[str, object]) -> dict[str, object]:
         """Return parameters with an object in place of its class name and of the object's own parameters.
 
         For example, the entries `contact` and `contact_FIELD` become one entry `contact` that holds the contact law.
@@ -98,7 +98,7 @@ class ByName(CompositeRule):
             found[field.name] = _object(field.name, kind, value if isinstance(value, kind) else None, own)
         return found
 
-    def to_plain(self, field: Field, value: Any) -> tuple[dict[str, Any], bool]:
+    def to_plain(self, field: Field, value: object) -> tuple[dict[str, object], bool]:
         """Return an object's class name and field values, and whether these suffice to make an equal object.
 
         They do not suffice if the class cannot be imported by its name, or if it has fields that are not declared.
@@ -124,7 +124,7 @@ class ByName(CompositeRule):
         short = {each: name for name, each in self.classes.items()}
         return short.get(kind, f"{kind.__module__}:{kind.__qualname__}")
 
-    def class_of(self, field: Field, value: Any) -> type | None:
+    def class_of(self, field: Field, value: object) -> type | None:
         """Return the class that `value` names, or the class of the object `value`; return None for the value None.
 
         Raises :class:`SceneError` if the name leads to no class of the kind that `field` requires.
@@ -204,7 +204,7 @@ def _leaves(name: str, kind: type) -> Iterator[tuple[str, tuple[Field, tuple[str
             yield f"{name}_{own}", (field, (own,))
 
 
-def _object(name: str, kind: type, given: Any, values: Mapping[str, Any]) -> Any:
+def _object(name: str, kind: type, given: Any, values: Mapping[str, object]) -> object:
     """Return an object of class `kind`: a new one, or a copy of `given` whose fields in `values` are replaced."""
     changes: dict[str, Any] = {}
     factories = {f.name for f in fields(kind) if f.default_factory is not MISSING}

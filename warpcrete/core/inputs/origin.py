@@ -84,7 +84,12 @@ class Arguments(dict[str, Any]):
 
     @classmethod
     def of(
-        cls, scene: Any, function: str, values: Mapping[str, Any], files: Mapping[str, str], unwritable: tuple[str, ...]
+        cls,
+        scene: object,
+        function: str,
+        values: Mapping[str, object],
+        files: Mapping[str, str],
+        unwritable: tuple[str, ...],
     ) -> Arguments:
         """Return the arguments `values` with fingerprints of `scene`, which was just made from them."""
         made = cls(values)

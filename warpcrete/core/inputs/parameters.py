@@ -109,15 +109,15 @@ class CompositeRule:
     See :mod:`warpcrete.core.inputs.by_name`.
     """
 
-    def fields(self, field: Field, value: Any) -> dict[str, Field]:
+    def fields(self, field: Field, value: object) -> dict[str, Field]:
         """Return the parameters that belong to a value of `field`, by name."""
         raise NotImplementedError
 
-    def with_objects(self, field: Field, values: Mapping[str, Any]) -> dict[str, Any]:
+    def with_objects(self, field: Field, values: Mapping[str, object]) -> dict[str, object]:
         """Return parameters in which the value of `field` is built from all parameters that belong to it."""
         raise NotImplementedError
 
-    def to_plain(self, field: Field, value: Any) -> tuple[dict[str, Any], bool]:
+    def to_plain(self, field: Field, value: object) -> tuple[dict[str, object], bool]:
         """Return plain values for a value of `field`, and whether `with_objects` makes an equal value from them."""
         raise NotImplementedError
 
@@ -132,7 +132,7 @@ class Field:
     """True if None is an allowed value."""
     help: str
     rules: tuple[object, ...]
-    default: Any
+    default: object
     """Default value; `dataclasses.MISSING` if there is none."""
     group: str
     """First line of the docstring of the class that declares the field; it is the heading of a group in help texts."""
@@ -334,9 +334,9 @@ class SceneFunction(Generic[P, S]):
         """Name of the scene in the command."""
         return self._build.__module__.rpartition(".")[2].replace("_", "-")
 
-    def _plain_values(self, parameters: Any) -> tuple[dict[str, Any], tuple[str, ...]]:
+    def _plain_values(self, parameters: Declared) -> tuple[dict[str, object], tuple[str, ...]]:
         """Return parameters as plain values, and the names of parameters that these values cannot reproduce."""
-        values: dict[str, Any] = {}
+        values: dict[str, object] = {}
         unwritable: list[str] = []
         for name, field in declared_fields(self.parameters).items():
             values[name] = getattr(parameters, name)

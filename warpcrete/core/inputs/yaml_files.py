@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import re
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -75,14 +76,14 @@ class UntaggedResolver(VersionedResolver):
 class DepthLimitedScanner(Scanner):
     """YAML scanner that refuses deep nesting, because its time would grow with the square of the depth."""
 
-    def fetch_flow_collection_start(self, *arguments: Any, **named: Any) -> None:
+    def fetch_flow_collection_start(self, *arguments: object, **named: object) -> None:
         """Begin a list or mapping in brackets; raises :class:`Unreadable` if it is nested too deeply."""
         if len(self.flow_context) >= MAXIMUM_DEPTH:
             raise Unreadable("is nested too deeply", "write plain lists and mappings")
         super().fetch_flow_collection_start(*arguments, **named)
 
 
-def parsed_yaml(text: str, path: Path) -> Any:
+def parsed_yaml(text: str, path: Path) -> object:
     """Return the value of a YAML text: mappings, lists, texts, finite numbers, true, false or None.
 
     Keys are always texts. Mappings and lists store `path`, the path of the file. Raises :class:`Unreadable` for any
@@ -185,7 +186,7 @@ class _Values:
         return value
 
 
-def yaml_text(data: dict[str, Any]) -> str:
+def yaml_text(data: Mapping[str, object]) -> str:
     """Return a mapping as YAML text, with its keys in their order."""
     writer = YAML(typ="safe", pure=True)
     writer.default_flow_style = False

@@ -7,6 +7,7 @@ import json
 import os
 import warnings
 import zipfile
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -23,7 +24,7 @@ from .provenance import processor, versions
 FORMAT = 7
 
 
-def write_partial(path: Path, scene: object, device: wp.Device, precision: str, contents: dict[str, Any]) -> None:
+def write_partial(path: Path, scene: object, device: wp.Device, precision: str, contents: Mapping[str, object]) -> None:
     """Write a checkpoint of a run of `scene` to a partial file next to `path`; :func:`commit` puts it in place.
 
     `contents` holds numbers, texts, arrays and dictionaries of these. The file is a NumPy archive (npz) with a SHA-256
