@@ -314,8 +314,8 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
     parts, rolls = mesh_parts(scalar, law), law.rolls
     span = SPAN if half else 1
 
-    # The arrays of walls and slots are separate arguments, because with structs CUDA's compiler orders the arithmetic of
-    # this kernel in another way, which is slower and changes the last digit.
+    # The arrays of walls and slots are separate arguments. With structs, CUDA's compiler orders the arithmetic of this
+    # kernel in another way, which is slower and changes the last digit.
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def mesh_contacts(
         # The next arguments are arrays of the model.
