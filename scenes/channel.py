@@ -1,4 +1,4 @@
-"""Upward flow of concrete, a Bingham fluid with a slip layer, between two planes in 2D (Xu, Li & Jiang 2021)."""
+"""Upward flow of concrete, a yield stress fluid with a slip layer, between two planes in 2D (Xu, Li & Jiang 2021)."""
 
 from __future__ import annotations
 
@@ -7,15 +7,18 @@ from warpcrete.mps.column import FlowParameters, check_flow, column_scene, flow_
 from warpcrete.mps.scene import FluidScene
 
 PAPER = {"no1": {"pressure": 9.40e3, "slip_velocity": 0.186}}
-"""Pressure [Pa] and slip velocity [m/s] that the paper prints for a flow of 1500 cm3/s, by concrete."""
+"""Published results of Xu, Li & Jiang (2021) for a flow of 1500 cm3/s, by name of the concrete.
+
+Each entry contains the pressure [Pa] and the slip velocity at the wall [m/s].
+"""
 
 
 @scene_function(FlowParameters)
 def scene(parameters: FlowParameters) -> FluidScene:
     """Model concrete that a piston drives up a channel, by implicit moving particles (MPS) in two dimensions.
 
-    The defaults are the paper's case: planes 10 cm apart and a column of 30 cm. As in the paper, the piston moves at
-    flow / (pi R^2), where R is half the distance of the planes.
+    The defaults are the case of Xu, Li & Jiang (2021): planes 10 cm apart and a column 30 cm high. As in that paper,
+    the piston's speed is flow / (pi R^2), where R is half the distance between the planes.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated, and if nothing would flow.
     """

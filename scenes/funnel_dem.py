@@ -20,9 +20,9 @@ FALL = 0.3
 not become so fast that these soft particles pass into one another.
 """
 DOOR_SPEED = 5.0
-"""Speed at which the trap door falls away [m/s]; the door is faster than the concrete, which starts from rest."""
+"""Speed at which the trap door falls away [m/s]: the concrete starts from rest and cannot catch up with the door."""
 EDGE = 0.01
-"""Distance by which the door extends beyond the outlet on each side [m]."""
+"""Distance by which the trap door extends beyond the edge of the outlet on each side [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)

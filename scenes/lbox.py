@@ -17,18 +17,19 @@ from warpcrete.mps.free.scene import FreeConcrete, FreeScene
 from warpcrete.standards import L_BOX
 
 GAPS = {0: 0.0, 2: 0.059, 3: 0.041}
-"""Distance between neighbouring bars [m] by the number of bars (EN 12350-10)."""
+"""Free distance between neighbouring bars [m], by the number of bars (EN 12350-10)."""
 THICK = 2.5
-"""Thickness of the column's front wall and of the gate, in cells."""
+"""Thickness of the column's front wall and of the gate, in grid cells."""
 FEWEST = 3
-"""Minimum number of cells over the height of the opening."""
+"""Minimum number of grid cells over the height of the opening below the column's front wall."""
 SEEN = 1.5
-"""Minimum number of cells across a bar."""
+"""Minimum number of grid cells across the diameter of a bar of the L-box; a coarser grid would miss the bar."""
 AROUND = 24
 """Number of sides of the prism that represents a round bar."""
 VOLUME = 0.07
-"""Limit of the volume error of the free surface, as a fraction of the volume; with bars and cells of 8 mm, measured
-errors reach 0.064.
+"""Largest error of the volume below the free surface that a run may have, as a fraction of the concrete's volume.
+
+In test runs of this scene with bars and cells of 8 mm the errors reached 0.064.
 """
 
 
@@ -53,9 +54,11 @@ class BoxParameters(FreeConcrete):
 
 @scene_function(BoxParameters)
 def scene(parameters: BoxParameters) -> FreeScene:
-    """Model a column of concrete that flows into a box when its gate is lifted: H2/H1, T200 and T400.
+    """Model a column of concrete that flows into a box when its gate is lifted (L-box test).
 
-    Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
+    The results are the ratio H2/H1 of the depth at the box's far end to that at the gate, and the times T200 and T400
+    at which the front is 200 and 400 mm away from the gate. Raises :class:`warpcrete.SceneError` for parameters that
+    cannot be simulated.
     """
     given = parameters
     if given.length < given.column_width + 0.1:
@@ -110,13 +113,13 @@ def scene(parameters: BoxParameters) -> FreeScene:
 
 
 def _bars(given: BoxParameters, place: float) -> Iterator[MeshWall]:
-    """Yield the upright bars in the simulated half of the box; a bar in the middle plane is complete."""
-    import trimesh  # A local import, because it takes half a second.
+    """Yield the upright bars in the simulated half of the box; a bar on the symmetry plane is yielded whole."""
+    import trimesh  # Importing trimesh takes half a second, which runs without bars avoid.
 
     pitch = GAPS[given.bars] + given.bar_diameter
     first = 0.0 if given.bars % 2 else pitch / 2
     for n in range(math.ceil(given.bars / 2)):
-        # The bar reaches from below the floor to the height of the opening.
+        # The bar begins two cells below the floor, so that no gap remains there, and ends at the height of the opening.
         high = given.opening + 2 * given.spacing
         bar = trimesh.creation.cylinder(given.bar_diameter / 2, high, AROUND)
         bar.apply_translation((place + given.bar_diameter, first + n * pitch, given.opening - high / 2))

@@ -40,13 +40,16 @@ from warpcrete.mps.part.scene import MIN_ACROSS, PartScene, PartSettings, Sectio
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level", "mesh")
 ACCURACY = 0.03
-"""Limit of the relative deviation of the friction in straight stretches from theory."""
+"""Largest relative deviation of the simulated from the theoretical pressure gradient in the straight stretches."""
 REMARKS = ("concrete enters through a plane as a plug with uniform velocity, and leaves freely at the outlet",)
 
 
 NO_LINE = Needs("line", lambda line: line is None, "is left out")
 MIN_LEG_DISTANCE = 3.0
-"""Minimum distance between two legs of a line, in cells, so that no cell contains concrete of both legs."""
+"""Minimum distance between two stretches of a line that pass each other, in grid cells.
+
+At this distance no cell belongs to both stretches.
+"""
 
 
 def _is_given(value: Any) -> bool:
@@ -91,7 +94,9 @@ class PartParameters(ConcreteParameters, PartSettings):
 
 @scene_function(PartParameters)
 def scene(parameters: PartParameters) -> PartScene:
-    """Model concrete pumped through a part of a line, or a line, at a given flow: pressure, and the loss of each part.
+    """Model concrete that is pumped through a part of a line or a whole line at a given volume flow.
+
+    The results are the pressure at the inlet and the pressure loss of each part.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
@@ -115,18 +120,18 @@ def scene(parameters: PartParameters) -> PartScene:
 
 @dataclass(frozen=True)
 class _PipeCourse:
-    """Arguments of a scene that describe the course of the pipe and its width."""
+    """Course and width of the pipe, as arguments of :class:`PartScene`."""
 
     axis: Axis
     bores: Bores
-    """Inner radii along the pipe, including the slip layer."""
+    """Inner radii along the pipe [m], up to the wall: the slip layer lies inside them."""
     wall: MeshWall | None = None
     insert: tuple[float, float] | None = None
     parts: tuple[Section, ...] = ()
 
 
 def _unit(given: PartParameters) -> _PipeCourse:
-    """Return the course of a single part."""
+    """Return axis, inner radii and, if it is a mesh, the wall of the pipe of a single part (not of a whole line)."""
     bends = given.unit.startswith("bend")
     if given.unit == "mesh":
         return _mesh(given)
@@ -143,7 +148,7 @@ def _unit(given: PartParameters) -> _PipeCourse:
 
 
 def _check_wall(given: PartParameters) -> None:
-    """Refuse parameters that would contradict the mesh of a wall."""
+    """Raise :class:`SceneError` for parameters that cannot be combined with a pipe wall from a mesh file."""
     if given.outlet_diameter is not None:
         refuse(
             "outlet_diameter",
@@ -161,7 +166,7 @@ def _check_wall(given: PartParameters) -> None:
 
 
 def _mesh(given: PartParameters) -> _PipeCourse:
-    """Return the course of a mesh's bore, with straight stretches before its start and beyond its end."""
+    """Return the course of a pipe that consists of the bore of a mesh file between two straight pipes."""
     if given.wall is None:
         refuse("unit", given.unit, "needs a wall, the path of a mesh file", "set wall, or choose another unit")
     _check_wall(given)
@@ -198,7 +203,7 @@ def _mesh(given: PartParameters) -> _PipeCourse:
 
 
 def _line(given: PartParameters) -> _PipeCourse:
-    """Return the course of a whole line."""
+    """Return the course of the pipe for a whole line, which a file or a name gives."""
     assert given.line is not None
     line = read_line(given.line)
     check_straight_ends(line, given.line)
@@ -220,7 +225,8 @@ def _line(given: PartParameters) -> _PipeCourse:
 def _axis(given: PartParameters, bends: bool) -> Axis:
     """Return the axis of a single part, which starts at the origin; z points up."""
     origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
-    # A cone lies in the middle of a straight unit, or one stretch downstream of a bend.
+    # A taper lies in the middle of a pipe without a bend. In a pipe with a bend, a straight stretch separates bend and
+    # taper.
     narrowing = given.straight + given.taper if given.outlet_diameter is not None else 0.0
     if not bends:
         return Axis(
@@ -243,7 +249,7 @@ CURES = {
 
 @with_cures(CURES)
 def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Return the checks of a part's run by name: whether each one passed, and what it found."""
+    """Return the checks of a finished run by name, each as a tuple (True if passed, text with the measured value)."""
     result = run.result
     if "pressure" not in result:
         return {"finished": (False, "the run recorded no sample after its start")}

@@ -12,7 +12,7 @@ from warpcrete.core.inputs.limits import check_velocity
 from warpcrete.core.inputs.parameters import scene_function
 from warpcrete.core.run.run_loop import Run
 from warpcrete.dem.pumping.components import fill_of, law_remarks, plug_of, settings_of, sizes_of
-from warpcrete.dem.pumping.parameters import WIDEST_STONE
+from warpcrete.dem.pumping.parameters import WIDEST_STONE, index_settings
 from warpcrete.dem.pumping.parts import Course, PartElements, course_of, part_knobs, plug_layers
 from warpcrete.dem.scene.containers import PipeContainer
 from warpcrete.dem.scene.scene import (
@@ -30,7 +30,7 @@ from .pipe import check as check_of_pipe
 
 @scene_function(PartElements)
 def scene(parameters: PartElements) -> Scene:
-    """Model aggregates pushed through a part of a line, or a line: pressure, and the loss of a bend or taper.
+    """Model aggregates that a piston pushes through a part of a line or a whole line: pressure and pressure losses.
 
     The part begins at the origin. A straight run-up before it holds the concrete that the piston pushes into the part,
     so that the part stays full. Slices along the part measure stress, wall stress, solid fraction and velocity
@@ -68,6 +68,7 @@ def scene(parameters: PartElements) -> Scene:
         stations=_stations(given, course),
         remarks=tuple(_remarks(given, course, sizes)),
         **settings_of(given),
+        **index_settings(given),
     )
 
 
@@ -83,7 +84,7 @@ def _pipe(given: PartElements, course: Course) -> PipeWall | MeshWall:
 
 
 def _container(course: Course, pipe: PipeWall | MeshWall) -> PipeContainer:
-    """Return the space that is packed with aggregates: the pipe from the piston to its end."""
+    """Return the space that is packed with aggregates: the whole pipe, from the piston to the outlet."""
     length, least = course.axis.length, course.narrowest / 2
     if isinstance(pipe, PipeWall):
         return PipeContainer(course.axis, least, length)
@@ -97,7 +98,7 @@ def _piston(course: Course, radius: float) -> PlaneWall:
 
 
 def _stations(given: PartElements, course: Course) -> Stations:
-    """Return slices of equal length from the beginning of the part to its end."""
+    """Return slices of equal length along the part, in which stresses, solid fraction and velocity are measured."""
     begin, end = course.travel, course.axis.length
     count = max(1, round(given.slices * (end - begin) / (2 * float(course.bores.at(begin)))))
     edges = np.linspace(begin, end, count + 1)
@@ -124,7 +125,7 @@ def _remarks(given: PartElements, course: Course, sizes: Sizes) -> Iterator[str]
 
 
 def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Return the checks of a part's run by name: whether each one passed, and what it found."""
+    """Return the checks of a finished run by name, each as a tuple (True if passed, text with the measured value)."""
     return check_of_pipe(run)
 
 

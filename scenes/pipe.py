@@ -45,20 +45,26 @@ PUBLISHED = {
     "horizontal": Published(source=SOURCE, peak=15.69e3, plateau=12e3, peak_travel=0.10),
     "bend-to-vertical": Published(source=SOURCE, peak=38.58e3),
 }
-"""Pressures of the units with reference parameters, from section 5.1 of Zhan et al. 2019."""
+"""Published peak and plateau pressures of the pipe units, by unit, from section 5.1 of Zhan et al. 2019."""
 
 PAPER_CONCRETES = ("zhan", "zhan-table1")
-"""Concretes for which reports show the paper's results."""
+"""Names of the concretes for which reports show the results of Zhan et al. 2019 for comparison."""
 MIN_AGGREGATES = 30
-"""Minimum number of aggregates; a smaller number does not represent concrete."""
+"""Minimum number of aggregates in a valid run; a smaller number does not represent concrete."""
 MAX_LEAK = 0.01
 """Maximum fraction of the aggregates that may slip past the plug."""
 PAUSE_LEFT_AT_REST = 0.05
-"""Fraction of the last pause that is still to come when the long rest begins."""
+"""Fraction of the piston's last pause that follows the long rest of the concrete.
+
+The rest, which takes no time steps, begins shortly before the end of the pause.
+"""
 SLICES, MAX_SLICES = 2.0, 1000
-"""Number of slices per pipe diameter, and their maximum number, in which recordings show the stress along the pipe."""
+"""Resolution of the stress along the pipe that recordings show.
+
+`SLICES` is the number of slices per pipe diameter, and `MAX_SLICES` the maximum number of slices in the whole pipe.
+"""
 MAX_BALANCE_ERROR = 0.01
-"""Limit of the error in the momentum balance, as a fraction of the largest impulse."""
+"""Largest error of the momentum balance that a run may have, as a fraction of the largest impulse."""
 
 
 @scene_function(PipeParameters)
@@ -123,14 +129,15 @@ CURES = {
 
 @with_cures(CURES)
 def check(run: Run) -> dict[str, tuple[bool, str]]:
-    """Return the checks of a pipe run by name: whether each one passed, and what it found."""
+    """Return the checks of a finished run by name, each as a tuple (True if passed, text with the measured value)."""
     result, scene = run.result, run.scene
     balance, overlap = result["momentum_balance_error"], result["largest_overlap"]
     travel, goal = float(run.series["travel"][-1]), scene.pipe.travel
     bodies = run.bodies  # type: ignore[attr-defined]
     wall = next(wall for wall in scene.walls if wall.name == "pipe")
     outside = int(np.count_nonzero(~enclosed(wall, scene.pipe.axis, bodies.position)))
-    # The last step may end after the planned duration, so allow for the piston's travel in one step.
+    # The last time step may end after the planned duration, so the travel may exceed its goal by the travel of one
+    # step.
     step = scene.pipe.velocity * number(result["simulated_time"]) / max(result["steps"], 1)
     blocked = bool(result.get("blocked"))
     whole = abs(travel - goal) < 1e-3 * goal + step or (blocked and scene.blockage.stop)
@@ -166,7 +173,7 @@ trading = Trading(pumping_knobs, ("plateau_pressure", "peak_pressure"))
 
 
 def _past_plug(run: Run) -> tuple[int, int] | None:
-    """Count the aggregates that slipped past the plug of balls, and all aggregates; return None without such a plug."""
+    """Return how many aggregates slipped past the plug, and the total number; return None without a plug of balls."""
     bodies, axis = run.bodies, run.scene.pipe.axis  # type: ignore[attr-defined]
     plug = np.array([group == "plug" for group in bodies.group], bool)
     if not plug.any():
@@ -241,10 +248,10 @@ def _stations(given: PipeParameters, axis: Axis) -> Stations:
 
 
 def _uneven_bore(given: PipeParameters, axis: Axis, pipe: Wall, begin: float, end: float) -> Bore | None:
-    """Return the bore between two arc lengths [m], or None if the pipe is round there."""
+    """Return the measured cross-sections of a pipe between two arc lengths [m], or None if the pipe is round there."""
     if not isinstance(pipe, MeshWall):
         return None
-    # Many probes are needed, because a pipe of few facets is narrowest between its corners.
+    # Measure the radius in 72 directions, because a pipe of few facets is narrowest in the middle of a facet.
     reach = bore_probes(pipe, axis, given.radius, end, around=72, begin=begin)
     if np.any(reach < 0):
         refuse("wall", given.wall, f"has gaps: {np.count_nonzero(reach < 0)} of {reach.size} rays hit no wall",
@@ -256,7 +263,7 @@ def _uneven_bore(given: PipeParameters, axis: Axis, pipe: Wall, begin: float, en
 def _rest(given: PipeParameters) -> Rest | None:
     if not given.rest or given.stops is None:
         return None
-    # The long rest begins just before the piston starts again.
+    # The long rest begins shortly before the end of the last pause, after which the piston starts again.
     at = given.stops.count * given.stops.period - PAUSE_LEFT_AT_REST * given.pause
     return Rest(
         at=at, duration=given.rest, growth=given.thixotropy, breakdown=given.breakdown, coverage=COVERAGE, wall="piston"
@@ -287,7 +294,7 @@ def _remarks(given: PipeParameters, sizes: Sizes) -> Iterator[str]:
 
 
 def _is_reference(given: PipeParameters) -> bool:
-    """Return whether the parameters are the reference case, as far as the paper states it.
+    """Return whether the parameters are the reference case of Zhan et al. 2019, as far as the paper states it.
 
     Clump shapes may differ, because the paper gives no coordinates for them.
     """

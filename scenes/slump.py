@@ -21,18 +21,19 @@ PUBLISHED = {"no1": 0.13, "no2": 0.18, "no3": 0.22}
 TOP, BASE, HEIGHT = 0.1, 0.2, 0.3
 """Top diameter, base diameter and height of the mould in EN 12350-2 [m]."""
 SHELL, ABOVE = 3, 3
-"""Thickness of the mould, and height of the space above it, in cells."""
+"""Thickness of the mould's wall, and height of the simulated space above the mould, both in grid cells."""
 VOLUME = 0.05
-"""Limit of the volume error of the free surface, as a fraction of the volume.
+"""Largest error of the volume below the free surface that a run may have, as a fraction of the concrete's volume.
 
-Measured errors reach 0.027 while the surface moves fastest. They are 0.07 to 0.14 if a yield stress of 20 Pa lets the
-concrete spread into a layer only a few cells thick; the check is meant to detect this case.
+In most test runs the largest error was 0.027, while the surface moved fastest. If a yield stress of 20 Pa lets the
+concrete spread into a layer only a few cells thick, the error is 0.07 to 0.14. A run of this kind should fail the
+check.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class SlumpParameters(FreeConcrete):
-    """Dimensions of mould and plate."""
+    """Dimensions of the mould and of the plate; defaults follow EN 12350-2."""
 
     top_diameter: Annotated[float, "Top diameter of the mould [m]", Above()] = TOP
     base_diameter: Annotated[float, "Base diameter of the mould [m]", Above()] = BASE
@@ -54,7 +55,7 @@ def scene(parameters: SlumpParameters) -> FreeScene:
     """Model a cone of concrete on a plate whose mould is lifted: slump, spread, T500.
 
     The mould opens from below as it is lifted, and has no friction; the concrete sticks to the plate by default. The
-    concrete is a Bingham fluid, and the flow is symmetric about the axis.
+    concrete is a yield stress fluid, and the flow is symmetric about the axis.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
@@ -93,7 +94,8 @@ def scene(parameters: SlumpParameters) -> FreeScene:
 def _room(top: float, base: float, height: float, yield_stress: float, density: float, gravity: float) -> float:
     """Return the radius of a plate that the concrete will not leave [m].
 
-    It is 1.2 times the radius of a long heap, which is an upper bound, but at least 1.5 and at most 5 base radii.
+    It is 1.2 times the radius that theory gives for a heap much wider than high, which is an upper bound for all heaps.
+    The result is limited to between 1.5 and 5 times the radius of the mould's base.
     """
     widest = 5 * base
     if yield_stress > 0:

@@ -18,7 +18,7 @@ from warpcrete.standards import SLUMP, StandardTest
 
 @dataclass(frozen=True, kw_only=True)
 class SlumpElements(VesselParameters):
-    """Dimensions of the mould."""
+    """Dimensions of the mould; defaults follow EN 12350-2."""
 
     top_diameter: Annotated[float, "Top diameter of the mould [m]", Above()] = 0.1
     base_diameter: Annotated[float, "Base diameter of the mould [m]", Above()] = 0.2
@@ -30,10 +30,10 @@ class SlumpElements(VesselParameters):
 def scene(parameters: SlumpElements) -> Scene:
     """Model a cone of grains on a plate whose mould is lifted: slump, spread, T500.
 
-    The mould is a thin shell of 48 facets that rises at constant speed. `mould_grip` scales the mould's resistance to
-    sliding, and `plate_grip` scales the resistance of the plate, which is unlimited. The grains are packed into the
-    closed mould and settle there, so that the concrete is somewhat lower than the mould when lifting starts
-    (`fill_height`); the slump is measured from that height.
+    The mould is a thin shell of 48 facets that rises at constant speed. The plate is an infinite plane.
+    `mould_grip` and `plate_grip` scale the resistance of mould and plate to sliding. The grains are packed into the
+    full height of the mould and then settle in it, so that the concrete is somewhat lower than the mould when lifting
+    starts (`fill_height`). The slump is measured from that height.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """
@@ -41,9 +41,9 @@ def scene(parameters: SlumpElements) -> Scene:
 
 
 def lifted_cone(given: SlumpElements, test: StandardTest, around: tuple[Wall, ...], what: str) -> Scene:
-    """Build the scene of a `test` in which a mould on a plate is lifted, with further walls `around` it.
+    """Build the scene of a `test` in which a mould is lifted from a plate; `around` contains any further walls.
 
-    `what` names the surfaces along which concrete may slide freely; a remark then mentions them.
+    `what` names the surfaces on which the concrete may slide freely, for the text of a remark to the user.
     """
     cone = truncated_cone(given.base_diameter / 2, given.top_diameter / 2, given.mould_height)
     narrowest = min(given.top_diameter, given.base_diameter, given.mould_height)

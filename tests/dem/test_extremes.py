@@ -9,6 +9,7 @@ import pytest
 from warpcrete import Simulation
 from warpcrete.core.errors import InstabilityError
 from warpcrete.dem.laws import Contact
+from warpcrete.dem.measure.watch import Watch as EnergyWatch
 from warpcrete.dem.scene.scene import Bodies, Scene, TimeStep, Watch
 from warpcrete.verification import extremes
 
@@ -87,6 +88,21 @@ def test_an_unstable_step_is_caught_by_its_energy_alone(device):
     watch = Watch(overlap=None, speed=1e9, energy=0.5)
     with pytest.raises(InstabilityError, match="energy grew by"):
         Simulation(dataclasses.replace(scene, watch=watch, duration=0.1), device=device).run()
+
+
+def test_the_watch_accepts_contact_laws_with_negative_energy(device):
+    """Bodies that attract one another fall together: their energy passes from 0 over -2 J to rest, without gravity."""
+    simulation = Simulation(one_sphere(gravity=(0.0, 0.0, 0.0)), device=device)
+    simulation.prepare()
+    watch = EnergyWatch(simulation.model, simulation.state)
+    row = dict.fromkeys(("time", "kinetic_energy", "potential_energy", "elastic_energy", "bond_energy", "wall_work",
+                         "drive_work", "deepest_overlap", "reach"), 0.0)  # fmt: skip
+    watch(row)
+    watch(row | {"time": 1.0, "elastic_energy": -2.0, "kinetic_energy": 1.5})
+    watch(row | {"time": 2.0, "elastic_energy": -2.0})
+    watch(row | {"time": 3.0, "elastic_energy": -2.0, "kinetic_energy": 0.5 * 3.5 * watch.limits.energy})
+    with pytest.raises(InstabilityError, match=r"energy grew by 7 J without work"):
+        watch(row | {"time": 4.0, "elastic_energy": 5.0})
 
 
 def test_the_watch_can_be_told_to_let_it_be(device):

@@ -201,6 +201,7 @@ def test_line_by_elements_runs_each_kind_once_and_takes_it_again(tmp_path):
     record = json.loads((tmp_path / "one" / "line-dem.json").read_text())
     assert first.exit_code == 0 and not record["failed_checks"], first.output
     assert len(record["wall_time"]) == 3 and len(record["parts"]) == 3
+    assert [part["blocked_seeds"] for part in record["parts"]] == [0, 0, 0] and "- not blocked" in first.output
     friction = [part["friction"]["value"] for part in record["parts"]]
     weight = [part["weight"]["value"] for part in record["parts"]]
     assert min(friction) > 0 and weight[0] == 0 and weight[2] > 0

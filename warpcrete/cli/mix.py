@@ -6,15 +6,26 @@ from pathlib import Path
 
 import click
 
-from ..core.errors import refuse
+from ..core.errors import positive, refuse
+from ..core.inputs.amounts import amount
+from ..core.inputs.limits import check_limit
 from ..core.inputs.yaml_files import yaml_text
 from ..core.run.files import atomic_file
 from ..dem.pumping.parameters import PipeParameters
+from ..mix.blocking import blocking_rules, rule_lines
 from ..mix.mix import Mix, read_mix
 
 
-def run(name: str, out: Path | None) -> None:
-    """Print the properties that follow from a mix; with `out`, also write the concrete's file."""
+def run(name: str, out: Path | None, bore: str | None = None) -> None:
+    """Print the properties that follow from a mix, and the rules against blocking in a `bore`.
+
+    With `out`, also write the concrete's file.
+    """
+    wide = None
+    if bore is not None:
+        wide = amount("bore", bore, "m")
+        positive("bore", wide, "m")
+        check_limit("bore", wide, "m", "diameter")
     if out is not None and (out.exists() or out.suffix not in (".yaml", ".yml")):
         refuse("out", str(out), "must be the path of a .yaml file that does not exist yet")
     mix = read_mix(name)
@@ -23,6 +34,8 @@ def run(name: str, out: Path | None) -> None:
     click.echo(mix.table())
     for remark in mix.remarks:
         click.echo(f"remark: {remark}")
+    where = "" if wide is None else f"bore of {1e3 * wide:.4g} mm"
+    click.echo("\n" + "\n".join(rule_lines(blocking_rules(mix.given, wide), where)))
     click.echo(f"\nuse it as --concrete {name}: run tube, part, slump ... (flows), run pipe (elements), line, theory")
     click.echo(f"to simulate its slump with elements: {_cone(mix)}")
     if out is not None:

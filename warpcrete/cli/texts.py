@@ -3,8 +3,9 @@
 MIX_HELP = """Derive the properties of a concrete from its mix: `warpcrete mix MIX.yaml`.
 
 The command prints a table of yield stress, viscosity, slip layer, mortar and aggregate sizes: each value with its
-uncertainty band, the entry of the mix from which it is derived, and the source of the formula. The option --concrete of
-other commands accepts the file.
+uncertainty band, the entry of the mix from which it is derived, and the source of the formula. It also prints what the
+rules of practice say about blocking: fine, risky, blocks, or which entry would answer. The option --concrete of other
+commands accepts the file.
 
 \b
   mix:
@@ -15,7 +16,9 @@ other commands accepts the file.
     spread: 650 mm                       # also t500: 3.5 s; or one of slump, concrete, mortar, viscometer:
     # slump: 180 mm
     # concrete: {yield_stress: 60 Pa, viscosity: 40 Pa s, uncertainty: 15 %}      # the same keys for mortar
+    # concrete: {yield_stress: 60 Pa, viscosity: 30 Pa s, flow_index: 1.3}        # or quadratic_viscosity: 0.5 Pa s2
     # viscometer: [[5, 210], [20, 660]]  # shear rate [1/s] and stress [Pa], or a .csv file
+    voids: 24 %                          # voids of sand and stones together; fine_sand: 18 % of it is below 0.3 mm
     layer: {yield_stress: 20 Pa, viscosity: 900 Pa s/m}                           # slip layer; or one of:
     # layer: {points: points.csv, diameter: 125 mm, length: 12 m}                 # flows and pressures of a pipe
     # layer: {tribometer: [[0.2, 110], [0.4, 190]]}                               # slip velocity [m/s], stress [Pa]

@@ -35,8 +35,9 @@ def run_batch(
 
     Returns one entry for each simulation: its :class:`Run`, or the error that ended the simulation. The failure of a
     simulation does not affect the others. `checkpoints` gives, for each simulation, the checkpoint to resume from, or
-    None. After Ctrl-C unfinished runs are returned as they are, and simulations that had not begun return
-    `KeyboardInterrupt`. `progress` is called with the name of a phase and the fraction completed.
+    None. After Ctrl-C the entries of unfinished simulations are their runs so far, and the entries of simulations
+    that had not begun are `KeyboardInterrupt` exceptions. `progress` is called with the name of a phase and the
+    fraction completed.
     """
     tell = progress or (lambda phase, fraction: None)
     try:
@@ -96,14 +97,15 @@ def _run_batch(
             break
         if done + 1 < len(turns):
             for part in members:
-                part.release()  # free this memory, because the batches of the next turn need it
+                part.release()  # Free the memory of these batches, because the next batches need it.
     return [outcomes.get(number, KeyboardInterrupt()) for number in range(len(simulations))]
 
 
 def _share_rounds(parts: Sequence[_BatchMember]) -> None:
-    """Divide a GPU's resident thread blocks between the batches that run at the same time.
+    """Tell the batches that run at the same time how many of them must share the GPU's resident thread blocks.
 
-    The kernel for sub-cycling rounds waits at barriers inside the kernel, so all its blocks must be resident at once.
+    The kernel for sub-cycling synchronises its blocks at barriers, so all blocks of all these batches must be resident
+    on the GPU at once. Each batch therefore launches only its share of the blocks that fit.
     """
     batches = [next(iter(part.scenes.values()))[0].batch for part in parts]
     several = [batch for batch in batches if batch.features.subcycling]
@@ -112,7 +114,7 @@ def _share_rounds(parts: Sequence[_BatchMember]) -> None:
 
 
 class _BatchMember:
-    """Simulations that share one batch, identified by their indices in the list of all simulations."""
+    """One batch and the simulations that run in it, identified by their indices in the list of all simulations."""
 
     def __init__(
         self,
@@ -134,7 +136,7 @@ class _BatchMember:
         self._members: list[ElementSimulation] = []
 
     def begin(self, numbers: Sequence[int]) -> None:
-        """Create the batch of the simulations `numbers`; an error of a simulation becomes its outcome."""
+        """Create the batch of the simulations `numbers`; if one cannot begin, store its error as its outcome."""
         with wp.ScopedStream(self.stream):
             self._begin(numbers)
 
@@ -161,13 +163,16 @@ class _BatchMember:
         )
 
     def release(self) -> None:
-        """Free the GPU memory of this batch."""
+        """Free the GPU memory of the simulations of this batch."""
         for member in self._members:
             if member.device.is_cuda:
                 member.release()
 
     def _restore_or_place(self, number: int) -> bool:
-        """Restore or create the state of simulation `number`; return False if that failed, and store the error."""
+        """Create the state of simulation `number`, or restore it from the simulation's checkpoint if it has one.
+
+        Returns whether this succeeded. If it failed, the error is stored as the simulation's outcome.
+        """
         simulation, path = self.simulations[number], self.checkpoints[number]
         try:
             if path is not None:
@@ -205,9 +210,11 @@ def _packing_key(simulation: ElementSimulation) -> tuple:
 
 
 def _packed(simulations: Sequence[ElementSimulation], tell: Callable[[float], None]) -> dict[tuple, tuple[Any, float]]:
-    """Pack each distinct fill once, although several simulations may share it.
+    """Run each distinct packing once, even if several simulations need it; return results and wall times.
 
-    Returns, by packing key, the result of :func:`pack_many` and this packing's share of the elapsed time [s].
+    The dictionary's keys are those of :func:`_packing_key`. Each value is the packing's result from :func:`pack_many`
+    and the wall time of one packing [s]. The wall time is the mean over all packings with the same device, precision
+    and number of threads.
     """
     needed = {_packing_key(s): s for s in simulations if s.scene.fill is not None}
     kinds: dict[tuple, list[tuple]] = {}
@@ -234,7 +241,10 @@ def _packed(simulations: Sequence[ElementSimulation], tell: Callable[[float], No
 def _split_by_memory(
     simulations: Sequence[ElementSimulation], packings_by_number: dict[int, tuple[Any, float]], numbers: list[int]
 ) -> list[tuple[list[int], float]]:
-    """Split simulations into batches that fit the device's memory; return indices and memory [B] of each batch."""
+    """Split simulations into batches that fit the device's memory.
+
+    Returns, for each batch, the indices of its simulations and the memory that they need [B].
+    """
     first = simulations[numbers[0]]
     if not parallel(first.device) and first.threads > 1:
         return [([number], 0.0) for number in numbers]  # on a CPU each simulation runs alone and uses all threads
@@ -255,7 +265,10 @@ def _split_by_memory(
 def _turns(
     simulations: Sequence[ElementSimulation], parts: list[tuple[list[int], float]]
 ) -> list[list[tuple[list[int], float]]]:
-    """Group the batches into turns that run together: as many as fit a GPU's memory, or one on a CPU."""
+    """Group the batches into turns: the batches of a turn run at the same time, and turns run one after the other.
+
+    A turn has as many batches as fit the memory of a GPU. On a CPU it has one batch.
+    """
     turns: list[list[tuple[list[int], float]]] = []
     used = 0.0
     for numbers, needed in parts:
@@ -270,9 +283,10 @@ def _turns(
 
 
 def _streams(simulations: Sequence[ElementSimulation], turn: list[tuple[list[int], float]]) -> list[Any]:
-    """Return a CUDA stream for each batch of a turn, or None for a batch that runs alone or on a CPU.
+    """Return a CUDA stream for each batch in `turn`, a list of batches that run at the same time.
 
-    The largest batch has the lowest priority: it keeps the GPU busy anyway, so small batches should not wait for it.
+    A batch that runs alone or on a CPU gets None instead of a stream. The largest batch has the lowest priority: it
+    keeps the GPU busy anyway, so small batches should not wait for it.
     """
     device = simulations[turn[0][0][0]].device
     if len(turn) == 1 or not device.is_cuda:

@@ -33,16 +33,19 @@ from .scene.containers import PipeContainer
 from .scene.scene import Scene
 from .simulation import SETTLING_PARTS, ElementSimulation
 
-LEAST = 0.1  # minimum fraction of the timed wall time that counts as steps; at most the rest counts as list rebuilds
+# Minimum fraction of the measured wall time that is attributed to steps, even if the estimated time of list rebuilds
+# would leave less.
+LEAST = 0.1
 TIMING_TIME = 0.7  # wall time for which steps are timed [s]
-# Maximum number of spheres of the copy, on a GPU (True) or a CPU (False); above it the time per sphere is constant.
+# Maximum number of spheres of the timed copy of a scene, on a GPU (True) or a CPU (False). With more spheres the time
+# per sphere is constant.
 MAXIMUM_SPHERES = {True: 400_000, False: 40_000}
-# Distance that concrete moves between two list rebuilds, divided by the skin. The distance is shorter in a bend,
-# because neighbours move relative to each other there, while concrete in a straight pipe moves as a plug.
+# Distance that concrete moves between two rebuilds of the neighbour lists, divided by the skin of the lists. It is
+# shorter in a bend, where neighbours move relative to each other; in a straight pipe, concrete moves as a plug.
 STRAIGHT, BENT = 1.25, 0.5
-# ratio of the number of bonds in a settled packing to that in an unsettled packing; tests show 1.2 to 1.3
+# ratio of the number of bonds in a settled packing to that in an unsettled packing; in test runs it was 1.2 to 1.3
 BONDS_AFTER_SETTLING = 1.2
-SETTLING_BUILDS = 1 / 40  # list rebuilds per step while a packing settles
+SETTLING_BUILDS = 1 / 40  # neighbour list rebuilds per step while a packing settles
 # A packing has settled after this number of passages of a pressure wave along the pipe, plus a constant time [s].
 PASSAGES, SETTLING_OFFSET = 2.4, 0.19
 IDLE_SPHERES = 40_000  # number of spheres at which a GPU's step takes about twice as long as a step without spheres
@@ -57,8 +60,8 @@ def forecast(scene: Scene, device: Any, precision: str, threads: int | None, pro
     dt, factor = ready.stepper.dt, ready.factor
     limits, governing = ready.limits()
     frames = probe(ready.simulation)
-    # Steps are timed a second time and the shorter time counts: other programs only slow steps down, and a long run is
-    # rarely disturbed throughout.
+    # Time the steps a second time and use the shorter time: other programs can only slow steps down, and they rarely
+    # disturb a long run all the time.
     build, sample, step = ready.build, ready.sample, min(ready.step, ready.step_time())
     steps = scene.duration / dt
     parts: dict[str, float] = {}
@@ -93,7 +96,7 @@ def forecast(scene: Scene, device: Any, precision: str, threads: int | None, pro
 
 
 def _settling_time(scene: Scene) -> float:
-    """Return the simulated time until the packing is at rest [s], from experience with Zhan's pipe units."""
+    """Return the simulated time until the packing is at rest [s], fitted to runs of Zhan's pipe units (2019)."""
     assert scene.settle is not None
     if scene.pipe is None or scene.fill is None:
         return scene.settle.duration
@@ -102,7 +105,10 @@ def _settling_time(scene: Scene) -> float:
 
 
 class _ShortenedCopy:
-    """Copy of a scene as at t = 0, but without settling; for a very long pipe only part of it."""
+    """Copy of a scene on which the forecast measures wall times.
+
+    The copy starts at t = 0 without settling. If the pipe is very long, the copy has a shorter one.
+    """
 
     def __init__(self, scene: Scene, device: Any, precision: str, threads: int | None) -> None:
         self.scene, self.device = scene, device
@@ -133,11 +139,11 @@ class _ShortenedCopy:
             precision=precision, threads=checked_threads(threads),
             progress=lambda done: marks.append(time.perf_counter()),
         )  # fmt: skip
-        # Loading kernels prolongs some chunks of steps, so no chunk counts more than three times the median.
+        # Some intervals between progress reports include loading kernels, so limit each to three times the median.
         chunks = np.diff(marks)
         taken = float(np.minimum(chunks, 3 * np.median(chunks)).sum()) if len(chunks) else 0.0
         if fill.pressure is not None and pilot is not container:
-            taken /= 2  # packing to a pressure includes a trial packing of equal size
+            taken /= 2  # a given pressure requires two packings of equal size: a trial and the real one
         if not isinstance(container, PipeContainer) or not isinstance(pilot, PipeContainer):
             self.packing = taken * (2 if fill.pressure is not None else 1)
             return table, report
@@ -155,7 +161,7 @@ class _ShortenedCopy:
         return tiled(table, container.axis, pilot.length, kept * pilot.length), report
 
     def _time(self) -> None:
-        """Measure the wall times of a step, of a list rebuild and of a sample, and the memory."""
+        """Measure the wall times of a step, of a neighbour list rebuild and of a sample, and the memory used."""
         simulation, stepper = self.simulation, self.stepper
         if self.spheres == 0:
             self.step = self.build = self.sample = 0.0
@@ -181,7 +187,7 @@ class _ShortenedCopy:
         if self.spheres == 0:
             return 0.0
         count, spent = 32, 0.0
-        stepper.advance(stepper.time + count * stepper.dt)  # the first steps record graphs, which must not be timed
+        stepper.advance(stepper.time + count * stepper.dt)  # the first steps record graphs, so do not time them
         rates = []
         while spent < TIMING_TIME:
             wp.synchronize_device(self.device)
@@ -190,14 +196,17 @@ class _ShortenedCopy:
             wp.synchronize_device(self.device)
             took = time.perf_counter() - begun
             built = int(stepper.lists.builds[stepper.index]) - built
-            # Other programs may have slowed down the timed rebuild so much that steps would get a negative time.
+            # If other programs slowed down the timed list rebuild, the subtraction could give steps a negative time.
             rates.append(max(took - built * self.build, LEAST * took) / max(stepper.steps - before, 1))
             spent += took
             count = min(2 * count, 128)
         return float(np.quantile(rates, 0.25))
 
     def settling_step(self) -> float:
-        """Measure the wall time of a step without hydrated bonds [s]; this changes the copy, so call it last."""
+        """Measure the wall time of a step without hydrated bonds [s].
+
+        The measurement switches sub-cycling off in the timed copy of the scene, so call this method last.
+        """
         if not self.stepper.batch.subcycles.rounds:
             return self.step
         self.stepper.batch.subcycles.set_rounds(self.stepper.index, 0)
@@ -212,7 +221,7 @@ class _ShortenedCopy:
         return pipe.travel / ((STRAIGHT if straight else BENT) * skin)
 
     def limits(self) -> tuple[dict[str, float], str]:
-        """Return the time steps [s] that single features would allow, by name, and a text on what limits the time step.
+        """Return the stable time step [s] for single features of the scene, by name, and a text on what limits it.
 
         The features are contacts alone, contacts with each kind of bonds, and contacts without dashpots.
         """
@@ -236,7 +245,7 @@ class _ShortenedCopy:
         rounds = subcycles.rounds
         if rounds:
             found["hydrated bonds, a round"] = safety * subcycles.stable_step(stepper.index)
-            subcycles.set_rounds(stepper.index, 0)  # estimate the other bounds as without sub-cycling
+            subcycles.set_rounds(stepper.index, 0)  # The other limits are those of steps without sub-cycling.
         try:
             found["contacts"] = estimate()
             for number, name in enumerate(names, 1):
@@ -244,7 +253,7 @@ class _ShortenedCopy:
                 if rounds and name == "hydrated bonds":
                     continue
                 only = held.copy()
-                if name == "hydrated bonds":  # keep the ordinary bonds that did not hydrate
+                if name == "hydrated bonds":  # Estimate hydrated bonds together with the bonds that did not hydrate.
                     only[~np.isin(kinds, (number - 1, number))] = 0
                 else:
                     only[kinds != number] = 0
@@ -286,7 +295,11 @@ class _ShortenedCopy:
 
     @property
     def _springs_differ(self) -> bool:
-        """True if some contact law has dashpots that can be removed while its springs remain."""
+        """True if the forecast can also estimate a stable step without dashpots.
+
+        For this, at least one contact law must have dashpots, and all laws must be dataclasses, because only these can
+        be copied without their dashpots.
+        """
         laws = (self.scene.contact, *self.scene.contacts.values())
         return all(dataclasses.is_dataclass(law) for law in laws) and any(_springs(law) != law for law in laws)
 
@@ -316,8 +329,12 @@ class _ShortenedCopy:
 
 
 def tiled(table: BodyTable, axis: Axis, period: float, length: float) -> BodyTable:
-    """Repeat the bodies of the first `period` [m] of a pipe along its `axis` up to `length` [m]."""
-    # A body keeps its offset from the axis in the local frame (tangent, normal, binormal), so copies follow bends.
+    """Return a table that repeats the bodies of the first `period` [m] of a pipe along its `axis`.
+
+    The copies fill the pipe up to the arc length `length` [m].
+    """
+    # Copies of a body keep its offset from the axis in the axis' local frame (tangent, normal, binormal), so that the
+    # copied packing follows bends.
     grid = np.linspace(-0.1 * period, 1.1 * period, 4000)
     points, tangents, normal, side = axis.frame(grid)
     place = np.array([np.argmin(np.sum((points - p) ** 2, axis=1)) for p in table.position])

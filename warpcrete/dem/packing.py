@@ -32,17 +32,19 @@ from .scene.scene import Scene
 START_FRACTION = 0.10  # solid fraction at which small aggregates are placed before they grow
 GROWTH_STEPS = 1500
 RELAX_STEPS = 3000
-CHUNK = 50  # steps between two evaluations of the pressure
-# ratio of pressure to contact modulus that freshly placed aggregates may cause before they have moved apart
+CHUNK = 50  # steps between two evaluations of the pressure of a packing
+# Pressure that freshly placed aggregates may cause by their initial overlaps until they have moved apart, divided by
+# the contact modulus. Growth ends only at a higher pressure.
 TRANSIENT_LOOKS = 0.005
-CLOSE_FRACTION = 0.75  # a solid fraction that no packing of these shapes reaches at pressures of kilopascals
-# consecutive evaluations with the pressure too high, or too low, after which sizes change faster
+CLOSE_FRACTION = 0.75  # solid fraction that no packing of aggregates reaches at pressures of kilopascals
+# Number of consecutive evaluations in which the pressure was always too high, or always too low, after which sizes are
+# changed faster.
 LOOKS_BEFORE_GAIN = 45
-MOST_GAIN = 16.0  # largest factor by which size changes are sped up
-# Relative error of the pressure below which the relaxation ends after RELAX_STEPS; with a larger error it may take
-# twice as many steps.
+MOST_GAIN = 16.0  # largest factor by which the adjustment of sizes to a wanted pressure is sped up
+# Relative error of the pressure below which the relaxation of a packing ends after RELAX_STEPS steps. With a larger
+# error the relaxation may take twice as many steps.
 NEAR_TARGET = 0.15
-MOST_BODIES = 2**25  # limit at which the bodies' arrays still fit the memory of today's largest GPU
+MOST_BODIES = 2**25  # maximum number of bodies, chosen so that their arrays fit the largest GPUs
 
 
 @dataclass(frozen=True)
@@ -73,9 +75,9 @@ def random_orientations(count: int, random: np.random.Generator) -> np.ndarray:
 def draw(
     fill: Fill, container: PipeContainer | MeshContainer, fraction: float, random: np.random.Generator
 ) -> BodyTable:
-    """Return aggregates at well spread points, with a total volume of `fraction` times that of the container.
+    """Return aggregates at evenly spread points, with a total volume of `fraction` times that of the container.
 
-    Raises :class:`CapacityError` if the container would take too many aggregates.
+    Raises :class:`CapacityError` if the container would contain too many aggregates.
     """
     wanted = fraction * container.volume
     expected = wanted / (np.pi / 6 * float(np.mean(fill.sizes.sample(1000, np.random.default_rng(0)) ** 3)))
@@ -90,9 +92,9 @@ def draw(
     total = np.cumsum(np.pi / 6 * sizes**3)
     count = int(np.searchsorted(total, wanted)) + 1
     if count > 1 and abs(total[count - 2] - wanted) < abs(total[count - 1] - wanted):
-        count -= 1  # leave out the last aggregate if the sum is then closer to the wanted volume
+        count -= 1  # Leave out the last aggregate if the total volume is then closer to the wanted one.
     sizes = sizes[:count]
-    # Sizes do not depend on the shape, so fractions by number are fractions by volume.
+    # Shapes are drawn independently of sizes, so their fractions by number equal their fractions by volume.
     template = random.choice(len(fill.templates), size=count, p=fill.fractions)
     points = container.sample(count, random)[random.permutation(count)]
     zero = np.zeros((count, 3))
@@ -104,7 +106,10 @@ def draw(
 
 @dataclass(frozen=True)
 class Request:
-    """One packing for :func:`pack_many`: the fill, the contact law that gives the stiffness, and the seed."""
+    """Request for one packing by :func:`pack_many`.
+
+    It has the container with the aggregates that fill it, the contact law whose stiffness is used, and the seed.
+    """
 
     fill: Fill
     contact: ContactLaw
@@ -121,12 +126,13 @@ def pack(
     progress: Callable[[float], None] | None = None,
     threads: int = 1,
 ) -> tuple[BodyTable, PackingReport]:
-    """Pack aggregates into their container: sow them small, let them grow without friction, and let them settle.
+    """Pack aggregates into their container: place them small, let them grow without friction and come to rest.
 
-    Returns the bodies at rest and a report. `progress` is called with the fraction done. If the fill gives a
-    pressure, a pilot packing in a smaller container finds the solid fraction that belongs to that pressure. The
-    packing itself then stops growing where the pressure is met, so all sizes change by a factor near 1, which is
-    the report's `size_factor`.
+    Returns the bodies at rest and a report. `progress` is called with the fraction done.
+
+    If `fill` has a pressure instead of a solid fraction, a trial packing in a smaller container first finds the solid
+    fraction at that pressure. The real packing then stops growing when it reaches the pressure. All sizes therefore
+    change by a factor near 1, which is returned as the report's `size_factor`.
     """
     request = Request(fill, contact or Contact(), seed)
     (packed,) = pack_many([request], device=device, precision=precision, progress=progress, threads=threads)
@@ -159,7 +165,8 @@ def pack_many(
             pilot = replace(pilot) if pilot is fill.container else pilot
             parts.append(pilot.volume / (pilot.volume + fill.container.volume))
             pilots[number] = (pilot, CLOSE_FRACTION)
-    part = float(np.mean(parts)) if parts else 0.0  # share of the pilot packings in the total work
+    # fraction of the total work that the trial packings take, for the display of progress
+    part = float(np.mean(parts)) if parts else 0.0
 
     def grow_all(containers: dict[int, Any], report_fraction: Callable[[float], None]) -> dict[int, Any]:
         found: dict[int, Any] = {}
@@ -188,7 +195,10 @@ def pack_many(
 
 
 def _grow_together(growths: dict[int, _Growth], threads: int, tell: Callable[[float], None]) -> dict[int, Any]:
-    """Run growths with the same features as one batch; return the result or error of each growth by its number."""
+    """Run packings and return the result or the error of each, by its number.
+
+    On a GPU, packings with the same features run as one batch.
+    """
     groups: dict[Any, list[int]] = {}
     for number, growth in growths.items():
         key = batch_key(growth.model) if parallel(growth.model.device) else number
@@ -216,7 +226,7 @@ def _grow_together(growths: dict[int, _Growth], threads: int, tell: Callable[[fl
 
 
 class _Growth:
-    """One packing in progress."""
+    """One packing in progress: state, model and rate of growth of its aggregates."""
 
     def __init__(self, request: Request, container, fraction: float, random, device, precision: str) -> None:
         fill = request.fill
@@ -249,8 +259,8 @@ class _Growth:
 
     def _grow(self, stepper: Stepper, tell: Callable[[float], None]) -> Coroutine:
         pressure = self.fill.pressure
-        # Sown aggregates that still overlap push each other apart for a while, so only a pressure well above that of
-        # these overlaps ends the growth.
+        # At first, aggregates overlap where they were placed and push each other apart. Only a pressure well above the
+        # pressure of these overlaps may end the growth.
         resting = max(pressure or 0.0, TRANSIENT_LOOKS * self.contact.stress_scale)
         for number in range(GROWTH_STEPS // CHUNK):
             stepper.choose_dt()
@@ -266,7 +276,7 @@ class _Growth:
         gain, looks_off_target = (
             1.0,
             0,
-        )  # `looks_off_target` counts consecutive evaluations with the pressure too high, or too low
+        )  # `looks_off_target` counts consecutive evaluations with the pressure always too high, or always too low
         looks = RELAX_STEPS // CHUNK
         for number in range(looks if pressure is None else 2 * looks):
             if pressure is not None:
@@ -285,11 +295,14 @@ class _Growth:
                     if looks_off_target > LOOKS_BEFORE_GAIN and looks_off_target % 3 == 0:
                         gain = min(MOST_GAIN, 1.5 * gain)
                 was_too_low = bool(error > 0)
-                # dp/d(ln size) of a packing is about the modulus of its contacts, but far less in a packing that is
-                # barely jammed, where growing aggregates mostly move into free space.
+                # The contact modulus is about dp/d(ln size) of a packing, so the error over the modulus is the change
+                # of ln size that corrects the pressure. In a barely jammed packing dp/d(ln size) is far smaller,
+                # because growing aggregates move into free space. The factor `gain` makes up for this.
                 change = np.clip(gain * error / self.contact.stress_scale, -2e-3 * gain, 2e-3 * gain)
                 if error > 0.5 * pressure:
-                    change = max(change, least)  # not jammed yet: the pressure does not tell how much growth is needed
+                    # Grow by at least `least`, because the pressure of a packing that is not yet jammed does not show
+                    # how much to grow.
+                    change = max(change, least)
                 stepper.change(growth_rate=float(change) / CHUNK, growth_end=2.0)
             stepper.choose_dt()
             yield Steps(CHUNK)
@@ -304,7 +317,7 @@ class _Growth:
         factor = float(state.scenes.scale.numpy()[0])
         sums = contact_sums(self.model, state, coordination=True)
         result = state.table()
-        # Bodies have grown at constant mass during the packing; restore their density instead.
+        # The bodies' mass was constant while they grew, so their density is wrong; restore the given density.
         result.density = self.table.density.copy()
         if self.fill.bulk_density is not None:
             result.density[:] = self.fill.bulk_density * self.container.volume / result.volume.sum()

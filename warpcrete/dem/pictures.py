@@ -51,7 +51,7 @@ def plot_pressure(runs: Mapping[str, ElementRun] | ElementRun) -> Any:
 
 
 def _mark_travel(axes: Any, run: ElementRun, longest: float) -> None:
-    """Draw a vertical line where the ramp of the piston's speed ends."""
+    """Draw a vertical line at the piston travel at which its speed becomes constant."""
     ramp = run.scene.pipe.ramp if run.scene.pipe is not None else 0.0
     if 0 < ramp < longest:
         axes.axvline(ramp, color="0.7", linewidth=0.8)
@@ -102,7 +102,7 @@ def plot_stations(run: ElementRun) -> Any:
 
 
 def draw(simulation: Any, run: ElementRun, colouring: str | None) -> Any:
-    """Return the figure for the run folder: stations along the pipe, strokes or pressure; else None."""
+    """Return the figure for the run folder: profiles along the pipe, else pressure over time or travel, else None."""
     if "stations" in run.tables:
         return plot_stations(run)
     if "pressure" not in run.series:

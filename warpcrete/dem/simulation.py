@@ -34,13 +34,13 @@ from .scene.bodies import BodyTable, placed_bodies
 from .scene.scene import Scene
 from .scene.strokes import stroke_table
 
-QUIET = 1e-5  # kinetic energy divided by elastic energy below which a state counts as settled
-SETTLING_PARTS = 50  # number of intervals of the settling, after each of which the energies are checked
+QUIET = 1e-5  # ratio of kinetic to elastic energy below which a packing counts as settled
+SETTLING_PARTS = 50  # number of intervals into which settling is divided; after each, the motion is checked
 
 
 @dataclass(repr=False)
 class ElementRun(Run):
-    """Results of a discrete element run."""
+    """Finished or interrupted discrete element run: series, results and final bodies."""
 
     packing: PackingReport | None = None
     bodies: BodyTable = field(default_factory=BodyTable.empty)
@@ -61,32 +61,30 @@ class ElementSimulation(Simulation):
         def run(self) -> ElementRun: ...
 
     def set_up(self) -> None:
-        """Build the model, and initialise the attributes of the preparation."""
+        """Build the model and initialise the attributes that the preparation up to t = 0 changes."""
         self.model = build_model(self.scene, self.device, self.precision)
         self.packing: PackingReport | None = None
-        self._settled: int | None = None  # completed intervals of the settling; None before it, and from t = 0 on
+        self._settled: int | None = None  # completed intervals of settling; None before settling and from t = 0 on
         self.rested: float | None = None
         """Travel of the piston at which the concrete rested [m]; None before the rest."""
 
     @property
     def prepared(self) -> bool:
-        """True if the simulation has a state."""
+        """True if the simulation has a state, that is, if its bodies have been placed."""
         return hasattr(self, "state")
 
     @property
     def rows(self) -> list[dict[str, float]]:
-        """Rows of the series so far."""
+        """Rows of the time series so far, each a dictionary of values by column name."""
         return self.sampler.rows
 
     def unit(self, column: str) -> str:
-        """Return the unit of a column of the series."""
+        """Return the unit of a column of the time series, by the column's name."""
         return unit_of(column, self.model.walls)
 
     def display(self, colouring: str | None = None) -> ElementDisplay:
         """Return the object that supplies recorders with the colours, lines, plots and walls to draw."""
         return ElementDisplay(self, colouring)
-
-    # Preparation up to t = 0.
 
     def prepare(self) -> None:
         """Prepare the state at t = 0: pack, place bodies, bond groups, settle, and bond contacts."""
@@ -109,7 +107,11 @@ class ElementSimulation(Simulation):
         run_coroutine(self.preparing(), self.stepper.advance)
 
     def place(self, packed: tuple[BodyTable, PackingReport] | None, took: float) -> None:
-        """Create the state from the result of packing, which took `took` [s], and the scene's placed bodies."""
+        """Create the state from the packed bodies and from the bodies that the scene places.
+
+        `packed` is the result of a packing, or None for a scene without one, and `took` is the wall time of the packing
+        [s].
+        """
         table = BodyTable.empty()
         if packed is not None:
             table, self.packing = packed
@@ -120,20 +122,20 @@ class ElementSimulation(Simulation):
         self.state = State(self.model, table)
 
     def join(self, stepper: Stepper) -> None:
-        """Use a stepper, alone or in a batch, for the state from now on."""
+        """Use `stepper`, which may share a batch with other scenes, to advance the state from now on."""
         self.stepper = stepper
         settling = self.scene.settle is not None and (self._resumed is None or self._settled is not None)
         damping = self.scene.settle.local_damping if settling else self.scene.local_damping  # type: ignore[union-attr]
         stepper.change(local_damping=damping)
 
     def preparing(self) -> Coroutine:
-        """Bring the state from placed bodies, or from a checkpoint of the settling, to t = 0."""
+        """Prepare the state at t = 0, beginning with placed bodies or with a checkpoint from the settling."""
         scene, model = self.scene, self.model
         if self._settled is None:
             first_group_kind = 1 + (scene.bonds is not None) + (scene.hydration is not None)
             for number, (group, bonds) in enumerate(scene.group_bonds.items()):
                 self.stepper.bond(bonds, first_group_kind + number, model.groups.index(group))
-            self.stepper.choose_dt()  # refuses an unstable fixed step before any file is written
+            self.stepper.choose_dt()  # raise the error for an unstable step before writing any file
 
         started = wall_clock.perf_counter() - self._wall_times.get("settling", 0.0)
         if scene.settle and scene.settle.duration > 0:
@@ -144,7 +146,7 @@ class ElementSimulation(Simulation):
         self._settled = None
         self.stepper.restart_clock()
         if scene.bonds is not None and scene.bonds.healing:
-            # Bonds that formed during settling carry loads from it, so remove all of them and bond anew at t = 0.
+            # Bonds that formed during settling carry forces. Remove them, and bond all contacts anew without forces.
             bonds = self.state.pairs.bond.numpy()
             bonds[bond_kinds(bonds) <= 1] = 0
             self.state.pairs.bond.assign(bonds)
@@ -181,7 +183,7 @@ class ElementSimulation(Simulation):
         self.tell("settling", 1.0)
 
     def bond(self) -> None:
-        """Bond all pairs of spheres close enough now, if the scene has bonds, and hydrate some of the bonds."""
+        """Bond all pairs of spheres that are close enough, if the scene has bonds, and hydrate some of the bonds."""
         scene = self.scene
         if scene.bonds is None:
             return
@@ -190,7 +192,11 @@ class ElementSimulation(Simulation):
             self.stepper.hydrate(1, 2, scene.hydration.fraction, scene.seed)
 
     def reaching(self, time: float) -> Coroutine:
-        """Step to a time [s], and insert the scene's rest if it lies on the way."""
+        """Advance the simulation to `time` [s]; the coroutine yields the times to which the run loop steps.
+
+        If the scene has a rest of the concrete at or before `time` that was not yet applied, the simulation first
+        advances to the moment of the rest and applies it there.
+        """
         rest = self.scene.rest
         if rest is not None and self.rested is None and rest.at <= time:
             yield Until(rest.at)
@@ -203,10 +209,8 @@ class ElementSimulation(Simulation):
         self.watch = Watch(self.model, self.state)
         self.blockage = BlockageWatch(self.model, self.state) if self.scene.looks_for_blockage else None
 
-    # Checkpoints.
-
     def state_dict(self) -> dict[str, Any]:
-        """Return the checkpoint: state, stepper and packing; also progress of settling, or measurements after t = 0."""
+        """Return the checkpoint: state, stepper, packing report, and progress of settling or all measurements."""
         self.stepper.batch.flush()
         found = {
             "state": state_dict(self.state),
@@ -223,14 +227,14 @@ class ElementSimulation(Simulation):
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue from a `state_dict`, as the only scene of a batch."""
+        """Restore the simulation from a `state_dict`, in a batch of its own, and complete its preparation."""
         self.restore(state)
         stepper = Stepper(self.model, self.state, self.scene.time_step, threads=self.threads, resumed=state["stepper"])
         self.join(stepper)
         run_coroutine(self.going_on(state), stepper.advance)
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Create the arrays of a `state_dict`; `join` and then `going_on` complete a resumption."""
+        """Create the state from a `state_dict`; to resume the run, call :meth:`join` and then run :meth:`going_on`."""
         self.state = restore_state(self.model, state["state"])
         self._settled = state.get("settled")
 
@@ -240,7 +244,7 @@ class ElementSimulation(Simulation):
         return footprint(stepper=self.stepper)["stepper"] * self.state.sphere_count / max(batch.sphere_count, 1)
 
     def going_on(self, state: dict[str, Any]) -> Coroutine:
-        """Restore the packing and measurements of a `state_dict`; continue its settling if that was not complete."""
+        """Restore packing report and measurements from a `state_dict`, or resume an interrupted settling."""
         if state["packing"] is not None:
             self.packing = PackingReport(**state["packing"])
         if self._settled is not None:
@@ -259,32 +263,34 @@ class ElementSimulation(Simulation):
         """Free the device memory of the simulation; the results of the run stay."""
         if "stepper" in self.__dict__:
             self.stepper.batch.states.clear()
-        # A run that failed early does not have all of these attributes.
+        # Ignore attributes that do not exist, because a run that failed early lacks some.
         for name in ("state", "stepper", "sampler", "watch", "blockage"):
             self.__dict__.pop(name, None)
 
-    # Samples and results.
-
     def measure(self) -> dict[str, float]:
-        """Measure and append a row of the series; return the row."""
+        """Measure the next row of the time series, check for a blockage, and return the row."""
         row = self.sampler.sample()
         if self.blockage is not None:
             self.blockage(row)
         return row
 
     def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if the row shows that the state has become meaningless."""
+        """Raise :class:`InstabilityError` if a sampled row of the time series shows that the simulation is unstable."""
         self.watch(row)
 
     def ended_early(self) -> bool:
-        """Return whether the run is over: concrete at rest or flowed out in a vessel, or a blocked pipe."""
+        """Return whether the run may end before its planned duration.
+
+        This is so if a test in a vessel is over. It is also so if the pipe is blocked and the scene's settings stop a
+        blocked run.
+        """
         vessel, blockage = self.scene.vessel, self.scene.blockage
         if self.blockage is not None and self.blockage.found and blockage is not None and blockage.stop:
             return True
         return vessel is not None and self.state.sphere_count > 0 and is_over(vessel, self.rows)
 
     def result(self, finished: bool) -> ElementRun:
-        """Return the run up to now, with its results."""
+        """Return the run up to the present time, with series, results, tables and bodies."""
         series = self.sampler.series()
         steps, state = self.stepper.steps, self.state
         running = self._wall_times.get("running", 0.0)
@@ -318,7 +324,7 @@ class ElementSimulation(Simulation):
             contacts = contact_sums(self.model, state, coordination=True)
             known = Known(
                 self.scene, self.model.walls, series, mass, contacts, wear=self.sampler.wear,
-                blocked=self.blockage.found if self.blockage is not None else None, log=self.sampler.log,
+                blockage=self.blockage, log=self.sampler.log,
             )  # fmt: skip
             result |= results_of(quantities(), known)
             if known.log is not None and known.pumped:

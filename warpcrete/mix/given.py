@@ -2,24 +2,38 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
 from ..core.errors import between, one_of, positive, refuse, suggested
-from ..core.inputs.amounts import amount, bare_number
+from ..core.inputs.amounts import amount, bare_number, is_amount
 from ..core.inputs.limits import check_limit
 from ..core.inputs.text_files import errors_located_at
-from .ingredients import MIN_AMOUNT, check_volume, is_thickener, paste_volumes
+from .ingredients import (
+    MIN_AMOUNT,
+    check_volume,
+    is_plasticizer,
+    is_thickener,
+    mass_per_volume,
+    paste_volumes,
+    powder_mass,
+    sand_and_stone_masses,
+    water_mass,
+)
 from .points import PUMPED, read_points
 
 T = TypeVar("T")
 
 UNITS = {"yield_stress": "Pa", "viscosity": "Pa s"}
+CONCRETE_UNITS = {**UNITS, "flow_index": "1", "quadratic_viscosity": "Pa s2"}
+LAYER_UNITS = {"yield_stress": "Pa", "viscosity": "Pa s/m", "flow_index": "1", "quadratic_viscosity": "Pa s2/m2"}
+"""Measured constants of concrete and slip layer, with their SI units; the last two belong to other laws than
+Bingham's."""
 SLIPPED = {"speed": "m/s", "stress": "Pa"}
-SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity"}
+SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity", "flow_index": "slip_flow_index",
+        "quadratic_viscosity": "slip_quadratic_viscosity"}  # fmt: skip
 """Names of a slip layer's constants in the table of limits."""
 SHEARED = {"rate": "1/s", "stress": "Pa"}
 """Columns of points measured with a viscometer, with their SI units."""
@@ -44,6 +58,7 @@ NUMBERS = {
         5000,
         "write another unit as in '2.35 t/m3'",
     ),
+    "volume": Entry("Volume of the load, if parts state the masses of a whole load", "m3", 1e-3, 1e4),
     "air": Entry("Air content, share of the volume", "m3/m3", 0, 0.3, "write per cent as in '2 %'"),
     "aggregate_density": Entry("Density of the coarse aggregate", "kg/m3", 1000, 8000),
     "slump": Entry("Slump of the Abrams cone", "m", 0.01, 0.29, "use spread for softer concrete"),
@@ -55,10 +70,13 @@ NUMBERS = {
         0.12,
         1.2,
     ),
-}
+    "voids": Entry("Voids of sand and stones together when compacted, share of their bulk volume", "m3/m3", 0.1, 0.5,
+                   "write per cent as in '24 %'"),
+    "fine_sand": Entry("Share of the sand's mass below 0.3 mm", "1", 0, 1, "write per cent as in '18 %'"),
+}  # fmt: skip
 """Numeric entries of a mix."""
 OTHERS = {
-    "parts": "Mass of every ingredient in a cubic metre [kg/m3]",
+    "parts": "Mass of every ingredient in a cubic metre [kg/m3], or with its unit; liquids also by volume",
     "aggregate": "Coarse aggregate: share of the volume, or mass in a cubic metre with a unit",
     "sieve": "Sieve curve of the coarse aggregate: openings [mm], and the share of the mass that passes each",
     "sizes": "Smallest and largest coarse aggregate [m], instead of a sieve curve",
@@ -70,8 +88,9 @@ OTHERS = {
     "thickener": "True if the concrete contains a viscosity-modifying admixture that parts do not name",
 }
 """Entries of a mix that are not single numbers, with their meaning."""
-KEYS = ("density", "air", "parts", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete", "mortar",
-        "viscometer", "slump", "spread", "t500", "water_binder", "thickener", "layer")  # fmt: skip
+KEYS = ("density", "air", "parts", "volume", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete",
+        "mortar", "viscometer", "slump", "spread", "t500", "water_binder", "thickener", "layer", "voids",
+        "fine_sand")  # fmt: skip
 SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crushed": "reference",
           "angular": "reference", "reference": "reference"}  # fmt: skip
 """Words for the shape of stones, with the shapes that discrete elements use for them. A numeric shape factor stands for
@@ -152,6 +171,16 @@ class MixEntries:
     """Share of sand and stones together in the concrete's volume."""
     thickener: bool = False
     """True if the concrete contains a viscosity-modifying admixture."""
+    parts: Mapping[str, float] = field(default_factory=dict)
+    """Ingredients of a cubic metre [kg/m3] by their names."""
+    paste_share: float | None = None
+    """Share of powder, water and admixtures in the volume of the concrete."""
+    water_binder: float | None = None
+    """Mass of water over mass of all powder."""
+    voids: float | None = None
+    """Voids of sand and stones together when compacted, as a share of their bulk volume."""
+    fine_sand: float | None = None
+    """Share of the sand's mass below 0.3 mm."""
 
     @property
     def largest(self) -> float | None:
@@ -159,6 +188,29 @@ class MixEntries:
         if self.sieve is not None:
             return self.sieve[-1][0]
         return self.sizes[1] if self.sizes is not None else None
+
+    @property
+    def sand_mass(self) -> float:
+        """Mass of sand in a cubic metre [kg]; 0 if it is not known."""
+        sand, _ = sand_and_stone_masses(self.parts)
+        if sand == 0 and self.share is not None and self.sand_and_stone is not None:
+            return max(self.sand_and_stone - self.share, 0.0) * GRAVEL
+        return sand
+
+    @property
+    def sand_share(self) -> float | None:
+        """Share of sand in the aggregate, by mass or else by volume; None if it is not known."""
+        sand, stone = sand_and_stone_masses(self.parts)
+        if sand > 0 and stone > 0:
+            return sand / (sand + stone)
+        if self.share is None or self.sand_and_stone is None or self.share >= self.sand_and_stone:
+            return None
+        return 1 - self.share / self.sand_and_stone
+
+    @property
+    def plasticizer(self) -> bool:
+        """True if the ingredients name a plasticizer."""
+        return any(is_plasticizer(name) for name in self.parts)
 
 
 def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
@@ -204,7 +256,7 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
         sieve=_entry(given, "sieve", _sieve),
         sizes=_entry(given, "sizes", _sizes),
         shape=_entry(given, "shape", _shape),
-        concrete=_entry(given, "concrete", lambda found: _constants("concrete", found, UNITS)) or Measured(),
+        concrete=_entry(given, "concrete", lambda found: _constants("concrete", found, CONCRETE_UNITS)) or Measured(),
         mortar=mortar,
         viscometer_points=_entry(given, "viscometer", lambda found: _pairs("viscometer", found, SHEARED, folder)),
         slump=_number(given, "slump"),
@@ -214,6 +266,11 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
         paste_solids=_paste_solids(given),
         sand_and_stone=_sand_and_stone(given),
         thickener=_thickener(given),
+        parts=_masses(given),
+        paste_share=_paste_share(given),
+        water_binder=_water_binder(given),
+        voids=_number(given, "voids"),
+        fine_sand=_number(given, "fine_sand"),
     )
 
 
@@ -227,7 +284,8 @@ def _entry(given: Mapping[str, Any], name: str, read: Callable[[Any], T]) -> T |
 
 def _masses(given: Mapping[str, Any]) -> dict[str, float]:
     """Return the ingredients of a cubic metre [kg/m3] by their names."""
-    return {str(name): amount(f"mix parts: {name}", x, "kg/m3") for name, x in given.get("parts", {}).items()}
+    load = _number(given, "volume")
+    return {str(name): mass_per_volume(str(name), x, load) for name, x in given.get("parts", {}).items()}
 
 
 def _paste_solids(given: Mapping[str, Any]) -> float | None:
@@ -249,6 +307,19 @@ def _sand_and_stone(given: Mapping[str, Any]) -> float | None:
     powder, liquid = paste_volumes(_masses(given))
     air = _number(given, "air")
     return 1 - powder - liquid - (USUAL_AIR if air is None else air) if powder > 0 and liquid > 0 else None
+
+
+def _paste_share(given: Mapping[str, Any]) -> float | None:
+    """Return the share of powder and liquid in the volume of the concrete; None if the ingredients do not tell it."""
+    powder, liquid = paste_volumes(_masses(given))
+    return powder + liquid if powder > 0 and liquid > 0 else None
+
+
+def _water_binder(given: Mapping[str, Any]) -> float | None:
+    """Return the mass of water over that of powder, as stated or from the ingredients."""
+    parts = _masses(given)
+    powder, water = powder_mass(parts), water_mass(parts)
+    return _number(given, "water_binder") or (water / powder if powder > 0 and water > 0 else None)
 
 
 def _thickener(given: Mapping[str, Any]) -> bool:
@@ -301,10 +372,10 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool]:
             "must be the ingredients of a cubic metre",
             "for example {cement: 340 kg/m3, water: 170 kg/m3}",
         )
-    masses = {}
+    masses, load = {}, _number(given, "volume")
     for name, value in parts.items():
         with errors_located_at(parts, name):
-            masses[str(name)] = amount(f"mix parts: {name}", value, "kg/m3")
+            masses[str(name)] = mass_per_volume(str(name), value, load)
             between(
                 f"mix parts: {name}", masses[str(name)], MIN_AMOUNT, 5000, "kg/m3", "leave out ingredients with no mass"
             )
@@ -322,13 +393,13 @@ def _share(given: Any, heavy: float) -> float:
 
     An amount in kg/m3 is divided by the density `heavy` of the stones [kg/m3].
     """
-    if isinstance(given, str) and re.search(r"(kg|t|g)/", given):
+    if is_amount(given, "kg/m3"):
         found = amount("mix aggregate", given, "kg/m3") / heavy
     else:
         found = amount("mix aggregate", given, "m3/m3")
         if found > 1:
             refuse("mix aggregate", given, "must be a share of the volume up to 1, or have a unit",
-                   "for example '36 %', '360 l/m3' or '950 kg/m3'")  # fmt: skip
+                   "for example '36 %', '360 l/m3', '950 kg/m3' or '1600 lb/yd3'")  # fmt: skip
     positive("mix aggregate", found)
     if found >= PACKING:
         refuse("mix aggregate", given, f"is {found:.3g} of the volume: more than loosely packed stones fill, {PACKING}",
@@ -455,8 +526,8 @@ def _layer(given: Any, folder: Path) -> Layer:
     source = given.get("from", "tribometer")
     one_of("mix layer: from", source, ("tribometer", "pipe"))
     own = {key: value for key, value in given.items() if key != "from"}
-    constants = _constants("layer", own, {"yield_stress": "Pa", "viscosity": "Pa s/m"})
-    if len(constants.values) < 2:
+    constants = _constants("layer", own, LAYER_UNITS)
+    if not set(UNITS) <= set(constants.values):
         refuse(
             "mix layer",
             dict(given),

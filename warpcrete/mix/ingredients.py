@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from typing import Any
 
 from ..core.errors import quoted, refuse, suggested
+from ..core.inputs.amounts import amount, is_amount, unit_names
 from ..core.inputs.limits import warn
 
 DENSITIES = {
@@ -39,6 +41,8 @@ LIQUIDS = ("water", "ice", "superplasticizer", "superplasticiser", "plasticizer"
            "admixtures", "retarder", "accelerator", "entrainer", "stabilizer", "stabiliser", "modifier", "vma", "pce",
            "sp", "latex")  # fmt: skip
 """Words for the liquids of the paste: water and dissolved admixtures."""
+PLASTICIZERS = ("superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "pce", "sp")
+"""Words for admixtures that make a concrete flow."""
 THICKENERS = ("vma", "stabilizer", "stabiliser", "modifier")
 """Words for viscosity-modifying admixtures."""
 POSSIBLE_VOLUMES = (0.88, 1.05)
@@ -62,6 +66,45 @@ def is_thickener(name: str) -> bool:
     return any(word in THICKENERS for word in _words(name))
 
 
+def is_plasticizer(name: str) -> bool:
+    """Return whether an ingredient is a plasticizer or superplasticizer."""
+    return any(word in PLASTICIZERS for word in _words(name))
+
+
+def powder_mass(parts: Mapping[str, float]) -> float:
+    """Return the mass of powder (cement, ash, slag, filler) among the ingredients [kg/m3]."""
+    return sum(mass for name, mass in parts.items() if _noun(name) in POWDERS)
+
+
+def water_mass(parts: Mapping[str, float]) -> float:
+    """Return the mass of water among the ingredients [kg/m3]."""
+    return sum(mass for name, mass in parts.items() if _noun(name) in ("water", "ice"))
+
+
+def sand_and_stone_masses(parts: Mapping[str, float]) -> tuple[float, float]:
+    """Return the masses of sand and of coarse aggregate among the ingredients [kg/m3].
+
+    Both are 0 if an ingredient is aggregate of unknown size.
+    """
+    sand, stone = 0.0, 0.0
+    for name, mass in parts.items():
+        words = _words(name)
+        if DENSITIES.get(_noun(name)) != DENSITIES["sand"]:
+            continue
+        if "sand" in words or ("fine" in words and "coarse" not in words):
+            sand += mass
+        elif any(word in COARSE for word in words):
+            stone += mass
+        else:
+            return 0.0, 0.0
+    return sand, stone
+
+
+def _noun(name: str) -> str:
+    """Return the last known word of an ingredient's name, which says what it is; empty if no word is known."""
+    return next((word for word in reversed(_words(name)) if word in DENSITIES), "")
+
+
 def paste_volumes(parts: Mapping[str, float]) -> tuple[float, float]:
     """Return the volumes of powder and of liquid in a cubic metre of concrete [m3], without air.
 
@@ -69,16 +112,36 @@ def paste_volumes(parts: Mapping[str, float]) -> tuple[float, float]:
     """
     powder, liquid, water = 0.0, 0.0, False
     for name, mass in parts.items():
-        known = [word for word in _words(name) if word in DENSITIES]
-        if not known:
-            continue
-        # The last word is the noun: limestone sand is sand, and silica fume is powder.
-        if known[-1] in POWDERS:
-            powder += mass / DENSITIES[known[-1]]
-        elif known[-1] in LIQUIDS:
-            liquid += mass / DENSITIES[known[-1]]
-            water = water or known[-1] in ("water", "ice")
+        noun = _noun(name)  # limestone sand is sand, and silica fume is powder
+        if noun in POWDERS:
+            powder += mass / DENSITIES[noun]
+        elif noun in LIQUIDS:
+            liquid += mass / DENSITIES[noun]
+            water = water or noun in ("water", "ice")
     return (powder, liquid) if water else (0.0, 0.0)
+
+
+def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
+    """Return the mass of an ingredient in a cubic metre of concrete [kg/m3].
+
+    `value` is a number [kg/m3], a text with a unit of mass per volume, or, for liquids only, of volume per volume such
+    as "33 gal/yd3". With the volume `load` of a whole load [m3], it may also be the mass or the volume of liquid in
+    that load. Raises :class:`SceneError` for other texts.
+    """
+    field = f"mix parts: {name}"
+    whole = is_amount(value, "kg") or is_amount(value, "m3")
+    if whole and load is None:
+        refuse(field, value, f"must be a number with one of {', '.join(unit_names('kg/m3'))}, unless the volume of the "
+               "load is known", "add it, as in 'volume: 8 yd3'")  # fmt: skip
+    liquid = is_amount(value, "m3") or (is_amount(value, "m3/m3") and not str(value).rstrip().endswith("%"))
+    if liquid:
+        known = [word for word in _words(name) if word in DENSITIES]
+        if not known or known[-1] not in LIQUIDS:
+            refuse(field, value, "is a volume, which is accepted for water and liquid admixtures only",
+                   "give its mass, for example '340 kg/m3' or '570 lb/yd3'")  # fmt: skip
+        return DENSITIES[known[-1]] * (amount(field, value, "m3") / load if whole and load
+                                       else amount(field, value, "m3/m3"))  # fmt: skip
+    return amount(field, value, "kg") / load if whole and load else amount(field, value, "kg/m3")
 
 
 def density_of(name: str) -> float | None:

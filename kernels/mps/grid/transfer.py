@@ -36,10 +36,7 @@ LIGHT = wp.constant(0.1)
 
 @functools.cache
 def gather_kernel(scalar, of: GridKind):
-    """Build the kernel that determines kind, volume of concrete and initial velocity of each face in a step.
-
-    The velocity is interpolated from the particles around the face. The kernel runs with one task per cell.
-    """
+    """Build the kernel that determines the kind and volume of each face, and its velocity from nearby particles."""
     dims, last = of.dimensions, of.dimensions - 1
     t = mps_types(scalar, dims)
     whole = t.whole
@@ -67,8 +64,7 @@ def gather_kernel(scalar, of: GridKind):
     def needed(g: Grid, mesh: Fields, geometry: Geometry, c: whole, axis: wp.int32) -> wp.bool:
         """Return whether the concrete's shear or stretch depends on the velocity of a face inside a wall.
 
-        This is so if there is concrete in a cell on either side of the face or at one of its edges, unless the wall has
-        no friction.
+        This holds if concrete is on either side of the face or at one of its edges, and the wall has friction.
         """
         low = f.at(g, f.moved(c, axis, -1))
         if mesh.solid[f.at(g, c)] == SMOOTH or mesh.solid[low] == SMOOTH:

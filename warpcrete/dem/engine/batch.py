@@ -59,8 +59,9 @@ class Batch(JointArrays):
     """Scenes with the same features on one device, with joint arrays of which each scene's arrays are slices.
 
     `models` and `states` have one entry for each scene. On a CPU, `threads` threads share the work of a single scene:
-    each takes a chunk of neighbouring bodies. A batch of several scenes or of few spheres uses fewer threads. Raises
-    :class:`SceneError` if the scenes need different features.
+    each thread computes a chunk, a range of bodies that are neighbours in memory. A batch of several scenes uses one
+    thread, and a scene of few spheres uses fewer threads. Raises :class:`SceneError` if the scenes need different
+    features.
     """
 
     def __init__(self, models: list[Model], states: list[State], *, threads: int = 1) -> None:
@@ -83,7 +84,7 @@ class Batch(JointArrays):
         self._launcher = Launcher(self.threads, self.device)
         self.barrier = self._launcher.barrier
         self.version = 0
-        """Version of the recorded launches, incremented whenever arrays or chunks change."""
+        """Number that increases whenever arrays or CPU chunks change, which makes recorded launches invalid."""
         self._chunks: tuple[int, ...] = ()
         self.scenes_with_new_chunks: set[int] = set()
         """Numbers of the scenes whose division into CPU chunks no longer matches their neighbour lists."""
@@ -151,16 +152,16 @@ class Batch(JointArrays):
         self._wall_launch = None
 
     def use_step(self, step: Step, rebuild: GraphLaunch | None, between_pieces: GraphLaunch | None) -> None:
-        """Set the stages of one step, one list for each thread; they stay valid while `has_step` is True.
+        """Set the kernel launches of one step, one list for each CPU thread; they stay valid while `has_step` is True.
 
-        A GPU launches `between_pieces` after each piece of steps: it rebuilds lists and estimates stable steps. It
-        launches `rebuild` instead, which rebuilds lists only, when no scene needs estimates.
+        A GPU launches steps in pieces. After each piece it launches `between_pieces`, which rebuilds neighbour lists
+        and estimates stable time steps, or, if no scene needs estimates, `rebuild`, which only rebuilds the lists.
         """
         self._step, self._rebuild, self._between_pieces = step, rebuild, between_pieces
 
     @property
     def has_step(self) -> bool:
-        """True if the stages of a step have been set and still match the arrays and chunks."""
+        """True if the kernel launches of a step have been set and still match the arrays and CPU chunks."""
 
         return self._step is not None
 
@@ -187,7 +188,7 @@ class Batch(JointArrays):
         self._flags_pending = True
 
     def estimated(self, s: int, steps: int) -> None:
-        """Note that the stable step of scene `s` was estimated after `steps` completed steps."""
+        """Record that the stable time step of scene `s` was estimated after `steps` completed steps."""
         self.host_flags()[s, int(ESTIMATED)] = steps
         self._flags_pending = True
 
@@ -209,7 +210,7 @@ class Batch(JointArrays):
         """Read flags and clocks from the device; on a CPU, use views of the arrays, which are always up to date."""
         if self.parallel:
             flags, self._clock = self.exchange.read(self.flags, self.scenes.clock)
-            # Flags that the host already holds may contain changes that have not been sent yet.
+            # If the host has a copy of the flags, keep it, because it may contain changes not yet sent to the device.
             self._flags = flags if self._flags is None else self._flags
         else:
             self._flags, self._clock = self.flags.numpy(), self.scenes.clock.numpy()
@@ -229,16 +230,16 @@ class Batch(JointArrays):
 
     @cached_property
     def wall_array(self) -> DeviceArray:
-        """Device array of the walls' values, shape (walls, WALL_COLUMNS)."""
+        """Device array for forces, travel and other values of all walls, shape (walls, WALL_COLUMNS)."""
         return zeros((self.wall_count, WALL_COLUMNS), dtype=wp.float64, device=self.device)
 
     def wall_stage(self) -> Stage:
-        """Return the launch that writes the walls' values to `wall_array`."""
+        """Return the launch that writes forces, travel and other values of all walls to `wall_array`."""
         reading = {"walls": self.walls, "wall_values": self.wall_array}
         return Stage(wall_probe(self.scalar), self.wall_count, reading, self.device, block=DEFAULT_BLOCK)
 
     def own_walls(self, s: int, values: np.ndarray) -> np.ndarray:
-        """Return the rows of `values` that belong to scene `s`; `values` has one row for each wall of the batch."""
+        """Return the rows of `values` for the walls of scene `s`; `values` has one row for each wall of the batch."""
         first = int(self.rows["walls"][s])
         return values[first : first + int(self.rows["wall_count"][s])]
 
@@ -262,7 +263,7 @@ class Batch(JointArrays):
             pending.append((self.flags, self._flags))
         if pending:
             self.exchange.write(*pending)
-        # The copies are discarded after the write, so that an interrupted write loses no pending changes.
+        # The host's copies are discarded only after the write, so that Ctrl-C during the write loses no changes.
         if self.parallel:
             self._flags = self._clock = None
         self._walls = None
@@ -278,7 +279,10 @@ class Batch(JointArrays):
         self.exchange.begin_read(self.flags, self.scenes.clock)
 
     def _launch(self, launch_sizes: list[int], interval: int) -> None:
-        """Launch `launch_sizes` of steps, each followed by what a GPU does between steps; see :meth:`use_step`."""
+        """Launch pieces with the numbers of steps `launch_sizes`; a GPU also launches the work that follows each piece.
+
+        This work is described in :meth:`use_step`.
+        """
         # A GPU runs all sub-cycling rounds of a step in one kernel.
         rounds = 0 if self.parallel else self.subcycles.rounds
         largest = self.planner.largest_graph(self.threads, rounds)
@@ -291,19 +295,19 @@ class Batch(JointArrays):
 
         try:
             for count in launch_sizes:
-                # On a GPU, one graph holds the steps up to the next estimate and the estimate; this saves launches.
+                # A GPU saves launches if one CUDA graph contains the steps of a piece and the work that follows.
                 whole = self.parallel and count in (interval, DEVICE_CHECK_INTERVAL) and count <= largest
                 sizes = [count] if whole else graph_sizes(count, largest)
                 appended = between_pieces if whole and self.device.is_cuda else None
                 self._launcher.replay(self._step, self._single_thread_step, sizes, ended, appended)
                 if between_pieces is not None and appended is None:
                     between_pieces()
-        finally:  # Bodies must match their spheres even after an interruption.
+        finally:  # Copy the motion of spheres to their bodies even after Ctrl-C.
             for stage in self.sync_stages():
                 stage()
 
     def rebuild(self) -> None:
-        """Rebuild the neighbour lists now, with the recorded launch that a GPU otherwise uses between steps."""
+        """Rebuild the neighbour lists of all scenes now, with the recorded launch that a GPU uses between steps."""
         assert self._rebuild is not None
         self.mark_stale(range(self.count))
         with self.changing():
@@ -311,7 +315,7 @@ class Batch(JointArrays):
 
     @property
     def settled(self) -> bool:
-        """True if the device has finished everything that was launched."""
+        """True if the device has completed the steps that were launched last."""
         return self.exchange.read_is_done
 
     def settle(self) -> np.ndarray:
@@ -325,14 +329,14 @@ class Batch(JointArrays):
         return merge_thread_stages(self._step)
 
     def launch_chunks(self, stages: list[Stage]) -> None:
-        """Launch one stage for each chunk, each on its own CPU thread."""
+        """Launch one kernel for each chunk of bodies, each on its own CPU thread."""
         self._launcher.apart(stages)
 
     def sync_stages(self) -> list[Stage]:
-        """Return the stages that copy the motion of single spheres to their bodies.
+        """Return the launches that copy the motion of single spheres to their bodies.
 
-        If every body is a single sphere, steps move only the spheres, because that is faster. Scenes with clumps need
-        no such stage.
+        If every body is a single sphere, steps move only the spheres, because that is faster. For scenes with clumps
+        the returned list is empty.
         """
         if self.features.clumps or not self.sphere_count:
             return []

@@ -33,12 +33,12 @@ time.
 
 
 class JointArrays:
-    """Device arrays of a batch of scenes with the same features."""
+    """Device arrays of a batch of scenes with the same features; arrays of all scenes are joined end to end."""
 
     flags: DeviceArray
-    """Control flags of all scenes, shape (scenes, FLAGS)."""
+    """Control flags of all scenes, such as halted, failed and stale lists, shape (scenes, FLAGS)."""
     scenes: Scenes
-    """Clocks and parameters of all scenes, a struct of `kernels/dem/structs.py`, as are the next six attributes."""
+    """Clocks and parameters of all scenes, a struct of arrays that `kernels/dem/structs.py` defines."""
     bodies: Bodies
     spheres: Spheres
     slots: Slots
@@ -48,31 +48,34 @@ class JointArrays:
     corners: DeviceArray
     """Corners of all meshes, each in its wall's frame [m], shape (corners,)."""
     faces: DeviceArray
-    """Corner indices of each triangle, shape (faces, 3)."""
+    """Indices of the three corners of each triangle of all meshes, shape (faces, 3)."""
     across: DeviceArray
-    """Neighbours of each triangle across its edges, as in :class:`Surfaces`, shape (faces, 6)."""
+    """Neighbouring triangles across the three edges of each triangle, as in :class:`Surfaces`, shape (faces, 6)."""
     ring_start: DeviceArray
-    """First entry of each row of `ring`, and the end of the last row, shape (rows + 1,)."""
+    """Start of each row of the adjacency table `ring`, and the end of the last row, shape (rows + 1,).
+
+    There is a row for each mesh corner, followed by a row for each edge shared by three or more triangles.
+    """
     ring: DeviceArray
-    """Triangles and corners around each corner, and around each edge of three or more triangles, end to end."""
+    """Adjacency rows, concatenated: the lowest index of a triangle at a corner or edge, then the corners around it."""
     face_wall: DeviceArray
-    """Index of the wall of each triangle, shape (faces,)."""
+    """Index of the wall to which each triangle belongs, shape (faces,)."""
     pair_parameters: DeviceArray
     """Parameters of the contact laws between bodies, as in :class:`Model`, for all scenes end to end."""
     wall_parameters: DeviceArray
     """Parameters of the contact laws of bodies with walls, for all scenes end to end."""
     bond_parameters: DeviceArray
-    """Parameters of the kinds of bonds, for all scenes end to end."""
+    """Parameters of each kind of bonds, such as hydrated ones, for all scenes end to end."""
     segments: DeviceArray
     """Straight and curved segments of the axes of pipes and drives, for all scenes end to end."""
     drive_axis: DeviceArray
-    """First and end index of the segments of each group's axis, shape (groups, 2)."""
+    """First and end index in `segments` of the axis along which each body group is driven, shape (groups, 2)."""
     drive_force: DeviceArray
-    """Driving force on each body of a group along the group's axis [N], shape (groups,)."""
+    """Driving force along the axis on each body of every body group [N], shape (groups,)."""
     rows: np.ndarray
     """Host copy of `scenes.row`, the parameters of all scenes."""
     slot_scene: DeviceArray
-    """Scene index of every entry of `pairs.start`, shape (spheres + scenes,)."""
+    """Scene index of each entry of `pairs.start`, the starts of the neighbour list rows, shape (spheres + scenes,)."""
 
     def __init__(self, models: list[Model], states: list[State], threads: int) -> None:
         """Join the arrays of all models and states, with separate wall forces for each of `threads` CPU threads."""
@@ -129,7 +132,7 @@ class JointArrays:
 
     @abstractmethod
     def invalidate_graphs(self) -> None:
-        """Discard recorded launches, because arrays have been replaced."""
+        """Discard recorded kernel launches, because they refer to arrays that have been replaced."""
 
     def _join_states(self) -> None:
         """Join the arrays of all states, replace the originals by slices, and allocate the arrays of the batch."""
@@ -149,14 +152,14 @@ class JointArrays:
         self.slot_scene = self._numbers([n + 1 for n in counts])
 
     def _join(self, parts: Sequence[object], name: str) -> DeviceArray:
-        """Join the arrays `name` of all parts and replace them by slices of the joint array."""
+        """Join the arrays `name` of each scene's struct in `parts`, and replace them by slices of the joint array."""
         arrays: list[DeviceArray] = [getattr(part, name) for part in parts]
         if len(arrays) == 1:
             return arrays[0]
         joint = empty((sum(len(a) for a in arrays), *arrays[0].shape[1:]), dtype=arrays[0].dtype, device=self.device)
         first = 0
         for part, array in zip(parts, arrays):
-            if array.size:  # Arrays of a scene without walls may have no columns.
+            if array.size:  # Without walls an array may have 0 columns; Warp cannot copy it.
                 view = joint[first : first + len(array)]
                 copy_array(view, array)
                 setattr(part, name, view)
@@ -213,7 +216,7 @@ class JointArrays:
         self.face_wall = self._array(surfaces.owner(), wp.int32)
 
     def _set_constants(self, s: int, model: Model, state: State, *, walls_fixed: bool) -> None:
-        """Set the constants in the parameter row of scene `s`; `walls_fixed` says that no plane or pipe ever moves."""
+        """Set the constant parameters of scene `s` on the host; `walls_fixed` says that no plane or pipe ever moves."""
         row = self.rows
         row["body_count"][s], row["sphere_count"][s] = state.body_count, state.sphere_count
         row["wall_count"][s], row["analytic"][s] = len(model.walls), model.analytic_walls
@@ -227,7 +230,7 @@ class JointArrays:
         row["wall_stiffness"][s] = np.pi * model.stress_scale * state.largest_radius
 
     def _concatenate(self, arrays: list[DeviceArray]) -> DeviceArray:
-        """Return the arrays joined end to end; constant arrays need no copy, so a single array is shared."""
+        """Return constant arrays joined end to end; a single array is returned uncopied, because nothing changes it."""
         if len(arrays) == 1:
             return arrays[0]
         joint = empty(sum(len(a) for a in arrays), dtype=arrays[0].dtype, device=self.device)
@@ -247,8 +250,8 @@ class JointArrays:
         return self._array(np.repeat(np.arange(self.count), counts), wp.int32)
 
     def set(self, s: int, **numbers: float) -> None:
-        """Change parameters in the row of scene `s`, by the names of `SceneRow`."""
-        if numbers.items() <= self._settings[s].items():  # scenes often repeat the same settings
+        """Change parameters of scene `s` on host and device, given by the field names of the struct `SceneRow`."""
+        if numbers.items() <= self._settings[s].items():  # steppers often set values that have not changed
             return
         if any(np.any(self.rows[name][s] != self.rows.dtype[name].type(value)) for name, value in numbers.items()):
             for name, value in numbers.items():
@@ -277,7 +280,7 @@ class JointArrays:
                 f"{MOST_ROWS}; use fewer or larger aggregates"
             )
         before, old = self.links, self.capacity.copy()
-        # The results of links take most of the memory. They are rewritten before they are read, so the old ones can go.
+        # Free the result array of the old links, which takes most memory: steps overwrite results before reading them.
         before.result = None
         self._regrow("pairs", used, self.capacity, wanted)
         self.links = make_links(self)
@@ -285,10 +288,10 @@ class JointArrays:
             copy_links(before, old, self.links, self.capacity)
 
     def reserve_loads(self, s: int, wanted: int) -> None:
-        """Enlarge the bond loads to at least `wanted` rows for scene `s`.
+        """Enlarge the array of bond loads (forces and moments of bonds) to at least `wanted` rows for scene `s`.
 
-        Scenes without bonds will probably create theirs soon, so they get room in proportion to their number of
-        spheres.
+        Other scenes of the batch that have no bonds yet will probably create them soon, so they get room in proportion
+        to their number of spheres.
         """
         spheres = self.rows["sphere_count"].astype(np.int64)
         each = np.where(self.load_capacity <= 1, wanted * spheres // max(spheres[s], 1), 0)
@@ -305,11 +308,12 @@ class JointArrays:
         old = np.concatenate([[0], np.cumsum(capacity)])
         grown = wanted > FULL * capacity
         capacity[grown] = (wanted[grown] + wanted[grown] // 4 + 64) // 2 * 2
-        if struct == "pairs" and self.features.healing:  # Every list entry has a numbered row of load.
+        # If contacts heal, every list entry has a load, and the number of loads is limited.
+        if struct == "pairs" and self.features.healing:
             np.minimum(capacity, MOST_ROWS, out=capacity)
         new = np.concatenate([[0], np.cumsum(capacity)])
-        # On a GPU, two entries share a link with up to four rows of results, so there are twice as many rows as
-        # entries.
+        # On a GPU, two list entries share a link with up to four rows of results. The array of results thus has up to
+        # twice as many rows as the list has entries, and both must be indexed with 32 bits.
         most = MAXIMUM_ENTRIES // 2 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES
         if new[-1] > most:
             raise CapacityError(

@@ -1,4 +1,4 @@
-"""Batch as its parts see it; the parts cannot name its class, because the batch imports them."""
+"""Protocols of a batch for the modules that `batch` imports and that therefore cannot import its class."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from .struct_types import Pairs
 
 
 class BatchArrays(Protocol):
-    """Scenes of a batch, and the sizes of their joint arrays."""
+    """Protocol of a batch for modules that only need its scenes and the sizes of their joint arrays."""
 
     models: list[Model]
     states: list[State]
     features: Features
-    """Features that all scenes of the batch have in common."""
+    """Features (contact laws, clumps, bonds and others) that all scenes of the batch have in common."""
     scalar: Scalar
     """Scalar type of the kernels, `wp.float32` or `wp.float64`."""
     device: wp.Device
     """Warp device of all arrays."""
     parallel: bool
-    """True if kernels are written for a GPU, with one thread for each row."""
+    """True if the kernels for GPUs are used, with one thread for each sphere or body."""
     threads: int
-    """Number of CPU threads that share the work."""
+    """Number of CPU threads that share the work of a step."""
     count: int
-    """Number of scenes."""
+    """Number of scenes in the batch."""
     body_count: int
     sphere_count: int
     capacity: np.ndarray
@@ -44,18 +44,18 @@ class BatchArrays(Protocol):
 
 
 class SceneBatch(BatchArrays, Protocol):
-    """Batch with its kernel launches."""
+    """Protocol of a batch for modules that also launch its kernels."""
 
     def stage(
         self, kernel: Kernel, dim: Size, *, on_side_stream: bool = False, joins_side_stream: bool = False,
         every: int = 1, block: int | None = None, **named: object,
     ) -> Stage:  # fmt: skip
-        """Return a recorded launch of `kernel` over `dim` tasks."""
+        """Return a recorded launch of `kernel` over `dim` tasks; `named` gives arguments by parameter name."""
         ...
 
     def barrier(self) -> list[Stage]:
-        """Return the stage at which CPU threads wait for one another, or no stage if there is one thread."""
+        """Return the barrier at which CPU threads wait for one another, as a list; it is empty for a single thread."""
         ...
 
     def invalidate_graphs(self) -> None:
-        """Discard recorded launches, because arrays have been replaced."""
+        """Discard recorded kernel launches, because they refer to arrays that have been replaced."""

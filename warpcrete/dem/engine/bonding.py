@@ -2,8 +2,8 @@
 
 The load of a bond (its forces and moments) is stored in a row of `pairs.load`. The integer `pairs.bond` of a listed
 pair encodes the bond's kind and that row. A bond keeps its row when neighbour lists are rebuilt, until it breaks. In a
-half list (CPU), a pair across the border of two chunks is computed once by each thread, so every bond has two rows, one
-for each thread. If contacts can heal, any listed pair may bond, so every entry of the list has a row of its own.
+half list (CPU), two threads each compute a pair whose spheres belong to different threads, so every bond has two rows,
+one for each thread. If contacts can heal, any listed pair may bond, so every entry of the list has a row of its own.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def reassign_bonds(model: Model, state: State, old: int, new: int, fraction: flo
 def bond_kinds(bond: np.ndarray) -> np.ndarray:
     """Return the kind of each bond encoded in values of `pairs.bond`.
 
-    Values of 0 (no bond) and below (broken, see `kernels/dem/bond_parallel.py`) are returned unchanged.
+    Values of 0 (no bond) and negative values (broken, see `kernels/dem/bond_parallel.py`) are returned unchanged.
     """
     return np.where(bond > 0, bond & MOST_KINDS, bond)
 
@@ -62,15 +62,15 @@ def bond_rows(bond: np.ndarray) -> np.ndarray:
 
 
 def _kinds(state: State) -> np.ndarray:
-    """Return the bond kind of every listed pair, each pair once; values of 0 and below mean no bond."""
+    """Return the bond kind of every listed pair, each pair once; 0 and negative values mean that there is no bond."""
     return bond_kinds(state.pairs.bond.numpy()[listed_pairs(state)[2]])
 
 
 def _number(state: State, before: np.ndarray) -> None:
-    """Assign rows of load to all bonds in the order of the neighbour list.
+    """Assign rows of `pairs.load` to all bonds in the order of the neighbour list.
 
-    `before` holds the earlier values of `pairs.bond`: bonds that existed keep their load, and new ones start without
-    load.
+    `before` contains the earlier values of `pairs.bond`. Bonds that existed keep their load, and new bonds start
+    without load.
     """
     i, j, place = listed_pairs(state)
     bond = state.pairs.bond.numpy().copy()
@@ -98,12 +98,12 @@ def _number(state: State, before: np.ndarray) -> None:
 
 
 def _number_copies(state: State, bond: np.ndarray, low: np.ndarray, high: np.ndarray, place: np.ndarray) -> None:
-    """Assign the second row of load to the second list entry of each bond across a border of chunks.
+    """Assign the second row of `pairs.load` to the second list entry of each bond between spheres of two CPU threads.
 
     `low` and `high` are the indices of the bonded spheres, and `place` is the first list entry of each bond.
     """
     start, other = state.pairs.start.numpy(), state.pairs.other.numpy()[: state.pair_total]
-    # A bonded entry that is not a first entry is the second entry of the pair with the same two spheres.
+    # All bonded list entries that are not in `place` are second entries of a bonded pair.
     copies = np.flatnonzero(bond[: len(other)] > 0)
     copies = copies[~np.isin(copies, place)]
     i = np.searchsorted(start, copies, "right") - 1

@@ -16,7 +16,7 @@ from .struct_types import Grid
 SAMPLED_SPHERES = 4_000
 """Approximate number of spheres sampled to estimate the extent of a scene."""
 FARTHEST_CELL = 1e6
-"""Maximum distance of a sphere from the middle of its scene, in cell widths; larger distances are clipped to this."""
+"""Limit to which a sphere's distance from the middle of its scene is clipped when cells are fitted, in cell widths."""
 OUTSIDE_PERCENT = 0.1
 """Percentage of a scene's spheres that may lie outside the scene's cells, at either end of each axis."""
 CELLS = 8
@@ -36,9 +36,9 @@ class Cells:
     shift: DeviceArray
     """Displacement that moves each scene's positions into its block of cells [m], shape (scenes,)."""
     grid: Grid
-    """Device arrays of the grid, a struct `Grid`."""
+    """Device arrays of the cell grid, a struct `Grid`."""
     made: int
-    """Number of times the grid was allocated; a change means that launches recorded earlier refer to old arrays."""
+    """Number of times the grid was allocated; when it changes, launches recorded earlier refer to replaced arrays."""
 
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
@@ -66,15 +66,15 @@ class Cells:
     def width(self) -> float:
         """Return the width of a cell [m]: the mean sphere diameter plus the skin of the neighbour lists.
 
-        The largest value of all scenes counts. The few spheres larger than the mean search more than the adjacent
-        cells.
+        All scenes use the largest of their values. Spheres larger than the mean are few; their search covers more than
+        the adjacent cells.
         """
         b = self.batch
         scale = b.scenes.scale.numpy() if b.features.growth else 1.0
         return float(np.max((2 * self._mean_radius * scale + b.rows["skin"])[self._full]))
 
     def fit(self, width: float, due: np.ndarray) -> None:
-        """Fit blocks of cells of a `width` [m] to the present spheres of the scenes marked in `due`."""
+        """Fit each scene's block of cells of a `width` [m] to its present spheres, for the scenes marked in `due`."""
         due = (due | ~self._fitted) & self._full
         if not due.any():
             return
@@ -82,8 +82,8 @@ class Cells:
             self._bounds[s] = self._extent(s, width)
         self._fitted |= due
         low, high = np.floor(self._bounds / width).astype(int).transpose(1, 0, 2)
-        sizes = high - low + 2  # One empty cell separates a block from the next.
-        # The blocks of all scenes follow one another along the axis with the smallest maximum block size.
+        sizes = high - low + 2  # One empty cell separates the blocks of two scenes.
+        # Line up the blocks of all scenes along the axis in which the largest block is shortest.
         axis = int(np.argmin(sizes.max(0)))
         dims = sizes.max(0)
         dims[axis] = sizes[:, axis].sum()
@@ -93,12 +93,12 @@ class Cells:
         most = min(
             max(CELLS * self.batch.sphere_count, FEWEST_CELLS), MOST_CELLS["cuda" if self.batch.parallel else "cpu"]
         )
-        # Positions wrap around, so halving the longest side keeps the search correct.
+        # Halve the longest side while there are too many cells; positions wrap around, so the search stays correct.
         while np.prod(dims, dtype=float) > most:
             dims[np.argmax(dims)] = (dims.max() + 1) // 2
         if np.all(dims <= self._dims):
             return
-        # Spheres that spread further should find room for a while, so the grid grows by a quarter more than needed.
+        # Make the grid a quarter larger than needed, so that it need not grow again soon when spheres spread further.
         grown = np.maximum(self._dims, dims + dims // 4)
         self._dims = grown if np.prod(grown, dtype=float) <= most and np.any(self._dims > 1) else dims
         self._make()
@@ -126,7 +126,7 @@ class Cells:
             self.grid.per_width.fill_(self.batch.scalar(1 / width))
 
     def stages(self, centre: DeviceArray) -> list[Stage]:
-        """Return the stages that sort the shifted points `centre` into cells; the array `grid.held` must be zero."""
+        """Return the launches that sort the points `centre` into cells; `grid.held` must contain zeros before."""
         b, kernels = self.batch, grid_kernels(self.batch.scalar)
         return [
             b.stage(kernels.count, b.sphere_count, centre=centre, grid=self.grid),

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 
 class DeviceRebuild:
-    """A rebuild as a part of a CUDA graph; it does nothing while the lists are fresh.
+    """Rebuild of the neighbour lists inside a CUDA graph, which does nothing while the lists are up to date.
 
-    If bodies are due for re-sorting, or the new lists do not fit the arrays, the lists stay stale and the host builds
-    them.
+    If bodies are due for re-sorting, or the new lists do not fit the arrays, the lists stay marked as stale, and the
+    host rebuilds them.
     """
 
     def __init__(self, lists: NeighborLists) -> None:
@@ -36,20 +36,20 @@ class DeviceRebuild:
 
     @staticmethod
     def possible(batch: Batch) -> bool:
-        """Return whether a batch can rebuild on the device: a GPU, a single scene, and grid cells of constant width."""
+        """Return whether the device can rebuild the lists: a GPU and a batch of one scene whose spheres do not grow."""
         able = not batch.device.is_cuda or wp.is_conditional_graph_supported()
         return batch.parallel and batch.count == 1 and batch.sphere_count > 0 and not batch.features.growth and able
 
     def room(self) -> int:
-        """Return the number of list entries that fit the pair arrays."""
+        """Return the number of neighbour list entries for which memory is allocated."""
         return int(self.lists.batch.capacity[0])
 
     def stages(self) -> list[Stage]:
-        """Return the two stages that make the decisions of a rebuild."""
+        """Return the launches that decide whether a rebuild is needed and whether the new lists fit the arrays."""
         return [self.needs_rebuild, self.fit]
 
     def record(self) -> None:
-        """Record all launches, which loads their kernels; nothing runs yet."""
+        """Record all launches of a rebuild without running them; recording loads their kernels."""
         self._rebuild.record()
         for stage in self.stages():
             stage.record()

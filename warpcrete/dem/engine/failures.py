@@ -10,13 +10,13 @@ from .state import State
 
 
 def unstable(time: float, body: int, what: str, cures: str = "") -> InstabilityError:
-    """Return the error for a run that has become unstable."""
+    """Return the error for a run that became unstable, with the `time`, the `body`, what happened and usual `cures`."""
     cures = cures or "a smaller time step (safety below 0.8), softer contacts or bonds, more damping"
     return InstabilityError(f"t = {time:.6g} s, body {body}: {what}; usual cures: {cures}")
 
 
 def failed_body(model: Model, state: State, place: int) -> InstabilityError:
-    """Return the error for a run that the device has stopped because of the body at index `place` of the arrays."""
+    """Return the error for a run that the device stopped because of the body at index `place` of the body arrays."""
     own = np.flatnonzero(state.spheres.body.numpy() == place)
     velocity, radius = state.spheres.velocity.numpy()[own, :3], state.spheres.position.numpy()[own, 3]
     body, speeds = int(state.bodies.id.numpy()[place]), np.linalg.norm(velocity, axis=1)
@@ -39,7 +39,7 @@ def failed_body(model: Model, state: State, place: int) -> InstabilityError:
 
 
 def _wall_passed(model: Model, state: State, spheres: np.ndarray, radius: np.ndarray) -> str:
-    """Return the name of a mesh that one of these spheres has crossed with its centre; empty if there is none."""
+    """Return the name of a mesh wall that the centre of one of the `spheres` has crossed; empty if there is none."""
     if not model.features.meshes:
         return ""
     walls, overlap = (getattr(state.slots, name).numpy()[spheres] for name in ("wall", "overlap"))

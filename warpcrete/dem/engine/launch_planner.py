@@ -1,8 +1,8 @@
 """Decide how many time steps the host launches before it reads a batch's flags again.
 
 A launch is asynchronous on a GPU: the host queues several steps and does not wait for them. A scene that needs
-attention halts itself on the device and skips the queued rest. These numbers therefore affect speed only, never
-results.
+attention halts itself on the device and skips the queued rest. The number of steps per launch therefore affects speed
+only, never results.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ...kernels.dem.structs import DT, TIME
 LAUNCH = {"cpu": 64, "cuda": 512}
 """Maximum number of steps launched before the host checks for Ctrl-C, by kind of device."""
 BATCH_LAUNCH = 40
-"""Maximum number of steps queued on a GPU for a batch of several scenes before the host attends to halted scenes."""
+"""Maximum number of steps queued on a GPU for a batch of several scenes before the host handles halted scenes."""
 LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 64}
 """Maximum number of steps in one recorded graph.
 
@@ -27,12 +27,12 @@ On a CPU, recording a graph costs as much as several steps and replaying a graph
 threads get longer graphs, because they lose time when they wait for each other between two graphs.
 """
 STABLE_CHUNK_STEPS = 256
-"""Steps launched without a change of the chunks, after which several CPU threads may use longer graphs.
+"""Steps launched with the same division of bodies among CPU threads, after which the threads may use longer graphs.
 
-The chunks are often changed soon after the start, which would make recorded graphs useless.
+The division often changes soon after the start of a run, which makes recorded graphs useless.
 """
 NEVER = 2**31 - 1
-"""Step count that no scene ever reaches."""
+"""Step count that no scene ever reaches, used where a scene has no goal in steps."""
 LIFETIME_DECREASE, LIFETIME_INCREASE = 0.95, 1.1
 """Factors that adapt the expected lifetime of neighbour lists.
 
@@ -40,7 +40,7 @@ Lists that became stale are expected to last `LIFETIME_DECREASE` times as many s
 grows by the factor `LIFETIME_INCREASE` when lists were still valid at its end.
 """
 SHARED_REBUILD_AGE = 0.6
-"""Age of neighbour lists, divided by their expected lifetime, from which they join the rebuild of another scene."""
+"""Minimum age of lists, divided by their expected lifetime, at which they are rebuilt together with another scene's."""
 NO_SCENES = np.zeros(0, dtype=np.int64)
 DEVICE_CHECK_INTERVAL = 20
 """Maximum number of steps after which a GPU checks by itself whether its lists are stale."""
@@ -59,7 +59,7 @@ class LaunchPlanner:
         # Step count at which the lists of each scene were built, and their expected lifetime in steps.
         self._built_at_step = np.zeros(scenes, dtype=np.int64)
         self._expected_lifetime = np.full(scenes, 64.0 if scenes == 1 else np.inf)
-        # False for scenes whose lists have an unknown age, so that their lifetime cannot be measured.
+        # False for scenes that joined with lists of unknown age, whose lifetime cannot be measured.
         self._age_known = np.ones(scenes, dtype=bool)
         self._steps_since_capture = 0
         self.rebuilds_on_device = False
@@ -73,7 +73,7 @@ class LaunchPlanner:
         self._steps_since_capture += launched
 
     def reset_step_count(self) -> None:
-        """Reset the count of steps since graphs were last recorded."""
+        """Set the count of steps since graphs were last recorded to zero."""
         self._steps_since_capture = 0
 
     def largest_graph(self, threads: int, rounds: int) -> int:
@@ -91,7 +91,7 @@ class LaunchPlanner:
         """Return the numbers of the scenes whose neighbour lists should be rebuilt now.
 
         These are the scenes with stale lists. Several scenes on a GPU share the launches of a rebuild, so scenes of
-        `among` whose lists will soon be stale are included: a launch takes almost as long for fewer scenes.
+        `among` whose lists will soon be stale are included: a launch for fewer scenes would take almost as long.
         `flags` are the control flags of all scenes; `sort_every` is the number of steps between sortings.
         """
         if not flags[:, int(STALE)].any() and (self.scenes == 1 or not self.parallel):
@@ -101,7 +101,7 @@ class LaunchPlanner:
         chosen = np.zeros(self.scenes, dtype=bool)
         chosen[list(among)] = True
         chosen &= flags[:, int(FAILED)] == 0
-        # A rebuild forced by sorting says nothing about the lifetime of lists.
+        # Lists that are rebuilt early, because bodies are re-sorted, say nothing about the lifetime of lists.
         early = (sort_every > 0) & (steps % np.maximum(sort_every, 1) == 0)
         became_stale = chosen & stale & ~early & self._age_known
         self._expected_lifetime[became_stale] = np.maximum(
@@ -128,7 +128,7 @@ class LaunchPlanner:
         """Divide the next launch into pieces and return the number of steps of each piece.
 
         After each piece a GPU estimates the stable time step of the scenes that need an estimate, and rebuilds the
-        lists that it rebuilds by itself. `flags`, `clock` and `rows` hold one row for each scene of the batch.
+        lists that it rebuilds by itself. `flags`, `clock` and `rows` have one row for each scene of the batch.
         """
         # Convert to plain Python numbers: for one scene, arithmetic on them is ten times as fast as with NumPy, and
         # the GPU idles meanwhile.
@@ -156,8 +156,8 @@ class LaunchPlanner:
             self._expected_lifetime[s] - (slots[s][int(STEPS)] - self._built_at_step[s]) for s in running
         )
         if self.scenes > 1:
-            # A scene that waited for new lists is some steps behind the others. The first piece therefore lasts until
-            # every scene needs its next estimate; scenes that need their estimate earlier halt and wait.
+            # Scenes that halted until their lists were rebuilt are some steps behind the others. The first piece lasts
+            # until the last scene needs an estimate of its stable step; scenes that need it earlier halt and wait.
             piece = min(piece, BATCH_LAUNCH)
             sizes = [min(max(estimates), piece, count)]
             most = min(BATCH_LAUNCH, remaining_lifetime)

@@ -1,7 +1,7 @@
 """Allocate the struct `Links`, in which a GPU stores one link for each pair of the neighbour lists.
 
-The lists of a GPU contain every pair twice, once for each sphere. A link stands for the pair, so that its contact force
-is computed once and then read by both spheres.
+The lists of a GPU contain every pair twice, once for each sphere. A link represents the pair, so that its contact
+force is computed once and then read by both spheres.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from .struct_types import Links
 
 
 def make_even(states: list[State]) -> None:
-    """Make the length of all pair arrays even, because two list entries, one for each sphere, share one link."""
+    """Make the length of all pair arrays even: a link belongs to two list entries, one for each sphere of the pair."""
     for state in states:
         for name in pair_bytes(state.model):
             array: DeviceArray = getattr(state.pairs, name)
@@ -30,12 +30,12 @@ def make_even(states: list[State]) -> None:
 
 
 def rows_of(features: Features) -> int:
-    """Return the number of result rows of a link, of four numbers each, for these features."""
+    """Return the number of rows, of four numbers each, in which a link with these features stores its results."""
     return result_rows(features.bonds, features.pair_law.rolls, features.dissipation)
 
 
 def make_links(batch: BatchArrays) -> Links:
-    """Allocate empty links for all pairs of the lists of a :class:`Batch`; on a CPU the arrays have length 0."""
+    """Allocate empty links for all listed pairs of a batch; on a CPU, which uses no links, the arrays have length 0."""
     struct = declared(links_struct(batch.scalar))
     lists = int(batch.capacity.sum()) if batch.parallel else 0
     few = {
@@ -57,7 +57,7 @@ def make_links(batch: BatchArrays) -> Links:
         for s in range(1, batch.count):
             if first[s] < first[s + 1]:
                 links.scene[first[s] : first[s + 1]].fill_(s)
-        # Mark the near links, the pairs close enough to touch soon, as not selected yet.
+        # No near links (pairs that may touch soon) are selected yet, so let kernels visit all links.
         links.near_list_exceeded.fill_(1)
         links.near_count.assign(np.array([0, 1], dtype=np.int32))
     return links
@@ -70,7 +70,7 @@ def copy_links(before: Links, old: np.ndarray, links: Links, capacity: np.ndarra
     """
     copy_array(links.later_touching, before.later_touching)
     first, behind = (np.append(0, np.cumsum(each // 2)) for each in (capacity, old))
-    for name, entries in (("link", 1), ("state", 1), ("end", 2)):  # Each array, and its number of elements per link.
+    for name, entries in (("link", 1), ("state", 1), ("end", 2)):  # Name and number of elements per link of each array.
         target: DeviceArray = getattr(links, name)
         source: DeviceArray = getattr(before, name)
         for s in np.flatnonzero(old):

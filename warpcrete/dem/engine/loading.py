@@ -15,7 +15,10 @@ from .stages import step_stages
 
 
 def load_kernels(lists: NeighborLists, estimate: StableStep) -> None:
-    """Compile the kernels of steps, lists, estimates, samples and bonds, or load them from the cache."""
+    """Compile all kernels that a run will launch, or load them from the cache.
+
+    These are the kernels for time steps, neighbour lists, stable step estimates, samples and bonds.
+    """
     batch = lists.batch
     if batch.sphere_count:
         steps = [stage for part in step_stages(batch) for stage in part]
@@ -25,7 +28,7 @@ def load_kernels(lists: NeighborLists, estimate: StableStep) -> None:
 
 
 def _others(batch: Batch) -> list[Stage | Kernel]:
-    """Return the kernels that are launched occasionally: those of samples, bonds and the copy of spheres to bodies."""
+    """Return the kernels that measure samples, create bonds, and copy the motion of spheres to their bodies."""
     f, scalar = batch.features, batch.scalar
     found: list[Stage | Kernel] = [
         probes.body_probe(scalar),

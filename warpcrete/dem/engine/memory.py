@@ -17,14 +17,14 @@ from .model import Model
 from .neighbors import MOST_KEPT
 from .state import State, pair_bytes
 
-BONDS_PER_SPHERE = 4  # bonded pairs per sphere in a dense packing, including reserve for growth
+BONDS_PER_SPHERE = 4  # bonded pairs per sphere in a dense packing, with a reserve
 PAIRS_PER_SPHERE = (
-    8  # pairs per sphere in a half list of a dense packing, including reserve; twice as many in a full list
+    8  # listed pairs per sphere of a dense packing, with a reserve, if each pair is listed once (half list)
 )
 
 
 def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
-    """Return the memory of a body without spheres, and of a sphere with its listed pairs [B].
+    """Return the device memory of a body without its spheres, and of a sphere with its listed pairs [B].
 
     `table` must contain at least one body.
     """
@@ -40,26 +40,26 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     listed = PAIRS_PER_SPHERE if model.features.half_list else 2 * PAIRS_PER_SPHERE
     pair = sum(pair_bytes(model).values())
     scalar = bytes_of(model.scalar)
-    # In addition to the state: the previous neighbour list (for contact history), its row starts, and the cell grid.
+    # Add the neighbour list, the previous list (source of contact history), the starts of its rows, and the cell grid.
     listing = 2 * listed * pair + 8 * 4 + 3 * scalar + 24
-    # With healing, every list entry has a load, which is counted above. In a half list every bond has two rows of load.
+    # Add the loads of bonds, two per bond in a half list. If bonds heal, the pair arrays above already contain loads.
     if model.features.bonds and not model.features.healing:
         listing += (2 if model.features.half_list else 1) * BONDS_PER_SPHERE * 8 * scalar
     estimate = 4 * 6 * scalar
     probes = 8 * int(CONTACT_COLUMNS) + listed * scalar
     if model.features.half_list:
-        listing += 4 * listed + 4  # Neighbours that the search finds, and the index of each sphere's first one.
+        listing += 4 * listed + 4  # Add the buffer of found neighbours, and where they begin in it.
     else:
-        listing += 4 * MOST_KEPT  # Neighbours that the search stores, at most MOST_KEPT per sphere.
-        # One link for two list entries: its pair, scene and state, a copy of the pair if the link is near, its index at
-        # both entries, and its result rows. Per sphere: the position at the last selection of near links, and the bits
-        # that mark touching neighbours.
+        listing += 4 * MOST_KEPT  # Add the buffer in which the search stores neighbours.
+        # Add the links, one for the two list entries of a pair: pair, scene, state, a second copy of the pair for links
+        # that may touch soon, the link's index at both entries, and result rows. Add for each sphere its position when
+        # such near links were last selected, and the bits that mark touching neighbours.
         listing += listed * (24 + 2 * rows_of(model.features) * scalar) + 4 * scalar + 4 * int(EXTRA_MASKS)
     if model.features.subcycling and model.scene.hydration is not None:
-        # Sub-cycled pairs and bodies: a sphere has at most three pairs, of which the hydrated fraction is stiff.
+        # Add the sub-cycled bonds: a sphere has at most three bonded pairs, and the hydrated fraction of them is stiff.
         listing += 3 * model.scene.hydration.fraction * (44 * scalar + 80) + 30 * scalar
     if model.features.analytic:
-        listing += 4 * scalar  # Position of the sphere when its distance to walls was last measured.
+        listing += 4 * scalar  # Add the sphere's position when its wall distance was last measured.
     body = size("bodies") + 3 * 4 + 8 * int(BODY_COLUMNS) + 2 * 8 + 4 * 4
     return float(body), size("spheres", "slots") / state.sphere_count + listing + estimate + probes
 

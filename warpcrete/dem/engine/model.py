@@ -33,13 +33,13 @@ class Features:
     wall_law: type[ContactLaw]
     """Contact law between bodies and walls."""
     mixed: bool
-    """True if bodies have several materials."""
+    """True if the bodies are not all of one material, so that the contact law's parameters differ between pairs."""
     history: bool
-    """True if contacts between bodies store a shear history."""
+    """True if contacts between bodies store a history, which for springs is the shear force."""
     bonds: bool
     """True if contacts are bonded or may become bonded."""
     healing: bool
-    """True if new contacts bond on touching."""
+    """True if bodies that come into contact during the run form a bond, instead of only the bonds made at the start."""
     subcycling: bool
     """True if stiff bonds are sub-cycled, that is, integrated with several shorter rounds in each step."""
     clumps: bool
@@ -61,9 +61,9 @@ class Features:
     half_list: bool
     """True if neighbour lists contain a pair inside a thread's chunk once (CPU) instead of at both spheres (GPU)."""
     dissipation: bool
-    """True if dissipated energy is summed up."""
+    """True if kernels sum up dissipated energy, as a check of the energy balance needs."""
     wear: bool
-    """True if the wear of walls by contacts is summed up."""
+    """True if the work of sliding and impacts on walls is summed up, from which their wear follows."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -83,7 +83,7 @@ class Model:
     walls: tuple[Wall, ...]
     """Walls of the scene in device order: planes and pipes first, then meshes."""
     analytic_walls: int
-    """Number of planes and pipes among the walls."""
+    """Number of planes and pipes among the walls; their contacts are computed by formulas."""
     pair_parameters: DeviceArray
     """Parameters of `features.pair_law`, one row for each pair of the m materials, shape (m * m,)."""
     wall_parameters: DeviceArray
@@ -93,13 +93,13 @@ class Model:
     wall_table: DeviceArray
     """Properties of each wall, shape (walls,); without walls it has one unused row."""
     rest_position: DeviceArray
-    """Position of each wall at the start [m], shape (walls,)."""
+    """Position of each wall before it has moved [m], shape (walls,)."""
     segments: DeviceArray
     """Lines and arcs of all pipe axes, shape (segments,); without axes it has one unused row."""
     drive_axis: DeviceArray
-    """First and end index of the segments of each group's axis, shape (groups, 2); both 0 without a drive."""
+    """First and end index in `segments` of the axis along which each body group is driven, (groups, 2); else 0."""
     drive_force: DeviceArray
-    """Driving force on each body of a group along the group's axis [N], shape (groups,)."""
+    """Driving force along the axis on each body of every body group [N], shape (groups,)."""
     meshes: tuple[wp.Mesh, ...]
     """The ``wp.Mesh`` objects, kept alive because the wall table refers to them by number."""
 
@@ -131,7 +131,8 @@ def build_model(scene: Scene, device: wp.Device, precision: str, *, growth: bool
     bond_kinds = _bond_kinds(scene)
     shapes = [b.template for b in scene.bodies] + list(scene.fill.templates if scene.fill else ())
     subcycling = not growth and subcycled(scene)
-    # With sub-cycling, a body has the velocity of a round while its spheres have the mean velocity over the step.
+    # Sub-cycled bodies need the kernel for clumps even if they are single spheres: a body then has the velocity of
+    # the present round, but its spheres have the mean velocity over the step.
     clumps = subcycling or any(t is not None and len(t.radii) > 1 for t in shapes)
     features = Features(
         pair_law=type(pair_laws[0]),
@@ -197,7 +198,7 @@ def subcycled(scene: Scene) -> bool:
 
 
 class _Axes:
-    """Collector of pipe axes as segments, end to end."""
+    """Collector of the segments (lines and arcs) of several pipe axes in one list."""
 
     def __init__(self) -> None:
         self._segments: list[dict[str, Any]] = []
@@ -209,7 +210,7 @@ class _Axes:
         return first, len(self._segments)
 
     def rows(self, scalar: Scalar, device: wp.Device) -> DeviceArray:
-        """Return all segments as an array of structs on a device."""
+        """Return all axis segments as an array of structs on a device."""
         Segment = axis_functions(scalar).Segment
         rows: list[object] = []
         for s in self._segments:
@@ -225,7 +226,7 @@ class _Axes:
 def _wall_rows(
     walls: Sequence[Wall], materials: Sequence[str], axes: _Axes, scalar: Scalar, device: wp.Device
 ) -> tuple[DeviceArray, tuple[wp.Mesh, ...]]:
-    """Return the device table of the walls, and the ``wp.Mesh`` objects to which it refers."""
+    """Return the wall properties as an array on the device, and the ``wp.Mesh`` objects to which they refer."""
     WallRow: Struct = wall_struct(scalar)
     rows: list[object] = []
     kept: list[wp.Mesh] = []
@@ -246,7 +247,7 @@ def _wall_rows(
 
 
 def _drives(scene: Scene, groups: Sequence[str], axes: _Axes) -> tuple[np.ndarray, np.ndarray]:
-    """Return the range of axis segments, and the driving force on each body [N], of every group."""
+    """Return the range of axis segments, and the driving force on each body [N], for every group of bodies."""
     axis, force = np.zeros((len(groups), 2), dtype=np.int32), np.zeros(len(groups))
     for drive in scene.drives:
         group = groups.index(drive.group)
@@ -274,7 +275,7 @@ def _bond_kinds(scene: Scene) -> tuple[Bonds, ...]:
 
 
 def _both_ways(scene: Scene, materials: Sequence[str]) -> dict[tuple[str, str], ContactLaw]:
-    """Return the contact laws that override the scene's default, for both orders of each pair of materials."""
+    """Return the contact laws that replace the default law, by pair of materials; both orders of a pair are keys."""
     contacts: dict[tuple[str, str], ContactLaw] = {}
     for (a, b), contact in scene.contacts.items():
         for name in (a, b):
@@ -294,8 +295,8 @@ def _law_table(
 ) -> list[ContactLaw]:
     """Return a contact law for every pair of materials, as a flattened square table.
 
-    All pairs that can meet must follow one type of law; otherwise :class:`SceneError` is raised. A pair that cannot
-    meet gets the law of a pair that can.
+    All pairs of materials that can touch must follow one type of law; otherwise :class:`SceneError` is raised. Pairs
+    that cannot touch need an entry as well and get the law of a pair that can.
     """
     met = [contacts.get((a, b), scene.contact) for a in sorted(ours) for b in sorted(theirs)] or [scene.contact]
     kinds = sorted({type(c).__name__ for c in met})

@@ -1,8 +1,9 @@
 """Neighbour (Verlet) lists: search on a grid of cells, exact transfer of contact history, and re-sorting of bodies.
 
-A list holds all pairs whose gap is less than the skin, and serves for many steps, until some sphere may have moved too
-far (L. Verlet, Phys. Rev. 159 (1967) 98). A full list holds each pair in the rows of both spheres (GPU). A half list
-holds each pair once, in the row of one of its spheres (CPU); a CPU's threads each own one chunk of the spheres.
+A list contains all pairs whose gap is less than the skin, and serves for many steps, until some sphere may have moved
+too far (L. Verlet, Phys. Rev. 159 (1967) 98). Each sphere has a row of neighbours in the list. In a full list (GPU)
+each pair is in the rows of both spheres. In a half list (CPU) it is in the row of one of its spheres. Each CPU thread
+computes one chunk of the spheres; only a pair between two chunks is listed for both spheres.
 """
 
 from __future__ import annotations
@@ -36,17 +37,17 @@ from .struct_types import Pairs
 DRIFT_LANES = 64
 """Threads per scene that sum the spheres' velocities to find their mean, the common drift."""
 OCTANTS = 8
-"""GPU threads that search and fill one sphere's row if spheres are few: one for each octant around the sphere."""
+"""GPU threads that find the neighbours of one sphere if spheres are few: one thread for each octant around it."""
 KEPT = 32
-"""Neighbours per sphere that the search stores for the fill kernel; a sphere with more is searched a second time."""
+"""Neighbours per sphere that the search stores for filling the lists; a sphere with more is searched a second time."""
 MOST_KEPT = 64
 """Larger number of stored neighbours, used once some sphere had more than `KEPT` but at most `MOST_KEPT` neighbours."""
 
 
 class NeighborLists:
-    """Builder of the neighbour lists and mesh candidates of those scenes of a batch that are flagged as stale.
+    """Builder of the neighbour lists and mesh candidates (triangles near a sphere) of the scenes with stale lists.
 
-    A list holds the pairs within a skin [m] of each other. It stays complete until some sphere has moved by half
+    A list contains the pairs with gaps of less than a skin [m]. It stays complete until some sphere has moved by half
     the skin relative to a common drift (its scene's mean velocity at the build), or by the mesh skin relative to a
     mesh.
     """
@@ -55,7 +56,7 @@ class NeighborLists:
         self.batch = batch
         self._builds = np.zeros(batch.count, dtype=int)
         self.by_device = zeros(1, dtype=wp.int32, device=batch.device)
-        """Number of rebuilds that the device started by itself, shape (1,); stays 0 unless the batch has one scene."""
+        """Number of list rebuilds that the GPU started by itself, shape (1,); 0 for batches of several scenes."""
         f, t = batch.features, types(batch.scalar)
         n, scenes = batch.sphere_count, batch.count
         self._cells = Cells(batch)
@@ -67,8 +68,8 @@ class NeighborLists:
         self._count, self.scanned = new(n + scenes), new(n + scenes)
         slots = n + scenes if f.meshes else 0
         self._face_count, self.face_scanned = new(slots), new(slots)
-        # Half lists: each chunk has its own section of `_found` for the neighbours that its search finds. `_place`
-        # holds the position in that section where a sphere's neighbours begin.
+        # In half lists, each CPU thread stores the neighbours that it finds in its own section of `_found`. `_place`
+        # contains the position in that section where the neighbours of each sphere begin.
         self._room = np.full(batch.threads, 8 * n // batch.threads)
         self._found = new(int(self._room.sum()) if f.half_list else 0)
         self._place = new(n if f.half_list else 0)
@@ -76,13 +77,14 @@ class NeighborLists:
         self._searchers = self._searchers_for(n)
         self._finds = new((0, 0) if f.half_list else (KEPT, n))
         self._boxes = new((batch.threads, 2), t.vec3)
-        # The last element of `_total` receives the length of the longest row that did not fit into `_finds`.
+        # The last element of `_total` receives the largest number of neighbours of a sphere for which `_finds`, the
+        # buffer for found neighbours, was too small.
         self._total, self._face_total = new(scenes + 1), new(scenes + 1)
         self._identity = DeviceArray(np.arange(n), dtype=wp.int32, device=batch.device)
         self._old_place, self._new_place = new(n), new(n)
         self._lanes = new((scenes, DRIFT_LANES), wp.vec3d)
         self._stretched = new(n if f.bonds and f.half_list else 0, batch.scalar)
-        # The previous lists, from which the new lists take over contact history.
+        # The previous lists, from which a rebuild copies the contact history to the new lists.
         self._old: Pairs = struct_of(batch.structs, "pairs")()
         self._old.start = new(n + scenes)
         self._entries = np.array([state.pair_total for state in batch.states])
@@ -96,7 +98,7 @@ class NeighborLists:
         return self._builds + int(self.by_device.numpy()[0])
 
     def _searchers_for(self, spheres: int) -> int:
-        """Return how many threads search for one sphere's neighbours when this many spheres are searched."""
+        """Return the number of threads that find one sphere's neighbours when lists of `spheres` spheres are built."""
         return OCTANTS if self.batch.parallel and spheres < MANY_SPHERES else 1
 
     def __call__(self) -> None:
@@ -112,7 +114,7 @@ class NeighborLists:
             self._rebuild(False).launch_singly("fresh", "fresh")
             return
         stale = flags[:, int(STALE)] != 0
-        # Re-sort only at fixed step counts: rebuilds come at varying times, which must not change the results.
+        # Re-sort bodies only at fixed step counts: the times of rebuilds vary and must not influence results.
         b.planner.note_rebuilt(flags)
         due = stale & (sort_every > 0) & (flags[:, int(STEPS)] % np.maximum(sort_every, 1) == 0)
         sort = bool(due.any()) and b.body_count > 1
@@ -128,27 +130,27 @@ class NeighborLists:
         if self._cells.made > made and b.planner.rebuilds_on_device:
             b.invalidate_graphs()
         rebuild = self._search(sort) if b.features.half_list else self._rebuild(sort)
-        # A half list has been searched chunk by chunk already.
+        # For half lists, `_search` has already launched all phases of the rebuild before `count`.
         rebuild.launch("count" if b.features.half_list else "cells", "starts")
         wanted, longest = self._found_of(self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
             b.reserve_pairs(np.maximum(wanted, self._entries))
-            # The rows of the scenes start at other places in the larger arrays, so copy the old lists again.
+            # In the larger arrays the lists of the scenes begin at other places, so copy the old lists again.
             self._keep_old(np.flatnonzero(stale))
         self._entries[stale] = wanted[stale]
         if b.features.meshes:
             wanted, _ = self._found_of(self._face_total, "mesh candidates", "faces")
             b.reserve_faces(wanted)
-        # The following phases write to larger arrays if the lists have outgrown theirs.
+        # Launch the rest of the rebuild on the present arrays, which may just have been enlarged.
         self._rebuild(sort).launch("fill", "near")
         if len(self._finds) < longest <= MOST_KEPT:
             self._finds = empty((MOST_KEPT, b.sphere_count), dtype=wp.int32, device=b.device)
-            self._version = ()  # Record all launches anew at the next build, with the enlarged array.
+            self._version = ()  # All launches must be recorded again with the larger buffer.
             if b.planner.rebuilds_on_device:
                 b.invalidate_graphs()
 
     def _search(self, sort: bool) -> Rebuild:
-        """Search half lists, repeat the search with larger buffers if one was too small, and return the rebuild."""
+        """Find the neighbours for half lists, enlarge buffers that were too small, and return the rebuild."""
         b = self.batch
         rebuild = self._rebuild(sort)
         rebuild.launch("cells", "cells")
@@ -176,14 +178,15 @@ class NeighborLists:
     def device_rebuild(self) -> Rebuild:
         """Return the rebuild for use inside a CUDA graph, for a batch of one scene; see :class:`DeviceRebuild`.
 
-        The device launches all phases, while the host copies the old lists itself and starts at the phase `cells`.
+        The device launches all phases of a rebuild. The host instead copies the old lists by itself and begins at the
+        phase `cells`.
         """
         self._searchers = self._searchers_for(self.batch.sphere_count)
         self._keep_old(np.arange(self.batch.count))
         return self._rebuild(False)
 
     def lay_out_cells(self) -> None:
-        """Lay out grid cells for scenes whose lists were loaded instead of built by the host."""
+        """Fit the grid of cells to scenes whose neighbour lists were loaded from a checkpoint instead of built."""
         width = self._cells.width()
         self._cells.fit(width, np.zeros(self.batch.count, dtype=bool))
         self._cells.use_width(width)
@@ -202,24 +205,24 @@ class NeighborLists:
         rebuild.launch_singly("near", "near")
 
     def kernels(self) -> list[Stage | Kernel]:
-        """Return the kernels and stages of everything that a rebuild launches, so that they can be compiled."""
+        """Return all kernels that a rebuild launches, so that they can be compiled before the run."""
         b = self.batch
         self._keep_old(np.arange(b.count))
         stages = self._rebuild(False).kernel_stages()
-        # A rebuild of only some scenes of the batch may involve so few spheres that eight threads search for each.
+        # A rebuild of only some scenes may involve so few spheres that eight threads find the neighbours of each one.
         if b.parallel and self._searchers == 1 and b.count > 1:
             stages += self._rebuild(False, OCTANTS).kernel_stages("search", "fill")
         return [*stages, *sorting_kernels(b)]
 
     def _keep_old(self, scenes: np.ndarray) -> None:
-        """Copy the current lists of `scenes`, from which their new lists take over contact history."""
+        """Copy the current lists of `scenes`, because their new lists receive the contact history from the copies."""
         b = self.batch
-        # Copy whole arrays for a single scene on a GPU, since only the device may know the number of its entries.
+        # Copy whole arrays for a single scene on a GPU, because only the device may know how many entries are used.
         whole = 4 * len(scenes) > b.count > 1 or (b.count == 1 and b.parallel)
         for name in PAIR_ARRAYS:
             array: DeviceArray = getattr(b.pairs, name)
             kept: DeviceArray | None = getattr(self._old, name)
-            if name not in self._kept:  # No kernel reads this array of the old lists, so a reference is enough.
+            if name not in self._kept:  # Kernels never read this array of old lists: no copy is needed.
                 if kept is not array:
                     setattr(self._old, name, array)
                     self._recorded.clear()
@@ -237,9 +240,9 @@ class NeighborLists:
                     copy_array(kept, array, first, first, count)
 
     def _rebuild(self, sorted_now: bool, searchers: int | None = None) -> Rebuild:
-        """Return the recorded phases of a rebuild on the batch's current arrays, with or without a re-sorting.
+        """Return the recorded phases of a rebuild; `sorted_now` tells them that bodies have just been re-sorted.
 
-        `searchers` is the number of threads that search for one sphere's neighbours; by default the present number.
+        `searchers` is the number of threads that find the neighbours of one sphere; by default the present number.
         """
         version = self.batch.version, self._cells.made
         if self._version != version:
@@ -267,7 +270,7 @@ class NeighborLists:
         return [
             # Copy the motion of single spheres to their bodies.
             Phase("bodies", b.sync_stages()),
-            # Keep the previous lists, from which the new lists take over contact history.
+            # Copy the previous lists, because the new lists receive their contact history from them.
             Phase("history", [Copy(getattr(self._old, name), getattr(b.pairs, name)) for name in self._kept]),
             # Sort the spheres' centres into the cells of the grid.
             Phase("cells", [
@@ -279,19 +282,19 @@ class NeighborLists:
             ]),
             # Find the neighbours of each sphere and count them.
             Phase("search", search),
-            # Turn the lengths of the rows into their starts by a prefix sum.
+            # Compute the starts of the list rows from their lengths by a prefix sum.
             Phase("count", [*scan, *count_faces]),
-            # Write the starts of the rows; from here on the previous lists are invalid.
+            # Write the starts of the list rows; from here on the previous lists are invalid.
             Phase("starts", [self._starts(self.scanned, b.pairs.start, self._total), *face_starts]),
-            # Write the neighbours into the rows, with the contact history of the previous lists.
+            # Write the neighbours into the rows of the list, with the contact history from the previous lists.
             Phase("fill", [*fill, self._transfer(old)]),
-            # Clear, count and fill the links, which are the pairs as a GPU evaluates them.
+            # Build the links: a GPU computes the contact force of a pair once per link, not per list entry.
             Phase("links", self._link_stages(scan)),
-            # Write the triangles within reach of each sphere into the rows of mesh candidates.
+            # List the triangles of meshes within reach of each sphere as its mesh candidates.
             Phase("candidates", fill_faces),
-            # Look up sub-cycled pairs and bodies in the new lists.
+            # Find the list entries of sub-cycled pairs and bodies in the new lists.
             Phase("subcycles", b.subcycles.locating()),
-            # Find the common drift, relative to which the skin limits the motion of the spheres.
+            # Compute the common drift (mean velocity); the skin limits the motion of spheres relative to it.
             Phase("drift", [b.stage(lists.drift, (b.count, DRIFT_LANES), lanes=self._lanes)]),
             Phase("fresh", [b.stage(lists.clear_stale, b.count, lanes=self._lanes)]),
             # Select the near links, whose spheres may touch within the next steps.
@@ -299,7 +302,7 @@ class NeighborLists:
         ]  # fmt: skip
 
     def _stretch_stages(self, old: Arguments) -> list[Recordable]:
-        """Return the stages that find how far each sphere's bonds reach; empty unless half lists have bonds."""
+        """Return the launches that measure the longest bond of each sphere; empty unless half lists have bonds."""
         b = self.batch
         if not (b.features.bonds and b.features.half_list):
             return []
@@ -309,7 +312,7 @@ class NeighborLists:
     def _search_stages(
         self, old: Arguments, new_place: DeviceArray, searchers: int
     ) -> tuple[list[Recordable], list[Stage]]:
-        """Return the stages that find neighbours, and on a GPU those that write them into the rows of the lists."""
+        """Return the launches that find neighbours, and on a GPU those that write the neighbours into the lists."""
         b, f, n = self.batch, self.batch.features, self.batch.sphere_count
         grid: Arguments = {"grid": self._cells.grid, "shift": self._cells.shift, "count": self._count}
         if not f.half_list:
@@ -334,7 +337,7 @@ class NeighborLists:
         return b.stage(kernel, b.sphere_count + b.count, scanned=scanned, start=start, total=total)
 
     def _transfer(self, old: Arguments) -> Recordable:
-        """Return the launch that takes contact history over from the old lists, one stage for each chunk."""
+        """Return the launch that copies contact history from the old to the new lists; on a CPU one for each thread."""
         b, f = self.batch, self.batch.features
         lanes = 1 if f.half_list else OCTANTS
         kernel = transfer_kernel(b.scalar, f.half_list, f.history, f.pair_law.rolls, f.bonds, f.healing, lanes)
@@ -348,7 +351,10 @@ class NeighborLists:
         return Chunks(parts, b.launch_chunks) if f.half_list else parts[0]
 
     def _link_stages(self, scan: list[Stage]) -> list[Stage]:
-        """Return the stages that set up a GPU's links; empty for half lists. `scan` sums the lengths of the rows."""
+        """Return the launches that build a GPU's links from the new lists; empty for half lists, which have no links.
+
+        `scan` contains the launches of the prefix sum that gives the index of each sphere's first link.
+        """
         b, f, n = self.batch, self.batch.features, self.batch.sphere_count
         if f.half_list:
             return []
@@ -361,7 +367,7 @@ class NeighborLists:
         ]
 
     def _face_stages(self) -> tuple[list[Stage], list[Stage], list[Stage]]:
-        """Return the stages that count mesh candidates, write the starts of their rows, and fill the rows."""
+        """Return the launches that count mesh candidates, write the starts of their rows, and fill the rows."""
         b, n = self.batch, self.batch.sphere_count
         if not b.features.meshes:
             return [], [], []
@@ -374,7 +380,11 @@ class NeighborLists:
         )
 
     def _found_of(self, total: DeviceArray, what: str, entries: str) -> tuple[np.ndarray, int]:
-        """Return the number of list entries of each scene, shape (scenes,), and the last element of `total`."""
+        """Return each scene's number of list entries, and the longest row for which the search buffer was too small.
+
+        Both are read from the device array `total`; the length of that row is 0 if the buffer was large enough.
+        Raises :class:`CapacityError` for more entries than 32 bits can count.
+        """
         (found,) = self.batch.exchange.read(total)
         found = found.astype(np.int64)
         wanted, longest = found[:-1], int(found[-1])

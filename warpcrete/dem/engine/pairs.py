@@ -13,19 +13,20 @@ def listed_pairs(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def chunks_of(state: State) -> list[int] | None:
-    """Return the first sphere of each chunk of half lists and the end of the last; None for full lists."""
+    """Return the first sphere of each CPU thread's chunk and the end of the last chunk; None for full lists (GPU)."""
     return list(state.chunks) if state.model.features.half_list else None
 
 
 def pairs_of(
     start: np.ndarray, other: np.ndarray, chunks: list[int] | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the result of :func:`listed_pairs` for host copies of a neighbour list's arrays."""
+    """Return what :func:`listed_pairs` returns, computed from host copies of the arrays of a neighbour list."""
     other = other[: start[-1]]
     i = np.repeat(np.arange(len(start) - 1), np.diff(start))
     j = np.where(other >= 0, other, -1 - other)
     once = other >= 0
     if chunks is not None:
-        # A half list holds a pair inside a chunk once, in the row of either sphere.
+        # Of the two entries of a pair, the one with a positive index counts. In half lists, a pair inside a chunk has
+        # only one entry, which therefore counts with either sign.
         once |= np.searchsorted(chunks, i, "right") == np.searchsorted(chunks, j, "right")
     return i[once], j[once], np.flatnonzero(once)

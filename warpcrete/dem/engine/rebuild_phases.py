@@ -13,7 +13,7 @@ from ...core.device.launching import Stage
 
 @dataclass
 class Phase:
-    """Part of a rebuild that always runs as a whole."""
+    """Named part of a rebuild of the neighbour lists, which always runs as a whole."""
 
     name: str
     stages: Sequence[Recordable]
@@ -21,10 +21,10 @@ class Phase:
 
 
 class Chunks:
-    """Stages that do the same work on the chunks of several CPU threads, each on its own thread."""
+    """Launches of one kernel on the chunks of several CPU threads, each on its own thread."""
 
     def __init__(self, stages: list[Stage], launch_chunks: Callable[[list[Stage]], None]) -> None:
-        """Group one stage for each chunk; `launch_chunks` launches all of them, as `Batch.launch_chunks` does."""
+        """Group launches, one for each chunk; the function `launch_chunks` launches all of them on their threads."""
         self.stages, self._in_parts = stages, launch_chunks
 
     def record(self) -> None:
@@ -37,10 +37,11 @@ class Chunks:
 
 
 class Rebuild:
-    """All phases of a rebuild, recorded on the arrays that exist now.
+    """All phases of a rebuild of the neighbour lists, as launches recorded on the batch's present arrays.
 
-    Every rebuild launches sections of this one list: the host, a CUDA graph that decides by itself when to rebuild,
-    and a restart from a checkpoint. Between two sections, the host or the graph checks whether the new lists fit.
+    Every rebuild launches consecutive phases (sections) of this one list. It is used by the host, by a CUDA graph that
+    decides by itself when to rebuild, and at a restart from a checkpoint. Between two sections, the host or the graph
+    checks whether the new lists fit the arrays.
     """
 
     def __init__(self, phases: Sequence[Phase], device: wp.Device) -> None:
@@ -51,15 +52,15 @@ class Rebuild:
         self._launched: set[tuple[str, str]] = set()
 
     def section(self, first: str, last: str) -> list[Recordable]:
-        """Return the launches of the phases from `first` to `last`, both included."""
+        """Return the launches of all phases from the one named `first` to the one named `last`, both included."""
         phases = self.phases[self._places[first] : self._places[last] + 1]
         return [stage for phase in phases for stage in phase.stages]
 
     def launch(self, first: str, last: str) -> None:
-        """Launch the phases from `first` to `last`; on a GPU as a graph from the second time on.
+        """Launch the phases from `first` to `last`; on a GPU, the second and later calls launch them as a CUDA graph.
 
-        Most of the time of a rebuild on a GPU is spent waiting for launches, which a graph avoids. The first time is an
-        ordinary launch, which loads the kernels.
+        On a GPU most of the time of a rebuild is launch overhead, which a graph avoids. The first call launches the
+        kernels one by one, because kernels must be loaded before a graph is captured.
         """
         key = first, last
         if key in self._launched and self._device.is_cuda:
@@ -76,7 +77,7 @@ class Rebuild:
             stage()
 
     def record(self) -> None:
-        """Record all launches, which loads their kernels; nothing runs yet."""
+        """Record the launches of all phases without running them; recording loads their kernels."""
         for phase in self.phases:
             for stage in phase.stages:
                 stage.record()

@@ -16,29 +16,29 @@ from .state import State
 from .stepper_protocol import SceneStepper
 
 LARGEST_SHARE = 0.5
-"""A batch is regrouped only if its running scenes hold at most this share of its spheres."""
+"""Maximum share of a batch's spheres that belong to running scenes, at which the batch is regrouped."""
 LAUNCHES_BEFORE_REGROUPING = 20
-"""Number of launches with few running spheres before a batch is regrouped.
+"""Number of successive launches with few running spheres before a batch is regrouped.
 
 If the remaining scenes end soon, regrouping costs more than it saves.
 """
 MEMORY_SHARE = 0.5
-"""Share of the free memory that the new batch may take, since the old batch stays in memory and other batches grow."""
+"""Share of free memory that the new batch may use; the old batch stays in memory, and other batches may grow."""
 SETTINGS = (
     "local_damping", "skin", "mesh_skin", "sphere_allowance", "growth_rate", "growth_end", "safety", "largest_step",
     "fixed_step", "until", "interval", "expected_speed", "held",
 )  # fmt: skip
-"""Settings of a scene's row that may change during a run, so a new batch takes them over."""
+"""Parameters of a scene on the device that may change during a run and are therefore copied to a new batch."""
 
 
 class Regrouping:
-    """Decision after each launch of a GPU's batch whether its running scenes move to a smaller batch."""
+    """Decision, made before each launch of a GPU batch, whether its running scenes move to a smaller batch."""
 
     def __init__(self) -> None:
         self._few = 0
 
     def __call__(self, steppers: Sequence[SceneStepper]) -> None:
-        """Move the running scenes, given by their steppers, to a batch of their own if that is due."""
+        """Move the running scenes, given as steppers, to a batch of their own if they are few and memory allows."""
         batch = steppers[0].batch
         spheres = sum(stepper.state.sphere_count for stepper in steppers)
         if not batch.parallel or len(steppers) == batch.count or spheres > LARGEST_SHARE * batch.sphere_count:
@@ -48,14 +48,14 @@ class Regrouping:
         if self._few <= LAUNCHES_BEFORE_REGROUPING:
             return
         self._few = 0
-        # Scenes that have ended keep a reference to their old batch, so its memory is not freed.
+        # Ended scenes refer to the old batch, so its memory is not freed, and the new batch must fit beside it.
         needed = footprint(stepper=steppers[0])["stepper"] * spheres / max(batch.sphere_count, 1)
         if needed < MEMORY_SHARE * memory_free(batch.device):
             regroup(steppers)
 
 
 def regroup(steppers: Sequence[SceneStepper]) -> None:
-    """Move steppers of one batch to a new batch that holds only them; their results stay the same to the bit."""
+    """Move steppers of one batch to a new batch of their own; their results stay the same to the bit."""
     old = steppers[0].batch
     old.flush()
     before = [(stepper.index, stepper.state_dict()) for stepper in steppers]

@@ -24,11 +24,11 @@ from .stages import step_stages
 from .stepper_protocol import SceneStepper
 
 POLL_INTERVAL = 50e-6
-"""Time between two polls of the host while no batch has completed its steps [s]."""
+"""Time that the host waits before it asks again whether some batch has completed its steps [s]."""
 
 
 class _Scene:
-    """Coroutine of one scene, together with its progress towards the goal that it yielded last."""
+    """Coroutine of one scene, with its progress towards the goal (a time or a number of steps) that it yielded last."""
 
     def __init__(self, stepper: SceneStepper, coroutine: Coroutine) -> None:
         self.stepper, self.coroutine = stepper, coroutine
@@ -37,7 +37,7 @@ class _Scene:
         self.result: Any = None
 
     def proceed(self, error: BaseException | None = None) -> None:
-        """Run the coroutine until it needs steps, or to its end; raise `error` inside it if one is given."""
+        """Run the coroutine until it waits for time steps or ends; an `error` is raised inside the coroutine."""
         self.waiting = False
         try:
             while True:
@@ -61,7 +61,7 @@ class _Scene:
 
 
 class _Drive:
-    """Scenes of one batch in progress, launch by launch."""
+    """Driver that runs the coroutines of the scenes of one batch, launch by launch."""
 
     def __init__(
         self, scenes: dict[int, tuple[SceneStepper, Coroutine]], stream: wp.Stream | None, *, regroups: bool
@@ -74,7 +74,7 @@ class _Drive:
 
     @property
     def waiting(self) -> list[_Scene]:
-        """Scenes that have not yet reached their goal, in the order of their places in the batch."""
+        """Scenes that have not yet reached their goal, in the order of their indices in the batch."""
         return sorted((m for m in self._members.values() if m.waiting), key=lambda member: member.stepper.index)
 
     @property
@@ -101,7 +101,7 @@ class _Drive:
                 self._proceed(member, self.stop)
 
     def launch(self) -> None:
-        """Launch the next steps."""
+        """Launch the next steps of the batch, unless a run was interrupted."""
         self._guarded(self._launch)
 
     def collect(self) -> None:
@@ -109,7 +109,7 @@ class _Drive:
         self._guarded(self._collect)
 
     def interrupt(self, stop: KeyboardInterrupt) -> None:
-        """Raise an interruption inside every coroutine that is waiting."""
+        """Raise the interruption `stop` (Ctrl-C) inside every coroutine that waits for steps."""
         self.stop = stop
         self._guarded(lambda: None)
 
@@ -151,9 +151,10 @@ class _Drive:
 
     @staticmethod
     def _device_launches(stepper: SceneStepper) -> tuple[GraphLaunch | None, GraphLaunch | None]:
-        """Return two launches that a GPU inserts between steps: list rebuilds alone, and with step size estimates.
+        """Return two launches, one of which a GPU inserts between steps; both rebuild neighbour lists.
 
-        Only a batch of one scene can rebuild its lists on the device.
+        The second launch also estimates stable time steps. Only a batch of one scene can rebuild its lists on the
+        device; for other batches the first is None and the second only estimates.
         """
         batch = stepper.batch
         batch.planner.rebuilds_on_device = DeviceRebuild.possible(batch)
@@ -191,8 +192,9 @@ class _Drive:
 def drive(scenes: dict[int, tuple[SceneStepper, Coroutine]]) -> dict[int, Any]:
     """Run the coroutines of all scenes of one batch to their ends; `scenes` maps numbers to steppers and coroutines.
 
-    Returns by number what each coroutine returned or raised. Steppers may have moved to other batches afterwards, so
-    they must not be driven together again. An interruption (Ctrl-C) is raised inside every coroutine that is waiting.
+    Returns by number what each coroutine returned or raised. Afterwards the steppers may belong to different batches
+    and must not be passed to this function together again. An interruption (Ctrl-C) is raised inside every coroutine
+    that is waiting.
     """
     (results,) = drive_batches([(scenes, None)])
     return results

@@ -18,7 +18,10 @@ SORTED = {
     "spheres": ("scene", "body", "force", "moment"),
     "slots": (),
 }
-"""Structs whose rows a re-sorting moves, with the arrays that it skips (recomputed, unaffected or zero)."""
+"""Structs whose arrays are permuted when bodies are re-sorted, each with the names of its arrays that are not permuted.
+
+Those arrays are recomputed, do not depend on the order, or contain only zeros.
+"""
 
 
 def sort_bodies(batch: Batch, due: np.ndarray, old_place: DeviceArray, new_place: DeviceArray) -> None:
@@ -63,7 +66,7 @@ def sorting_kernels(batch: Batch) -> list[Kernel]:
 
 
 def _moved(batch: Batch, struct: str) -> list[DeviceArray]:
-    """Return the arrays of a struct whose rows a re-sorting moves."""
+    """Return the arrays of a struct that must be permuted when bodies are re-sorted."""
     names = struct_of(batch.structs, struct).vars
     arrays: list[DeviceArray] = [getattr(getattr(batch, struct), name) for name in names if name not in SORTED[struct]]
     return [array for array in arrays if array.size]

@@ -28,7 +28,7 @@ from .struct_types import Estimate
 class StableStep:
     """Estimate of a scene's largest stable step from its masses and current stiffness, bonds included.
 
-    It sets the scene's `clock[STABLE]` and derives `clock[DT]`, the step size, from this value and the scene's
+    The estimate is stored in the scene's `clock[STABLE]`. The step size `clock[DT]` follows from it and the scene's
     settings. An automatic step is also short enough that impacts with little dissipation keep their energy to about
     1 %, and that fast bodies move by no more than a fraction of their radius per step.
     """
@@ -55,7 +55,7 @@ class StableStep:
         self._precomputed: set[int] = set()
 
     def __call__(self, s: int) -> None:
-        """Estimate the stable step of scene `s`, unless :meth:`precompute` has just done so."""
+        """Estimate the stable step of scene `s`, unless :meth:`precompute` has just estimated it."""
         if s in self._precomputed:
             self._precomputed.discard(s)
             return
@@ -68,7 +68,7 @@ class StableStep:
             self._precomputed = set(scenes)
 
     def discard_precomputed(self) -> None:
-        """Discard precomputed estimates that were not used."""
+        """Discard the results of :meth:`precompute` that have not been used."""
         self._precomputed.clear()
 
     def _estimate_for(self, scenes: list[int]) -> None:
@@ -81,18 +81,18 @@ class StableStep:
             self._launch(scenes[0])()
 
     def by_device(self, first: Sequence[Recordable] = ()) -> GraphLaunch:
-        """Return a launch that estimates all scenes in need of it and lets them continue, without the host.
+        """Return a launch that estimates the stable step of every scene that waits for it and lets the scene continue.
 
-        Only a GPU uses this launch. The stages `first` are launched before the estimate.
+        It works without the host and is for GPUs only. The launches `first` precede the estimate.
         """
         return GraphLaunch([*first, *(stage for phase in self._phases(-1, True) for stage in phase)], self.batch.device)
 
     def kernels(self) -> list[Stage]:
-        """Return all stages of an estimate, so that their kernels can be compiled."""
+        """Return all launches of an estimate, so that their kernels can be compiled."""
         return [stage for phase in self._phases(-1 if self.batch.parallel else 0, False) for stage in phase]
 
     def _launch(self, s: int) -> Callable[[], None]:
-        if self._version != self.batch.version:  # Old launches would keep outdated arrays in memory.
+        if self._version != self.batch.version:  # Discard launches that refer to replaced arrays.
             self._recorded.clear()
             self._version = self.batch.version
         # A CPU estimates one scene at a time, chunk by chunk; a GPU estimates all scenes with the same launch.
@@ -116,7 +116,10 @@ class StableStep:
         return phase_by_phase
 
     def _phases(self, which: int, by_device: bool) -> list[list[Stage]]:
-        """Return the stages for one scene, or for all due scenes (-1), in phases whose stages may run in parallel."""
+        """Return the launches of an estimate for scene `which`, or for all due scenes if it is -1, as a list of phases.
+
+        The phases run one after the other; the launches of one phase may run in parallel on CPU threads.
+        """
         b, f = self.batch, self.batch.features
         own: Arguments = {"due": self._due, "estimate": self._estimate}
         begin: Arguments = {"requested": self._estimate_wanted, "by_device": by_device, **own}
@@ -137,7 +140,7 @@ class StableStep:
                             last=sphere + last, part=k, stiff=stiff, **own)
                     for k, (first, last) in enumerate(chunks)
                 ],
-                # Without bodies only the largest allowed size limits the step.
+                # Compute each body's stable step from its stiffness and mass; the smallest limits the scene.
                 [b.stage(reduce, last - first, begin=body + first, part=k, stiff=stiff, **own)
                  for k, (first, last) in enumerate(own_bodies)],
             ]  # fmt: skip
@@ -151,7 +154,7 @@ class StableStep:
 
 
 def expected_speed(scene: Scene, horizon: float) -> float:
-    """Return the speed that walls may reach, plus the speed that forces can give within `horizon` [s]; in m/s."""
+    """Return the largest speed [m/s] to expect: that of walls, plus what forces can add within `horizon` [s]."""
     gained = [float(np.linalg.norm(scene.gravity))]
     gained += [abs(w.motion.force) / w.motion.mass for w in scene.walls if isinstance(w.motion, Driven)]
     return max((wall.top_speed() for wall in scene.walls), default=0.0) + max(gained) * horizon

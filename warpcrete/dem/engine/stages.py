@@ -24,22 +24,22 @@ from .batch import Batch
 from .links import rows_of
 
 MANY_SPHERES = 200_000
-"""Number of spheres above which one thread per sphere keeps a GPU busy while lists are built."""
+"""Number of spheres above which one thread per sphere suffices to keep a GPU busy while neighbour lists are built."""
 NEAR_LINK_INTERVAL = 20
 """Steps between two selections of the near links (pairs that may touch soon), and between two stable step estimates."""
 THREADS_PER_LINK = 0.5
-"""Threads of the link kernel, divided by the number of all links; if more links are near, a thread takes several."""
+"""Number of threads that compute the near links, divided by the number of all links; a thread may compute several."""
 WALL_LANE_BITS = 3
 """Base-2 logarithm of the largest number of GPU threads that share the planes and pipes of one sphere."""
 WALL_THREADS = 100_000
-"""Largest number of GPU threads for walls when threads share a sphere. More threads would not hide more memory latency:
-a hundred thousand spheres with eight threads each took a tenth longer than with this limit."""
+"""Largest number of GPU threads for wall contacts if several threads share the walls of a sphere. More threads would
+not hide more memory latency: eight threads for each of 100,000 spheres took a tenth longer than with this limit."""
 LANE_BITS = 2
-"""Base-2 logarithm of the number of GPU threads per clump if clumps are few, or if a link has many values to read."""
+"""Base-2 logarithm of the number of GPU threads per clump if clumps are few, or if links have many result rows."""
 
 
 def tasks(batch: Batch, bodies: int) -> int:
-    """Return the number of kernel tasks for this many bodies; a CPU task takes SPAN bodies as vector lanes."""
+    """Return the number of kernel tasks for this many bodies; a CPU task computes SPAN bodies in vector lanes."""
     return -(-bodies // SPAN) if batch.features.half_list else bodies
 
 
@@ -49,7 +49,7 @@ def warp_width(device: wp.Device) -> int:
 
 
 def step_stages(batch: Batch) -> list[list[Stage]]:
-    """Return the stages of one step on the batch's current arrays, as one list per thread."""
+    """Return the kernel launches (stages) of one step on the batch's current arrays, one list for each CPU thread."""
     if not batch.features.half_list:
         return [_full_step(batch)]
     b, f = batch, batch.features
@@ -75,7 +75,7 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
 
 
 def near_stages(batch: Batch) -> list[Stage]:
-    """Return the stages that select a GPU's near links (pairs that may touch soon); empty for half lists."""
+    """Return the launches that select a GPU's near links (pairs that may touch soon); empty for half lists (CPU)."""
     b = batch
     if b.features.half_list:
         return []
@@ -88,7 +88,7 @@ def near_stages(batch: Batch) -> list[Stage]:
 
 
 def _full_step(batch: Batch) -> list[Stage]:
-    """Return the stages of one GPU step; wall contacts and wall motion run at the same time as spheres and bodies."""
+    """Return the launches of one GPU step; the kernels for walls run on a second stream beside those for bodies."""
     b, f, n = batch, batch.features, batch.sphere_count
     width = warp_width(b.device)
     stages = near_stages(b)
@@ -100,7 +100,7 @@ def _full_step(batch: Batch) -> list[Stage]:
     if f.meshes:
         stages.append(_meshes(b, 0, 0, n, on_side_stream=True))
     kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
-    # The number of threads is rounded up to whole warps.
+    # Round the number of threads up to a multiple of the warp width.
     threads = -(-math.ceil(THREADS_PER_LINK * len(b.links.link)) // width) * width
     stages += [
         b.stage(kernel, threads, threads=threads),
@@ -119,14 +119,14 @@ def _full_step(batch: Batch) -> list[Stage]:
 def wall_lane_bits(batch: Batch) -> int:
     """Return the base-2 logarithm of the number of GPU threads that share the planes and pipes of one sphere."""
     most = int(batch.rows["analytic"].max())
-    if warp_width(batch.device) == 1 or most <= 2:  # A single thread evaluates two walls as fast as several threads do.
+    if warp_width(batch.device) == 1 or most <= 2:  # One thread computes two walls as fast as several threads.
         return 0
     bits = min((most - 1).bit_length(), WALL_LANE_BITS)
     return min(bits, max((WALL_THREADS // max(batch.sphere_count, 1)).bit_length() - 1, 0))
 
 
 def _half_contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage]:
-    """Return the CPU stages for the forces on a chunk of spheres: from each other, planes and pipes, and meshes."""
+    """Return the CPU launches for the forces on a chunk of spheres: from spheres, planes and pipes, and meshes."""
     b, f = batch, batch.features
     contacts = contact_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
     stages = [b.stage(contacts, tasks(b, last - first), first=first, last=last)]
@@ -151,7 +151,7 @@ def _meshes(batch: Batch, part: int, first: int, last: int, *, on_side_stream: b
 
 
 def _motion(batch: Batch, first: int, last: int) -> Stage:
-    """Return the stage that moves a chunk of bodies once all forces are known."""
+    """Return the launch that moves a chunk of bodies after all forces have been computed."""
     b, f = batch, batch.features
     named: Arguments = {"first": first, "last": last}
     rows = 0 if f.half_list else rows_of(f)

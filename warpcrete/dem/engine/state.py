@@ -24,22 +24,25 @@ from .model import Model
 from .struct_types import Bodies, Candidates, Pairs, Scenes, Slots, Spheres, Walls
 
 STRUCTS = ("scenes", "bodies", "spheres", "slots", "pairs", "candidates", "walls")
-"""Structs of arrays that a state has, by the names of its attributes."""
+"""Names of the attributes of a state that are structs of arrays."""
 OF_BATCH = {
     "scenes": ("row",),
     "bodies": ("scene",),
     "spheres": ("scene", "clear"),
     "walls": ("scene", "table", "rest_position", "step_force"),
 }
-"""Arrays of those structs that only a batch has, because they follow from the models or are unused between steps."""
+"""Arrays in the structs of STRUCTS that a state lacks and a batch adds, by struct.
+
+They follow from the models, or their values are needed only within a step.
+"""
 NUMBERS = (
     "body_count", "sphere_count", "largest_radius", "smallest_radius", "mean_radius", "total_mass", "chunks",
 )  # fmt: skip
-"""Attributes of a state, other than arrays, that a checkpoint keeps."""
+"""Names of the attributes of a state, in addition to the arrays, that a checkpoint stores."""
 
 
 def state_fields(structs: SimpleNamespace) -> dict[str, tuple[str, ...]]:
-    """Return the names of each struct's arrays that belong to a state; `structs` comes from `array_structs`."""
+    """Return, for each struct in STRUCTS, the names of its arrays that belong to a state, not only to a batch."""
     found: dict[str, tuple[str, ...]] = {}
     for name in STRUCTS:
         fields = struct_of(structs, name).vars
@@ -102,21 +105,21 @@ class State:
     """
 
     flags: DeviceArray
-    """Control flags with the slots of `kernels/common/control.py`, shape (1, FLAGS)."""
+    """Control flags, whose meanings `kernels/common/control.py` defines, shape (1, FLAGS)."""
     scenes: Scenes
     """Clock and other values that exist once per scene, a struct `Scenes`."""
     bodies: Bodies
-    """Arrays of bodies, a struct `Bodies`."""
+    """Arrays with one row for each body, a struct `Bodies`."""
     spheres: Spheres
-    """Arrays of spheres, a struct `Spheres`."""
+    """Arrays with one row for each sphere, a struct `Spheres`."""
     slots: Slots
-    """Contacts of spheres with walls, a struct `Slots`."""
+    """Arrays with a place (slot) for each wall contact that a sphere can have, a struct `Slots`."""
     pairs: Pairs
     """Neighbour list with contact history and bonds, a struct `Pairs`."""
     candidates: Candidates
     """Mesh candidates, which are the triangles near each sphere, a struct `Candidates`."""
     walls: Walls
-    """Arrays of walls, a struct `Walls`."""
+    """Arrays with one row for each wall, a struct `Walls`."""
 
     def __init__(self, model: Model, table: BodyTable) -> None:
         self.model = model
@@ -134,10 +137,10 @@ class State:
         self.smallest_radius = float(offsets[:, 3].min(initial=np.inf)) if self.sphere_count else 0.0
         self.total_mass = float(np.sum(table.mass))
         self.chunks = [0, self.sphere_count]
-        """First sphere of every chunk of a half list, and the end of the last chunk."""
+        """First sphere of every chunk (the spheres of one CPU thread), and the end of the last chunk."""
         self._batch: HoldingBatch | None = None
         self.index = 0
-        """Number of the scene in its batch."""
+        """Index of the scene in its batch."""
         self._scratch: dict[str, DeviceArray] = {}
         self._launches: tuple[int, dict[str, Callable[[], Any]]] = -1, {}
         self._make_bodies(table, first, inertia)
@@ -147,7 +150,7 @@ class State:
         self._make_scene()
 
     def _fill(self, struct: str, **arrays: HostArray | Shape) -> None:
-        """Set arrays of a struct from host data, or to zeros where a shape is given."""
+        """Create arrays of a struct on the device from host data; a shape as value gives an array of zeros."""
         target = getattr(self, struct)
         variables = struct_of(self.structs, struct).vars
         for name, value in arrays.items():
@@ -245,19 +248,19 @@ class State:
     def _make_scene(self) -> None:
         clock = np.zeros((1, CLOCK))
         typical_force = self.model.stress_scale * (2 * max(self.largest_radius, 1e-12)) ** 2
-        # Forces are summed as integers: 2^62 units hold 2e5 typical forces, and one unit is 5e-14 of a typical force.
+        # Forces are summed as 64-bit integers: the largest sum is 2e5 typical forces, the resolution 5e-14 of one.
         clock[0, int(FORCE_SCALE)] = 2.0 ** np.floor(np.log2(2.0**44 / typical_force))
         self._fill("scenes", clock=clock, scale=np.ones(1), reference_velocity=1)
         self.flags = zeros((1, FLAGS), dtype=wp.int32, device=self.model.device)
 
     def arrays(self) -> Iterator[tuple[str, str, DeviceArray]]:
-        """Yield struct name, array name and array of everything that the state holds."""
+        """Yield the struct name, the array name and the array itself, for all arrays of the state."""
         for struct, names in state_fields(self.structs).items():
             for name in names:
                 yield struct, name, getattr(getattr(self, struct), name)
 
     def scratch(self, name: str, shape: tuple[int, ...], dtype: type) -> DeviceArray:
-        """Return uninitialised memory for a probe; every call with the same name and shape returns the same array."""
+        """Return uninitialised device memory for measurements; the same name and shape give the same array again."""
         if name not in self._scratch or self._scratch[name].shape != shape:
             self._scratch[name] = empty(shape, dtype=dtype, device=self.model.device)
         return self._scratch[name]
@@ -275,14 +278,14 @@ class State:
         self._batch = None
 
     def launches(self, version: int) -> dict[str, Callable[[], Any]]:
-        """Return the recorded launches of probes (device measurements) by name, for this version of the arrays."""
+        """Return the recorded launches of measurements by name; a new `version` of the arrays discards all launches."""
         if self._launches[0] != version:
             self._launches = version, {}
         return self._launches[1]
 
     @property
     def batch(self) -> HoldingBatch:
-        """Batch that holds the arrays."""
+        """Batch to which the state belongs; the arrays are slices of the batch's arrays."""
         assert self._batch is not None, "the state is in no batch"
         return self._batch
 
@@ -293,7 +296,7 @@ class State:
 
     @property
     def time(self) -> float:
-        """Simulated time [s]."""
+        """Simulated time that the scene has reached [s]."""
         return self._clock()[int(TIME)]
 
     @property
@@ -305,12 +308,12 @@ class State:
 
     @property
     def dt(self) -> float:
-        """Size of the next step [s]."""
+        """Size of the next time step [s]."""
         return self._clock()[int(DT)]
 
     @property
     def stable_step(self) -> float:
-        """Stable step by the latest estimate [s]."""
+        """Stable time step according to the latest estimate [s]."""
         return self._clock()[int(STABLE)]
 
     def _clock(self) -> list[float]:
@@ -320,7 +323,7 @@ class State:
 
     @property
     def bytes(self) -> int:
-        """Size of all arrays of the state [B]."""
+        """Memory size of all arrays of the state [B]."""
         return sum(a.size * bytes_of(a.dtype) for _, _, a in self.arrays())
 
     def table(self) -> BodyTable:
@@ -346,21 +349,21 @@ class State:
 
 
 PAIR_ARRAYS = ("other", "history", "rolling", "bond", "load")
-"""Arrays of `pairs` that may have an entry for each listed pair."""
+"""Names of the arrays in the struct `pairs` that may have an entry for each listed pair of spheres."""
 
 
 def pair_bytes(model: Model) -> dict[str, int]:
     """Return the size of one entry of every array that the scene needs for its listed pairs [B]."""
     f = model.features
     used = {"other": True, "history": f.history, "rolling": f.pair_law.rolls}
-    # Every list entry has a load row only if bonds heal; otherwise only bonds have one, see `bonding`.
+    # If bonds heal, every list entry has a load; otherwise only bonds have loads, which are counted separately.
     used |= {"bond": f.bonds, "load": f.healing}
     variables = struct_of(array_structs(model.scalar), "pairs").vars
     return {name: bytes_of(variables[name].type.dtype) for name in PAIR_ARRAYS if used[name]}
 
 
 def _shapes(table: BodyTable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return each body's first sphere, the spheres' offsets and radii [m], the bodies' principal moments [kg m2]."""
+    """Return each body's first sphere, the spheres' offsets and radii [m], and the moments of inertia [kg m2]."""
     first = np.concatenate([[0], np.cumsum(table.sphere_counts)]).astype(np.int32)
     offsets = np.zeros((int(first[-1]), 4))
     inertia = np.zeros((len(table), 3))

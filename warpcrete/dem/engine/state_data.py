@@ -15,7 +15,7 @@ from .pairs import listed_pairs
 from .state import NUMBERS, State, pair_bytes
 
 EMPTY = {("spheres", "force"), ("spheres", "moment")}
-"""Arrays that are zero between two steps, and so are not stored."""
+"""Struct and name of arrays that contain zeros between two steps, so that checkpoints need not store them."""
 
 
 def state_dict(state: State) -> dict[str, Any]:
@@ -70,7 +70,7 @@ def state_hash(state: State) -> str:
     reach = position[i, 3] + position[j, 3]
     kept = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
     bond = state.pairs.bond.numpy()[place] if features.bonds else np.zeros(len(place), np.int32)
-    # Only listed pairs remember that their bond is broken. Without healing, a broken bond acts like no bond.
+    # Without healing, a broken bond acts like no bond. It is stored only while its pair is listed, so ignore it.
     if not features.healing:
         bond = np.maximum(bond, 0)
     kept |= bond > 0
@@ -85,7 +85,7 @@ def state_hash(state: State) -> str:
     if features.bonds:
         bond = bond[kept][ranks]
         digest.update(np.ascontiguousarray(bond_kinds(bond)).tobytes())
-        # Broken bonds carry no load. With healing their rows may hold zeros of either sign, so clear the signs.
+        # The loads of broken bonds are zero, but with healing the zeros may be negative, so set them to +0.
         loads = state.pairs.load.numpy()[bond_rows(np.maximum(bond, 0))]
         loads[bond <= 0] = 0.0
         digest.update(loads.tobytes())
@@ -97,6 +97,6 @@ def state_hash(state: State) -> str:
         digest.update(np.ascontiguousarray(array.numpy()[by_sphere]).tobytes())
     for name in ("position_exact", "velocity_exact", "orientation", "spin", "impulse", "travel", "work"):
         digest.update(getattr(state.walls, name).numpy().tobytes())
-    # Simulated time, and the sizes of the next and the last step.
+    # Hash the simulated time, and the sizes of the next and the last step.
     digest.update(state.scenes.clock.numpy()[0, :3].tobytes())
     return digest.hexdigest()

@@ -29,22 +29,26 @@ from .state import State
 from .stepper_protocol import StepperRecord, Steps
 from .subcycling import MARGIN, rounds_for
 
-# Skin divided by the mean sphere radius. On a CPU the time of a pumping step is the same from 0.3 to 0.75. A GPU steps
-# so fast that fewer rebuilds pay off if spheres are few: 28,000 spheres take 52, 48, 52 and 65 us per step at skins of
-# 0.7, 1.0, 1.4 and 2.0. From 100,000 spheres on, 1.0 is 2 to 3 % slower than 0.7.
+# Skin of the neighbour lists divided by the mean sphere radius. On a CPU, a step of a pumping scene takes equally long
+# for all skins from 0.3 to 0.75. A GPU with few spheres gains from a larger skin and so fewer list rebuilds: for 28,000
+# spheres a step takes 52, 48, 52 and 65 us at skins of 0.7, 1.0, 1.4 and 2.0. From 100,000 spheres on, a skin of 1.0 is
+# 2 to 3 % slower than 0.7.
 SKIN = {"cpu": 0.5, "cuda": 0.7, "few": 1.0}
 FEW_SPHERES = 50_000
 MESH_SKIN = 4  # Skin of mesh candidates as a multiple of the skin of pairs.
 SORT_EVERY = {"cpu": 1000, "cuda": 4000, "few": 16_000}
-"""Steps between two re-sortings of the bodies by the host, which correspond to 13 to 55 builds of the lists. Few bodies
-fit the cache in any order: for 28,000 spheres a step takes 1.3 us less with a value of 16,000 than with 4000, and as
-long as without sorting."""
+"""Steps between two re-sortings of the bodies by the host.
+
+Lists are rebuilt 13 to 55 times in this interval. Few bodies fit the cache of a GPU in any order and need less sorting:
+for 28,000 spheres a step takes 1.3 us less if bodies are sorted every 16,000 instead of 4000 steps, and equally long
+without sorting.
+"""
 
 
 class Stepper:
     """One scene of a batch: its step size, goals and bonds. A single scene is a batch of one.
 
-    `reaching` is a coroutine, which `scheduling.drive` advances together with those of other scenes. `advance` and
+    `reaching` is a coroutine, which `scheduling.drive` runs together with the coroutines of other scenes. `advance` and
     `take` step this scene alone.
     """
 
@@ -62,16 +66,16 @@ class Stepper:
     ) -> None:
         """Create a stepper in the batch of `among`, or in a batch of its own.
 
-        `among` holds lists and estimate of a batch and the scene's number in it. `resumed` is the `state_dict` of a
-        stepper from which this one continues. `skin` [m] and `sort_every` (steps between two re-sortings) are for
-        tests.
+        `among` contains the neighbour lists and the :class:`StableStep` of a batch, and the scene's number in it.
+        `resumed` is the `state_dict` of a stepper from which this one continues. `skin` [m] and `sort_every` (steps
+        between two re-sortings) are for tests.
         """
         self.model, self.state, self.time_step = model, state, time_step
         if among is None:
             batch = Batch([model], [state], threads=threads)
             among = NeighborLists(batch), StableStep(batch), 0
             load_kernels(*among[:2])
-        # An unstable fixed step raises a SceneError before the run and an InstabilityError during the run.
+        # False before t = 0: until then an unstable fixed step raises a SceneError, later an InstabilityError.
         self.running = False
         self._skin, self._sort_every = skin, sort_every
         self._estimated = self._goal_is_steps = False
@@ -91,7 +95,7 @@ class Stepper:
         *,
         resumed: StepperRecord | None = None,
     ) -> None:
-        """Become scene `index` of the batch of `lists`; continue from a `state_dict` if one is given."""
+        """Become scene `index` of the batch to which `lists` belongs; continue from a `state_dict` if one is given."""
         self.lists, self.stable_step, self.index = lists, stable_step, index
         self.batch, state = lists.batch, self.state
         kind = "cpu" if not self.batch.parallel else "few" if state.sphere_count < FEW_SPHERES else "cuda"
@@ -105,7 +109,7 @@ class Stepper:
             skin=self.skin,
             sort_every=SORT_EVERY[kind] if self._sort_every is None else self._sort_every,
             mesh_skin=self.mesh_skin,
-            # The skin is shared between the motion of spheres and the motion of meshes between two builds.
+            # If meshes move, spheres may use up only half of the mesh skin between two builds, and meshes the rest.
             sphere_allowance=0.5 * self.mesh_skin if moving_mesh else self.mesh_skin,
         )
         if resumed is not None:
@@ -113,7 +117,7 @@ class Stepper:
                 self._estimated = True
                 self.batch.estimated(index, self.steps - int(resumed["since_estimate"]))
             self.batch.subcycles.load_state_dict(index, resumed["subcycles"])
-        # A run that was not interrupted rebuilds stale lists, and sorts, before the next estimate; do the same here.
+        # Rebuild stale lists before the next estimate, as an uninterrupted run does; results must be identical.
         stale = bool(self.batch.host_flags()[index, int(STALE)])
         if resumed is None or stale or index in self.batch.scenes_with_new_chunks:
             self.rebuild()
@@ -122,7 +126,7 @@ class Stepper:
             self.batch.planner.note_joined(index, self.steps)
 
     def state_dict(self) -> StepperRecord:
-        """Return what a stepper needs, in addition to the state, to continue in the same way."""
+        """Return everything that a stepper needs, in addition to the state, to continue identically."""
         return {
             "skin": self.skin,
             "since_estimate": self._steps_since_estimate(),
@@ -131,21 +135,21 @@ class Stepper:
 
     @property
     def time(self) -> float:
-        """Simulated time [s]."""
+        """Simulated time that the scene has reached [s]."""
         return self.state.time
 
     @property
     def steps(self) -> int:
-        """Completed steps."""
+        """Number of completed steps."""
         return self.state.steps
 
     @property
     def dt(self) -> float:
-        """Size of the next step [s]."""
+        """Size of the next time step [s]."""
         return self.state.dt
 
     def change(self, **settings: float) -> None:
-        """Change `local_damping`, `growth_rate`, `growth_end` or `held` (1: walls stand still) from now on."""
+        """Change `local_damping`, `growth_rate`, `growth_end` or `held` (1: walls stand still) for the next steps."""
         self.batch.set(self.index, **settings)
 
     def rebuild(self) -> None:
@@ -154,7 +158,10 @@ class Stepper:
         self.lists()
 
     def bond(self, bonds: Bonds, kind: int, group: int = -1) -> int:
-        """Bond pairs within `bonds.gap` (only inside `group`, if given); return the number of bonds of `kind`."""
+        """Bond all pairs with gaps up to `bonds.gap` [m], or only pairs inside body group `group`.
+
+        Returns the number of bonds of this `kind` afterwards.
+        """
         self.batch.set(self.index, skin=max(self.skin, 1.001 * bonds.gap))
         self.rebuild()
         made = make_bonds(self.model, self.state, bonds, kind, group)
@@ -185,21 +192,28 @@ class Stepper:
         return travel_at_rest
 
     def set_layer_gain(self, travel_at_rest: float) -> None:
-        """Set the layer's gain at rest, minus the wear by slip since the wall had travelled `travel_at_rest` [m]."""
+        """Set the yield stress that the wall layer gained at rest, minus what slip has worn off.
+
+        Slip is the wall's travel beyond `travel_at_rest` [m].
+        """
         if self.batch.structure is not None:
             self.batch.structure.grow(self.index, travel_at_rest)
 
     def _choose_rounds(self) -> None:
-        """Choose the number of rounds in which hydrated bonds are sub-cycled within a step."""
+        """Choose the number of shorter rounds within a step in which hydrated bonds are integrated (sub-cycling)."""
         subcycles, step = self.batch.subcycles, self.time_step
         subcycles.collect(self.index)
-        unbonded_step = self.estimate()  # This estimate leaves out the hydrated bonds, as long as they have no rounds.
+        # Estimate the step without hydrated bonds, which the estimate leaves out as long as no rounds are set.
+        unbonded_step = self.estimate()
         dt = step.fixed or min(step.safety * SUBCYCLED_STEP_FRACTION * unbonded_step, step.largest)
         ratio = MARGIN * dt / (step.safety * subcycles.stable_step(self.index))
         subcycles.set_rounds(self.index, step.rounds or rounds_for(ratio))
 
     def restart_clock(self) -> None:
-        """Set time, step count and the walls' records to zero; the next step begins with half a kick (leapfrog)."""
+        """Set time, step count and all sums over time to zero, such as wall impulses, work and dissipated energy.
+
+        The next step begins the leapfrog scheme anew, with half a velocity step.
+        """
         state = self.state
         with self.batch.changing():
             clock = state.scenes.clock.numpy()
@@ -215,7 +229,7 @@ class Stepper:
         self.rebuild()
 
     def stop_motion(self) -> None:
-        """Set all velocities to zero."""
+        """Set all velocities and spins of bodies and spheres to zero."""
         bodies, spheres = self.state.bodies, self.state.spheres
         for array in (bodies.velocity, bodies.spin, bodies.angular_momentum, spheres.spin):
             array.zero_()
@@ -224,7 +238,7 @@ class Stepper:
         spheres.velocity.assign(velocity)
 
     def estimate(self) -> float:
-        """Return the current stable step without safety factor [s]; infinite for a state without bodies."""
+        """Estimate the current stable step without safety factor [s] and return it; infinite without bodies."""
         self._set_step()
         self.stable_step(self.index)
         return self.state.stable_step if self.state.body_count else math.inf
@@ -289,10 +303,10 @@ class Stepper:
         return float(flags[int(STEPS)] - flags[int(ESTIMATED)])
 
     def reaching(self, goal: Until | Steps) -> Coroutine:
-        """Advance to a goal: a time, reached to within one step, or a number of steps of the current size.
+        """Advance to a time, which is reached to within one step, or by a number of steps of the current size.
 
-        The coroutine yields while the batch must step. It continues once the scene has halted, because it has reached
-        the goal or because its stable step must be estimated and the device has not estimated it.
+        This coroutine yields whenever the batch must step. It is resumed when the scene has halted, because it has
+        reached the goal, or because the host must estimate its stable step.
         """
         if isinstance(goal, Steps):
             yield from self._take_steps(goal.count)
@@ -316,7 +330,7 @@ class Stepper:
             yield
 
     def wants_estimate(self) -> bool:
-        """Return whether a scene whose goal is a number of steps must estimate the stable step before its next step."""
+        """Return whether the goal is a number of steps and the stable step must be estimated before the next step."""
         self._set_step()
         return self._goal_is_steps and self._steps_since_estimate() >= self.time_step.interval
 
@@ -325,7 +339,7 @@ class Stepper:
         drive_one(self, self._yield_goal(Until(until)))
 
     def take(self, count: int) -> None:
-        """Take `count` steps of the current size."""
+        """Advance the scene by `count` steps of the current size."""
         drive_one(self, self._yield_goal(Steps(count)))
 
     @staticmethod
@@ -333,7 +347,7 @@ class Stepper:
         yield goal
 
     def failure(self, flags: np.ndarray) -> Exception | None:
-        """Return the exception to raise for a scene with these flags; None if the scene has not failed."""
+        """Return the exception to raise if the control `flags` say that the scene has failed; otherwise None."""
         failed = int(flags[int(FAILED)])
         if failed < 0:
             wall = self.model.walls[-1 - failed].name
@@ -351,7 +365,7 @@ class Stepper:
         return None
 
     def reached(self, flags: np.ndarray) -> bool:
-        """Return whether a scene with these flags has halted at its goal or for an estimate of the stable step."""
+        """Return whether by its control `flags` the scene has halted at its goal or to estimate its stable step."""
         return int(flags[int(HALTED)]) == int(ARRIVED)
 
 
@@ -363,7 +377,7 @@ def steppers_of(
     resumed: list[StepperRecord | None] | None = None,
     threads: int = 1,
 ) -> list[Stepper]:
-    """Return steppers of scenes that share a batch; their :func:`batch_key` must be equal."""
+    """Put scenes with equal :func:`batch_key` into one batch and return their steppers."""
     batch = Batch(models, states, threads=threads)
     among = NeighborLists(batch), StableStep(batch)
     load_kernels(*among)

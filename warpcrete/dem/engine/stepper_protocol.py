@@ -1,4 +1,4 @@
-"""Stepper as scheduling and regrouping see it; they cannot name its class, because the stepper imports them."""
+"""Protocol of a stepper for modules that cannot import its class, such as `scheduling`, which `stepper` imports."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class StepperRecord(TypedDict):
 
 
 class SceneStepper(Protocol):
-    """One scene of a batch that advances to goals."""
+    """Protocol of a stepper, which advances one scene of a batch to goals."""
 
     model: Model
     state: State
@@ -44,7 +44,7 @@ class SceneStepper(Protocol):
     lists: NeighborLists
     stable_step: StableStep
     index: int
-    """Number of the scene in its batch."""
+    """Index of the scene in its batch."""
 
     def reaching(self, goal: Until | Steps) -> Coroutine:
         """Return a coroutine that advances to a goal and yields while the batch must step."""
@@ -55,18 +55,18 @@ class SceneStepper(Protocol):
         ...
 
     def failure(self, flags: np.ndarray) -> Exception | None:
-        """Return the exception to raise for a scene with these flags; None if the scene has not failed."""
+        """Return the exception to raise if the control `flags` say that the scene has failed; otherwise None."""
         ...
 
     def reached(self, flags: np.ndarray) -> bool:
-        """Return whether a scene with these flags has halted at its goal or for an estimate of the stable step."""
+        """Return whether by its control `flags` the scene has halted at its goal or to estimate its stable step."""
         ...
 
     def join(
         self, lists: NeighborLists, stable_step: StableStep, index: int, *, resumed: StepperRecord | None = None
     ) -> None:
-        """Become scene `index` of the batch of `lists`; continue from a `state_dict` if one is given."""
+        """Become scene `index` of the batch to which `lists` belongs; continue from a `state_dict` if one is given."""
 
     def state_dict(self) -> StepperRecord:
-        """Return what a stepper needs, in addition to the state, to continue in the same way."""
+        """Return everything that a stepper needs, in addition to the state, to continue identically."""
         ...

@@ -1,8 +1,8 @@
-"""Sub-cycling of stiff bonds: hydrated bonds and their bodies take several rounds within each step of other contacts.
+"""Sub-cycling of stiff bonds: hydrated bonds are integrated in several shorter rounds within each time step.
 
-This is a form of multiple time stepping. The forces of all other contacts stay constant during the rounds of a step;
-`kernels/dem/subcycling.py` explains the method. This module keeps the list of sub-cycled pairs and bodies, the number
-of rounds, and the stages.
+This is a form of multiple time stepping. The forces of all other contacts on the bodies stay constant during the rounds
+of a step; `kernels/dem/subcycling.py` explains the method. This module manages the sub-cycled pairs and bodies, the
+number of rounds, and the kernel launches.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ from .state import pair_bytes
 from .struct_types import Subcycled
 
 MARGIN = 1.1
-"""Factor by which the step may exceed its initial size before sub-cycling rounds limit it."""
+"""Factor by which the time step may grow above its first size before the chosen number of rounds limits it."""
 ROUND_BLOCK = 128
-"""Threads per block of the GPU kernel that takes all rounds of a step."""
+"""Threads per block of the GPU kernel that computes all sub-cycling rounds of a step."""
 RESIDENT_BLOCKS = 2
-"""Blocks of the all-rounds kernel that always fit on one multiprocessor, however many registers a block needs."""
+"""Blocks of the GPU kernel for rounds that always fit on one multiprocessor, however many registers a block needs."""
 OF_BODIES = ("position", "orientation")
-"""Arrays of the sub-cycled bodies on which the next step depends, in addition to the state."""
+"""Names of arrays of sub-cycled bodies that must be stored in checkpoints, because the next step depends on them."""
 OF_ENDS = ("force", "torque")
-"""Arrays with a row for each end of a sub-cycled pair, on which the next step depends."""
+"""Names of arrays with a row for each of the two ends of a sub-cycled pair; checkpoints must also contain them."""
 BODY_ARRAYS = (
     "body_scene", "body_number", "place", "mass", "inertia", "rounding", "velocity", "spin", "angular_momentum",
     "other_force", "other_torque", *OF_BODIES,
 )  # fmt: skip
-"""Arrays with one row per sub-cycled body; the arrays in `OF_ENDS` have two rows per pair, most others one."""
+"""Names of arrays with one row per sub-cycled body; most other arrays have one row per sub-cycled pair."""
 
 
 def rounds_for(ratio: float) -> int:
@@ -57,19 +57,19 @@ def rounds_for(ratio: float) -> int:
 def round_blocks(count: int, multiprocessors: int, concurrent_batches: int) -> int:
     """Return the number of GPU blocks for rounds of `count` pairs or bodies, for each of the `concurrent_batches`.
 
-    The blocks wait for each other after every round, so the blocks of all these batches must be resident together.
+    The blocks of a batch wait for each other after every round, so all of them must be resident on the GPU at once.
     """
     return max(1, min(-(-count // ROUND_BLOCK), RESIDENT_BLOCKS * multiprocessors // concurrent_batches))
 
 
 class Subcycles:
-    """Sub-cycled pairs of a batch, in the order of their spheres' permanent numbers."""
+    """Sub-cycled pairs (stiff bonds) of all scenes of a batch, in the order of their spheres' permanent numbers."""
 
     arrays: Subcycled
-    """Arrays of sub-cycled pairs and bodies, a struct `Subcycled`."""
+    """Device arrays of sub-cycled pairs and bodies, a struct `Subcycled` of `kernels/dem/structs.py`."""
 
     def __init__(self, batch: SceneBatch) -> None:
-        """Create the sub-cycling of a :class:`Batch`, at first without pairs."""
+        """Prepare sub-cycling for a :class:`Batch`; there are no sub-cycled pairs yet."""
         self.batch = batch
         self._by_scene: list[dict[str, np.ndarray]] = [{} for _ in range(batch.count)]
         self._rounds = np.zeros(batch.count, dtype=np.int32)
@@ -79,12 +79,12 @@ class Subcycles:
 
     @property
     def rounds(self) -> int:
-        """Largest number of rounds of any scene."""
+        """Largest number of sub-cycling rounds per step of any scene."""
         return int(self._rounds.max(initial=0))
 
     @property
     def concurrent_batches(self) -> int:
-        """Number of batches that may run their rounds on the GPU at the same time."""
+        """Number of batches that may compute sub-cycling rounds on the same GPU at the same time."""
         return self._concurrent_batches
 
     @concurrent_batches.setter
@@ -94,7 +94,7 @@ class Subcycles:
             self.batch.invalidate_graphs()
 
     def collect(self, s: int) -> None:
-        """Collect the current hydrated bonds of scene `s`; other scenes do not change."""
+        """Make the current hydrated bonds of scene `s` its sub-cycled pairs; other scenes do not change."""
         state = self.batch.states[s]
         i, j, place = listed_pairs(state)
         held = bond_kinds(state.pairs.bond.numpy()[place]) == int(HYDRATED)
@@ -105,30 +105,28 @@ class Subcycles:
         self._restore(s, {"lower": pairs[0], "higher": pairs[1]})
 
     def set_rounds(self, s: int, rounds: int) -> None:
-        """Set the number of rounds in which the pairs of scene `s` are stepped."""
+        """Set the number of rounds per step in which the sub-cycled pairs of scene `s` are integrated."""
         self._rounds[s] = rounds
         self.arrays.rounds.assign(self._rounds)
         self.batch.invalidate_graphs()
 
     def stable_step(self, s: int) -> float:
-        """Return the latest estimate of the stable step of these pairs alone, without safety factor [s]."""
+        """Return the latest estimate of the stable step of the sub-cycled pairs alone, without safety factor [s]."""
         return float(self.arrays.stable.numpy()[s])
 
-    # Checkpoints.
-
     def state_dict(self, s: int) -> dict[str, HostArray | int]:
-        """Return what the next step of scene `s` depends on; empty if the scene has no such pairs."""
+        """Return the sub-cycling data of scene `s` for a checkpoint; empty if the scene has no sub-cycled pairs."""
         stored = self._values(s)
         return {**stored, "rounds": int(self._rounds[s])} if stored else {}
 
     def load_state_dict(self, s: int, stored: Mapping[str, Any]) -> None:
-        """Continue from a `state_dict`."""
+        """Restore the sub-cycling data of scene `s` from a `state_dict`."""
         if stored:
             self._rounds[s] = stored["rounds"]
             self._restore(s, {name: stored[name] for name in ("lower", "higher", *OF_BODIES, *OF_ENDS)})
 
     def _values(self, s: int) -> dict[str, np.ndarray]:
-        """Return the current device values of a scene's sub-cycled pairs and bodies."""
+        """Return the sub-cycled pairs of a scene, and the arrays of pairs and bodies that a checkpoint needs."""
         if not self._by_scene[s]:
             return {}
         pairs = self._by_scene[s]
@@ -149,10 +147,8 @@ class Subcycles:
         self.locate()
         self.batch.invalidate_graphs()
 
-    # Arrays.
-
     def _join(self) -> None:
-        """Create the joint arrays of all scenes."""
+        """Create the device arrays in which the sub-cycled pairs and bodies of all scenes are joined."""
         b = self.batch
         self._pairs = [len(each.get("lower", ())) for each in self._by_scene]
         rows = [self._rows(s) for s in range(b.count)]
@@ -160,7 +156,7 @@ class Subcycles:
         first_pair = np.concatenate([[0], np.cumsum(self._pairs)])
         ref = np.concatenate([ref + 2 * first for (_, _, ref), first in zip(rows, first_pair)])
         counts = np.concatenate([counts for _, counts, _ in rows])
-        # For both ends of each pair: the row of the body, and the row in the list of all ends sorted by body.
+        # For both ends of each sub-cycled pair, store the row of the body, and the end's row in the order of bodies.
         ends = np.stack([np.repeat(np.arange(len(counts)), counts)[np.argsort(ref)], np.argsort(ref)], axis=1)
         given: dict[str, HostArray] = {
             "rounds": self._rounds,
@@ -197,20 +193,23 @@ class Subcycles:
         self._body_place = zeros(b.body_count if self.pair_count else 0, dtype=wp.int32, device=b.device)
 
     def _rows(self, s: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return a scene's sub-cycled bodies by number, the number of pair ends of each body, and all ends by body."""
+        """Return the sub-cycled bodies of a scene, the number of pair ends on each, and all ends sorted by body.
+
+        Bodies are given by permanent number. Pair k of the scene has the ends 2k and 2k + 1.
+        """
         pairs = self._by_scene[s]
         if not pairs:
             return np.zeros(0, dtype=int), np.zeros(0, dtype=int), np.zeros(0, dtype=int)
         state = self.batch.states[s]
         body_of = np.empty(state.sphere_count, dtype=int)
         body_of[state.spheres.id.numpy()] = state.bodies.id.numpy()[state.spheres.body.numpy()]
-        # Keep the two ends of each pair next to each other, as `ref` numbers them.
+        # Order the ends pair by pair, because pair k has the ends 2k and 2k + 1.
         ends = body_of[np.stack([pairs["lower"], pairs["higher"]], axis=1).ravel()]
         number, counts = np.unique(ends, return_counts=True)
         return number, counts, np.argsort(ends, kind="stable")
 
     def _place_bodies(self, s: int, number: np.ndarray) -> None:
-        """Set positions of bodies that have just become sub-cycled from the state, and the forces on them to zero."""
+        """Initialise new sub-cycled bodies: positions come from the state, and forces and torques are zero."""
         bodies, stored = self.batch.states[s].bodies, self._by_scene[s]
         where = np.argsort(bodies.id.numpy())[number]
         for name in OF_BODIES:
@@ -218,15 +217,16 @@ class Subcycles:
         for name in OF_ENDS:
             stored.setdefault(name, np.zeros((2 * self._pairs[s], 3)))
 
-    # Launches.
-
     def locate(self) -> None:
-        """Look up the list entries and rows of all sub-cycled pairs and bodies after a rebuild of the lists."""
+        """Find the list entries of sub-cycled pairs and the rows of their bodies after a rebuild of the lists."""
         for stage in self.locating():
             stage()
 
     def locating(self) -> list[Stage]:
-        """Return the stages that look up pairs and bodies; empty if no pair is sub-cycled."""
+        """Return the launches that find the list entries of sub-cycled pairs and the rows of their bodies.
+
+        The list is empty if no pair is sub-cycled.
+        """
         return self._locating() if self.pair_count else []
 
     def _locating(self) -> list[Stage]:
@@ -245,14 +245,14 @@ class Subcycles:
         ]
 
     def kernels(self) -> list[Stage]:
-        """Return stages with all kernels of the sub-cycling, so that they can be compiled."""
+        """Return launches with all kernels for sub-cycling, so that they can be compiled."""
         if not self.batch.features.subcycling:
             return []
         rounds = self._round(0, 0) if self.batch.features.half_list else [self._all_rounds()]
         return [*self._locating(), *rounds, self._prediction_stage(0)]
 
     def stages(self, part: int) -> list[Stage]:
-        """Return one thread's stages for the rounds of a step."""
+        """Return the launches of CPU thread `part`, or of a GPU, for all sub-cycling rounds of a step."""
         if not self.batch.features.half_list:
             return [self._all_rounds(), self._prediction_stage(part)]
         meet = self.batch.barrier()
@@ -260,7 +260,7 @@ class Subcycles:
         return [each for stage in (*rounds, self._prediction_stage(part)) for each in (stage, *meet)]
 
     def _all_rounds(self) -> Stage:
-        """Return the GPU's single stage for all rounds of a step; its blocks must all be resident together."""
+        """Return the one GPU launch for all sub-cycling rounds of a step; all its blocks must be resident at once."""
         b, f = self.batch, self.batch.features
         count = max(self.pair_count, self.body_count)
         multiprocessors = int(b.device.sm_count)  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
@@ -285,7 +285,7 @@ class Subcycles:
         return self._stage(prediction_kernel(b.scalar, f.meshes, f.half_list, f.dissipation), part, self.body_count)
 
     def _stage(self, kernel: Kernel, part: int, count: int, **named: Any) -> Stage:
-        """Return a launch over one thread's share of `count` pairs or bodies."""
+        """Return a launch of `kernel` over the share of CPU thread `part` in `count` pairs or bodies."""
         b = self.batch
         first, last = count * part // b.threads, count * (part + 1) // b.threads
         tasks = -(-(last - first) // SPAN) if b.features.half_list else last - first

@@ -19,15 +19,15 @@ def _rest_of(scene: Scene) -> Rest:
 
 
 class Structure:
-    """Yield stress that the wall layers of a batch's scenes gained at rest, and the stage in which slip wears it off.
+    """Yield stress that the lubrication layers of a batch's scenes gained at rest; slip along the wall wears it off.
 
-    The gain decays as gained * exp(-slip / breakdown), where slip is the travel of one wall since the restart.
+    The gain decays as gained * exp(-slip / breakdown), where slip is the travel of `Rest.wall` since the rest.
     """
 
     def __init__(self, batch: SceneBatch) -> None:
-        """Set up the layers of a :class:`Batch` of scenes that all have a growing layer."""
+        """Set up the wall layers of a :class:`Batch`, all of whose scenes have a layer that gains strength at rest."""
         self.batch = batch
-        # The model's own parameters must never change, so the batch changes a copy.
+        # The model's parameters are constant, so the batch stores the changing yield stress in a copy of them.
         batch.wall_parameters = clone(batch.wall_parameters)
         own = [law["yield_stress"] for law in batch.wall_parameters.numpy()]
         self._own_yield = DeviceArray(np.array(own, dtype=float), dtype=batch.scalar, device=batch.device)
@@ -44,7 +44,7 @@ class Structure:
         return DeviceArray(np.asarray(values, dtype=float), dtype=wp.float64, device=self.batch.device)
 
     def stage(self) -> Stage:
-        """Return the stage that computes the layers' yield stresses for the next step, one thread per scene."""
+        """Return the launch that computes the yield stress of each scene's layer for the next step."""
         b = self.batch
         return b.stage(
             breakdown_kernel(b.scalar, b.features.wall_law), b.count, own_yield=self._own_yield,
@@ -52,14 +52,14 @@ class Structure:
         )  # fmt: skip
 
     def grow(self, s: int, begun: float) -> None:
-        """Add the gain at rest to the layer of scene `s`, minus the wear by slip.
+        """Add the gain at rest to the yield stress of the layer of scene `s`, minus the part that slip has worn off.
 
-        Slip counts from the time at which the wall had travelled `begun` [m].
+        Slip is the travel of the wall beyond `begun` [m], its travel at the rest.
         """
         self._set(s, _rest_of(self.batch.models[s].scene).layer_gained, begun)
 
     def take(self, s: int, other: Structure, index: int) -> None:
-        """Continue with the layer of scene `index` of another batch."""
+        """Copy the gain and the slip of the layer of scene `index` of another batch to scene `s` of this batch."""
         self._set(s, other._gained[index], other._travel_at_rest[index])
 
     def _set(self, s: int, gained: float, begun: float) -> None:

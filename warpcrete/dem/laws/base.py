@@ -1,4 +1,4 @@
-"""Base class of contact laws: validated parameters, the same parameters on the device, and device functions of them."""
+"""Base class of contact laws: parameters with their limits, their copy on the device, and functions for kernels."""
 
 import functools
 import math
@@ -14,12 +14,15 @@ from ...core.errors import between
 from ...core.inputs.parameters import Declared, Field, OneOf, declared_fields
 
 RESISTANCES = ("friction", "rolling_friction", "yield_stress", "viscosity", "plastic_viscosity")
-"""Names of the fields by which laws resist sliding and rolling."""
+"""Names of the parameters by which contact laws resist sliding and rolling."""
 
 
 @dataclass(frozen=True)
 class OnDevice:
-    """Rule for a field that has another `name` on the device, where the function `of` converts its value."""
+    """Exception for a parameter that the device stores under another `name` or with another value.
+
+    The function `of` computes the device's value from the parameter.
+    """
 
     name: str
     of: Callable[[Any], Any] = lambda value: value
@@ -39,48 +42,55 @@ class ContactLaw(Declared, ABC):
     @classmethod
     @abstractmethod
     def device_functions(cls, scalar: Any, parameters: Any) -> dict[str, Callable]:
-        """Return the Warp functions of the law.
+        """Return the Warp functions of the law, by name.
 
-        Their arguments are `p`, the struct `parameters`, and `touch`, a `Touch` of `kernels/dem/contact_law.py`:
+        Every function takes `p`, the struct `parameters`, and `touch`, a `Touch` of `kernels/dem/contact_law.py`. Each
+        law has three functions:
 
-        - `force(p, touch, history, dt)`: force on body a [N], the contact's new history (a vector in the contact
-          plane, for springs the shear force), and the energy lost in the step [J];
-        - `stiffness(p, touch)`: k_n, k_s [N/m] and dashpots c_n, c_s [N s/m] for the stable time step, as they are or
-          soon will be at the closing speed of the touch;
-        - `energy(p, touch, history)`: elastic energy [J].
+        - `force(p, touch, history, dt)` returns the force on body a [N], the contact's new history, and the energy lost
+          in the step [J]. The history is any vector that the law needs in the next step. In laws with a shear spring it
+          is the shear force.
+        - `stiffness(p, touch)` returns the stiffnesses k_n, k_s [N/m] and the dashpots c_n, c_s [N s/m] for the
+          estimate of the stable time step. They must hold for the coming steps too, in which the overlap grows at the
+          present closing speed.
+        - `energy(p, touch, history)` returns the elastic energy [J].
 
         A law that `rolls` has two more functions:
 
-        - `moment(p, touch, turning, history, dt)`: from the spin of body b relative to a [rad/s] and a separate
-          history, the moment on a [N m], the new history (the moment of the spring), and the energy lost in the
-          step [J];
-        - `moment_energy(p, touch, history)`: elastic energy of that spring [J].
+        - `moment(p, touch, turning, history, dt)` takes the spin of body b relative to body a [rad/s] and a separate
+          history. It returns the moment on body a [N m], the new history (the moment of the rolling spring), and the
+          energy lost in the step [J].
+        - `moment_energy(p, touch, history)` returns the elastic energy of the rolling spring [J].
+
+        The functions are called for contacts with a negative `touch.gap`. For a bonded pair they are also called at
+        positive gaps, where a law must switch off its own forces. Without a history the energy must be zero at the gap
+        0.
 
         A CPU evaluates `force` and `moment` of several contacts at once in vector lanes. This works only if no branch
-        assigns a vector or returns: a branch should choose a number, which the code then multiplies by.
+        assigns a vector or returns. A branch should choose a number instead, by which the code then multiplies.
         """
 
     @property
     @abstractmethod
     def stress_scale(self) -> float:
-        """Stress that a deep contact carries [Pa]."""
+        """Stress scale of the law [Pa]: the order of magnitude of the stress in a deeply overlapping contact."""
 
     @property
     @abstractmethod
     def has_history(self) -> bool:
-        """True if contacts must remember their shear; otherwise no memory is allocated for contact history."""
+        """True if contacts must store their shear force from step to step; otherwise they need no memory for it."""
 
     @property
     def has_shear(self) -> bool:
-        """True if a contact transmits shear forces; if none does, the rotation of single spheres is not computed."""
+        """True if contacts transmit shear forces; if no law does, the rotation of single spheres is not computed."""
         return self.has_history
 
     @abstractmethod
     def frictionless(self) -> "ContactLaw":
-        """Return the law for packing: without friction, and with damping."""
+        """Return a copy of the law for packing aggregates, without friction and with enough damping to come to rest."""
 
     def gripped(self, grip: float) -> "ContactLaw":
-        """Return the law for a wall that resists sliding and rolling `grip` times as much as the bodies do.
+        """Return the law for contacts with a wall that resists sliding and rolling `grip` times as much as bodies do.
 
         The fields named in RESISTANCES are multiplied by `grip`, also in nested laws.
         """
@@ -95,11 +105,11 @@ class ContactLaw(Declared, ABC):
 
     @classmethod
     def functions(cls, scalar: Any) -> SimpleNamespace:
-        """Return the struct `Parameters` and the device functions of the law, in one precision."""
+        """Return the struct `Parameters` and the device functions of the law for the number type `scalar`."""
         return _functions(cls, scalar)
 
     def row(self) -> dict[str, Any]:
-        """Return the device values of the parameters, by the names of the fields of `Parameters`."""
+        """Return the parameters as they are stored on the device, by the field names of the struct `Parameters`."""
         values = {}
         for name, field in declared_fields(type(self)).items():
             value = getattr(self, name)
@@ -131,7 +141,7 @@ def _device_type(field: Field, scalar: Any) -> Any:
 
 
 def damping_ratio(restitution: float) -> float:
-    """Return the ratio to critical damping that gives a coefficient of restitution between 0 and 1.
+    """Return the damping, as a fraction of critical damping, that gives a coefficient of `restitution` from 0 to 1.
 
     It is exact for the linear and the Hertz-Mindlin law with a dashpot that may pull: -ln e / sqrt(ln^2 e + pi^2).
     """

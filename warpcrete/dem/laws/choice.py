@@ -1,4 +1,4 @@
-"""Choice of a contact law in place of a scene's own: a law of this package by a short name, or a user's class."""
+"""Parameters that replace a scene's own contact law by a law of this package or by a user's class."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -18,16 +18,16 @@ LAWS = ByName({
     "plastic": PlasticMortar, "rolling": RollingResistance,
 })  # fmt: skip
 OWN_LAW = Needs("contact", lambda law: law is None, "is left out (its parameters are contact_NAME)")
-"""Rule for the parameters of a scene's own law: they apply only if no other law is given as `contact`."""
+"""Condition for the parameters of the scene's own contact law: they apply only if `contact` chooses no other law."""
 OWN_WALL_LAW = Needs("wall_contact", lambda law: law is None, "is left out (its parameters are wall_contact_NAME)")
-"""Rule for the parameters of a scene's own wall law: they apply only if no law is given as `wall_contact`."""
+"""Condition for the parameters of the scene's own law on walls: they apply only if none is chosen as `wall_contact`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LawChoice:
     """Contact law.
 
-    Parameter that replaces the scene's own law of all contacts.
+    The parameter replaces the scene's own contact law by another law, for all contacts.
     """
 
     contact: Annotated[
@@ -42,7 +42,7 @@ class LawChoice:
 class WallLawChoice:
     """Contact law.
 
-    Parameter that replaces the law of contacts with pipe and piston.
+    The parameter chooses another law for the contacts of aggregates with pipe and piston.
     """
 
     wall_contact: Annotated[

@@ -25,7 +25,11 @@ RESCALE = wp.constant(0)
 
 @dataclass(frozen=True, kw_only=True)
 class HertzMindlin(ContactLaw):
-    """Elastic spheres: F_n = 4/3 E* sqrt(R* d) d, k_s = 8 G* sqrt(R* d), Coulomb friction, constant restitution."""
+    """Elastic spheres in Hertz-Mindlin contact, with Coulomb friction and a constant coefficient of restitution.
+
+    At the overlap d the normal force is 4/3 E* sqrt(R* d) d and the shear stiffness 8 G* sqrt(R* d). Here R* is the
+    reduced radius, E* the effective modulus and G* the effective shear modulus.
+    """
 
     effective_modulus: Annotated[float, "Effective modulus E* [Pa]; 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2", Above()]
     effective_shear_modulus: Annotated[
@@ -41,7 +45,7 @@ class HertzMindlin(ContactLaw):
     def of(
         cls, young_modulus: float, poisson_ratio: float, *, rigid_partner: bool = False, **others: Any
     ) -> "HertzMindlin":
-        """Return the contact of two bodies of one material, or with a rigid partner, from Young's modulus [Pa]."""
+        """Return the law for two bodies with this Young's modulus [Pa], or for one such body and a rigid partner."""
         positive("young_modulus", young_modulus, "Pa")
         between("poisson_ratio", poisson_ratio, 0, 0.5)
         bodies = 1 if rigid_partner else 2
@@ -62,7 +66,7 @@ class HertzMindlin(ContactLaw):
 
     @property
     def has_shear(self) -> bool:
-        return True  # the shear dashpot acts even without friction
+        return True  # the shear dashpot transmits a force even without friction
 
     def frictionless(self) -> "HertzMindlin":
         return replace(self, friction=0.0, restitution=min(self.restitution, 0.2))
@@ -78,7 +82,7 @@ class HertzMindlin(ContactLaw):
 
         @wp.func
         def stiffness(p: Parameters, touch: Touch):
-            # Use the largest overlap of an impact that begins with the current overlap and closing speed.
+            # Use the stiffness at the largest overlap that an impact with the current closing speed will reach.
             zero = scalar(0.0)
             root = wp.sqrt(touch.reduced_radius)
             overlap = wp.max(-touch.gap, zero)
@@ -115,8 +119,9 @@ class HertzMindlin(ContactLaw):
             kept = scalar(1.0)
             released = zero
             if before > zero and overlap > zero:
-                # Energy that the spring loses because its stiffness follows the overlap. While loading, the force
-                # stays and the spring gets stiffer. While unloading with `rescale`, the force falls with the stiffness.
+                # A change of the overlap changes the stiffness of the shear spring, and the spring thereby loses
+                # energy. While the overlap grows, the force stays constant and the spring becomes stiffer. While the
+                # overlap shrinks, the force falls with the stiffness if `rescale` is chosen.
                 ratio = wp.sqrt(overlap / before)
                 stored = scalar(0.5) * wp.length_sq(history) / ks
                 released = stored * (ratio - scalar(1.0))

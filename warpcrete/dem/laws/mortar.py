@@ -2,9 +2,11 @@
 """Aggregates in a shell of Bingham mortar: a hard core in a soft shell (idea: Remond & Pizette 2014).
 
 A sphere's radius includes its shell. Where only shells overlap, the mortar transmits a weak spring force, a yield
-stress and a viscous drag. Once the cores meet, the stiff spring of the aggregates acts as well. All mortar stresses act
-on A = pi r^2 over the thickness h of the two shells: normal spring A E_m/h with drag 3 mu A/h (Trouton's ratio), shear
-yield tau_0 A and drag mu A/h.
+stress and a viscous drag. Once the cores meet, the stiff spring of the aggregates acts as well.
+
+All mortar stresses act on the area A = pi r^2, with the radius r of the smaller sphere, over the thickness h of the two
+shells. Mortar of modulus E_m, yield stress tau_0 and plastic viscosity mu has a normal spring of stiffness A E_m/h and
+a normal drag 3 mu A/h (Trouton's ratio). In shear it yields at tau_0 A and has the drag mu A/h.
 
 Mortar that resists shear also resists pull and bending. A disc of radius r between two separating spheres yields at
 sqrt(3) tau_0 (von Mises), and a bent disc yields at a moment of 4/3 r^3 times that stress. Its elastic and viscous
@@ -28,7 +30,12 @@ from .base import ContactLaw, OnDevice
 
 @dataclass(frozen=True, kw_only=True)
 class BinghamMortar(ContactLaw):
-    """Hard cores with soft shells: core stiffness A E*/L, shear slider with limit mu N_core + A tau_0."""
+    """Hard cores in soft shells of Bingham mortar, with a shear slider that core friction and yield stress limit.
+
+    The cores' spring has the stiffness A E*/L and the slider the limit mu N_core + A tau_0. Here A is the contact's
+    area, E* the effective modulus, L the distance of the centres at first touch, mu the friction coefficient, N_core
+    the force of the cores' spring, and tau_0 the yield stress of the mortar.
+    """
 
     called = "mortar"
 
@@ -78,14 +85,14 @@ class BinghamMortar(ContactLaw):
 
         @wp.func
         def stiffness(p: Parameters, touch: Touch):
-            # Assume that the cores touch, since they may do so before the next estimate of the stable step.
+            # Include the stiffness of the hard cores, which may touch before the stable step is estimated again.
             core = p.effective_modulus * area(touch) / touch.length
             kn = shell_stiffness(p, touch) + core
             drag = shell_drag(p, touch)
             cn = scalar(2.0) * p.normal_damping_ratio * wp.sqrt(touch.mass * core) + scalar(3.0) * drag
             ks, cs = kn * p.shear_to_normal, drag
             if p.bending > scalar(0.0):
-                # For stability, a rotational stiffness k_r acts like a shear stiffness of at most k_r / r^2.
+                # In the stable step, the rotational stiffness k_r counts like a shear stiffness of at most k_r / r^2.
                 kr, cr = bending(p, touch)
                 square = touch.smaller_radius * touch.smaller_radius
                 ks += kr / square
@@ -133,9 +140,9 @@ class BinghamMortar(ContactLaw):
 
 
 def shell_functions(scalar: Any, parameters: Any) -> SimpleNamespace:
-    """Return device functions for laws with shells, whose parameters are like those of :class:`BinghamMortar`.
+    """Return device functions of contacts between mortar shells, for laws with parameters of :class:`BinghamMortar`.
 
-    They are `area`, `shell_stiffness`, `shell_drag`, `bending`, `core_overlap`, `moment` and `moment_energy`.
+    The functions are `area`, `shell_stiffness`, `shell_drag`, `bending`, `core_overlap`, `moment` and `moment_energy`.
     """
     t = types(scalar)
     f = contact_functions(scalar)
@@ -156,7 +163,7 @@ def shell_functions(scalar: Any, parameters: Any) -> SimpleNamespace:
 
     @wp.func
     def bending(p: Parameters, touch: Touch):
-        """Return the spring [N m/rad] and the dashpot [N m s/rad] of a disc that is bent."""
+        """Return the bending stiffness [N m/rad] and viscous damping [N m s/rad] of the mortar disc of a contact."""
         square = scalar(0.25) * touch.smaller_radius * touch.smaller_radius
         return square * shell_stiffness(p, touch), scalar(3.0) * square * shell_drag(p, touch)
 

@@ -4,9 +4,10 @@
 Spheres have hard cores with soft shells, as in :class:`BinghamMortar`. A spring follows any relative motion of the two
 surfaces. Its force grows up to a limit F, then it slips. A drag resists the whole relative velocity.
 
-Contacts in all directions n that follow a rate of strain D dissipate F |D n| each. The mean of |D n| is pi/8 of the
-rate in simple shear and 0.69 of the rate in uniaxial extension, so one F satisfies von Mises' rule for both within
-1.5 %. The means of the squares, which belong to the drag, are as one to three, which is Trouton's ratio. Shells also
+If contacts in all directions n follow a flow with the strain rate tensor D, the slider of each contact dissipates
+F |D n| per unit of its length. The mean of |D n| over all directions is pi/8 of the rate in simple shear and 0.69 of
+the rate in uniaxial extension, so one F satisfies von Mises' rule for both flows within 1.5 %. The drag dissipates in
+proportion to the mean of |D n|^2, which is three times as large in extension as in shear (Trouton's ratio). Shells also
 pull with a constant force `tension` tau_0 A, which keeps a heap together. They transmit moments only if `bending` is
 not 0.
 """
@@ -24,14 +25,20 @@ from .base import ContactLaw
 from .mortar import BinghamMortar, shell_functions
 
 WALL_BENDING = 4 / math.sqrt(3) / math.pi
-"""Moment limit of contacts with a gripping wall, divided by tau_0 A r: that of a disc in :class:`BinghamMortar`."""
+"""Largest moment of contacts with a rough wall, divided by tau_0 A r (yield stress, contact area, radius).
+
+At this moment a bent disc of mortar with the radius r yields.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlasticMortar(BinghamMortar):
-    """Shells as in the base class, whose slider of limit mu N_core + A tau_0 and drag mu A/h act in every direction.
+    """Mortar shells with one slider and one drag for relative motion in any direction, along the normal and across it.
 
-    The history is the spring's force on the first body [N], which rotates with the pair.
+    The slider's limit is mu N_core + A tau_0 and the drag is mu_p A/h times the velocity. Here mu is the friction
+    coefficient, N_core the force of the cores' spring, A the contact's area, tau_0 and mu_p the yield stress and
+    plastic viscosity of the mortar, and h the thickness of the two shells. The history is the spring's force on the
+    first body [N], which rotates with the pair.
     """
 
     called = "plastic"
@@ -40,9 +47,8 @@ class PlasticMortar(BinghamMortar):
     bending: Annotated[float, "Largest moment of a shell over tau_0 A r; 0: spheres roll freely", Within(0)] = 0.0
 
     def gripped(self, grip: float) -> ContactLaw:
-        return replace(
-            super().gripped(grip), bending=WALL_BENDING
-        )  # without this moment, a lone sphere would roll away on the wall
+        # Give the wall contacts a rolling resistance, because a single sphere would otherwise roll away along the wall.
+        return replace(super().gripped(grip), bending=WALL_BENDING)
 
     @classmethod
     def device_functions(cls, scalar: Any, parameters: Any) -> dict[str, Any]:
@@ -67,13 +73,13 @@ class PlasticMortar(BinghamMortar):
 
         @wp.func
         def stiffness(p: Parameters, touch: Touch):
-            # Assume that the cores touch, since they may do so before the next estimate of the stable step.
+            # Include the stiffness of the hard cores, which may touch before the stable step is estimated again.
             slider, drag = slider_stiffness(p, touch), shell_drag(p, touch)
             kn = shell_stiffness(p, touch) + core_stiffness(p, touch) + slider
             cn = core_dashpot(p, touch) + drag
             ks, cs = slider, drag
             if p.bending > scalar(0.0):
-                # For stability, a rotational stiffness k_r acts like a shear stiffness of at most k_r / r^2.
+                # In the stable step, the rotational stiffness k_r counts like a shear stiffness of at most k_r / r^2.
                 kr, cr = bending(p, touch)
                 square = touch.smaller_radius * touch.smaller_radius
                 ks += kr / square
@@ -90,7 +96,7 @@ class PlasticMortar(BinghamMortar):
 
         @wp.func
         def turned(touch: Touch, v: t.vec3):
-            """Return a force that has rotated with the pair and kept its length."""
+            """Return the force `v` after it has rotated with the pair of bodies; its length does not change."""
             square = wp.length_sq(v)
             after = v + wp.cross(touch.tilt + touch.twist * touch.normal, v)
             longer = scalar(1.0)
@@ -117,7 +123,8 @@ class PlasticMortar(BinghamMortar):
             if deep > zero:
                 cn = core_dashpot(p, touch)
             stiff = slider_stiffness(p, touch)
-            # Only the part of the step after first touch loads the spring.
+            # If the spheres first touched within this step, load the slider's spring only from the moment of touching
+            # on.
             loading = dt
             if -vn * dt > overlap:
                 loading = overlap / -vn

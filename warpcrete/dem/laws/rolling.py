@@ -4,9 +4,9 @@
 The spring's moment grows with the relative rotation of the two bodies about axes in the contact plane, up to mu_r R N,
 where it slips. Here R = R1 R2 / (R1 + R2), or the radius against a wall, and N is the force of the normal spring. The
 spring's stiffness is k_s R^2 (Iwashita & Oda 1998). The dashpot is a fraction of the critical one and acts while the
-spring does not slip. Unlike in the paper, the sum of both is limited to mu_r R N: otherwise, when a spinning sphere
-meets a floor, the dashpot would brake it in the first step by much more than friction could. Rotation about the normal
-(twist) is free, as in the paper.
+spring does not slip. Unlike in the paper, the sum of spring and dashpot is limited to mu_r R N. Otherwise, when a
+spinning sphere meets a floor, the dashpot would brake it in the first step by much more than friction could. Rotation
+about the normal (twist) is free, as in the paper.
 """
 
 from dataclasses import dataclass, field
@@ -23,7 +23,7 @@ from .linear import Contact
 
 @dataclass(frozen=True, kw_only=True)
 class RollingResistance(ContactLaw):
-    """Linear law, with a moment up to mu_r R N against rolling."""
+    """Linear law with a moment up to mu_r R N against rolling; R is the reduced radius, N the normal spring force."""
 
     called = "rolling"
 
@@ -73,7 +73,7 @@ class RollingResistance(ContactLaw):
 
         @wp.func
         def stiffness(p: Parameters, touch: Touch):
-            # For stability, a rotational stiffness k_r acts like a shear stiffness of at most k_r / r^2.
+            # In the stable step, the rotational stiffness k_r counts like a shear stiffness of at most k_r / r^2.
             k = linear_stiffness(p.contact, touch)
             if p.rolling_friction > scalar(0.0):
                 kr, cr = rolling_stiffness(p, touch)

@@ -17,17 +17,17 @@ from ..engine.state import State
 from .probes import pair_forces
 
 PARTS = 20
-"""Number of consecutive parts of equal volume into which the concrete is divided; fewer if there are few aggregates."""
+"""Number of parts of equal volume into which the concrete is divided along the pipe; fewer for few aggregates."""
 STONES = 5
-"""Minimum number of aggregates in each part of the concrete."""
+"""Minimum number of aggregates in each of the parts of the concrete that are checked for standing still."""
 CHECKS_PER_WINDOW = 8
-"""Number of checks for blockage while the piston travels one window.
+"""Number of checks for blockage per window.
 
-The pipe counts as blocked if a part of the concrete stands still, and the pressure rises, while the piston travels one
-window.
+The window is the travel of the piston during which a part of the concrete must stand still, and the pressure must rise,
+for the pipe to count as blocked.
 """
 STANDING_RATIO = 0.2
-"""Ratio of a part's advance to the piston's advance, below which the part counts as standing still.
+"""Ratio of the advance of a part of the concrete to that of the piston, below which the part counts as standing still.
 
 In runs without blockage the ratio was at least 0.9 for all parts once they moved. Behind a widening to twice the
 diameter it is 0.25, because the volume flow is constant. In a closed pipe the last part still advances by the
@@ -36,9 +36,9 @@ compression of the concrete ahead of it.
 GRADIENT = 200e3
 """Pressure gradient that pumping never reaches [Pa/m]; 5 to 50 kPa/m are usual."""
 OPPOSITE = np.radians(150.0)
-"""Minimum angle around the axis between two wall contacts of a force chain that spans the pipe [rad]."""
+"""Minimum angle [rad] about the axis between two wall contacts of a contact network that spans the pipe."""
 QUADRATURE = 24
-"""Number of directions across the axis in which the bore's radius is measured."""
+"""Number of directions across the axis in which the bore's radius is measured to find its area."""
 
 
 class BlockageWatch:
@@ -49,15 +49,20 @@ class BlockageWatch:
         pipe, blockage = model.scene.pipe, model.scene.blockage
         assert pipe is not None and blockage is not None
         self.axis, self.radius = pipe.axis, pipe.radius
+        stations = model.scene.stations
+        self.bores = stations.bores if stations is not None and not stations.bores.is_straight else None
+        """Radii of a pipe whose width changes along its axis, otherwise None."""
         self.window = blockage.travel or blockage_travel(2 * pipe.radius, pipe.concrete_length, model.stress_scale)
-        """Piston travel for which a part must stand still [m]."""
+        """Piston travel during which a part of the concrete must stand still in a blocked pipe [m]."""
         self.found: dict[str, float] = {}
-        """Values that describe the blockage, by name as in `_describe`; empty while the pipe is not blocked."""
+        """Position, time, pressure and so on of the first blockage, by name; empty while the pipe is not blocked."""
+        self.slowest = np.nan
+        """Advance of the slowest part over that of the piston, by volume, at the last check; NaN before two checks."""
         self._checked_travel = -np.inf
         self._stand_travel: float | None = None
         self._pressure = 0.0
         self._places = np.zeros(0)
-        # Permanent numbers of the aggregates (None before the first check) and their volumes [m3].
+        # Permanent numbers of the aggregates, which exclude the balls of a plug, and their volumes [m3].
         self._numbers: np.ndarray | None = None
         self._volume = np.zeros(0)
 
@@ -69,18 +74,20 @@ class BlockageWatch:
             "standing": self._stand_travel,
             "pressure": self._pressure,
             "places": self._places,
+            "slowest": self.slowest,
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the watch from a `state_dict`."""
+        """Restore the recorded blockage and the data for the next check from a `state_dict`."""
         self.found, self._places = dict(state["found"]), np.array(state["places"])
+        self.slowest = float(state.get("slowest", np.nan))
         self._checked_travel, self._pressure = float(state["looked"]), float(state["pressure"])
         self._stand_travel = None if state["standing"] is None else float(state["standing"])
 
     def __call__(self, row: dict[str, float]) -> None:
         """Check for a blockage if the piston has advanced far enough since the last check.
 
-        `row` holds the recorded values of one sample.
+        `row` contains the recorded values of one sample by name.
         """
         travel = row.get("travel", 0.0)
         if self.found or travel < self._checked_travel + self.window / CHECKS_PER_WINDOW or self.state.body_count == 0:
@@ -89,7 +96,9 @@ class BlockageWatch:
         if len(s) < STONES:
             return
         if self._checked_travel >= 0:
-            least = least_advance(self._places, s, volume, self.axis.length) / (travel - self._checked_travel)
+            moved = self._places + self._widening(0.5 * (self._places + s)) * (s - self._places)
+            least = least_advance(self._places, moved, volume, self.axis.length) / (travel - self._checked_travel)
+            self.slowest = least
             if least >= STANDING_RATIO:
                 self._stand_travel = None
             elif self._stand_travel is None:
@@ -97,6 +106,10 @@ class BlockageWatch:
             elif travel - self._stand_travel >= self.window and row["pressure"] > self._pressure:
                 self.found = self._describe(row, s, volume)
         self._checked_travel, self._places = travel, s
+
+    def _widening(self, s: np.ndarray) -> np.ndarray | float:
+        """Return the area of the bore at arc lengths `s` [m] over that at the piston, by which an advance counts."""
+        return 1.0 if self.bores is None else (self.bores.at(s) / self.radius) ** 2
 
     def _aggregates(self) -> tuple[np.ndarray, np.ndarray]:
         """Return arc lengths [m] and volumes [m3] of the aggregates, in the order of their permanent numbers."""
@@ -112,12 +125,13 @@ class BlockageWatch:
 
     def _describe(self, row: dict[str, float], s: np.ndarray, volume: np.ndarray) -> dict[str, float]:
         assert self._stand_travel is not None
-        wide = 2 * self.radius
+        wide = 2 * (self.radius if self.bores is None else self.bores.smallest)
         stations = np.arange(row["travel"], min(float(s.max()), self.axis.length) + 0.25 * wide, 0.25 * wide)
         forces, places, chains = axial_forces(self.model, self.state, self.axis)
         at = last_loaded(stations, forces, places)
-        slab = np.abs(s - at) < 0.5 * self.radius
-        solid = volume[slab].sum() / (bore_area(self.model.walls, self.axis, self.radius, at) * self.radius)
+        radius = self.radius if self.bores is None else float(self.bores.at(at))
+        slab = np.abs(s - at) < 0.5 * radius
+        solid = volume[slab].sum() / (bore_area(self.model.walls, self.axis, radius, at) * radius)
         return {
             "at": at,
             "time": row["time"],
@@ -125,16 +139,18 @@ class BlockageWatch:
             "pressure": row["pressure"],
             "pressure_before": self._pressure,
             "solid_fraction": float(solid),
-            "chains": float(count_spanning_networks(self.model, self.state, self.axis, at, wide, chains)),
+            "chains": float(count_spanning_networks(self.model, self.state, self.axis, at, 2 * radius, chains)),
         }
 
 
 def blockage_travel(diameter: float, length: float, modulus: float) -> float:
-    """Return the piston travel [m] for which a part must stand still before the pipe counts as blocked.
+    """Return the piston travel [m] during which a part of the concrete must stand still in a blocked pipe.
 
-    This is the compression of a column of the given `length` [m] and `modulus` [Pa] under a gradient that pumping never
-    reaches, but at least length/20: the soft aggregates of Zhan (2019, 1e5 Pa) are compressed by up to length/20 before
-    their front moves. The upper limit is the pipe `diameter` [m], clipped to between length/10 and length/5.
+    The travel must exceed the compression of the concrete, which delays the motion of its front. It is therefore the
+    compression of a column of the given `length` [m] and `modulus` [Pa] under a pressure gradient that pumping never
+    reaches. It is at least length/20, because the soft aggregates of Zhan (2019, 1e5 Pa) are compressed by up to
+    length/20 before their front moves. It is at most the pipe `diameter` [m], where this maximum is itself limited to
+    between length/10 and length/5.
     """
     most = max(min(diameter, length / 5), length / 10)
     return min(max(length * GRADIENT * length / modulus, length / 20), most)
@@ -150,13 +166,13 @@ def least_advance(before: np.ndarray, after: np.ndarray, volume: np.ndarray, end
     inside = np.flatnonzero(before <= end)
     if len(inside) == 0:
         return np.inf
-    # Sort the aggregates along the pipe; the cumulative volume then assigns them to parts of equal volume.
+    # Sort the aggregates along the pipe and divide them by their cumulative volume into parts of equal volume.
     order = inside[np.argsort(before[inside])]
     rank = np.cumsum(volume[order]) - 0.5 * volume[order]
     parts = max(1, min(PARTS, len(inside) // STONES))
     part = (parts * rank / volume[order].sum()).astype(int)
     way, weight = (after - before)[order], volume[order]
-    edges = np.flatnonzero(np.diff(part)) + 1  # after sorting, the aggregates of one part are neighbours in the array
+    edges = np.flatnonzero(np.diff(part)) + 1  # index of the first aggregate of each part, from the second part on
     return min(map(_median, np.split(way, edges), np.split(weight, edges)))
 
 
@@ -167,11 +183,11 @@ def _median(values: np.ndarray, weights: np.ndarray) -> float:
 
 
 def axial_forces(model: Model, state: State, axis: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the axial forces of all touching pairs, the arc lengths between which they act, and the strong contacts.
+    """Return the axial forces of touching pairs, the arc lengths between which they act, and strong contacts.
 
     Axial forces are the axial parts of the normal forces [N], shape (m,). Arc lengths are those of the two sphere
-    centres, lower first [m], shape (m, 2). Strong contacts carry more than the mean force; they are given as pairs of
-    row indices of bodies, shape (k, 2).
+    centres, lower first [m], shape (m, 2). The normal force of a strong contact exceeds the mean; strong contacts
+    are returned as pairs of indices into the body arrays, shape (k, 2).
     """
     i, j, force = pair_forces(model, state)
     body, centre = state.spheres.body.numpy(), state.spheres.position.numpy()[:, :3].astype(float)
@@ -187,25 +203,25 @@ def axial_forces(model: Model, state: State, axis: Any) -> tuple[np.ndarray, np.
 
 
 def last_loaded(stations: np.ndarray, forces: np.ndarray, places: np.ndarray) -> float:
-    """Return the last station [m] whose cross-section carries at least half of the largest axial force.
+    """Return the last of the `stations` [m] whose cross-section carries at least half of the largest axial force.
 
-    `stations` are arc lengths [m]; `forces` [N] and `places` [m] are axial forces and arc lengths as from
-    `axial_forces`.
+    The axial force through a cross-section is the sum of the `forces` [N] of the contacts that cross it. `places` [m]
+    has the arc lengths of both ends of each contact. :func:`axial_forces` returns both arrays.
     """
     carried = np.array([forces[(places[:, 0] < s) & (places[:, 1] >= s)].sum() for s in stations])
     return float(stations[np.flatnonzero(carried >= 0.5 * carried.max())[-1]]) if len(stations) else 0.0
 
 
 def count_spanning_networks(model: Model, state: State, axis: Any, at: float, length: float, chains: np.ndarray) -> int:
-    """Count the separate networks of strong contacts that connect opposite sides of the wall.
+    """Count the separate networks of strong contacts that connect opposite sides of the wall near one cross-section.
 
-    Only bodies within half a `length` [m] of the station `at` [m] count. `chains` are the strong contacts as from
-    `axial_forces`.
+    Only bodies within half a `length` [m] of the arc length `at` [m] count. `chains` has the index pairs of the bodies
+    in strong contact, as :func:`axial_forces` returns them.
     """
     position = state.bodies.position.numpy().astype(float)
     s = axis.along(position)
     here = np.abs(s - at) < 0.5 * length
-    # A union-find structure joins bodies that are connected by strong contacts to networks.
+    # With a union-find structure, join bodies into networks: bodies in strong contact belong to the same network.
     parent = np.arange(len(position))
 
     def root(k: int) -> int:
@@ -225,7 +241,7 @@ def count_spanning_networks(model: Model, state: State, axis: Any, at: float, le
     linked = np.zeros(len(position), bool)
     linked[chains.ravel()] = True
     roots = np.array([root(int(b)) for b in body], int)
-    # A network spans the pipe if two of its wall contacts lie on opposite sides of the axis.
+    # Count a network as spanning the pipe if two of its wall contacts lie on opposite sides of the axis.
     count = 0
     for one in np.unique(roots[linked[body]]):
         mine = angle[(roots == one) & linked[body]]
@@ -235,7 +251,7 @@ def count_spanning_networks(model: Model, state: State, axis: Any, at: float, le
 
 
 def wall_contacts(model: Model, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """Return the row indices of bodies in contact with a pipe or mesh, shape (m,), and the points [m], shape (m, 3)."""
+    """Return the indices of bodies that touch a pipe or mesh, shape (m,), and the contact points [m], shape (m, 3)."""
     centre = state.spheres.position.numpy().astype(float)
     body, places, points = state.spheres.body.numpy(), [], []
     for wall in model.walls:

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 from ...core.run.method import Quantity
 from ...core.units import number
+from .blockage import STANDING_RATIO
 
 
 def _of(name: str) -> Callable[[Any], float | None]:
-    return lambda known: known.blocked.get(name) if known.blocked else None
+    return lambda known: known.blockage.found.get(name) if known.blockage is not None else None
 
 
 QUANTITIES = (
-    Quantity("blocked", "1", lambda known: None if known.blocked is None else float(bool(known.blocked)),
+    Quantity("blocked", "1", lambda known: None if known.blockage is None else float(bool(known.blockage.found)),
              compared=True, rare=True),
+    Quantity("blockage_window", "m", lambda known: None if known.blockage is None else known.blockage.window),
+    Quantity("slowest_advance", "1", lambda known: None if known.blockage is None else _finite(known.blockage.slowest)),
     Quantity("blocked_at", "m", _of("at")),
     Quantity("blocked_time", "s", _of("time")),
     Quantity("blocked_from_travel", "m", _of("travel")),
@@ -26,10 +30,34 @@ QUANTITIES = (
 )  # fmt: skip
 """Quantities of a blocked pipe.
 
-`blocked` is 0 or 1, so its mean over several seeds is a probability. The others are the blockage's position along the
-axis, the time of detection, the piston travel at which part of the concrete came to a stand, the pressure at detection
-and at that stand, and, at the blockage, the solid fraction and the number of force chains that span the pipe.
+- `blocked` is 1 if the pipe was blocked and 0 if not, so its mean over several seeds is a probability.
+- `blocked_at` is the position of the blockage along the axis.
+- `blocked_time` is the time of detection.
+- `blocked_from_travel` is the piston travel at which a part of the concrete stopped.
+- `blocked_pressure` and `blocked_pressure_before` are the pressures at detection and when that part stopped.
+- `blocked_solid_fraction` is the solid fraction at the blockage.
+- `blocked_chains` is the number of networks of strong contacts that span the pipe there.
+- `blockage_window` is the travel of the piston during which part of the concrete must stand still.
+- `slowest_advance` is the advance of the slowest part over that of the piston, by volume, at the last check.
 """
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def not_blocked_words(run: Any) -> str:
+    """Return a phrase that says that the pipe of `run` was not blocked, and how far that can be relied on."""
+    window, slowest = number(run.result["blockage_window"]), run.result.get("slowest_advance")
+    travel = float(run.series["travel"][-1])
+    if travel < 2 * window or slowest is None:
+        return (f"not blocked, but the piston has moved by {travel:.3g} m only, and a blockage shows after "
+                f"{window:.3g} m of standing still")  # fmt: skip
+    if number(slowest) < STANDING_RATIO:
+        return (f"not blocked within {travel:.3g} m of travel, but at the end part of the concrete moved only "
+                f"{number(slowest):.2f} times as far as the piston; move the piston further")  # fmt: skip
+    return (f"not blocked within {travel:.3g} m of travel; at the end every part of the concrete moved at least "
+            f"{number(slowest):.2f} times as far as the piston")  # fmt: skip
 
 
 def blocked_words(run: Any) -> str:

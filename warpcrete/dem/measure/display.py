@@ -31,12 +31,15 @@ from .stations import COLUMNS, STRESS_RESOLUTION, body_stresses, stresses_along
 
 COLOURS = {"pipe": GLASS, "piston": PISTON}
 WORN = (255, 255, 255, 215)
-"""Base colour and opacity of worn walls, red, green, blue and alpha; aggregates remain faintly visible behind them."""
+"""Base colour of worn walls as red, green, blue and alpha; aggregates remain faintly visible behind such walls."""
 WEAR_PALETTE = "magma_r"
 """Colour map of wear, different from that of aggregates and pale where a wall is not worn."""
 NANOMETRES = 1e9
 WEAR_QUANTILE = 0.99
-"""Quantile of worn depth at the top of the colour scale, because single patches are worn far deeper than the rest."""
+"""Quantile of the depths of all worn patches that sets the top of the colour scale.
+
+The largest depth is unsuitable, because single patches are worn far deeper than the rest.
+"""
 BONDS = (230, 140, 30)
 OURS, MEAN = (215, 95, 30), (90, 120, 170)
 ALONG = (("along the pipe", "axial_stress", OURS), ("mean normal", "pressure", MEAN))
@@ -65,15 +68,19 @@ class ElementDisplay(Display):
         super().__init__(simulation, colouring)
         self._upper = self._limit()
         self._patches: dict[int, np.ndarray] = {}
-        """Patch index of each vertex of a worn wall, by the wall's number."""
+        """Index of the wear patch at each vertex of a worn wall, by the wall's number."""
         self._worn_most = 0.0
         self._latest: tuple[float, np.ndarray] | None = None
-        """Time of the last measurement at the stations [s], and its result."""
+        """Simulated time of the last stress measurement in the slices of the pipe [s], and the measured values."""
         walls = simulation.model.walls
         self._drawn = [number for number, wall in enumerate(walls) if wall.drawn() is not None]
 
     def _limit(self) -> float:
-        """Return the top of the colour scale: a large contact force, 1.5 times steady speed, or the largest size."""
+        """Return the value at the top of the colour scale, which depends on what colours the aggregates.
+
+        For contact forces the top is a large force, for sizes the largest size, and for speeds 1.5 times the speed of
+        the piston or of the fastest driven wall.
+        """
         scene = self.simulation.scene
         self._largest = largest = float(self.simulation.state.bodies.size.numpy().max(initial=0.0))
         self._thick = MAX_LINE_RADIUS * largest
@@ -114,15 +121,15 @@ class ElementDisplay(Display):
         return np.take(self._painted(), self._bodies_of_spheres(), axis=0)
 
     def packed_colours(self) -> np.ndarray:
-        """Return the packed colours of all spheres, computed once for each body because there are fewer bodies."""
+        """Return the colour of each sphere as one integer, computed per body because there are fewer bodies."""
         return np.take(packed(self._painted()), self._bodies_of_spheres())
 
     def _bodies_of_spheres(self) -> np.ndarray:
-        """Return the row index of each sphere's body, in order of the spheres' permanent numbers."""
+        """Return the index of each sphere's body in the body arrays, in order of the spheres' permanent numbers."""
         return np.take(self.read("spheres.body"), self._sphere_order())
 
     def fields(self) -> dict[str, np.ndarray]:
-        """Return, for every sphere, its body's number, velocity [m/s] and largest contact force [N]."""
+        """Return, for every sphere, the number, the velocity [m/s] and the largest contact force [N] of its body."""
         place = self.read("spheres.body")[self._sphere_order()]
         velocity, force = self.read("bodies.velocity"), self._largest_forces()
         return {"body": self.read("bodies.id")[place], "velocity": velocity[place, :3], "force": force[place]}
@@ -145,13 +152,13 @@ class ElementDisplay(Display):
         return np.take(self._painted(), self._body_order(), axis=0)
 
     def _painted(self) -> np.ndarray:
-        """Return RGB bytes of all bodies, in the order of the state's arrays, shape (n, 3)."""
+        """Return the colours of all bodies as RGB bytes, in the order of the state's arrays, shape (n, 3)."""
         return self.derived(
             f"{self.colouring} up to {self._upper}", lambda: palette_colours(self._shown(), self._upper)
         )
 
     def _shown(self) -> np.ndarray:
-        """Return the value that determines the colour of each body, in the order of the state's arrays."""
+        """Return the size, speed or largest contact force by which each body is coloured, in the state's order."""
         if self.colouring == "size":
             return self.read("bodies.size").astype(float)
         if self.colouring == "speed":
@@ -159,7 +166,7 @@ class ElementDisplay(Display):
         return self._largest_forces()
 
     def plots(self) -> tuple[Plot, ...]:
-        """Return the plots over time: pressure on the piston and energies."""
+        """Return the plots of quantities over time: pressure on the piston, and energies."""
         pressure = Curve(
             "piston", "piston pressure [kPa]", lambda row: row["pressure"] / 1e3 if "pressure" in row else None,
             (215, 95, 30),
@@ -168,7 +175,7 @@ class ElementDisplay(Display):
         return Plot("pressure", "Pressure on the piston", (pressure,)), Plot("energy", "Energy", energies)
 
     def profiles(self) -> tuple[Profile, ...]:
-        """Return the velocity profile across the pipe, and the stresses along it if the scene has stations."""
+        """Return the velocity profile across the pipe, and the stresses along it if they are measured in slices."""
         scene, found = self.simulation.scene, []
         if scene.pipe is not None:
             title = "Velocity [cm/s] over radius [mm]"
@@ -181,24 +188,25 @@ class ElementDisplay(Display):
     def _stresses(self, column: str) -> tuple[np.ndarray, np.ndarray]:
         """Return the mid-points of all filled slices along the pipe [m], and the stress `column` in them [kPa]."""
         stations = self.simulation.scene.stations
-        if self._latest is None or self._latest[0] != self.time:  # one measurement serves all curves of a frame
+        # All curves of a frame share one measurement, so repeat it only when the simulated time has changed.
+        if self._latest is None or self._latest[0] != self.time:
             self._latest = self.time, self._present_stresses(stations)
         values = self._latest[1][:, COLUMNS.index(column)]
         full = np.isfinite(values)
         return (stations.places - stations.origin)[full], values[full] / 1e3
 
     def _present_stresses(self, stations: Stations) -> np.ndarray:
-        """Return the stresses at the stations, shape (slices, columns).
+        """Return the stresses in all slices of the pipe, shape (slices, columns).
 
         If the recorded series contains them, its last row is used, which is at most 0.01 s old by default. Otherwise
         the stresses of the present state are computed.
         """
         simulation = self.simulation
         sampler = getattr(simulation, "sampler", None)
-        if sampler is None:  # nothing is sampled before t = 0
+        if sampler is None:  # no measurements exist before t = 0
             return np.full((len(stations.places), len(COLUMNS)), np.nan)
         if stations.each_row:
-            # A recorded row never changes, so the display needs no copy of it.
+            # A recorded sample never changes, so the display needs no copy of it.
             return self.snapshot_value("stations", lambda: sampler.log.samples[-1])
         unit = simulation.scene.contact.stress_scale * self._largest**3
         stress = self.snapshot_value("body stresses", lambda: body_stresses(simulation.model, simulation.state, unit))
@@ -213,7 +221,10 @@ class ElementDisplay(Display):
         )  # fmt: skip
 
     def _on_axis(self, axis: Axis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return arc lengths of all bodies [m], shape (n,), and axis points [m] and tangents there, shape (n, 3)."""
+        """Return, for all bodies, the arc length [m], the nearest point of the axis [m] and the tangent there.
+
+        The shapes are (n,), (n, 3) and (n, 3).
+        """
 
         def found() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             s = axis.along(self.read("bodies.position"))
@@ -229,9 +240,10 @@ class ElementDisplay(Display):
         pipe = self.simulation.scene.pipe
         position, velocity = self.read("bodies.position"), self.read("bodies.velocity")
         along, places, tangent = self._on_axis(pipe.axis)
-        low, high = (round(part * max(len(along) - 1, 0)) for part in STRETCH)  # ranks nearest the quantiles
+        # Find the ranks, in the order of arc length, of the first and the last body of the averaged range.
+        low, high = (round(part * max(len(along) - 1, 0)) for part in STRETCH)
         ends = np.partition(along, (low, high))[[low, high]] if len(along) else np.zeros(2)
-        # Bodies outside the range get weight 0, which is faster than selecting those inside it.
+        # Give bodies outside the averaged range the weight 0, which is faster than selecting the bodies inside it.
         apart = position - places
         distance = np.sqrt(np.einsum("ij,ij->i", apart, apart))
         speed = np.einsum("ij,ij->i", velocity[:, :3], tangent)
@@ -255,8 +267,11 @@ class ElementDisplay(Display):
         return found
 
     def _worn(self, number: int) -> Any:
-        """Return the wear record of a wall; None without wear, or for a plane, which has only one patch."""
-        sampler = getattr(self.simulation, "sampler", None)  # there is no sampler before t = 0
+        """Return the wear record of a wall; None if no wear is recorded or if the whole wall is a single patch.
+
+        Planes are single patches, so there is no distribution of wear to draw.
+        """
+        sampler = getattr(self.simulation, "sampler", None)  # wear is recorded only from t = 0 on
         if sampler is None or sampler.wear is None or len(sampler.wear.walls[number].done) == 1:
             return None
         return sampler.wear.walls[number]
@@ -308,7 +323,7 @@ class ElementDisplay(Display):
         return Pose(*(np.take(self.read(f"bodies.{name}"), order, axis=0) for name in names))
 
     def network(self) -> dict[str, Lines]:
-        """Return the contact network as lines: touching pairs without a bond, and bonds."""
+        """Return the contact network as two sets of lines: touching pairs without a bond, and bonds."""
         i, j, place, force = self._pair_forces()
         position = self.read("spheres.position")
         reach = position[i, 3] + position[j, 3]
@@ -326,7 +341,10 @@ class ElementDisplay(Display):
         return {"contacts": lines(touching & ~bonded), "bonds": lines(bonded)}
 
     def bounds(self) -> np.ndarray:
-        """Return the lowest and highest corner of a box around the pipe's axis or all spheres [m], shape (2, 3)."""
+        """Return the lowest and the highest corner of a bounding box [m], shape (2, 3).
+
+        The box encloses the pipe's axis, or all spheres if the scene has no pipe.
+        """
         pipe = self.simulation.scene.pipe
         if pipe is not None:
             points, _ = pipe.axis.at(np.linspace(0, pipe.axis.length, 50))

@@ -4,8 +4,8 @@ A heap of aggregates has no smooth surface, and single aggregates roll away from
 a laser scan from above: each ray of a vertical grid finds the highest point of any sphere, and heights are averaged
 over areas wider than several aggregates. The spread is that of the main body only, because one stray aggregate would
 otherwise determine it. An aggregate is a stray if at least one empty cell, as wide as the largest aggregate, separates
-it from the main body. The same method measures the first and the last state, so the effect of surface roughness cancels
-in a slump.
+it from the main body. A slump is the difference of two heights measured in this way, so the effect of surface
+roughness cancels.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 FINE = 0.25
-"""Distance between the vertical rays, divided by the largest sphere radius."""
+"""Distance between the vertical rays that scan a heap from above, divided by the largest sphere radius."""
 DIRECTIONS = 36
 """Number of directions in which the spread is measured; with fewer, single aggregates change the mean."""
 
@@ -21,11 +21,11 @@ Range = tuple[float, float]
 
 
 def surface(spheres: np.ndarray, x: Range, y: Range, cell: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the heights of the surface over a rectangle [m], at the centres of cells with about the side `cell` [m].
+    """Return the heights of the surface of spheres over a rectangle [m], at the centres of cells of about `cell` [m].
 
     `spheres` has rows of centre and radius [m], shape (n, 4); `x` and `y` are the ranges of the rectangle [m]. Returns
-    x and y of the cell centres and the heights, with shapes (nx, 1), (1, ny) and (nx, ny). A height is -inf where there
-    is no sphere.
+    x and y of the cell centres and the heights, with shapes (nx, 1), (1, ny) and (nx, ny). A height is -inf where a
+    vertical line through the cell centre meets no sphere.
     """
     low, high = np.array([x[0], y[0]]), np.array([x[1], y[1]])
     count = np.maximum(np.ceil((high - low) / cell - 1e-9).astype(int), 1)
@@ -50,20 +50,20 @@ def surface(spheres: np.ndarray, x: Range, y: Range, cell: float) -> tuple[np.nd
 
 
 def main_body(spheres: np.ndarray) -> np.ndarray:
-    """Return a mask of the spheres that belong to the main body, shape (n,).
+    """Return a mask of the spheres that belong to the main body of a heap, shape (n,); the others are strays.
 
     The plan view is divided into cells as wide as the largest sphere. The main body occupies the cell with the most
     spheres and all occupied cells connected to it by sides or corners.
     """
     side = 2 * float(spheres[:, 3].max())
     place = np.floor((spheres[:, :2] - spheres[:, :2].min(0)) / side).astype(int) + 1
-    # Clip the cell indices, so that an aggregate that rolled far away cannot overflow the cell numbers.
+    # Clip the cell indices, because an aggregate that rolled far away could overflow the integer that numbers a cell.
     place = np.minimum(place, 1 + 4 * len(spheres))
     row = int(place[:, 1].max()) + 1
     keys, cell, count = np.unique(place[:, 0] * row + place[:, 1], return_inverse=True, return_counts=True)
     corners = np.stack(np.divmod(keys, row), 1).tolist()
     number = {(a, b): n for n, (a, b) in enumerate(corners)}
-    # A flood fill starts at the cell with the most spheres and visits all occupied cells connected to it.
+    # A flood fill starts at the cell with the most spheres and visits all occupied cells that are connected to it.
     first = int(np.argmax(count))
     found, waiting = {first}, [first]
     while waiting:
@@ -83,7 +83,8 @@ def spread(spheres: np.ndarray) -> float:
     point that lies above or below a sphere. `spheres` has rows of centre and radius [m], shape (n, 4), n > 0.
     """
     far = np.hypot(spheres[:, 0], spheres[:, 1]) + spheres[:, 3]
-    # The heap extends at least this far in every direction, so spheres that end nearer to the origin can be skipped.
+    # In every direction, the heap reaches at least as far as its outer spheres alone. The spheres that lie nearer to
+    # the origin than the smallest of these distances cannot change the result, so skip them.
     least = float(_reaches(spheres[far >= 0.8 * far.max()]).min())
     return 2 * float(np.mean(_reaches(spheres[far >= least])))
 
@@ -120,6 +121,7 @@ def height_around(spheres: np.ndarray, inner: float, outer: float) -> float:
 def shadow(spheres: np.ndarray, x: float, y: float, cell: float) -> float:
     """Return the fraction of a rectangle that spheres cover in plan view.
 
-    The rectangle is centred at the origin and has the half-widths `x` and `y` [m]; rays lie `cell` [m] apart.
+    The rectangle is centred at the origin and has the half-widths `x` and `y` [m]. Vertical rays, which are `cell` [m]
+    apart, test whether a sphere lies above or below a point of the rectangle.
     """
     return float(np.mean(np.isfinite(surface(spheres, (-x, x), (-y, y), cell)[2])))

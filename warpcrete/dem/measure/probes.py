@@ -25,7 +25,7 @@ class ContactSums:
 
     contacts: int
     coordination_number: float
-    """Mean number of touching neighbours per body; NaN if it was not requested."""
+    """Coordination number: mean number of touching neighbours per body; NaN if it was not requested."""
     mean_overlap: float
     """Mean over touching pairs of the overlap divided by the smaller radius."""
     largest_overlap: float
@@ -42,15 +42,15 @@ class ContactSums:
     bonded: int
     hydrated: int
     virial: float
-    """Sum over contacts of normal spring force times the vector between the bodies' centroids [J]."""
+    """Sum over contacts of the scalar product of normal spring force and vector between the bodies' centroids [J]."""
     broken_tension: int
-    """Bonds broken by tension since the start."""
+    """Number of bonds broken by tension since t = 0."""
     broken_shear: int
 
 
 @dataclass(frozen=True)
 class BodySums:
-    """Sums over the bodies of a state."""
+    """Energies, momentum and other sums over the bodies of a state."""
 
     kinetic_energy: float
     """Kinetic energy at the middle of the last step [J]."""
@@ -63,11 +63,14 @@ class BodySums:
     centroid: np.ndarray
     """Centroid of all bodies [m], shape (3,)."""
     drive_force: np.ndarray
-    """Sum of the forces of the axis drives [N], shape (3,)."""
+    """Sum of the forces of all axis drives [N], shape (3,).
+
+    An axis drive pushes the bodies of a group along a pipe's axis.
+    """
     drive_power: float
-    """Power of the axis drives [W]."""
+    """Sum of the power of all axis drives [W]; an axis drive pushes the bodies of a group along a pipe's axis."""
     reach: float
-    """Largest absolute coordinate of a body [m]."""
+    """Largest absolute value of any coordinate of any body [m]."""
 
 
 def body_sums(model: Model, state: State) -> BodySums:
@@ -78,7 +81,7 @@ def body_sums(model: Model, state: State) -> BodySums:
 
 
 def contact_sums(model: Model, state: State, *, coordination: bool = False) -> ContactSums:
-    """Return number, overlaps, energies and bonds of all contacts; the coordination number only on request."""
+    """Return number, overlaps, energies and bonds of all contacts, with the coordination number if it is requested."""
     if state.sphere_count:
         launch_recorded(state, "contacts", lambda: _contact_stages(model, state))
     return _contacts_of(state, *_read(state, "contacts"), coordination)
@@ -106,7 +109,7 @@ COLUMNS = {"bodies": int(column.BODY_COLUMNS), "contacts": int(column.CONTACT_CO
 
 
 def _read(state: State, *what: str) -> list[np.ndarray]:
-    """Read the sums of "bodies" or "contacts" from the device, one array for each name in `what`."""
+    """Return the sums that the device computed, one array for each name in `what`: "bodies" or "contacts"."""
     if state.body_count == 0:
         return [np.zeros(COLUMNS[each]) for each in what]
     return state.batch.exchange.read(*(_sums(state, each, COLUMNS[each]) for each in what))
@@ -168,7 +171,7 @@ def _sums(state: State, what: str, columns: int) -> wp.array:
 
 
 def _column_sum_stages(state: State, what: str, values: wp.array, rows: int, maxima: tuple[int, ...]) -> list[Stage]:
-    """Return stages that sum every column, or take the maximum of the columns `maxima`.
+    """Return the kernel launches that reduce each column of `values` to its sum or, if listed in `maxima`, its maximum.
 
     The order of the additions depends only on the number of rows, so that the sums are reproducible to the bit.
     """
@@ -183,9 +186,10 @@ def _column_sum_stages(state: State, what: str, values: wp.array, rows: int, max
 
 
 def scene_stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
-    """Return a launch over one scene of a batch.
+    """Return a launch of `kernel` with `dim` tasks for the one scene of `state`.
 
-    Kernel parameters that `named` leaves out receive the arrays of the batch, and `s` the number of the scene.
+    `named` has arguments of the kernel by name. Parameters that `named` leaves out receive the batch's arrays of the
+    same name, and the parameter `s` receives the scene's number in the batch.
     """
     batch = state.batch
     arguments = completed(kernel, named, {"s": state.index, **batch.kernel_arrays})
@@ -193,7 +197,11 @@ def scene_stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
 
 
 def launch_recorded(state: State, what: str, make: Callable[[], list[Any]]) -> None:
-    """Launch the stages that `make` returns, recorded at the first call and again when the batch's arrays change."""
+    """Launch the kernels of the measurement `what`, recorded as one graph.
+
+    `make` returns the launches to record. It is called the first time, and again whenever the batch's arrays have
+    changed.
+    """
     recorded = state.launches(state.batch.version)
     if what not in recorded:
         recorded[what] = GraphLaunch(make(), state.batch.device)
@@ -201,7 +209,11 @@ def launch_recorded(state: State, what: str, make: Callable[[], list[Any]]) -> N
 
 
 def _contact_rows(state: State) -> tuple[wp.array, wp.array]:
-    """Return the arrays of the contact probe: a row per sphere by permanent number, and a force per list entry."""
+    """Return the arrays into which contacts are measured.
+
+    The first has a row of values for each sphere, in order of permanent numbers. The second has a normal force for each
+    entry of the neighbour list.
+    """
     values = state.scratch("contact rows", (state.sphere_count, int(column.CONTACT_COLUMNS)), wp.float64)
     return values, state.scratch("pair forces", (len(state.pairs.other),), state.model.scalar)
 
@@ -225,7 +237,7 @@ def _measure_contacts(state: State) -> tuple[wp.array, wp.array]:
 
 
 def deepest_sphere(model: Model, state: State) -> int:
-    """Return the permanent number of the body that has the deepest overlap."""
+    """Return the permanent number of a body with the largest relative overlap (`ContactSums.deepest`)."""
     rows = _measure_contacts(state)[0].numpy()
     sphere = int(np.flatnonzero(state.spheres.id.numpy() == int(rows[:, column.DEPTH_MAX].argmax()))[0])
     return int(state.bodies.id.numpy()[state.spheres.body.numpy()[sphere]])
@@ -234,7 +246,7 @@ def deepest_sphere(model: Model, state: State) -> int:
 def listed_forces(model: Model, state: State) -> np.ndarray:
     """Return the normal force of each entry of the neighbour list [N], shape (pairs,).
 
-    A pair that is listed in the rows of both spheres has its force at one of the two entries, and zero at the other.
+    A pair with two entries, one in the row of each sphere, has its force at one entry and zero at the other.
     """
     return _measure_contacts(state)[1].numpy().copy() if state.sphere_count else np.zeros(0)
 
@@ -278,13 +290,13 @@ def touching_bodies(state: State) -> np.ndarray:
     touching = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < position[i, 3] + position[j, 3]
     body = state.spheres.body.numpy()
     a, b = body[i[touching]].astype(np.int64), body[j[touching]].astype(np.int64)
-    # Encode each pair as one number, because sorting rows of two takes seven times as long.
+    # Encode each pair of bodies as one number, because finding unique pairs in two columns takes seven times as long.
     number = np.unique(np.minimum(a, b) * state.body_count + np.maximum(a, b))
     return np.stack(np.divmod(number, max(state.body_count, 1)), axis=1)
 
 
 def fastest_body(model: Model, state: State) -> int:
-    """Return the permanent number of the body with the largest speed, or of one whose motion is not finite."""
+    """Return the permanent number of the fastest body, or of a body whose velocity or spin is not finite."""
     speed = np.linalg.norm(state.bodies.velocity.numpy(), axis=1)
     if not len(speed):
         return -1

@@ -14,8 +14,9 @@ from ...geometry.walls import Wall
 from ...standards.standard_test import report_unrest
 from ..scene.scene import Scene
 from ..scene.strokes import held, peaks
+from .blockage import BlockageWatch
 from .blockage_results import QUANTITIES as OF_BLOCKAGE
-from .blockage_results import blocked_words
+from .blockage_results import blocked_words, not_blocked_words
 from .probes import ContactSums
 from .sampling import STORED
 from .segregation import QUANTITIES as OF_SEGREGATION
@@ -27,7 +28,7 @@ from .wear_results import QUANTITIES as OF_WEAR
 from .wear_results import report as report_wear
 
 WINDOW = 0.2
-"""Final fraction of the travel over which the pressure at the end is averaged."""
+"""Length of the final window, in which pressures are averaged, as a fraction of the piston's travel."""
 LEVEL = 0.1
 """Largest relative change of the pressure on a plateau. It applies to the difference between the means over the final
 window and over an equal window before it, and to the rise of a straight line through the final window."""
@@ -35,7 +36,7 @@ NOISE = 2.0
 """Allowed rise of the pressure in the final window, in standard deviations of its noise: a noisy pressure may rise or
 fall by chance in a short window."""
 MEDIAN = 1.4826
-"""Ratio of standard deviation to median absolute value for a normal distribution with mean 0."""
+"""Ratio of the standard deviation to the median absolute deviation of a normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -50,20 +51,20 @@ class Known:
     contacts: ContactSums
     """Sums over the contacts at the end of the run, coordination number included."""
     wear: WearMap | None = None
-    blocked: dict[str, float] | None = None
-    """Findings of a :class:`BlockageWatch`; empty if the pipe was not blocked, None if the run had no such watch."""
+    blockage: BlockageWatch | None = None
+    """Watch for blockages; None if the run had none."""
     log: StationLog | None = None
-    """Measurements at stations along the pipe."""
+    """Measurements in slices (stations) along the pipe; None if the scene does not request them in every sample."""
 
     def along(self, name: str) -> float | None:
-        """Return a quantity measured along the pipe, by a name of :func:`warpcrete.dem.measure.stations.losses`."""
+        """Return a friction loss in the final window by its name in :func:`warpcrete.dem.measure.stations.losses`."""
         if self.log is None or not self.pumped:
             return None
         return losses(self.log.stations, self.log.table(self.window), self.scene.gravity).get(name)
 
     @property
     def pumped(self) -> bool:
-        """True if the run has a pressure, with two samples or more, and the piston has moved."""
+        """True if the run measured a piston pressure in two samples or more, and the piston has moved."""
         return "pressure" in self.series and len(self.series["pressure"]) > 1 and self.series["travel"][-1] > 0
 
     @property
@@ -73,12 +74,16 @@ class Known:
 
     @property
     def window(self) -> np.ndarray:
-        """Mask of the samples in the final part WINDOW of the travel, or of the last stroke, shape (samples,)."""
+        """Mask of the samples in the final window, shape (samples,).
+
+        The final window is the last fraction WINDOW of the travel, or of the last stroke if the piston stops between
+        strokes.
+        """
         return self.series["travel"] >= self.window_begin
 
     @property
     def window_begin(self) -> float:
-        """Travel at which the final window begins [m]."""
+        """Travel of the piston at which the final window begins [m]."""
         travel = self.series["travel"][-1]
         begun = stroke_start(self.scene, travel)
         return begun + (1 - WINDOW) * (travel - begun)
@@ -99,7 +104,7 @@ class Known:
 
     @property
     def restarted(self) -> bool:
-        """True if the last stroke has begun, after a stop."""
+        """True if the piston has started its last stroke after a stop."""
         pipe = self.scene.pipe
         return self.pumped and pipe is not None and pipe.stops is not None and len(self.peaks) > pipe.stops.count
 
@@ -110,18 +115,25 @@ class Known:
 
     @property
     def held(self) -> float | None:
-        """Pressure held at the end of the pause before the last stroke [Pa]; None if no sample falls into it."""
+        """Mean pressure at the end of the pause before the last stroke [Pa]; None if no sample was taken then."""
         found = held(self.scene.pipe, self.series)[-1]
         return found if np.isfinite(found) else None
 
 
 def is_level(travel: np.ndarray, pressure: np.ndarray, begin: float, width: float) -> bool:
-    """Return whether a pressure is on a plateau from a travel of `begin` [m] on, compared with the `width` [m] before.
+    """Return whether a pressure stays level while the piston travels from `begin` [m] to the end.
 
-    The mean after `begin` and the mean before it must agree to LEVEL times the former. The least-squares line through
-    the part after `begin` may rise or fall by that much, or by NOISE times the noise. The mean of the last quarter may
-    differ from that of the whole part by the same amount. The noise is the median distance from the line, so that a
-    pressure that jumps at its end does not count as noisy.
+    All three conditions must hold:
+
+    - The mean pressure over the travel `width` [m] before `begin` differs from the mean after `begin` by at most LEVEL
+      times the latter.
+    - The least-squares line through the pressures after `begin` rises or falls by no more than a tolerance. The
+      tolerance is LEVEL times the mean, or NOISE times the noise if that is more.
+    - The mean over the last quarter of the travel after `begin` differs from the mean after `begin` by no more than the
+      same tolerance.
+
+    The noise is the standard deviation from the line. It is estimated from the median distance, so that a jump at the
+    end does not count as noise.
     """
     late, ahead = travel >= begin, (travel >= begin - width) & (travel < begin)
     if not ahead.any() or np.count_nonzero(late) < 2:
@@ -138,20 +150,20 @@ def is_level(travel: np.ndarray, pressure: np.ndarray, begin: float, width: floa
 
 
 def stroke_start(scene: Scene, travel: float) -> float:
-    """Return the travel at which the current stroke began when the piston has travelled `travel` [m]."""
+    """Return the piston's travel [m] at the beginning of the stroke in which it reaches `travel` [m]."""
     return scene.pipe.begun(travel) if scene.pipe is not None else 0.0
 
 
 def past_ramp(scene: Scene, travel: float) -> bool:
-    """Return whether, at this travel [m], the piston has had its final speed throughout the final window."""
+    """Return whether the piston had its final speed during the whole final window that ends at `travel` [m]."""
     return scene.pipe is None or (1 - WINDOW) * (travel - scene.pipe.begun(travel)) >= scene.pipe.ramp
 
 
 def momentum_balance(known: Known) -> float:
     """Return the relative error of the momentum balance of a run.
 
-    This is the impulse of walls, drives and gravity minus the change of momentum, divided by the largest of these.
-    It covers the second half of the run, or all of it for fewer than four samples; NaN for a single sample.
+    The error is the impulse of walls, drives and gravity minus the change of momentum, divided by the largest of these
+    impulses. It covers the second half of the run, or all of it for fewer than four samples. It is NaN for one sample.
     """
     series = known.series
     last = len(series["time"]) - 1
@@ -179,9 +191,10 @@ def free_energy(series: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def energy_balance(known: Known) -> float | None:
-    """Return the relative error of the energy balance: stored and dissipated energy minus work, end against start.
+    """Return the relative error of the energy balance of a run.
 
-    The error is relative to the work, the dissipation or the largest energy of motion and springs, whichever is
+    The error is the change of the stored energy plus the dissipated energy minus the work done, from the first to the
+    last sample. It is divided by the work, the dissipation or the largest energy of motion and springs, whichever is
     largest. The result is None if dissipation was not summed (`Scene.energy_balance`), and NaN if nothing ever moved.
     """
     series = known.series
@@ -198,7 +211,7 @@ def energy_balance(known: Known) -> float | None:
 
 
 def _beside(run: Run, name: str) -> str:
-    """Return the published value of a pressure as a remark, or an empty text if there is none."""
+    """Return a text with the published value of the pressure `name`, to be shown beside the result; it may be empty."""
     published = run.scene.published
     value = getattr(published, name) if published else None
     return "" if value is None else f"   ({published.source}: {value / 1e3:.2f} kPa)"
@@ -307,12 +320,12 @@ QUANTITIES = (
 
 
 def quantities() -> tuple[Quantity, ...]:
-    """Return all results of discrete elements, standard tests included."""
+    """Return the definitions of all results of discrete element runs, including those of the standard tests."""
     return (*of_vessels(), *QUANTITIES)
 
 
 def report(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield titles and texts of the summary that are not quantities: missing plateau, blockage, wear and packing."""
+    """Yield the title and text of further lines of the summary: missing plateau, blockage, wear and packing."""
     if words := no_plateau(run):
         end = number(run.result["end_pressure"])
         yield "plateau pressure", words
@@ -321,6 +334,8 @@ def report(run: Run) -> Iterator[tuple[str, str]]:
         yield from report_unrest(run, run.scene.vessel.test)
     if run.result.get("blocked"):
         yield "BLOCKED", blocked_words(run)
+    elif "blockage_window" in run.result:
+        yield "blockage", not_blocked_words(run)
     if "segregation" in run.result:
         yield "segregation", segregation_words(run)
     yield from report_wear(run)

@@ -45,12 +45,18 @@ UNITS = {
     **SEGREGATION,
 }
 VECTOR_UNITS = {"momentum": "kg m/s", "drive": "N"}
-"""Units of vector columns, whose names end in an axis."""
+"""Units of the vector columns of the series, by quantity.
+
+A column is named after the quantity and an axis, for example momentum_x.
+"""
 WALL_UNITS = {"force": "N", "moment": "N m", "impulse": "N s"}
-"""Units of wall columns, whose names begin with a wall's name and end in an axis."""
+"""Units of the columns of each wall, by quantity.
+
+A column is named after the wall, the quantity and an axis, for example piston_force_x.
+"""
 AXES = "xyz"
 STORED = ("kinetic_energy", "potential_energy", "elastic_energy", "bond_energy")
-"""Columns of energies that are stored and can be recovered, unlike dissipated energy."""
+"""Names of the columns of stored energies, which can be recovered, unlike dissipated energy."""
 
 
 def unit_of(column: str, walls: Sequence[Wall]) -> str:
@@ -72,14 +78,14 @@ def unit_of(column: str, walls: Sequence[Wall]) -> str:
 
 
 class Sampler:
-    """Measurement of the rows of the series; forces on walls are means since the previous row."""
+    """Recorder of the time series, row by row; the recorded forces on walls are means since the previous row."""
 
     def __init__(self, model: Model, state: State) -> None:
         self.model, self.state = model, state
         self.rows: list[dict[str, float]] = []
         stations = model.scene.stations
         self.log = StationLog(stations) if stations is not None and stations.each_row else None
-        """Measurements at stations along the pipe, if the scene requests them in every row."""
+        """Measurements in slices of the pipe, if the scene requests them in every row of the series; otherwise None."""
         self._impulse: np.ndarray | None = None
         self._mean = np.zeros((len(model.walls), 6))
         self._half_time = 0.0
@@ -90,7 +96,7 @@ class Sampler:
         """Wear of the walls up to the last row; None if the scene does not request it."""
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that the next row depends on, and all rows so far, as arrays and numbers."""
+        """Return all rows so far and everything on which the next row depends, for a checkpoint."""
         return {
             "columns": list(self.rows[0]) if self.rows else [],
             "rows": np.array([list(row.values()) for row in self.rows]),
@@ -104,7 +110,7 @@ class Sampler:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the values stored in a `state_dict`."""
+        """Restore rows and other values from a `state_dict`."""
         self.rows = [dict(zip(state["columns"], map(float, row))) for row in state["rows"]]
         self._impulse, self._mean = state["impulse"], state["mean"]
         self._half_time, self._power = float(state["half_time"]), float(state["power"])
@@ -119,7 +125,7 @@ class Sampler:
         return {name: np.array([row[name] for row in self.rows]) for name in (self.rows[0] if self.rows else ())}
 
     def sample(self) -> dict[str, float]:
-        """Measure and append a row; return the row."""
+        """Measure the present state, append the values as a row to the series, and return the row."""
         model, state, scene = self.model, self.state, self.model.scene
         clock = state.batch.host_clock()[state.index]
         bodies, contacts, walls = row_sums(model, state)
@@ -168,9 +174,10 @@ class Sampler:
         return row
 
     def _forces(self, clock: np.ndarray, walls: np.ndarray, drive_power: float) -> np.ndarray:
-        """Return the impulses on all walls, shape (walls, 6); update the mean wall forces and the drives' work."""
+        """Update the mean wall forces and the work of drives; return the impulses on all walls, shape (walls, 6)."""
         impulse = walls[:, int(IMPULSE) : int(IMPULSE) + 6].copy()
-        # Leapfrog: impulses contain the forces up to the middle of the last step.
+        # In the leapfrog scheme the impulse on a wall sums the forces up to the middle of the last step. The mean wall
+        # forces therefore end at that time.
         half_time = float(clock[int(TIME)]) - 0.5 * float(clock[int(DT_PREVIOUS)])
         if self._impulse is None:
             self._mean = walls[:, int(FORCE) : int(FORCE) + 6].copy()

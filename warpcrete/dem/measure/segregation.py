@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...core.run.method import Quantity
+from ...geometry.bores import Bores
 from ..engine.model import Model
 from ..engine.state import State
 
@@ -15,19 +16,25 @@ UNITS = dict.fromkeys(
     ("aggregate_inner", "aggregate_outer", "aggregate_front", "aggregate_rear", "large_inner", "large_outer", "mixing"),
     "1",
 )
-"""Columns of the series with their unit: volume fractions of aggregate in the inner and outer half of the radius, and
-in the front and rear half of the concrete; share of stones above the mean size in the aggregate of the inner and outer
-half of the radius; Lacey's mixing index of large and small stones."""
+"""Columns of the segregation measurement, with their units.
+
+- `aggregate_inner`, `aggregate_outer`: volume fractions of aggregate in the inner and outer half of the radius.
+- `aggregate_front`, `aggregate_rear`: volume fractions of aggregate in the front and rear half of the concrete.
+- `large_inner`, `large_outer`: share of stones above the mean size in the aggregate volume of the inner and outer half
+  of the radius.
+- `mixing`: Lacey's mixing index of large and small stones.
+"""
 POINTS = 64
-"""Number of points in each sphere among which its volume is distributed."""
+"""Number of points that represent a sphere's volume when it is divided between inner and outer half of the radius."""
 ENDS = 0.05
 """Fraction of the aggregate left out at either end of the concrete, where the aggregate is packed less densely."""
 RINGS, STATIONS = 3, 5
-"""Cells of the mixing index: rings of equal area across, and stretches with equal numbers of stones along the pipe."""
+"""Cells for the mixing index: number of rings of equal area, and of stretches of the pipe with equally many stones."""
 
 
 Stones = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""Centres (n, 3) and radii (n,) of spheres [m], volume that each represents (n,) [m3], size of its body (n,) [m]."""
+"""Spheres of the aggregate: centres (n, 3) [m], radii (n,) [m], shares in the volumes of their bodies (n,) [m3], and
+sizes of their bodies (n,) [m]."""
 
 
 def ball_points(count: int = POINTS) -> np.ndarray:
@@ -35,14 +42,17 @@ def ball_points(count: int = POINTS) -> np.ndarray:
     k = np.arange(count) + 0.5
     z = 1 - 2 * k / count
     turn = np.pi * (1 + np.sqrt(5)) * k
-    # The irrational stride avoids a correlation between radius and latitude.
+    # An irrational stride through the shells avoids a correlation between a point's radius and its latitude.
     radius = np.cbrt((k * (np.sqrt(2) - 1)) % 1.0)
     flat = np.sqrt(1 - z**2)
     return radius[:, None] * np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
 
 
 def stones_of(state: State) -> Stones:
-    """Return the spheres of the aggregate by permanent number, and divide each clump's volume among its spheres."""
+    """Return centres, radii, volumes and aggregate sizes of all spheres of aggregates, ordered by permanent number.
+
+    A sphere's volume is its share of the volume of the clump to which it belongs.
+    """
     order = np.argsort(state.spheres.id.numpy())
     body = state.spheres.body.numpy()[order]
     order, body = (array[state.bodies.group.numpy()[body] == 0] for array in (order, body))
@@ -53,12 +63,14 @@ def stones_of(state: State) -> Stones:
     return place[:, :3], place[:, 3], np.pi / 6 * size[body] ** 3 * share, size[body]
 
 
-def measured(
-    axis: Any, radius: float, stones: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-) -> dict[str, float]:
-    """Return the segregation columns of one row for stones from :func:`stones_of` in a pipe of given radius [m]."""
+def measured(axis: Any, radius: float | Bores, stones: Stones) -> dict[str, float]:
+    """Measure the segregation of stones in a pipe; return the values by column name.
+
+    `radius` is the radius of the pipe [m], or its radii along the axis. `stones` are the arrays that
+    :func:`stones_of` returns, and :data:`UNITS` lists the columns.
+    """
     centre, reach, volume, size = stones
-    # The series must hold finite numbers, so an empty pipe gives zeros.
+    # The time series may contain only finite numbers, so return zeros for an empty pipe.
     if len(volume) == 0:
         return dict.fromkeys(UNITS, 0.0)
     s = axis.along(centre)
@@ -73,8 +85,10 @@ def measured(
     begin, end = _quantiles(s, volume, (ENDS, 1 - ENDS))
     inside = (along >= begin) & (along <= end)
     large = np.repeat(are_large(size, volume), len(points))
-    section, length = np.pi * radius**2, end - begin
-    inner, front = apart < 0.5 * radius, along > 0.5 * (begin + end)
+    middle = 0.5 * (begin + end)
+    here, wall = (radius.at(along), radius.at(s)) if isinstance(radius, Bores) else (radius, radius)
+    inner, front = apart < 0.5 * here, along > middle
+    whole, ahead_of, behind = _volumes(radius, begin, middle, end)
 
     def total(chosen: np.ndarray) -> float:
         return float(weight[chosen & inside].sum())
@@ -83,14 +97,22 @@ def measured(
         return total(chosen & large) / total(chosen) if total(chosen) > 0 else 0.0
 
     return {
-        "aggregate_inner": total(inner) / (0.25 * section * length),
-        "aggregate_outer": total(~inner) / (0.75 * section * length),
-        "aggregate_front": total(front) / (0.5 * section * length),
-        "aggregate_rear": total(~front) / (0.5 * section * length),
+        "aggregate_inner": total(inner) / (0.25 * whole),
+        "aggregate_outer": total(~inner) / (0.75 * whole),
+        "aggregate_front": total(front) / ahead_of,
+        "aggregate_rear": total(~front) / behind,
         "large_inner": share(inner),
         "large_outer": share(~inner),
-        "mixing": mixing(s, np.linalg.norm(centre - on_axis, axis=1) / radius, are_large(size, volume)),
+        "mixing": mixing(s, np.linalg.norm(centre - on_axis, axis=1) / wall, are_large(size, volume)),
     }
+
+
+def _volumes(radius: float | Bores, begin: float, middle: float, end: float) -> tuple[float, float, float]:
+    """Return the volumes of a pipe between `begin` and `end`, beyond `middle`, and before it [m3]."""
+    if isinstance(radius, Bores):
+        return radius.volume(begin, end), radius.volume(middle, end), radius.volume(begin, middle)
+    whole = np.pi * radius**2 * (end - begin)
+    return whole, 0.5 * whole, 0.5 * whole
 
 
 def _quantiles(values: np.ndarray, weights: np.ndarray, parts: tuple[float, ...]) -> list[float]:
@@ -108,9 +130,9 @@ def mixing(s: np.ndarray, apart: np.ndarray, large: np.ndarray) -> float:
     """Return Lacey's mixing index of large and small stones: 0 if separate, 1 if mixed at random (Lacey 1954).
 
     The index is (s0^2 - s^2) / (s0^2 - sr^2). Here s^2 is the variance of the share of `large` stones, by number, over
-    cells of rings and stretches. With the overall share p, s0^2 = p (1 - p) is the variance of separate stones, and
-    sr^2 = s0^2 / n that of a random mix with n stones per cell. `s` is the arc length [m], and `apart` the distance
-    from the axis divided by the pipe's radius.
+    cells that rings and stretches of the pipe form. If the overall share is p, completely separate stones have the
+    variance s0^2 = p (1 - p), and randomly mixed stones the variance sr^2 = s0^2 / n with n stones per cell. `s` is the
+    arc length [m], and `apart` the distance from the axis divided by the pipe's radius.
     """
     p = float(large.mean())
     if not 0 < p < 1:
@@ -123,15 +145,17 @@ def mixing(s: np.ndarray, apart: np.ndarray, large: np.ndarray) -> float:
     count = count[count > 0]
     variance = float(np.sum(count * (share - p) ** 2) / count.sum())
     apart_wholly = p * (1 - p)
-    by_chance = apart_wholly * len(count) / count.sum()  # mean of s0^2 / n, weighted with the stones of each cell
+    by_chance = apart_wholly * len(count) / count.sum()  # sr^2: the mean of s0^2 / n over the cells, weighted with n
     return (apart_wholly - variance) / (apart_wholly - by_chance) if apart_wholly > by_chance else 1.0
 
 
 def row_of(model: Model, state: State) -> dict[str, float]:
-    """Return the segregation columns of one row, for a scene that has a pipe."""
+    """Return the values of the segregation columns for the present state of a scene with a pipe."""
     pipe = model.scene.pipe
     assert pipe is not None
-    return measured(pipe.axis, pipe.radius, stones_of(state))
+    stations = model.scene.stations
+    varies = stations is not None and not stations.bores.is_straight
+    return measured(pipe.axis, stations.bores if stations and varies else pipe.radius, stones_of(state))
 
 
 def _at(name: str, place: int) -> Callable[[Any], float | None]:
@@ -139,7 +163,11 @@ def _at(name: str, place: int) -> Callable[[Any], float | None]:
 
 
 def _outward(place: int) -> Callable[[Any], float | None]:
-    """Return a function for the outer minus the inner volume fraction, divided by their mean, in row `place`."""
+    """Return a function that computes the radial segregation in one row of the time series.
+
+    The function takes the data of a run. Its result is the outer minus the inner volume fraction of aggregate, divided
+    by the mean over the cross-section. `place` is the index of the row.
+    """
 
     def found(known: Any) -> float | None:
         if "aggregate_inner" not in known.series:
@@ -166,13 +194,19 @@ QUANTITIES = (
     Quantity("size_segregation", "1", _large_outward),
     Quantity("mixing", "1", _at("mixing", -1)),
 )
-"""Results at the end of a run: volume fractions; outer minus inner fraction divided by the mean, also at the start,
-since stones keep a distance from the wall; share of large stones in the outer minus that in the inner half of the
-radius; Lacey's index."""
+"""Segregation results of a run.
+
+- `aggregate_inner`, `aggregate_outer`, `aggregate_front`, `aggregate_rear`: volume fractions of aggregate at the end.
+- `segregation`: outer minus inner volume fraction, divided by the mean, at the end.
+- `segregation_at_start`: the same at the start, where it is not zero, because stones always keep a distance from the
+  wall.
+- `size_segregation`: share of large stones in the outer half of the radius minus that in the inner half.
+- `mixing`: Lacey's mixing index.
+"""
 
 
 def words(run: Any) -> str:
-    """Return the summary of segregation for the report of a run."""
+    """Return the line of a run's report that states its radial segregation and its mixing index."""
     start, end, sizes = (100 * run.result[name] for name in ("segregation_at_start", "segregation", "size_segregation"))
     return (
         f"aggregate in the outer minus the inner half of the radius: {end:+.3g} % ({start:+.3g} % at the start); "

@@ -1,9 +1,9 @@
 """Stations along a pipe: mean stress, wall stress, solid fraction and velocity in slices of the pipe, at every sample.
 
 The mean stress in a slice follows Love and Weber: the sum over contacts of force times branch vector, divided by the
-volume. If a contact reaches from one slice into the next, each slice gets its part of the branch (Goldhirsch, Granular
-Matter 12 (2010) 239, with a box as the averaging function). Wall contacts count too, so that a slice reaches to the
-wall.
+volume. If the branch vector of a contact crosses several slices, each slice receives the part inside it (Goldhirsch,
+Granular Matter 12 (2010) 239, with a box as the averaging function). Wall contacts count too, because a slice reaches
+to the wall.
 """
 
 from __future__ import annotations
@@ -31,16 +31,19 @@ from .probes import launch_recorded, scene_stage
 RINGS = 5
 """Number of rings of equal width over which a velocity profile is averaged."""
 FRONT = 0.98
-"""Fraction of the solid volume that lies behind the front; beyond the front the concrete does not fill the pipe."""
+"""Fraction of the solid volume that lies behind the point defined as the front of the concrete.
+
+Beyond this point the concrete no longer fills the cross-section.
+"""
 FARTHEST = 8
-"""Ratio of all bodies to the farthest bodies, among which the front is searched."""
+"""The front is searched for only among the farthest 1/FARTHEST of all bodies along the pipe, which saves time."""
 PLACES = ("place", "radius")
 MEASURED = ("pressure", "axial_stress", "wall_stress", "solid_fraction", "bulk_density", "velocity")
 PROFILE = tuple(f"velocity_{(2 * ring + 1) / (2 * RINGS):.1f}R" for ring in range(RINGS))
 COLUMNS = (*MEASURED, *PROFILE)
 READ_ARRAYS = ("spheres.id", "spheres.position", "spheres.velocity", "spheres.body", "bodies.group", "bodies.size",
         "bodies.mass", "bodies.position", "pairs.start", "pairs.other", "slots.wall")  # fmt: skip
-"""Arrays of a state that a measurement reads, apart from the forces."""
+"""Names of the arrays of a state that a measurement in the slices reads, in addition to the contact forces."""
 UNITS = {"place": "m", "radius": "m", "pressure": "Pa", "axial_stress": "Pa", "wall_stress": "Pa",
          "solid_fraction": "1", "bulk_density": "kg/m3", "velocity": "m/s"} | dict.fromkeys(PROFILE, "m/s")  # fmt: skip
 """Units of the columns of a table of stations. `pressure` is the mean normal stress, `axial_stress` the normal stress
@@ -51,18 +54,18 @@ the ring's mean radius in pipe radii."""
 
 @dataclass
 class StationLog:
-    """Measurements at the stations, sample by sample."""
+    """Record of the measurements in all slices of a pipe, sample by sample."""
 
     stations: Stations
     samples: list[np.ndarray] = field(default_factory=list)
-    """Measurements of each sample, shape (slices, COLUMNS); NaN in slices that concrete did not fill."""
+    """Measurements, one array of shape (slices, COLUMNS) for each sample; NaN in slices that concrete did not fill."""
 
     def add(self, model: Model, state: State, travel: float) -> None:
         """Measure all slices now, with the piston at a travel of `travel` [m], and append the sample."""
         self.samples.append(measured(self.stations, model, state, travel))
 
     def table(self, chosen: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the means over the chosen samples by column; NaN in slices that were not full in all of them."""
+        """Return the means over the chosen samples by column; NaN in slices that were not full in every sample."""
         found = np.mean(np.array(self.samples)[chosen], axis=0)
         stations = self.stations
         table = {"place": stations.places - stations.origin, "radius": stations.bores.at(stations.places)}
@@ -70,7 +73,7 @@ class StationLog:
 
 
 def measured(stations: Stations, model: Model, state: State, travel: float) -> np.ndarray:
-    """Return the columns of all slices now, shape (slices, COLUMNS); NaN in slices that concrete does not fill."""
+    """Return the present measurements in all slices, shape (slices, COLUMNS); NaN in slices that are not full."""
     axis, edges = stations.axis, np.array(stations.edges)
     found = np.full((len(edges) - 1, len(COLUMNS)), np.nan)
     seen = read_arrays(model, state)
@@ -95,15 +98,19 @@ def measured(stations: Stations, model: Model, state: State, travel: float) -> n
 
 
 STRESS_RESOLUTION = 2.0**-40
-"""Resolution of :func:`body_stresses` as a fraction of its unit: sums of thousands of contacts keep nine digits, and
-64-bit integers hold up to a million units."""
+"""Resolution of the integers that :func:`body_stresses` returns, as a fraction of its argument `unit`.
+
+With this resolution, sums over thousands of contacts are exact to nine digits. Values of up to a million times `unit`
+still fit into 64-bit integers.
+"""
 
 
 def body_stresses(model: Model, state: State, unit: float) -> wp.array:
-    """Return force times branch vector of every body's contacts, half of each pair's, as integers, shape (bodies, 6).
+    """Return the sum of force times branch vector over every body's contacts, as integers, shape (bodies, 6).
 
-    The columns are xx, yy, zz, xy, yz and zx in multiples of `STRESS_RESOLUTION` times `unit` (stress times volume,
-    [J]), in the order of the state's arrays. The array is on the device, and the next call overwrites it.
+    Each body of a pair receives half of the pair's value. The columns are xx, yy, zz, xy, yz and zx in multiples of
+    `STRESS_RESOLUTION` times `unit` (stress times volume, [J]), in the order of the state's arrays. The array is on the
+    device, and the next call overwrites it.
     """
     stress = state.scratch("body stresses", (state.body_count, int(STRESSES)), wp.int64)
     if state.sphere_count:
@@ -133,8 +140,8 @@ def stresses_along(
 ) -> np.ndarray:
     """Return the mean normal stress and the stress along the pipe in all slices [Pa], shape (slices, 2).
 
-    These are the first two columns of :func:`measured`, except that each body's stress is spread evenly over its size.
-    Slices that concrete does not fill are NaN.
+    They differ from the first two columns of :func:`measured` only in that each body's stress is spread evenly over its
+    size. Slices that concrete does not fill are NaN.
 
     The arguments describe bodies: `stress` (n, 6) (stress times volume, [J]) as from :func:`body_stresses`, arc lengths
     `s` (n,) [m], the `tangent` of the axis there (n, 3), `size` (n,) [m], and `fills` (n,), which is False for bodies
@@ -150,7 +157,10 @@ def stresses_along(
 
 
 def _filled_slices(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.ndarray) -> np.ndarray:
-    """Return a mask of the slices between a piston at `travel` [m] and the front of bodies at arc lengths `s` [m]."""
+    """Return a mask of the slices between a piston at `travel` [m] and the front of the bodies, shape (slices,).
+
+    The bodies have the arc lengths `s` [m] and the volumes `volume`.
+    """
     whole = float(volume.sum())
     if whole == 0:
         return np.zeros(len(edges) - 1, bool)
@@ -158,8 +168,8 @@ def _filled_slices(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.n
 
 
 def _front(s: np.ndarray, volume: np.ndarray, behind: float) -> float:
-    """Return the arc length [m] up to which the bodies have a total volume of `behind`."""
-    # Sort only the farthest bodies: sorting all of them takes four times as long as this whole function.
+    """Return the arc length [m] behind which the bodies have the total volume `behind`."""
+    # Sort only the farthest bodies, because sorting all bodies takes four times as long as this search for the front.
     far = len(s) // FARTHEST
     last = np.argpartition(s, len(s) - far)[len(s) - far :] if far else np.arange(len(s))
     before = float(volume.sum() - volume[last].sum()) if far else 0.0
@@ -172,13 +182,17 @@ def _front(s: np.ndarray, volume: np.ndarray, behind: float) -> float:
 def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[float, float, float]) -> dict[str, float]:
     """Return the friction losses along a pipe from a table of stations, after subtraction of the weight.
 
-    For a straight pipe these are the gradient [Pa/m] and the wall stress [Pa]. Otherwise they are the same for the
-    straight stretches before and behind the middle, by line fits that leave out one radius at their ends. In addition,
-    `middle_loss` [Pa] is the axial stress lost over the middle between these lines, and `middle_ratio` is that loss
-    divided by the loss in a straight pipe of the same length. Friction rises with pressure, so the straight pipe's
-    gradient is the logarithmic mean of 4 tau / d at both ends of the middle, which is exact if friction rises linearly
-    with pressure. `flux_ratio` is the solid volume flux downstream divided by that upstream. Results for which too few
-    slices are full are left out.
+    For a straight pipe the losses are the pressure gradient [Pa/m] and the wall stress [Pa]. For a pipe with a bend or
+    taper in its middle, both are returned for the straight stretches before and behind it. They follow from line fits
+    that leave out one radius at each end of a stretch.
+
+    A pipe with a bend or taper has three more results. `middle_loss` [Pa] is the axial stress lost over the middle
+    between these lines. `middle_ratio` is `middle_loss` divided by the loss in a straight pipe of the same length.
+    Friction rises with pressure, so the gradient of this straight pipe is the logarithmic mean of 4 tau / d at both
+    ends of the middle, which is exact if friction rises linearly with pressure. `flux_ratio` is the solid volume flux
+    downstream divided by that upstream.
+
+    A result is left out if concrete fills too few of the slices that it needs.
     """
     s = stations.places
     slope = table["bulk_density"] * (stations.axis.at(s)[1] @ np.array(gravity))
@@ -216,12 +230,12 @@ def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[floa
 
 @dataclass
 class _Straight:
-    """Line fits over arc length of the measurements in a straight stretch, and means."""
+    """Line fits of axial and wall stress over arc length in a straight stretch, mean wall stress and mean flux."""
 
     stress: np.ndarray
     shear: np.ndarray
     mean: float
-    """Mean wall stress [Pa]."""
+    """Mean wall stress in the straight stretch [Pa]."""
     flux: float
 
 
@@ -231,7 +245,7 @@ def _logarithmic_mean(a: float, b: float) -> float:
 
 @dataclass(frozen=True)
 class StationArrays:
-    """Host copies of the arrays that a measurement reads; on a CPU they are the run's own arrays."""
+    """Host copies of the arrays that a measurement in the slices reads; on a CPU they are the run's own arrays."""
 
     model: Model
     chunks: list[int] | None
@@ -242,7 +256,7 @@ class StationArrays:
 
 
 def read_arrays(model: Model, state: State) -> StationArrays:
-    """Return the arrays of a state as it is now, with the forces of all contacts."""
+    """Compute the forces of all contacts of a state and return them with the other arrays that a measurement reads."""
     _probe(model, state)
     arrays = {path: attrgetter(path)(state) for path in READ_ARRAYS}
     arrays |= zip(("pair pushes", "wall pushes", "wall arms"), _arrays(state))
@@ -250,7 +264,7 @@ def read_arrays(model: Model, state: State) -> StationArrays:
 
 
 class _Spheres:
-    """Spheres of a state in the order of permanent numbers; spheres of a plug do not count as filling the pipe."""
+    """Spheres of a state, in order of permanent numbers. The spheres of a plug count with a solid volume of zero."""
 
     def __init__(self, seen: StationArrays, axis: Axis) -> None:
         self.order = np.argsort(seen["spheres.id"])
@@ -261,7 +275,7 @@ class _Spheres:
         self.tangent = axis.at(self.s)[1]
         self.apart = np.linalg.norm(self.centre - self.nearest, axis=1)
         self.solid = seen["bodies.group"][body] == 0
-        # Overlaps inside a clump count once, so its spheres share its volume in proportion to their own volumes.
+        # The spheres of a clump overlap, so each receives a share of the clump's volume in proportion to its own.
         own = self.radius**3
         whole = np.bincount(body, own, len(seen["bodies.size"]))[body]
         size = seen["bodies.size"].astype(float)[body]
@@ -272,17 +286,17 @@ class _Spheres:
         self.middle = seen["bodies.position"].astype(float)
 
     def filled(self, edges: np.ndarray, travel: float) -> np.ndarray:
-        """Return a mask of the slices between a piston at `travel` [m] and the front, shape (slices,)."""
+        """Return a mask of the slices between a piston at `travel` [m] and the concrete's front, shape (slices,)."""
         return _filled_slices(edges, travel, self.s, self.share)
 
     def in_slices(self, edges: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return, for each slice, the sums of the columns (n, k) weighted with solid volume [m3], shape (slices, k).
+        """Sum the columns (n, k) of all spheres in each slice, weighted with solid volume [m3]; shape (slices, k).
 
-        The weight is the part of a sphere's solid volume inside the slice, which planes across the axis cut out.
+        The weight is the part of a sphere's solid volume between the two planes across the axis that bound the slice.
         """
         found = np.zeros((len(edges) - 1, columns.shape[1]))
         for here, slices in _overlaps(self.s - self.radius, self.s + self.radius, edges):
-            # Fraction of a sphere's volume below a plane that is z radii above its centre.
+            # The fraction of a sphere's volume below a plane z radii above its centre is (2 + 3 z - z^3) / 4.
             z = [np.clip((edges[slices + k] - self.s[here]) / self.radius[here], -1, 1) for k in (0, 1)]
             below, under = (0.25 * (2 + 3 * height - height**3) for height in z)
             volume = self.share[here] * (under - below)
@@ -291,7 +305,7 @@ class _Spheres:
         return found
 
     def wall_shear(self, stations: Stations, seen: StationArrays) -> np.ndarray:
-        """Return the force along the wall against the flow in each slice [N], shape (slices,)."""
+        """Return the force that the wall exerts on the concrete against the flow in each slice [N], shape (slices,)."""
         push, arm, wall = _wall_pushes(seen, self.order)
         total = np.zeros(len(stations.edges) - 1)
         number = [w.name for w in seen.model.walls].index(stations.wall)
@@ -299,7 +313,7 @@ class _Spheres:
             here = (wall[:, slot] == number) & self.solid & np.any(arm[:, slot] != 0, axis=1)
             n = arm[here, slot] / np.linalg.norm(arm[here, slot], axis=1, keepdims=True)
             along = push[here, slot] - np.einsum("ij,ij->i", push[here, slot], n)[:, None] * n
-            # Take the direction along the wall, which in a cone is not the direction along the axis.
+            # Project the axis direction onto the wall, because the wall of a taper is not parallel to the axis.
             way = self.tangent[here] - np.einsum("ij,ij->i", self.tangent[here], n)[:, None] * n
             way /= np.linalg.norm(way, axis=1, keepdims=True)
             drag = -np.einsum("ij,ij->i", along, way)
@@ -310,8 +324,8 @@ class _Spheres:
 def _stresses(stations: Stations, seen: StationArrays, spheres: _Spheres) -> np.ndarray:
     """Return stress times volume of each slice [J], shape (slices, 2): isotropic part and axial component.
 
-    The columns are a third of the sum of force times branch vector, and its component along the pipe. Both are
-    positive where contacts push.
+    The columns are a third of the trace of the sum of force times branch vector, and its component along the pipe. Both
+    are positive for pressing contacts.
     """
     edges, axis = np.array(stations.edges), stations.axis
     body_s = axis.along(spheres.middle)
@@ -344,8 +358,9 @@ def _of_contacts(
 
 
 def _spread_evenly(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Return sums of values (n, k) in slices (m,), each value spread evenly between two arc lengths [m]."""
-    # A wall contact across the pipe has no length along it. Give it a small one that does not vanish by rounding.
+    """Spread each of the `values` (n, k) evenly from its `begin` to its `end` [m]; return the sums in slices (m, k)."""
+    # A wall contact across the pipe has begin = end. Spread such a value over a small length, because the code divides
+    # by the length.
     width = np.maximum(np.abs(end - begin), 1e-6)
     low = 0.5 * (begin + end - width)
     found = np.zeros((len(edges) - 1, values.shape[1]))
@@ -358,7 +373,11 @@ def _spread_evenly(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges
 
 
 def _overlaps(low: np.ndarray, high: np.ndarray, edges: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield arrays of overlapping spans and slices: first each span with its first slice, then with its second, etc."""
+    """Find the slices that each span from `low` to `high` overlaps; yield pairs of arrays: spans and slices, by index.
+
+    The first pair of arrays has the first slice of every span, the second pair its second slice, and so on. Spans with
+    fewer slices are missing in later pairs.
+    """
     first, last = (np.searchsorted(edges, end, "right") - 1 for end in (low, high))
     for step in range(int(np.max(last - first, initial=-1)) + 1):
         slices = first + step
@@ -367,7 +386,10 @@ def _overlaps(low: np.ndarray, high: np.ndarray, edges: np.ndarray) -> Iterator[
 
 
 def _wall_pushes(seen: StationArrays, order: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return wall forces [N], arms from the sphere centres [m] and wall numbers, by sphere in `order` and by slot."""
+    """Return wall forces [N], vectors from sphere centres to contact points [m] and wall numbers.
+
+    The arrays have a row for each sphere in `order` and an entry for each wall contact that a sphere can have.
+    """
     push, arm = (seen[name].astype(float)[order] for name in ("wall pushes", "wall arms"))
     wall = np.broadcast_to(np.arange(push.shape[1]), push.shape[:2]).copy()
     if seen.model.features.meshes:
@@ -387,7 +409,7 @@ def _arrays(state: State) -> tuple[wp.array, wp.array, wp.array]:
 
 
 def _probe(model: Model, state: State) -> None:
-    """Compute the contact forces and store them in the arrays for forces."""
+    """Compute the forces of all contacts and store them in the arrays that `_arrays` returns."""
     launch_recorded(state, "forces", lambda: _force_stages(model, state))
 
 

@@ -14,7 +14,7 @@ from ..scene.scene import Vessel
 from .heaps import height_around, height_at, height_of_top, main_body, shadow, spread
 
 UNITS = {"main_body": "1", "fastest": "m/s", "mean_speed": "m/s"}
-"""Units of the columns that all tests record."""
+"""Units of the columns of the series that every test in a vessel records."""
 
 
 def unit_of_column(name: str) -> str | None:
@@ -23,7 +23,7 @@ def unit_of_column(name: str) -> str | None:
 
 
 def measured(vessel: Vessel, spheres: np.ndarray, velocity: np.ndarray) -> dict[str, float]:
-    """Return the measured columns of one sample, by name.
+    """Return the values that a test in a vessel records in one sample, by column name.
 
     `spheres` has rows of centre and radius [m], shape (n, 4), n > 0; the first three columns of `velocity` are their
     velocities [m/s]. Speeds are those of the main body, because a stray aggregate may roll for a long time.
@@ -54,7 +54,10 @@ def measured(vessel: Vessel, spheres: np.ndarray, velocity: np.ndarray) -> dict[
 
 
 def at_rest(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
-    """Return whether the main body has been slow for a second since its release; always False if a vessel empties."""
+    """Return whether the main body of a heap has stayed slow for one second after its release.
+
+    Returns False in tests in which the concrete flows out of a vessel.
+    """
     return vessel.test.outflow is None and is_at_rest(rows, vessel.opened, vessel.rest_speed)
 
 
@@ -65,9 +68,15 @@ def is_over(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
 
 def outcome(known: Any) -> Outcome | None:
     """Return the data of a run from which the results of its test follow; None if there is no test."""
-    vessel, series = known.scene.vessel, known.series
-    fill = float(series["top"][0]) if "top" in series else None
-    return None if vessel is None else Outcome(vessel.test, vessel.dimensions, series, fill)
+    vessel, series, fill = known.scene.vessel, known.series, known.scene.fill
+    if vessel is None:
+        return None
+    height = float(series["top"][0]) if "top" in series else None
+    concrete = dict(density=fill.filled_density, whole=fill.container.volume) if fill else {}
+    gravity = float(np.linalg.norm(known.scene.gravity))
+    return Outcome(
+        vessel.test, vessel.dimensions, series, height, concrete=vessel.concrete, gravity=gravity, **concrete
+    )
 
 
 def _own(test: StandardTest) -> tuple[Quantity, ...]:
@@ -76,5 +85,5 @@ def _own(test: StandardTest) -> tuple[Quantity, ...]:
 
 
 def quantities() -> list[Quantity]:
-    """Return the results of all standard tests."""
-    return quantities_of_tests(lambda test: test.quantities, outcome) + quantities_of_tests(_own, outcome)
+    """Return the results of all standard tests, each followed by its closed forms."""
+    return quantities_of_tests(StandardTest.with_forms, outcome) + quantities_of_tests(_own, outcome)

@@ -14,40 +14,43 @@ from .probes import deepest_sphere, farthest_body, fastest_body
 from .sampling import STORED
 
 MAX_ROUNDING = (
-    1e-3  # largest ratio of rounding of positions to the smallest radius; an overlap of 1 % then keeps one digit
+    1e-3  # limit of the rounding error of positions over the smallest radius; overlaps of 1 % then keep one exact digit
 )
 
 
 class Watch:
-    """Check of every row of the series against the scene's limits; the device also checks the speeds in every step.
+    """Check of every row of the time series against the limits of the scene; speeds are also checked in every step.
 
-    The checks cost a few additions per sample, because the series contains overlaps and energies anyway.
+    The checks cost little, because the rows contain overlaps and energies anyway.
     """
 
     def __init__(self, model: Model, state: State) -> None:
         self.model, self.state = model, state
         self.limits = model.scene.watch
         self.rounding = float(np.finfo(np.float64 if model.scalar is wp.float64 else np.float32).eps)
-        # Ignore energies below those that lift all bodies by a hundredth of the smallest radius.
+        # Ignore changes of energy that are too small to lift all bodies by a hundredth of the smallest radius.
         mass = state.total_mass
         self.floor = 0.01 * mass * float(np.linalg.norm(model.scene.gravity)) * state.smallest_radius
         self.least = math.inf
-        self.scale = 0.0  # largest energy of motion and springs, or work, up to the last row [J]
+        self.scale = 0.0  # largest kinetic and elastic energy, or work, in the rows so far [J]
 
     def state_dict(self) -> dict[str, float]:
-        """Return the reference energies with which later rows are compared."""
+        """Return the energies of earlier rows with which later rows are compared, for a checkpoint."""
         return {"least": self.least, "scale": self.scale}
 
     def load_state_dict(self, state: dict[str, float]) -> None:
-        """Restore the values stored in a `state_dict`."""
+        """Restore the energies of earlier rows from a `state_dict`."""
         self.least, self.scale = state["least"], state["scale"]
 
     def _resolution(self, row: dict[str, float]) -> float:
-        """Return the rounding of positions divided by the smallest sphere's radius."""
+        """Return the rounding error of positions divided by the radius of the smallest sphere."""
         return self.rounding * row["reach"] / self.state.smallest_radius if self.state.body_count else 0.0
 
     def __call__(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if a row exceeds a limit; the message names time, body and cures."""
+        """Raise :class:`InstabilityError` if a row of the time series exceeds a limit of the scene.
+
+        The error names the time, the body concerned and settings that may help.
+        """
         time, limits = row["time"], self.limits
         broken = [name for name, value in row.items() if not math.isfinite(value)]
         if broken:
@@ -72,7 +75,9 @@ class Watch:
                 "precision float64, or a scene nearer to the origin",
             )
         work, free = row["wall_work"] + row["drive_work"], _free(row)
-        moving = row["kinetic_energy"] + row["elastic_energy"] + row["bond_energy"]
+        # A contact law with attraction can make the elastic energy negative. Use its absolute value, because a negative
+        # energy measures the energy scale of the scene as well as a positive one.
+        moving = row["kinetic_energy"] + abs(row["elastic_energy"]) + row["bond_energy"]
         self.scale = max(self.scale, moving, abs(work), self.floor)
         self.least = min(self.least, free)
         if limits.energy is not None and free - self.least > limits.energy * self.scale:
@@ -80,7 +85,8 @@ class Watch:
                 time,
                 fastest_body(self.model, self.state),
                 f"energy grew by {free - self.least:.3g} J without work of a wall or drive, "
-                f"{(free - self.least) / self.scale:.2g} of all energy in the scene (watch.energy = {limits.energy:g})",
+                f"{(free - self.least) / max(self.scale, 1e-300):.2g} of all energy in the scene "
+                f"(watch.energy = {limits.energy:g})",
             )
 
 

@@ -1,8 +1,8 @@
 """Wear of walls: sliding and impacts on each patch of a wall since t = 0, and the depth worn according to Archard.
 
-Every step adds the contributions of each sphere to each wall without loss. At a sample, these sums go to the patch that
-the sphere touched last. Sums are therefore exact, and places are accurate to the distance that a sphere moves between
-two samples.
+Each time step adds the sliding and the impacts of every sphere on every wall to sums that belong to the sphere. When a
+sample is taken, these sums are credited to the patch that the sphere touched last, and start again at zero. The totals
+are therefore exact, and their places on the wall are accurate to the distance that a sphere moves between two samples.
 """
 
 from __future__ import annotations
@@ -22,19 +22,24 @@ from ..engine.state import State
 from ..scene.scene import Wear
 
 PATCHES_AROUND = 24
-"""Default number of patches around a pipe."""
+"""Default number of wear patches around the circumference of a pipe."""
 MOST_AROUND, MOST_PATCHES = 3600, 1_000_000
 COLUMNS = ("sliding_work", "impact_loss", "load_way")
-"""Columns of the series and of a patch: work of sliding [J], energy lost in impacts [J], load times sliding distance
-[N m]."""
+"""Names of the wear quantities, which are recorded for each patch, and in the series for each wall as a whole.
+
+They are the work of sliding [J], the energy lost in impacts [J], and normal force times sliding distance [N m].
+"""
 UNITS = {"sliding_work": "J", "impact_loss": "J", "load_way": "N m"}
 HOUR = 3600.0
 RAY_TOLERANCE = 1e-4
-"""Relative distance by which a triangle may lie behind the hit of a ray and still count as hit, because of rounding."""
+"""Tolerance of the visibility test, relative to the triangle's distance from the axis.
+
+A triangle counts as visible if it lies behind the first hit of the ray by no more than this.
+"""
 
 
 class Patches(ABC):
-    """Division of a wall into patches."""
+    """Base class of divisions of a wall into patches, for which wear is summed separately."""
 
     areas: np.ndarray
     """Areas of the patches [m2], shape (patches,); infinite for an unbounded plane."""
@@ -49,7 +54,7 @@ class Patches(ABC):
 
 
 class PlanePatch(Patches):
-    """A plane as a single patch."""
+    """Division of a plane wall for the wear measurement: the whole plane is a single patch."""
 
     def __init__(self, wall: PlaneWall) -> None:
         self._wall = wall
@@ -64,10 +69,11 @@ class PlanePatch(Patches):
 
 
 class PipePatches(Patches):
-    """Patches of a pipe: stations along the pipe times places around it, numbered station by station.
+    """Division of a pipe wall into patches: rings of patches (stations) follow one another along the pipe.
 
-    The angle counts from the outside of the pipe's bends (in their plane, away from the centre), or from a normal of a
-    straight pipe's axis.
+    All stations have the same number of patches, and patches are numbered station by station. Angles around the axis
+    are 0 on the outside of the pipe's bends (in their plane, away from the centre). In a straight pipe they are 0 in
+    the direction of a normal of the axis.
     """
 
     def __init__(self, wall: PipeWall, side: float | None) -> None:
@@ -76,13 +82,13 @@ class PipePatches(Patches):
         self.around = int(np.clip(round(2 * np.pi * wall.radius / width), 3, MOST_AROUND))
         self.stations = max(1, min(round(wall.axis.length / width), MOST_PATCHES // self.around))
         self.along = (np.arange(self.stations) + 0.5) * wall.axis.length / self.stations
-        """Arc length of the middle of each station [m]."""
+        """Arc length along the pipe of the middle of each station (ring of patches) [m]."""
         self.angles = 2 * np.pi * np.arange(self.around) / self.around
-        """Angle of the middle of each place around the pipe [rad]."""
+        """Angle about the axis of the middle of each of the patches in a ring around the pipe [rad]."""
         self.areas = self._areas(wall.axis.length / self.stations).ravel()
 
     def _areas(self, long: float) -> np.ndarray:
-        """Return the area of each patch [m2]; the outside of a bend is longer than its axis."""
+        """Return the area of each patch [m2]; on the outside of a bend, patches are longer than along the axis."""
         turn = np.array([next(iter(self._curvature(s)), 0.0) for s in self.along])
         lever = self.radius * np.cos(self.angles)
         return long * 2 * np.pi * self.radius / self.around * (1 + turn[:, None] * lever[None])
@@ -93,12 +99,13 @@ class PipePatches(Patches):
             piece = segment["piece"]
             if begin <= s <= begin + piece.length and isinstance(piece, Arc):
                 _, _, normal, _ = self.axis.frame(begin)
-                # Frames do not twist, so a bend in the opposite direction has its outside at the opposite angle.
+                # The axis frame does not twist along the pipe, so bends to opposite sides have their outsides at
+                # opposite angles.
                 yield float(np.sign(normal[0] @ segment["outward"])) / piece.radius
             begin += piece.length
 
     def place(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return arc lengths [m] and angles [rad] of points (n, 3)."""
+        """Return the arc length along the axis [m] and the angle around it [rad] of each of `points` (n, 3)."""
         s = self.axis.along(points)
         centre, _, normal, side = self.axis.frame(s)
         offset = points - centre
@@ -111,7 +118,7 @@ class PipePatches(Patches):
         return row * self.around + column
 
     def surface(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return a surface with a vertex in the middle of each patch, and rings of vertices at both ends."""
+        """Return a mesh for drawing, with a vertex in the middle of each patch and rings of vertices at both ends."""
         length = self.axis.length
         s = np.concatenate([[0.0], self.along, [length]])
         points, _, normal, side = self.axis.frame(s)
@@ -126,7 +133,7 @@ class PipePatches(Patches):
 
 
 class MeshPatches(Patches):
-    """Triangles of a mesh as patches; if triangles coincide, the first one receives all the wear."""
+    """Division of a mesh wall: each triangle is a patch; of coinciding triangles, the first receives all the wear."""
 
     def __init__(self, wall: MeshWall) -> None:
         self._wall = wall
@@ -140,7 +147,10 @@ class MeshPatches(Patches):
         return self._origin[np.maximum(faces_at(self._cleaned, points, self._reach), 0)]
 
     def seen_from(self, axis: Axis) -> np.ndarray:
-        """Return a mask of the triangles visible from an axis, shape (f,); in a thick wall, the inner triangles."""
+        """Return a mask of the triangles that are visible from the axis, shape (f,).
+
+        In a wall with a thickness these are the triangles of the inner surface.
+        """
         middle = self._cleaned.vertices[self._cleaned.faces].mean(axis=1)
         nearest = axis.nearest(middle)
         apart = np.linalg.norm(middle - nearest, axis=1)
@@ -155,7 +165,7 @@ class MeshPatches(Patches):
 
 
 def patches_of(wall: Wall, side: float | None) -> Patches:
-    """Return the division of a wall into patches, for a pipe with sides of about `side` [m]."""
+    """Return the division of a wall into patches; the patches of a pipe have sides of about `side` [m]."""
     if isinstance(wall, PipeWall):
         return PipePatches(wall, side)
     return MeshPatches(wall) if isinstance(wall, MeshWall) else PlanePatch(wall)
@@ -169,9 +179,9 @@ class WornWall:
     patches: Any
     """Division of the wall: a :class:`PipePatches`, :class:`MeshPatches` or :class:`PlanePatch`."""
     done: np.ndarray
-    """Values of :data:`COLUMNS` for each patch since t = 0, shape (patches, 3)."""
+    """Sums of the wear quantities :data:`COLUMNS` over the time since t = 0, for each patch, shape (patches, 3)."""
     coefficient: float
-    """Archard's coefficient k [m2/N]."""
+    """Dimensionless wear coefficient of Archard's law, divided by the hardness of the wall [m2/N]."""
 
     def __repr__(self) -> str:
         return f"<WornWall {self.name!r}: {len(self.done)} patches, {self.done[:, 0].sum():.4g} J of sliding>"
@@ -188,16 +198,19 @@ class WornWall:
 
     @property
     def depth(self) -> np.ndarray:
-        """Worn depth k (load times sliding distance) / area [m], shape (patches,)."""
+        """Worn depth of each patch [m], shape (patches,).
+
+        It is `coefficient` times the sum of normal force times sliding distance, divided by the patch's area.
+        """
         return self.coefficient * self.done[:, 2] / self.patches.areas
 
     def mean_depth(self, chosen: np.ndarray | slice = slice(None)) -> float:
-        """Return the mean worn depth over the area of chosen patches [m]."""
+        """Return the mean worn depth of the `chosen` patches, weighted with their areas [m]."""
         return float(self.coefficient * self.done[chosen, 2].sum() / self.patches.areas[chosen].sum())
 
 
 class WearMap:
-    """Wear of every wall of a scene."""
+    """Wear of every wall of a scene, updated at every sample."""
 
     def __init__(self, walls: Sequence[Wall], wear: Wear) -> None:
         self.walls = [
@@ -206,7 +219,7 @@ class WearMap:
         ]
 
     def take(self, state: State) -> None:
-        """Add the spheres' contributions since the last call to their patches, in the order of permanent numbers."""
+        """Credit each sphere's wear of walls since the last call to the patch that the sphere touched last."""
         order = np.argsort(state.spheres.id.numpy())
         worn, points = state.slots.worn.numpy()[order], state.slots.worn_at.numpy()[order].astype(float)
         state.slots.worn.zero_()
@@ -219,7 +232,7 @@ class WearMap:
                     wall.done[:, column] += np.bincount(patch, weights, minlength=len(wall.done))
 
     def columns(self) -> dict[str, float]:
-        """Return the wear columns of a row of the series: sums over the patches of each wall."""
+        """Return the wear quantities of each wall, summed over its patches, by column name of the series."""
         return {
             f"{wall.name}_{name}": float(wall.done[:, column].sum())
             for wall in self.walls
@@ -227,17 +240,17 @@ class WearMap:
         }
 
     def state_dict(self) -> dict[str, np.ndarray]:
-        """Return the patches' values by wall name."""
+        """Return the wear quantities of all patches by wall name, for a checkpoint."""
         return {wall.name: wall.done for wall in self.walls}
 
     def load_state_dict(self, state: dict[str, np.ndarray]) -> None:
-        """Restore the values stored in a `state_dict`."""
+        """Restore the wear quantities of all patches from a `state_dict`."""
         for wall in self.walls:
             wall.done = np.array(state[wall.name])
 
     @property
     def main(self) -> WornWall | None:
-        """Most worn wall that holds the concrete: a pipe or mesh, or a plane if there is neither; else None."""
+        """Most worn pipe or mesh, or most worn bounded plane if the scene has neither; None without such walls."""
         found = [wall for wall in self.walls if np.isfinite(wall.patches.areas).all()]
         shaped = [wall for wall in found if not isinstance(wall.patches, PlanePatch)] or found
         return max(shaped, key=lambda wall: wall.done[:, 2].sum()) if shaped else None

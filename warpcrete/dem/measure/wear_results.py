@@ -13,7 +13,7 @@ from .wear import HOUR, MeshPatches, PipePatches, PlanePatch, WornWall
 
 
 def _of(of: Callable[[WornWall, Any], float | None]) -> Callable[[Any], float | None]:
-    """Return a function of a run's data: `of` applied to the wall that holds the concrete, or None without one."""
+    """Return a function of a run's data that applies `of` to the most worn wall, and returns None without wear."""
 
     def found(known: Any) -> float | None:
         wall = known.wear.main if known.wear is not None else None
@@ -38,9 +38,11 @@ def _by_volume(wall: WornWall, known: Any) -> float | None:
 
 
 def covered(wall: WornWall, scene: Any) -> np.ndarray | slice:
-    """Return a mask of the wall patches in the stretch of a pipe that aggregates touched; all patches of other walls.
+    """Return the selection of patches over which the wear of a wall is averaged.
 
-    For a mesh the mask contains patches on its inside, and those that were touched.
+    In a pipe or pipe-like mesh these are the patches in the stretch that aggregates touched. Patches on the outside of
+    a mesh are left out, unless an aggregate touched them. In other walls, and in walls that were never touched, all
+    patches are selected.
     """
     found = places(wall, scene)
     touched = wall.done[:, 2] > 0
@@ -63,7 +65,10 @@ def _mean(wall: WornWall, known: Any, column: int) -> float:
 
 
 def places(wall: WornWall, scene: Any) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return arc length [m] and angle [rad] of the middle of each patch of a pipe; None for other walls."""
+    """Return arc length [m] and angle about the axis [rad] of the middle of each patch of a pipe or pipe-like mesh.
+
+    Returns None for all other walls.
+    """
     patches = wall.patches
     if isinstance(patches, PipePatches):
         return np.repeat(patches.along, patches.around), np.tile(patches.angles, patches.stations)
@@ -97,11 +102,11 @@ QUANTITIES = (
     Quantity("wear_worst_along", "m", _of(lambda wall, known: _place(wall, known, 0, 1.0))),
     Quantity("wear_worst_angle", "deg", _of(lambda wall, known: _place(wall, known, 1, 180 / np.pi))),
 )
-"""Wear of the wall that holds the concrete since t = 0: means over the stretch touched, and the worst patch."""
+"""Wear results of the most worn wall since t = 0: means over the stretch that aggregates touched, and worst patch."""
 
 
 def report(run: Any) -> Iterator[tuple[str, str]]:
-    """Yield a line that describes the wear, if the run measured wear."""
+    """Yield a line that describes the wear of the walls, or nothing if the run did not measure it."""
     result = run.result
     if "wear_depth_per_hour" not in result:
         return
@@ -124,7 +129,7 @@ def report(run: Any) -> Iterator[tuple[str, str]]:
 def plot_wear(run: Any, wall: WornWall | None = None) -> Any:
     """Return a figure of a run's worn depth per hour [um/h] over arc length and angle of a pipe, and of means along it.
 
-    `wall` is one of `run.wear.walls`; by default the wall that holds the concrete. Returns None if there is nothing to
+    `wall` is one of `run.wear.walls`; by default the most worn wall. Returns None if there is nothing to
     draw.
     """
     from matplotlib.figure import Figure

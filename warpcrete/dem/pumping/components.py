@@ -22,7 +22,7 @@ from .parameters import AggregateParameters, BondParameters, stiffness_of
 
 
 def contact_of(given: Any) -> ContactLaw:
-    """Return the contact law between aggregates."""
+    """Return the contact law between aggregates that the scene parameters `given` describe."""
     return given.contact if given.contact is not None else linear_of(given)
 
 
@@ -39,7 +39,7 @@ def linear_of(given: Any) -> Contact:
 
 
 def wall_contact_of(given: Any) -> dict[tuple[str, str], ContactLaw]:
-    """Return the contact law on pipe and piston by pair of materials; empty if it is the same as between aggregates."""
+    """Return the contact law on pipe and piston, by pair of materials; empty if it is the law between aggregates."""
     if given.wall_contact is not None:
         return {("aggregate", "wall"): given.wall_contact}
     if given.contact is not None:
@@ -54,7 +54,7 @@ def wall_contact_of(given: Any) -> dict[tuple[str, str], ContactLaw]:
 
 
 def law_remarks(given: Any) -> Iterator[str]:
-    """Yield remarks on parameters of the concrete that have no effect because another contact law was chosen."""
+    """Yield remarks on parameters of the concrete that have no effect because a user has chosen another contact law."""
     law, wall = given.contact, given.wall_contact
     if law is not None:
         where = (
@@ -71,7 +71,7 @@ def law_remarks(given: Any) -> Iterator[str]:
 
 
 def bonds_of(given: BondParameters) -> Bonds | None:
-    """Return the bonds between aggregates, or None if bonds are off."""
+    """Return the properties of the bonds between aggregates, or None if bonds are switched off."""
     if not given.bonds:
         return None
     return Bonds(
@@ -86,7 +86,7 @@ def bonds_of(given: BondParameters) -> Bonds | None:
 
 
 def hydration_of(given: BondParameters) -> Hydration | None:
-    """Return the hydrated bonds, or None if there are none."""
+    """Return the fraction of bonds that hydrate and the properties of hydrated bonds; None if no bonds hydrate."""
     if not (given.bonds and given.hydration):
         return None
     return Hydration(
@@ -145,7 +145,7 @@ MOST_BALLS = 600_000
 
 @dataclass(frozen=True)
 class Plug:
-    """Closure of the concrete's front: bonded balls on which a force acts, a plate, or nothing."""
+    """Plug that closes the front of the concrete: bonded balls or a plate, pushed against the flow; may be empty."""
 
     bodies: tuple[Bodies, ...] = ()
     drives: tuple[AxisDrive, ...] = ()
@@ -154,7 +154,7 @@ class Plug:
 
 
 def plug_of(given: Any, axis: Axis, at: float, radius: float, layers: int, inner: float) -> Plug:
-    """Return the plug at an arc length `at` of a pipe's axis [m]; `given` holds parameters of plug and aggregate.
+    """Return the plug at an arc length `at` of a pipe's axis [m]; `given` has parameters of plug and aggregate.
 
     A plug of balls has `layers` layers in a bore of radius `inner` [m]. The plug pressure acts against the flow on the
     cross-section of radius `radius` [m].
@@ -164,7 +164,7 @@ def plug_of(given: Any, axis: Axis, at: float, radius: float, layers: int, inner
         points = plug_points(axis, inner, at, given.plug_ball, layers)
         bodies = Bodies(positions=points, sizes=given.plug_ball, density=density, group="plug")
         drive = AxisDrive(group="plug", axis=axis, force=-given.plug_pressure * area)
-        # These bonds are stiff enough for the plug to keep its shape, and too soft to limit the time step.
+        # The bonds are stiff enough for the plug to keep its shape, but so soft that they do not limit the time step.
         bonds = Bonds(
             effective_modulus=2 * stiffness_of(given), tensile_strength=1e12, cohesion=1e12, gap=0.35 * given.plug_ball
         )
@@ -186,7 +186,7 @@ def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) 
     Within(0, radius).check("plug_ball", ball, f" m, the pipe's radius being {radius:g} m")
     Above().check("plug_ball", ball, " m")
     across = radius / ball
-    count = layers * math.pi * across * across  # `across**2` would raise OverflowError where a product gives infinity
+    count = layers * math.pi * across * across  # `across**2` could raise OverflowError; the product gives inf
     if count > MOST_BALLS:
         refuse("plug_ball", ball, f"would need {count:.2g} balls to plug the pipe",
                "use larger balls, a plate or no plug")  # fmt: skip
@@ -207,7 +207,10 @@ def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) 
 
 
 def fill_of(given: Any, container: PipeContainer, sizes: Sizes) -> Fill:
-    """Return the aggregates for a container; `given` holds parameters of aggregate, contacts and plug."""
+    """Return the filling of a container with aggregates.
+
+    `given` has the parameters of the aggregates and of their contacts, and the pressure of the plug.
+    """
     return Fill(
         container=container,
         sizes=sizes,
@@ -216,7 +219,7 @@ def fill_of(given: Any, container: PipeContainer, sizes: Sizes) -> Fill:
         density=given.density,
         bulk_density=given.bulk_density,
         solid_fraction=given.solid_fraction,
-        # A packing at less than 2e-3 of the contact stiffness has no well-defined pressure.
+        # A pressure below 2e-3 of the contact stiffness does not define a packing well, so use at least this pressure.
         pressure=max(given.plug_pressure, 2e-3 * stiffness_of(given)) if given.solid_fraction is None else None,
     )
 

@@ -25,15 +25,15 @@ from ..scene.scene import MUCH_STIFFER, Blockage, Wear
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
 OTHER_NAMES = dict(zip("ABCD", UNITS, strict=True)) | {"elbow-up": UNITS[2], "elbow-down": UNITS[3]}
-"""Other accepted names of pipe units: the paper's letters, and words of earlier versions."""
+"""Other accepted names of pipe units: the letters of Zhan et al. 2019, and names from earlier versions."""
 UPRIGHT = 0.4
-"""Ratio of thickness to diameter at which a plug stays upright at the end of a bend; at 0.13 it tipped over in runs."""
+"""Ratio of thickness to diameter from which a plug stays upright after a bend; at 0.13 it tipped over in test runs."""
 WIDEST_STONE = 0.4
 """Ratio of the largest pumpable rounded aggregate to the pipe's diameter (ACI 304.2R; for crushed aggregate, 1/3)."""
 
 
 def names_meshes(shapes: str) -> bool:
-    """Return whether `shapes` contains paths of mesh files instead of names of shapes."""
+    """Return whether the parameter `shapes` contains paths of mesh files instead of names of shapes."""
     return any(Path(one).suffix and not one.strip().startswith("shape-") for one in shapes.split(","))
 
 
@@ -328,9 +328,9 @@ class RunParameters(Declared):
 
 
 class ConcreteDefaults:
-    """Mixin for scene parameters that contain a named concrete: its name supplies defaults for other parameters.
+    """Mixin for scene parameters that contain a named concrete, which supplies defaults for other parameters.
 
-    It also turns paths of mesh files in `shapes` into absolute paths.
+    The mixin also turns paths of mesh files in `shapes` into absolute paths.
     """
 
     @classmethod
@@ -414,7 +414,7 @@ class PipeParameters(
 
     @property
     def arc(self) -> float:
-        """Length of a bend's centreline [m]."""
+        """Length of the centreline of the unit's bend [m]."""
         return math.pi / 2 * self.elbow_radius
 
     @property
@@ -435,12 +435,15 @@ class PipeParameters(
 
     @property
     def each(self) -> float:
-        """Travel of each stroke [m]."""
+        """Travel of the piston in each stroke [m]."""
         return self.distance / self.strokes
 
     @property
     def stops(self) -> Stops | None:
-        """Stops of the piston, or None if it never stops; the last stroke ends with the run, at full speed."""
+        """Stops of the piston between strokes, or None if it never stops.
+
+        No stop follows the last stroke: the run ends while the piston moves at full speed.
+        """
         if self.strokes == 1 or self.pause == 0:
             return None
         return Stops(count=self.strokes - 1, stroke_time=self.each / self.velocity + self.ramp_time, pause=self.pause)
@@ -456,7 +459,7 @@ class PipeParameters(
 
     @property
     def front(self) -> float:
-        """Initial arc length of the front [m]: the end of the plug of balls, or of the concrete without such a plug."""
+        """Initial arc length of the front [m]: the end of a plug of balls or, without such a plug, of the concrete."""
         return self.length + (self.layers * self.plug_ball if self.plug == "balls" else 0.0)
 
     @property
@@ -472,7 +475,7 @@ class PipeParameters(
 
 
 def stiffness_of(given: Any) -> float:
-    """Return the stress that a deep contact carries [Pa]: the linear law's modulus, or another law's own value."""
+    """Return the stress scale of the contact law between aggregates [Pa]; for the linear law this is its modulus."""
     return given.modulus if given.contact is None else given.contact.stress_scale
 
 
@@ -493,12 +496,13 @@ LENGTHS = (0.25, 0.5, 1.0)
 
 
 def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
-    """Yield the settings of a pumping scene that trade accuracy for computing time.
+    """Yield the settings that trade accuracy for computing time in a pumping scene.
 
-    Coarse-graining multiplies all sizes of the aggregate. The laws need no rescaling: a contact's stiffness is
-    modulus times area over length, so the stress depends only on the overlap relative to the size. The strengths of
-    bonds and lubrication layer are stresses, and dashpots are given by their critical ratio. Only the number of
-    aggregates across the pipe changes, and each impact carries more momentum.
+    One of the settings is coarse-graining, which multiplies all sizes of the aggregate by a factor. The contact laws
+    need no rescaling. A contact's stiffness is modulus times area over length, so the stress depends only on the
+    overlap relative to the size. The strengths of bonds and lubrication layer are stresses, and dashpots are given by
+    their critical ratio. Coarse-graining therefore changes only the number of aggregates across the pipe and the
+    momentum that each impact carries.
     """
     if given.time_step is None:
         yield scaled("time step", "safety", given.safety, (2.0, 1.5, 1.0, 0.5, 0.25), -1.0)
@@ -528,7 +532,8 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
             single = Level("single steps", {"hydration_rounds": 1}, 3.0)
             yield Knob("hydrated bonds", (Level("rounds", {"hydration_rounds": None}), single))
     if not given.is_bend:
-        # The wall's share of the pressure is proportional to the length if the wall stress is uniform along the pipe.
+        # The pressure without the plug's share is proportional to the length of the pipe if the wall stress is uniform
+        # along it. The levels use this to convert the pressures of a shorter pipe.
         pushed = given.plug_pressure if given.plug != "none" else 0.0
         yield Knob("length", tuple(
             Level(f"{f * given.length:.4g} m", {"length": f * given.length}, f, f"x {f:g}",
@@ -540,8 +545,8 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
 
 
 def coarser(given: AggregateParameters, factor: float) -> Level:
-    """Return the level of a coarse-graining setting at which aggregates are `factor` times as large."""
+    """Return the coarse-graining level at which aggregates are `factor` times as large, with its relative cost."""
     names = ("size_min", "size_max", "size_mean", "size_deviation")
     sizes = {name: factor * getattr(given, name) for name in names if getattr(given, name) is not None}
-    # Computing time: the number of aggregates scales as factor^-3, the number of steps as factor^-1.
+    # The computing time scales as factor^-4: the number of aggregates as factor^-3, that of steps as factor^-1.
     return Level(f"x {factor:g}", sizes, factor**-4)

@@ -30,6 +30,7 @@ from .parameters import (
     ConcreteChoice,
     ConcreteDefaults,
     ContactParameters,
+    IndexParameters,
     PlugParameters,
     RunParameters,
     coarser,
@@ -114,9 +115,9 @@ class PushParameters:
 @dataclass(frozen=True, kw_only=True)
 class PartElements(
     ConcreteDefaults, CourseParameters, PushParameters, ConcreteChoice, AggregateParameters, LawChoice, WallLawChoice,
-    ContactParameters, BondParameters, PlugParameters, RunParameters,
+    ContactParameters, BondParameters, PlugParameters, IndexParameters, RunParameters,
 ):  # fmt: skip
-    """All parameters of a part of a line: concrete, pipe, piston, contacts, plug and run."""
+    """All parameters of a part of a line: concrete, pipe, piston, contacts, plug, measurements and run."""
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -138,22 +139,22 @@ class Course:
     velocity: float
     """Final speed of the piston [m/s]."""
     middle: tuple[float, float] | None
-    """Arc lengths between which the part is not a straight pipe [m]."""
+    """Arc lengths between which the part is not a straight pipe of constant diameter [m]; None if it is straight."""
     line: PipeLine | None = None
     inserts: tuple[Insert, ...] = ()
     """Stretches of the pipe whose bore is a mesh."""
     clear: Bores | None = None
-    """Radii of circles about the axis that fit into the bore; None if no stretch has a mesh as its bore."""
+    """Radii of the largest circles about the axis inside the bore; None if no stretch of the bore is a mesh."""
 
     @property
     def narrowest(self) -> float:
-        """Smallest free width across the axis [m]."""
+        """Smallest free width of the bore across the axis [m]."""
         return min([2 * self.bores.smallest, *(insert.mesh.narrowest for insert in self.inserts)])
 
     @property
     def duration(self) -> float:
         """Simulated time of the piston's travel [s]."""
-        # The speed rises linearly in time, so the ramp takes 2 ramp / velocity.
+        # The speed rises linearly in time, so the travel `ramp` takes the time 2 ramp / velocity.
         return 2 * self.ramp / self.velocity + (self.travel - self.ramp) / self.velocity
 
     @property
@@ -163,7 +164,7 @@ class Course:
 
 
 def course_of(given: PartElements) -> Course:
-    """Return axis and bores of a part or of a line, with the piston's run-up in front.
+    """Return the course of a part or of a line, after a straight run-up for the travel of the piston.
 
     Raises :class:`SceneError` if parameters contradict each other.
     """
@@ -215,7 +216,10 @@ def _inserts(line: PipeLine, travel: float) -> Iterator[Insert]:
 
 
 def _meshed(given: PartElements) -> PipeLine:
-    """Return a level pipe with the bore of a mesh in its middle."""
+    """Return a pumping line that consists of a straight pipe, the bore of a mesh, and another straight pipe.
+
+    The first pipe is level.
+    """
     assert given.wall is not None
     if given.unit != "mesh":
         refuse("wall", given.wall, f"needs unit mesh, not {given.unit}", "leave out unit, or use a line with a bore")
@@ -245,9 +249,10 @@ def _meshed(given: PartElements) -> PipeLine:
 
 
 def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]:
-    """Return the axis of a single part, its bores, and the arc lengths between which it is not a straight pipe [m].
+    """Return the axis of a single part, its inner radii, and the ends of the stretch that is not a straight pipe.
 
-    The axis begins at the origin. The arc lengths are None for a straight pipe of one diameter.
+    The axis begins at the origin. The ends of the stretch are arc lengths [m], or None for a straight pipe of constant
+    diameter.
     """
     origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
     radius, straight = given.diameter / 2, given.straight
@@ -255,7 +260,8 @@ def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]
     if narrows:
         between("outlet_diameter", given.outlet_diameter, given.diameter / 10, 10 * given.diameter, "m",
                 "change the diameter in several steps")  # fmt: skip
-    # The cone lies in the middle of a straight unit. In a unit with a bend a straight stretch separates bend and cone.
+    # A taper lies in the middle of a pipe without a bend. In a pipe with a bend, a straight stretch separates bend and
+    # taper.
     narrowing = straight + given.taper if narrows else 0.0
     if not given.unit.startswith("bend"):
         pieces: tuple[Line | Arc, ...] = (Line(straight + (narrowing or straight)),)
@@ -276,9 +282,9 @@ def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]
 
 
 def plug_layers(given: PartElements, diameter: float) -> int:
-    """Return the number of layers of balls in the plug.
+    """Return the number of layers of balls in the plug of a pipe with this `diameter` [m].
 
-    By default the plug is so thick that it cannot tip over in a pipe that is not vertical.
+    By default the plug is so thick that the weight of the concrete cannot tip it over in a level pipe.
     """
     if given.plug_layers is not None:
         return given.plug_layers
@@ -286,7 +292,7 @@ def plug_layers(given: PartElements, diameter: float) -> int:
 
 
 def part_knobs(given: PartElements) -> Iterator[Knob]:
-    """Yield the settings of a part that trade accuracy for computing time."""
+    """Yield the settings that trade accuracy for computing time in a scene of a part or line."""
     if given.time_step is None:
         yield scaled("time step", "safety", given.safety, (2.0, 1.5, 1.0, 0.5, 0.25), -1.0)
     yield precisions()

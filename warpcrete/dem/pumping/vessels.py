@@ -17,6 +17,7 @@ from ...core.run.checks import with_cures
 from ...core.run.run_loop import Run
 from ...geometry.prisms import Solid
 from ...standards import StandardTest
+from ...theory.pipe import Concrete
 from ..laws import OWN_LAW, BinghamMortar, Contact, ContactLaw, LawChoice, PlasticMortar, RollingResistance
 from ..laws.base import RESISTANCES
 from ..scene.clumps import templates
@@ -26,20 +27,23 @@ from ..scene.sizes import Gaussian, Sizes, Uniform
 
 LAWS = ("linear", "bonds", "mortar", "plastic", "rolling")
 LAW_MODULUS = {"mortar": 1e6, "plastic": 1e6}
-"""Contact modulus [Pa] of laws that cannot use Zhan's 1e5 Pa: mortar needs cores that are stiffer than its shells."""
+"""Default contact modulus [Pa] of laws that cannot use Zhan's 1e5 Pa: mortar needs cores stiffer than its shells."""
 LAW_FRACTION = {"mortar": 0.66, "plastic": 0.66}
-"""Solid fraction of packings by contact law, for laws that do not use LOOSE.
+"""Solid fraction of packings by contact law, for laws whose packings need more than DEFAULT_FRACTION.
 
-Shells of mortar must overlap on all sides.
+In a denser packing the mortar shells of neighbours overlap on all sides.
 """
 DEFAULT_FRACTION = 0.6
 LAW_FRICTION = {"mortar": 0.0, "plastic": 0.0, "rolling": 0.5}
-"""Friction coefficient by contact law, for laws that do not use Zhan's 0.05.
+"""Default friction coefficient by contact law, for laws that do not use the 0.05 of Zhan et al. 2019.
 
-Spheres that resist rolling must not slide instead.
+With law rolling, low friction would let spheres slide instead of roll, so rolling resistance would have no effect.
 """
 CONTACTS = 6.9
-"""Mean number of neighbours whose shells touch a mortar sphere's shell in a packing; packings had 6.7 to 6.9."""
+"""Mean number of mortar spheres in a packing whose shells touch the shell of one sphere.
+
+In the packings that were examined the number was 6.7 to 6.9.
+"""
 
 WITH_BONDS = Needs("law", lambda law: law == "bonds", "is bonds")
 WITH_MORTAR = Needs("law", lambda law: law in ("mortar", "plastic"), "is mortar or plastic")
@@ -79,7 +83,7 @@ class GrainParameters:
 class LawParameters:
     """Contacts.
 
-    Contact law between grains with its parameters, and the grip of plate and mould.
+    Contact law between grains with its parameters, and how strongly plate and mould resist sliding.
     """
 
     law: Annotated[
@@ -182,9 +186,10 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
     """Parameters that all tests of fresh concrete in a vessel have in common."""
 
     HOLDING: ClassVar[dict[str, float]] = {}
-    """Default grip of the mould for each contact law whose default is not 0.
+    """Default of `mould_grip` by contact law, for tests with a funnel; the default of laws not listed is 0.
 
-    Without grip, mortar falls out of a funnel in two seconds whatever its viscosity.
+    `mould_grip` is the resistance of the walls to sliding, divided by that of the grains. Without friction on the
+    walls, mortar would fall out of a funnel in two seconds whatever its viscosity.
     """
 
     def __post_init__(self) -> None:
@@ -202,29 +207,36 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 
     @property
     def stiffness(self) -> float:
-        """Effective modulus of the contacts in the scene's own laws [Pa]."""
+        """Effective modulus of contacts [Pa]: the parameter `modulus`, or the default of the contact law."""
         return self.modulus if self.modulus is not None else LAW_MODULUS.get(self.law, 1e5)
 
     @property
     def packed(self) -> float:
-        """Solid fraction of the packing."""
+        """Solid fraction of the packing: the parameter `solid_fraction`, or the default of the contact law."""
         return self.solid_fraction if self.solid_fraction is not None else LAW_FRACTION.get(self.law, DEFAULT_FRACTION)
 
     @property
     def grain_friction(self) -> float:
-        """Coefficient of friction between grains."""
+        """Coefficient of friction between grains: the parameter `friction`, or the default of the contact law."""
         return self.friction if self.friction is not None else LAW_FRICTION.get(self.law, 0.05)
 
     @property
     def mould_grip_or_default(self) -> float:
-        """Grip of the mould, a factor on the grains' friction and yield stress; by default no more than the plate's."""
+        """Resistance of the mould to sliding, divided by that of the grains.
+
+        Both friction and yield stress are multiplied by this factor. The default depends on the contact law and is no
+        larger than the plate's factor.
+        """
         if self.mould_grip is not None:
             return self.mould_grip
         return min(self.HOLDING.get(self.law, 0.0), self.plate_grip)
 
     @property
     def is_gripped(self) -> bool:
-        """True if the law resists sliding or rolling by fields that a grip can multiply."""
+        """True if a wall can resist sliding more or less than grains do.
+
+        This requires that the contact law has parameters for friction, yield stress or viscosity, which can be scaled.
+        """
         law = self.grain_law()
         return law.gripped(0.5) != law
 
@@ -248,7 +260,7 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         return {("aggregate", name): self.grain_law().gripped(grip) for name, grip in grips.items()}
 
     def bonds(self) -> Bonds | None:
-        """Return the bonds between grains, or None if the law has none."""
+        """Return the properties of the bonds between grains, or None if the contact law has no bonds."""
         if self.law != "bonds":
             return None
         return Bonds(
@@ -258,10 +270,20 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 
     def vessel(self, test: StandardTest, opened: float) -> Vessel:
         """Return the vessel of a test; from the time `opened` [s] on, nothing holds the concrete back."""
-        return Vessel(test=test, opened=opened, rest_speed=self.rest_speed, dimensions=test.sizes(self))
+        return Vessel(
+            test=test, opened=opened, rest_speed=self.rest_speed, dimensions=test.sizes(self), concrete=self.fluid()
+        )
+
+    def fluid(self) -> Concrete | None:
+        """Return the Bingham fluid that a law with shells of mortar represents, without slip; None for other laws."""
+        if self.contact is not None or self.law not in ("mortar", "plastic"):
+            return None
+        density = self.bulk_density or self.packed * self.density
+        return Concrete(density=density, viscosity=self.viscosity, yield_stress=self.yield_stress, slip_viscosity=1e8,
+                        slip_yield=0.0)  # fmt: skip
 
     def fill(self, inside: Solid) -> Fill:
-        """Return the fill of concrete in a closed solid."""
+        """Return the grains to be packed into the closed solid `inside`, with their sizes and solid fraction."""
         return Fill(
             container=MeshContainer(inside.trimesh()),
             sizes=self.distribution(),
@@ -297,10 +319,15 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 
 
 def shear_means() -> tuple[float, float, float]:
-    """Return three means over contacts in all directions n, in simple shear of rate 1 with strain rate tensor D.
+    """Return three means over contacts in all directions n in a simple shear of rate 1 with the strain rate tensor D.
 
-    They are the means of |D n| across n, of its square, and of the square of the component of D n along n. The squares
-    are 1/10 and 1/15 exactly. The first mean is a sum over directions spread evenly on a Fibonacci lattice.
+    The vector D n has a part across n (sliding) and a part along n (approach). The results are:
+
+    - the mean magnitude of the part across n,
+    - the mean square of the part across n, which is 1/10 exactly,
+    - the mean square of the part along n, which is 1/15 exactly.
+
+    The means are computed over directions spread evenly on a Fibonacci lattice.
     """
     count = 20_000
     z = (2 * np.arange(count) + 1) / count - 1
@@ -314,13 +341,15 @@ def shear_means() -> tuple[float, float, float]:
 def mortar_law(given: VesselParameters) -> BinghamMortar:
     """Return a contact law whose stresses add up to the yield stress and viscosity of the concrete.
 
-    The derivation assumes that neighbours follow the mean flow of a simple shear. Each grain has Z/2 contacts with an
-    area of pi d^2/4 over a distance d, which together fill 3/4 Z phi of the volume. A contact dissipates its yield
-    stress times the sliding across its normal. Its viscosity over the shell thickness dissipates the square of the
-    sliding plus, by Trouton's ratio, three times the square of the closing speed. The sum equals the dissipation of
-    the concrete. Shells also pull and bend (:class:`BinghamMortar`), so that a heap can stand. Compared with closed
-    forms, slumps deviate by 7 to 25 % at 20 to 500 Pa, and spreads by less than 7 % at 100 to 200 Pa. At 1000 Pa a cone
-    stands whole, where the closed form gives a slump of 78 mm.
+    The derivation assumes that neighbours follow the mean flow of a simple shear. Each grain of diameter d has Z/2
+    contacts, each with an area of pi d^2/4 over a distance d. At the solid fraction phi all contacts together fill 3/4
+    Z phi of the volume. A contact dissipates its yield stress times the sliding across its normal. Its viscosity over
+    the shell thickness dissipates the square of the sliding plus, by Trouton's ratio, three times the square of the
+    closing speed. The sum over all contacts equals the dissipation of the concrete.
+
+    Shells also pull and bend (:class:`BinghamMortar`), so that a heap can stand. Compared with closed forms, slumps
+    deviate by 7 to 25 % at yield stresses of 20 to 500 Pa, and spreads by less than 7 % at 100 to 200 Pa. At 1000 Pa a
+    cone stands whole, where the closed form gives a slump of 78 mm.
     """
     slides, square, closes = shear_means()
     filled = 0.75 * CONTACTS * given.packed
@@ -337,12 +366,16 @@ def mortar_law(given: VesselParameters) -> BinghamMortar:
 
 
 def plastic_law(given: VesselParameters) -> PlasticMortar:
-    """Return the law of :class:`PlasticMortar` that corresponds to :func:`mortar_law`.
+    """Return the law of :class:`PlasticMortar` that has the yield stress and viscosity of the concrete.
 
-    In a simple shear of rate 1 its contacts dissipate the yield stress times |D n|, whose mean is pi/8, and the
-    viscosity over the shell thickness times |D n|^2, whose mean is 1/6. The shells' tension was fitted on a heap of
-    1000 Pa: with 2.5 it slumps by 120 mm and with 3.5 it stands whole, where the closed form of a tall cone gives
-    78 mm and another method 104 mm. Other yield stresses are predictions.
+    As in :func:`mortar_law`, the dissipation of all contacts in a simple shear of rate 1 equals that of the concrete.
+    With the contact's direction n and the strain rate tensor D, a contact dissipates its yield stress times |D n|,
+    whose mean is pi/8. It also dissipates its viscosity over the shell thickness times |D n|^2, whose mean is 1/6.
+
+    The tension of the shells was fitted to the slump of a cone with a yield stress of 1000 Pa. With a tension of 2.5
+    the cone slumps by 120 mm, and with 3.5 it stands whole. For comparison, the closed form of a tall cone gives 78 mm,
+    and the implicit material points of Newton 1.8 give 104 mm. At other yield stresses the slumps are predictions
+    without a fit.
     """
     filled = 0.75 * CONTACTS * given.packed
     return PlasticMortar(
@@ -387,11 +420,11 @@ def vessel_knobs(given: VesselParameters, narrowest: float) -> Iterator[Knob]:
 
 
 BALANCED = 0.01
-"""Largest error of the momentum balance, relative to the largest impulse."""
+"""Largest error of the momentum balance that a valid run may have, relative to the largest impulse."""
 FEWEST = 200
-"""Fewest grains that represent concrete in a vessel; with fewer, single stones decide the outcome."""
+"""Minimum number of grains that represent concrete in a vessel; with fewer, the outcome depends on single grains."""
 STRAYS = 0.05
-"""Largest fraction of the grains that may leave a heap."""
+"""Largest fraction of the grains that may roll away from the heap in a valid run."""
 
 CURES = {
     "momentum balance": "--precision float64, or a smaller --safety",
@@ -405,7 +438,7 @@ CURES = {
 
 @with_cures(CURES)
 def check_vessel(run: Run) -> dict[str, tuple[bool, str]]:
-    """Return the checks of a run in a vessel by name: whether the check passed, and the values it found."""
+    """Return the checks of a run in a vessel by name, each as a tuple (True if passed, text with measured values)."""
     result, test = run.result, run.scene.vessel.test
     balance, overlap, grains = result["momentum_balance_error"], result["largest_overlap"], result["bodies"]
     found = {
@@ -420,7 +453,7 @@ def check_vessel(run: Run) -> dict[str, tuple[bool, str]]:
 
 
 def vessel_remarks(given: VesselParameters, what: str) -> tuple[str, ...]:
-    """Return the simplifications of a scene as remarks; `what` names the parts along which the concrete may slide."""
+    """Return remarks on simplifications of a scene; `what` names the surfaces along which concrete may slide freely."""
     found = []
     if given.law == "mortar":
         found.append(

@@ -1,6 +1,6 @@
-"""Description of a scene of discrete elements: bodies, clumps, sizes, containers, bonds, walls in strokes.
+"""Description of a scene of discrete elements: bodies, clumps, sizes, containers, bonds, slices and strokes.
 
-Modules here import `core`, `geometry`, `mix` and `dem.laws`; they hold no device arrays. Start with `scene`.
+Modules here import `core`, `geometry`, `mix` and `dem.laws`; none of them allocates device arrays. Start with `scene`.
 """
 
 import importlib
@@ -8,7 +8,10 @@ from typing import Any
 
 
 def __getattr__(name: str) -> Any:
-    """Return a name of the module `scene`, which stood here before this package existed; kept for one version."""
+    """Return the attribute `name` of the module `scene`, so that old imports from this package still work.
+
+    This function will be removed in the next version.
+    """
     if name.startswith("__") or name == "scene":
         raise AttributeError(name)
     return getattr(importlib.import_module(".scene", __name__), name)

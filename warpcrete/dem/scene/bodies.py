@@ -1,4 +1,4 @@
-"""Table of bodies on the host, from which a state is built and with which a run ends."""
+"""Table of bodies on the host, from which the state of a run is built, and which a run returns at its end."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ class BodyTable:
     """Bodies on the host, one row for each body, in the order of their permanent numbers."""
 
     position: np.ndarray
-    """Centroids [m], shape (n, 3)."""
+    """Centroids of the bodies [m], shape (n, 3)."""
     orientation: np.ndarray
-    """Unit quaternions (x, y, z, w) that rotate from the body's frame to space, shape (n, 4)."""
+    """Unit quaternions (x, y, z, w) that rotate from the body's frame to the global frame, shape (n, 4)."""
     velocity: np.ndarray
     """Velocities of the centroids [m/s], shape (n, 3)."""
     spin: np.ndarray
-    """Angular velocities in space [rad/s], shape (n, 3)."""
+    """Angular velocities in the global frame [rad/s], shape (n, 3)."""
     size: np.ndarray
-    """Diameters of spheres of equal volume [m], shape (n,)."""
+    """Size of each body: the diameter of a sphere of equal volume [m], shape (n,)."""
     template: np.ndarray
     """Index of each body's shape in `templates`, shape (n,)."""
     density: np.ndarray
-    """Densities [kg/m3], shape (n,)."""
+    """Density of each body [kg/m3], shape (n,)."""
     material: list[str]
     group: list[str]
     templates: tuple[ClumpTemplate, ...]

@@ -21,9 +21,9 @@ class ClumpTemplate:
 
     name: str
     offsets: np.ndarray
-    """Sphere centres in units of the size, shape (k, 3)."""
+    """Centres of the spheres relative to the centroid, in units of the body's size, shape (k, 3)."""
     radii: np.ndarray
-    """Sphere radii in units of the size, shape (k,)."""
+    """Radii of the spheres in units of the body's size, shape (k,)."""
     inertia: np.ndarray
     """Principal moments of inertia divided by mass times size squared, shape (3,).
 
@@ -67,7 +67,8 @@ def union_properties(
     half = np.sqrt(np.maximum(square, 0.0))
     begin = np.where(square > 0, centres[:, 2] - half, np.inf)
     end = np.where(square > 0, centres[:, 2] + half, -np.inf)
-    # Sort the chords of each line and clip each to the end of the chords before it, so that overlaps count once.
+    # Sort the chords in which a line crosses the spheres, and clip each to the end of those before it, so that overlaps
+    # count once.
     order = np.argsort(begin, axis=1)
     begin, end = np.take_along_axis(begin, order, 1), np.take_along_axis(end, order, 1)
     reached = np.maximum.accumulate(end, axis=1)
@@ -79,7 +80,8 @@ def union_properties(
     volume = z0.sum() * area
     centroid = np.array([(gx * z0).sum(), (gy * z0).sum(), z1.sum()]) * area / volume
     second = np.empty((3, 3))
-    # Each line stands for a prism of rectangular cross-section, whose own second moment adds step^2/12 in x and in y.
+    # Each line of the integration represents a prism of rectangular cross-section, whose own second moment of area adds
+    # step^2/12 in x and in y.
     second[0, 0] = ((gx**2 + steps[0] ** 2 / 12) * z0).sum()
     second[1, 1] = ((gy**2 + steps[1] ** 2 / 12) * z0).sum()
     second[2, 2] = z2.sum()
@@ -114,7 +116,8 @@ def clump(name: str, centres: np.ndarray, radii: np.ndarray) -> ClumpTemplate:
     if np.linalg.det(axes) < 0:
         axes = axes * [1, 1, -1]
     if np.ptp(moments) < 1e-4 * moments.mean():
-        # Within the accuracy of the integration the body rotates like a sphere, which is cheaper to compute.
+        # Set moments equal that agree within the accuracy of the integration: the rotation of a body with three equal
+        # moments is cheaper to compute.
         moments = np.full(3, moments.mean())
     offsets = (centres - centroid) @ axes / size
     return ClumpTemplate(name, offsets, radii / size, moments / (volume * size**2))
@@ -215,7 +218,7 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
     if inside.sum() < 8:
         refuse("resolution", resolution, "is too coarse for this mesh", "increase it")
     points, depth = points[inside], depth[inside]
-    # A point near the surface rarely covers much volume, so the 4,000 deepest points are enough as candidates.
+    # Spheres centred near the surface are small, so the 4,000 deepest points are enough as candidates for centres.
     candidates = np.argsort(-depth)[:4000]
     uncovered = np.ones(len(points), dtype=bool)
     chosen: list[int] = []
@@ -230,7 +233,7 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
     if len(chosen) < spheres:
         refuse("spheres", spheres, f"must be at most {len(chosen)} for this mesh at resolution {resolution}")
     centres, radii = points[chosen], depth[chosen]
-    # Bisection finds the growth of all radii at which the union has the volume of the mesh.
+    # Find by bisection the length to add to all radii at which the union has the volume of the mesh.
     low, high = 0.0, float(mesh.volume) ** (1 / 3)
     for _ in range(30):
         middle = 0.5 * (low + high)

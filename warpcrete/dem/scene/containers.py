@@ -15,7 +15,7 @@ from .clumps import ClumpTemplate, reference
 from .sizes import Gaussian, Sizes
 
 START_RADIUS_RATIO = 0.95
-"""Fraction of the local radius within which aggregates start; they then fit into a pipe of eight or more facets."""
+"""Fraction of the local radius within which aggregates are placed, so that they fit a pipe of eight or more facets."""
 
 
 def low_discrepancy_points(count: int, random: np.random.Generator) -> np.ndarray:
@@ -23,30 +23,30 @@ def low_discrepancy_points(count: int, random: np.random.Generator) -> np.ndarra
 
     The points are Roberts' R3 sequence, shifted by a random vector.
     """
-    root = 1.2207440846057596  # real root of x^4 = x + 1
+    root = 1.2207440846057596  # real root of x^4 = x + 1, the counterpart of the golden ratio in three dimensions
     steps = root ** -np.arange(1, 4)
     return (random.uniform(size=3) + np.arange(1, count + 1)[:, None] * steps) % 1.0
 
 
 @dataclass(frozen=True)
 class PipeContainer:
-    """First part of a pipe with a given `length` along the axis, closed by a plane at either end.
+    """Container that is the first `length` of a pipe along its axis, closed by a plane at either end.
 
-    If the wall is not a round pipe of constant `radius`, for example a reducer or a pipe of few facets, the mesh `bore`
-    is the wall; `radius` is then the smallest radius and `area` the mean cross-sectional area. `bores` gives the radius
-    as a function of arc length where it varies, so that aggregates start evenly distributed over the volume. If the
-    cross-section is not round, `clear` gives the largest circles about the axis that lie inside, and aggregates start
-    within them.
+    If the pipe is not round with a constant `radius`, for example a reducer or a pipe of few facets, the mesh `bore` is
+    its wall. Then `radius` is the smallest radius and `area` the mean cross-sectional area. `bores` gives the radius as
+    a function of arc length where the radius varies, so that aggregates are placed evenly over the volume. If the
+    cross-section is not round, `clear` gives the radii of the largest circles about the axis that lie inside the bore.
+    Aggregates are placed within these circles.
     """
 
     axis: Axis
     radius: float
-    """Inner radius [m]."""
+    """Inner radius of the pipe [m]; the smallest one if it varies."""
     length: float
-    """Length along the axis [m]."""
+    """Length of the container along the axis [m]."""
     bore: MeshWall | None = None
     area: float | None = None
-    """Mean cross-sectional area [m2]; None means that of the round pipe."""
+    """Mean cross-sectional area [m2]; None means the area of a round pipe of the given `radius`."""
     bores: Bores | None = None
     clear: Bores | None = None
 
@@ -58,7 +58,7 @@ class PipeContainer:
 
     @property
     def volume(self) -> float:
-        """Volume [m3]; by Pappus's theorem a bend does not change it."""
+        """Volume [m3], computed as for a straight pipe; by Pappus's theorem a bend does not change it."""
         if self.bores is not None:
             return self.bores.volume(0.0, self.length)
         return float(np.pi * self.radius**2 if self.area is None else self.area) * self.length
@@ -69,7 +69,7 @@ class PipeContainer:
         return min(2 * self.radius, self.length)
 
     def walls(self, material: str) -> tuple[Wall, ...]:
-        """Return the pipe wall and the two end planes with a contact `material`."""
+        """Return the pipe's wall and the two end planes as walls of the contact `material`."""
         points, tangents = self.axis.at([0.0, self.length])
         ends = (
             PlaneWall(name="start", point=tuple(points[0]), normal=tuple(tangents[0]), material=material),
@@ -80,7 +80,7 @@ class PipeContainer:
         return (PipeWall(name="pipe", axis=self.axis, radius=self.radius, material=material), *ends)
 
     def pilot(self) -> PipeContainer:
-        """Return a shorter container whose packings have nearly the same properties, for cheap trial packings."""
+        """Return a shorter pipe for cheap trial packings, whose properties are nearly those of the whole packing."""
         return replace(self, length=min(self.length, 3 * self.radius))
 
     def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
@@ -112,7 +112,7 @@ class MeshContainer:
 
     @property
     def volume(self) -> float:
-        """Volume [m3]."""
+        """Volume enclosed by the mesh [m3]."""
         return float(self.mesh.volume)  # type: ignore[attr-defined]
 
     @property
@@ -121,11 +121,11 @@ class MeshContainer:
         return float(self.mesh.extents.min())  # type: ignore[attr-defined]
 
     def walls(self, material: str) -> tuple[Wall, ...]:
-        """Return the mesh as a wall with a contact `material`."""
+        """Return the mesh as a wall of the contact `material`."""
         return (MeshWall(name="container", vertices=self.mesh.vertices, faces=self.mesh.faces, material=material),)  # type: ignore[attr-defined]
 
     def pilot(self) -> MeshContainer:
-        """Return the container itself, because no smaller container is similar to an arbitrary mesh."""
+        """Return the container itself for trial packings, because an arbitrary mesh has no smaller similar copy."""
         return self
 
     def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
@@ -136,7 +136,7 @@ class MeshContainer:
             points = lower + low_discrepancy_points(wanted, random) * (upper - lower)
             inside = points[signed_distance(self.mesh, points) < 0]  # type: ignore[arg-type]
             if len(inside) >= count:
-                # Only the complete sequence is evenly distributed, so surplus points are removed at regular intervals.
+                # Only the whole sequence of points is evenly distributed, so drop surplus points at regular intervals.
                 return inside[np.linspace(0, len(inside) - 1, count).astype(int)]
             wanted *= 2
 
@@ -166,6 +166,14 @@ class Fill:
     pressure: float | None = None
     """Mean pressure of the finished packing, without gravity or friction [Pa]."""
 
+    @property
+    def filled_density(self) -> float:
+        """Density of the filled container [kg/m3], that of the grains alone if `bulk_density` is not given.
+
+        It is 0 if a pressure determines the packing, whose density is then not known in advance.
+        """
+        return self.bulk_density or self.density * (self.solid_fraction or 0.0)
+
     def __post_init__(self) -> None:
         positive("density", self.density, "kg/m3")
         if self.bulk_density is not None:
@@ -184,7 +192,7 @@ class Fill:
             refuse("fractions", self.fractions, f"must be {len(self.templates)} numbers of at least 0, not all 0",
                    "give one fraction for each shape")  # fmt: skip
         object.__setattr__(self, "fractions", tuple((given / given.sum()).tolist()))
-        # A long aggregate can lie along the container, so its smallest width decides whether it fits.
+        # A long aggregate can lie along the container, so its thickness, not its length, decides whether it fits.
         thickest = self.sizes.largest * min(2 * float(t.radii.max()) for t in self.templates)
         if thickest >= self.container.narrowest:
             refuse(

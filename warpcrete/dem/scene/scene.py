@@ -19,6 +19,7 @@ from ...core.inputs.parameters import Above, Declared, Within
 from ...geometry.axis import Axis
 from ...geometry.walls import Driven, MeshWall, Motion, PipeWall, PlaneWall, Prescribed, Stops, Wall
 from ...standards import StandardTest
+from ...theory.pipe import Concrete
 from ..laws import Contact, ContactLaw
 from .clumps import ClumpTemplate
 from .containers import Fill
@@ -32,9 +33,9 @@ __all__ = [
 
 
 MUCH_STIFFER = 200.0
-"""Smallest ratio of the hydrated bonds' modulus to the largest other modulus at which sub-cycling pays off.
+"""Ratio of moduli above which sub-cycling saves computing time: that of hydrated bonds to the largest other modulus.
 
-At a ratio of 100, sub-cycling takes as long as ordinary single steps.
+At a ratio of 100, a run with sub-cycling takes as long as one in which all bonds take the same small steps.
 """
 
 
@@ -84,7 +85,7 @@ class AxisDrive:
     group: str
     axis: Axis
     force: float
-    """Sum of the force over the group [N]; negative values push against the axis' direction."""
+    """Total force on all bodies of the group [N]; a negative force acts against the direction of the axis."""
 
     def __post_init__(self) -> None:
         between("drive force", self.force, -np.inf, np.inf, "N")
@@ -92,22 +93,22 @@ class AxisDrive:
 
 @dataclass(frozen=True, kw_only=True)
 class Bodies:
-    """Bodies placed at given positions."""
+    """Bodies of one shape and density that a scene places at given positions."""
 
     positions: np.ndarray
-    """Centroids [m], shape (n, 3)."""
+    """Centroids of the bodies [m], shape (n, 3)."""
     sizes: np.ndarray
     """Diameters of the spheres of equal volume [m], shape (n,) or one number."""
     template: ClumpTemplate | None = None
     """Shape of the bodies; None for single spheres."""
     density: float = 2500.0
-    """Density [kg/m3]."""
+    """Density of all the bodies [kg/m3]."""
     material: str = "aggregate"
     group: str = ""
     orientations: np.ndarray | None = None
     """Orientations as unit quaternions x, y, z, w, shape (n, 4)."""
     velocities: np.ndarray | None = None
-    """Velocities [m/s], shape (n, 3)."""
+    """Velocities of the centroids [m/s], shape (n, 3)."""
     spins: np.ndarray | None = None
     """Angular velocities in the global frame [rad/s], shape (n, 3)."""
 
@@ -198,7 +199,7 @@ class Settle(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class Watch(Declared):
-    """Limits beyond which a run stops with an InstabilityError; values that are not finite always stop it."""
+    """Limits beyond which a run stops with an InstabilityError; values that are not finite always stop a run."""
 
     called = "watch"
 
@@ -238,7 +239,7 @@ class Wear(Declared):
 
 @dataclass(frozen=True, kw_only=True)
 class Blockage(Declared):
-    """Detection of blockage: part of the concrete in a pipe stands still while the piston goes on."""
+    """Settings for detecting blockage: part of the concrete in a pipe stands still while the piston advances."""
 
     called = "blockage"
 
@@ -258,7 +259,7 @@ class PressureProbe:
     wall: str
     """Name of a :class:`PlaneWall` of the scene."""
     area: float
-    """Area by which the force is divided [m2]."""
+    """Area by which the force is divided to obtain the pressure [m2]."""
 
     def __post_init__(self) -> None:
         positive("pressure area", self.area, "m2")
@@ -289,7 +290,10 @@ class PipeUnit:
         return self.travel / (1 + self.stops.count if self.stops is not None else 1)
 
     def begun(self, travel: float) -> float:
-        """Return the travel [m] at which the current stroke began; during a stop, the start of the next stroke."""
+        """Return the travel [m] at which the stroke that contains the travel `travel` [m] began.
+
+        During a stop the next stroke counts as begun.
+        """
         if self.stops is None:
             return 0.0
         return min(math.floor(travel / self.stroke + 1e-6), self.stops.count) * self.stroke
@@ -306,6 +310,8 @@ class Vessel:
     """Speed limit for rest [m/s]: all bodies of the main heap must stay below it for a second."""
     dimensions: Mapping[str, float]
     """Dimensions of the vessel by name [m], as the test lists them."""
+    concrete: Concrete | None = None
+    """Bingham fluid that the contact law represents, for closed forms; None for other laws."""
 
     def __post_init__(self) -> None:
         between("opened", self.opened, 0, np.inf, "s")
@@ -319,10 +325,12 @@ class Rest(Declared):
 
     The static yield stress grows linearly, tau_0(t) = tau_0 + A_thix t (Roussel 2006). The same stress is added to the
     tensile strength and cohesion of the scene's bonds, and to the yield stress of a lubrication layer on the walls.
-    Bonds that exist keep their loads. Contacts without a bond are bonded without load. Hydrated bonds and bonds of
-    groups do not change. A bond that breaks later stays broken, or, if bonds heal, comes back as strong as before the
-    rest. Slip wears off the layer's gain as exp(-slip / breakdown). The travel of `wall` since the rest serves as the
-    slip everywhere, as in plug flow. Nothing moves during the rest.
+    Existing bonds keep the forces that they carry, and contacts without a bond receive a bond without force. Hydrated
+    bonds and the bonds inside a group, for example the plug, do not change. A bond that breaks later stays broken. If
+    the scene lets bonds heal, it returns with the strength from before the rest.
+
+    Slip on the wall wears off what the layer gained: the gain is multiplied by exp(-slip / breakdown). As in plug flow,
+    the travel of `wall` since the rest serves as the slip of the whole layer. Nothing moves during the rest.
     """
 
     called = "rest"
@@ -334,7 +342,7 @@ class Rest(Declared):
     coverage: Annotated[
         float,
         "Area on which a layer acts (pi r^2 of every contact) over the area of the wall; the gained yield "
-        "stress is multiplied by this ratio",
+        "stress of the layer is divided by this ratio",
         Above(),
     ] = 1.0
     wall: Annotated[str, "Name of the wall whose travel is the slip"] = "piston"
@@ -346,21 +354,24 @@ class Rest(Declared):
 
     @property
     def layer_gained(self) -> float:
-        """Stress by which the yield stress of the wall layer grows, on the area on which the layer acts [Pa]."""
+        """Increase of the yield stress of a wall's lubrication layer during the rest [Pa].
+
+        The increase is `gained` divided by the fraction of the wall's area on which contacts act.
+        """
         return self.gained / self.coverage
 
 
 @dataclass(frozen=True, kw_only=True)
 class Published:
-    """Published values for a scene, shown next to the results of a run."""
+    """Published values that reports show next to the results of a run of this scene."""
 
     source: str
     peak: float | None = None
-    """Peak pressure [Pa]."""
+    """Published peak of the pumping pressure [Pa]."""
     plateau: float | None = None
-    """Pressure on the plateau [Pa]."""
+    """Published pumping pressure on the plateau [Pa]."""
     peak_travel: float | None = None
-    """Travel of the piston at the peak pressure [m]."""
+    """Published travel of the piston at the peak pressure [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -369,14 +380,14 @@ class Scene(Parametrised):
 
     name: str
     duration: float
-    """Simulated time [s]."""
+    """Simulated duration of the run after t = 0, that is, after packing and settling [s]."""
     bodies: tuple[Bodies, ...] = ()
     fill: Fill | None = None
     """Aggregates that are packed into a container before the start."""
     walls: tuple[Wall, ...] = ()
     drives: tuple[AxisDrive, ...] = ()
     contacts: Mapping[tuple[str, str], ContactLaw] = field(default_factory=dict)
-    """Overrides of `contact` for pairs of materials, in either order."""
+    """Contact laws for single pairs of materials, which replace `contact`; the order within a pair does not matter."""
     contact: ContactLaw = field(default_factory=Contact)
     """Contact law between bodies, and against walls unless `contacts` overrides it. A scene has one law between bodies
     and one against walls; the parameters of each may differ between pairs of materials."""
@@ -399,11 +410,11 @@ class Scene(Parametrised):
     energy_balance: bool = False
     """True to sum all dissipated energy, so that the energy balance can be checked; costs a few per cent of speed."""
     wear: Wear | None = None
-    """Settings for summing the wear of walls; None to leave it out."""
+    """Settings for measuring the wear of walls; None to leave it out."""
     blockage: Blockage | None = None
     """Settings for detecting blockage, which also requires `pipe` and `pressure`; None to leave it out."""
     segregation: bool = False
-    """True to measure where in the pipe the aggregate is, which requires `pipe`."""
+    """True to measure segregation, the distribution of aggregate over the pipe; requires `pipe`."""
     pressure: PressureProbe | None = None
     pipe: PipeUnit | None = None
     vessel: Vessel | None = None

@@ -59,9 +59,9 @@ class SieveCurve:
     """
 
     openings: tuple[float, ...]
-    """Sieve openings, rising [m]."""
+    """Sieve openings, in rising order [m]."""
     passing: tuple[float, ...]
-    """Mass fractions that pass the openings, rising from 0 at the first opening to 1 at the last."""
+    """Mass fractions that pass the sieve openings, rising from 0 at the first opening to 1 at the last."""
 
     def __post_init__(self) -> None:
         try:
@@ -81,12 +81,12 @@ class SieveCurve:
 
     @property
     def smallest(self) -> float:
-        """Smallest size [m]."""
+        """Smallest size of the grading curve [m]."""
         return self.openings[0]
 
     @property
     def largest(self) -> float:
-        """Largest size [m]."""
+        """Largest size of the grading curve [m]."""
         return self.openings[-1]
 
     def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
@@ -97,7 +97,7 @@ class SieveCurve:
         """
         openings, part = np.array(self.openings), np.diff(self.passing)
         inverse_cubes = openings**-3
-        # Number of particles in each size class, per unit of mass.
+        # Relative numbers of particles between neighbouring sieve openings.
         number = part * (inverse_cubes[:-1] - inverse_cubes[1:]) / np.log(openings[1:] / openings[:-1])
         fraction = random.choice(len(part), size=count, p=number / number.sum())
         u = random.uniform(size=count)

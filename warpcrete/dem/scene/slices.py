@@ -13,25 +13,32 @@ from ...geometry.axis import Axis
 from ...geometry.bores import Bores
 
 CLEAR, FEWEST = 1.0, 2
-"""Distance from a stretch's ends, in pipe radii, within which line fits ignore slices; fewest slices for a line fit."""
+"""Limits for line fits of measurements along a straight stretch of pipe.
+
+`CLEAR` is the distance from the ends of the stretch, in pipe radii, within which slices are ignored. `FEWEST` is the
+minimum number of slices for a fit.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stations:
-    """Slices of a pipe between given arc lengths, in which a run measures while concrete fills them."""
+    """Slices of a pipe between given arc lengths, in which a run measures stresses, solid fraction and velocities.
+
+    A slice is measured only while concrete fills it.
+    """
 
     axis: Axis
     bores: Bores
     edges: tuple[float, ...]
     """Arc lengths of the slices' ends, rising [m], shape (slices + 1,)."""
     wall: str = "pipe"
-    """Name of the wall whose shear stress is measured."""
+    """Name of the wall on which the shear stress is measured."""
     origin: float = 0.0
     """Arc length that counts as zero in the results [m]."""
     middle: tuple[float, float] | None = None
     """Arc lengths between which the pipe is not straight (bend or taper) [m]; None if it is straight everywhere."""
     each_row: bool = True
-    """True to measure in every row of the series, False to measure only when a recording draws the slices."""
+    """True to measure the slices in every row of the series, False to measure them only when a recording draws them."""
 
     def __post_init__(self) -> None:
         if len(self.edges) < 2 or np.any(np.diff(self.edges) <= 0):
@@ -54,13 +61,16 @@ class Stations:
         return np.array([self.bores.surface(a, b) for a, b in pairwise(self.edges)])
 
     def clear(self, low: float, high: float) -> np.ndarray:
-        """Return a mask of the slices between two arc lengths [m], a radius or more from both, shape (slices,)."""
+        """Return a mask of the slices between two arc lengths [m], shape (slices,).
+
+        Slices whose middle is within CLEAR radii of either arc length are left out.
+        """
         off = CLEAR * self.bores.at([low, high])
         return (self.places > low + off[0]) & (self.places < high - off[1])
 
     @property
     def straights(self) -> tuple[tuple[float, float], ...]:
-        """Ends of the straight stretches [m]: before and behind the middle, or the whole pipe."""
+        """Arc lengths of both ends of each straight stretch [m]: before and behind `middle`, or the whole pipe."""
         if self.middle is None:
             return ((self.edges[0], self.edges[-1]),)
         return (self.edges[0], self.middle[0]), (self.middle[1], self.edges[-1])

@@ -13,12 +13,12 @@ from ...geometry.walls import Stops
 from .scene import PipeUnit
 
 HELD = 0.5
-"""Final fraction of a pause over which the held pressure is averaged."""
+"""Last fraction of each pause of the piston, over which the pressure held during the pause is averaged."""
 
 
 @dataclass(frozen=True)
 class Stroke:
-    """Samples of one stroke and of the pause after it."""
+    """Selection of the samples that belong to one stroke of the piston and to the pause after it."""
 
     moving: np.ndarray
     """Mask of the samples, shape (samples,): True from the start of the stroke to its stop."""
@@ -27,14 +27,17 @@ class Stroke:
 
 
 def strokes_of(pipe: PipeUnit | None, time: np.ndarray) -> list[Stroke]:
-    """Return the strokes that have begun at the samples `time` (samples,) [s]; none if the piston never stops."""
+    """Return the selections of samples for the strokes that began within the run; none if the piston never stops.
+
+    `time` has the times of the samples [s], shape (samples,).
+    """
     if pipe is None or pipe.stops is None:
         return []
     stops, found = pipe.stops, []
     for number in range(stops.count + 1):
         begin = number * stops.period
         stop, end = _stop(stops, number)
-        # A row's pressure is the mean since the previous row, so the row at the stop belongs to the stroke.
+        # A sample's pressure is the mean since the previous sample, so the sample at the stop belongs to the stroke.
         moving = (time > begin + 1e-9) & (time <= stop + 1e-9)
         if number == 0:
             moving |= time == 0
@@ -44,7 +47,7 @@ def strokes_of(pipe: PipeUnit | None, time: np.ndarray) -> list[Stroke]:
 
 
 def _stop(stops: Stops, number: int) -> tuple[float, float]:
-    """Return when the piston stops after a stroke and when it starts again [s]."""
+    """Return when the piston stops after stroke `number` and when it starts again [s]; infinite for the last."""
     if number == stops.count:
         return np.inf, np.inf
     begin = number * stops.period
@@ -66,7 +69,7 @@ def held(pipe: PipeUnit | None, series: Mapping[str, np.ndarray]) -> list[float]
 
 
 def stroke_table(pipe: PipeUnit, series: Mapping[str, np.ndarray]) -> dict[str, dict[str, Any]]:
-    """Return the peak of each stroke that has begun and the pressure held in the pause after it, by stroke number."""
+    """Return, by stroke number, the peak pressure of each stroke and the mean pressure in the pause after it."""
     table: dict[str, dict[str, Any]] = {}
     tops, holds = peaks(pipe, series), held(pipe, series)
     for number, top in enumerate(tops):

@@ -123,10 +123,16 @@ class SeedResult:
     """Friction of each kind of bend or reducer, divided by that of straight pipe of the same length."""
     density: float
     """Bulk density of the elements that fill the pipe [kg/m3]."""
+    blocked: Mapping[tuple[Any, ...], bool] = field(default_factory=dict)
+    """Whether the simulation of each kind of part was blocked."""
+
+    def is_blocked(self, part: Part) -> bool:
+        """Return whether the simulation of a part, or of straight pipe of its diameter, was blocked."""
+        return any(found for key, found in self.blocked.items() if key[: len(part.loss_key)] == part.loss_key)
 
     def ratio(self, part: Part) -> float:
         """Return a part's friction divided by that of straight pipe of the same length."""
-        return self.ratios.get(part.loss_key, part.relative_loss)
+        return part.factor if part.factor is not None else self.ratios.get(part.loss_key, part.relative_loss)
 
     def course(self, line: PipeLine) -> list[tuple[float, float]]:
         """Return the pressure losses (friction, weight) of each part of a line [Pa], from its start to its end."""
@@ -191,6 +197,10 @@ class ElementLine:
         """Return the pressure due to each part's weight, averaged over the seeds [Pa], shape (parts,)."""
         return np.mean([[weight for _, weight in each.course(self.line)] for each in self.packed], axis=0)
 
+    def blocked(self) -> list[int]:
+        """Return for each part of the line the number of seeds with which its simulation was blocked."""
+        return [sum(each.is_blocked(part) for each in self.packed) for part in self.line.parts]
+
     def record(self) -> dict[str, Any]:
         """Return the contents of line-dem.json."""
         return {
@@ -203,8 +213,11 @@ class ElementLine:
             "failed_checks": self.failed,
             "parts": [
                 {"number": part.number, "what": part.label, "friction": quantity(friction, "Pa"),
-                 "weight": quantity(weight, "Pa"), "ratios": [each.ratio(part) for each in self.packed]}
-                for part, friction, weight in zip(self.line.parts, self.frictions(), self.weights(), strict=True)
+                 "weight": quantity(weight, "Pa"), "ratios": [each.ratio(part) for each in self.packed],
+                 "blocked_seeds": blocked}
+                for part, friction, weight, blocked in zip(
+                    self.line.parts, self.frictions(), self.weights(), self.blocked(), strict=True
+                )
             ],
             "wall_time": {name: quantity(time, "s") for name, time in self.took.items()},
             "elapsed": quantity(self.elapsed, "s"),
@@ -273,7 +286,7 @@ def run_elements(
 def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
     """Yield the kinds of parts that need a simulation, including straight pipe of every diameter."""
     for part in line.parts:
-        if not part.is_by_length:
+        if not part.is_by_length and part.factor is None:
             yield part.loss_key, part
         for diameter in (part.diameter, part.outlet):
             straight = Part(part.number, "straight", diameter, 1.0, 0.0, diameter)
@@ -384,7 +397,8 @@ def _seed_result(kinds: Mapping[Any, Part], runs: Mapping[Any, Run]) -> SeedResu
     for diameter, found in tables.items():
         joined = {name: np.concatenate([columns[name] for columns in found]) for name in found[0]}
         laws[diameter] = WallLaw.of(diameter, joined, largest)
-    return SeedResult(laws, ratios, float(np.mean(densities)))
+    blocked = {key: bool(runs[key].result.get("blocked")) for key in kinds}
+    return SeedResult(laws, ratios, float(np.mean(densities)), blocked)
 
 
 def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Mapping[Any, Part]) -> Iterator[str]:
@@ -401,6 +415,12 @@ def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Map
             yield (
                 f"{name}: outflow is {100 * number(ratio):.0f} % of the inflow; the concrete is still being compressed"
             )
+    for part, blocked in zip(found.line.parts, found.blocked(), strict=True):
+        if blocked:
+            yield (f"BLOCKED: part {part.number}, {part.label}, with {blocked} of {len(found.packed)} seeds; the "
+                   "pressure of the line means nothing then")  # fmt: skip
+    if not any(found.blocked()):
+        yield "not blocked: no simulated part was blocked"
     laws = [law for each in found.packed for law in each.laws.values()]
     measured, largest = max(law.measured for law in laws), min(law.largest for law in laws)
     if found.pressure > 1.2 * measured:
@@ -425,16 +445,19 @@ def element_table_lines(found: ElementLine, others: Mapping[str, Sequence[float]
         "",
         "| part | | friction, elements [kPa] | "
         + "".join(f"{name} [kPa] | " for name in others)
-        + "relative to straight pipe | weight [kPa] |",
-        "|" + "---|" * (5 + len(others)),
+        + "relative to straight pipe | weight [kPa] | blocked |",
+        "|" + "---|" * (6 + len(others)),
     ]
-    rows = zip(found.line.parts, found.frictions(), found.weights(), strict=True)
-    for place, (part, friction, weight) in enumerate(rows):
-        ratios = [each.ratios[part.loss_key] for each in found.packed if part.loss_key in each.ratios]
+    rows = zip(found.line.parts, found.frictions(), found.weights(), found.blocked(), strict=True)
+    for place, (part, friction, weight, blocked) in enumerate(rows):
+        ratios = [
+            each.ratios[part.loss_key] for each in found.packed if part.loss_key in each.ratios and part.factor is None
+        ]
         shown = f"{np.mean(ratios):.2f}" if ratios else ""
         if len(ratios) > 1:
             shown += f" ± {np.std(ratios, ddof=1) / math.sqrt(len(ratios)):.2f}"
         cells = [f"{part.number}", part.label, f"{friction / 1e3:.4g}"]
         cells += [f"{each[place] / 1e3:.4g}" for each in others.values()]
-        text.append(f"| {' | '.join([*cells, shown, f'{weight / 1e3:.4g}'])} |")
+        stuck = f"{blocked} of {len(found.packed)} seeds" if blocked else "no"
+        text.append(f"| {' | '.join([*cells, shown, f'{weight / 1e3:.4g}', stuck])} |")
     return text

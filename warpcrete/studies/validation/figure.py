@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from .predictions import KINDS
-
-if TYPE_CHECKING:
-    from .validate import Comparison
+from .comparison import Comparison
+from .kinds import KINDS
 
 COLUMNS = 4
 """Number of panels in a row of the figure."""
+STYLES = (
+    (False, False, {"marker": "o", "color": "C0", "markerfacecolor": "white", "label": "others, with band"}),
+    (True, False, {"marker": "o", "color": "C0", "label": "held out, with band"}),
+    (False, True, {"marker": "s", "color": "C1", "label": "simulated as a flow"}),
+)
+"""Looks of held-out, other and simulated cases: held out, simulated, and keywords of Matplotlib."""
+SHOWN = {"pipe": (1e-3, "kPa/m"), "line": (1e-5, "bar"), "slump": (1e3, "mm"), "spread": (1e3, "mm")}
+"""Factor and unit in which the figure shows a kind of measurement; by default the SI unit."""
 
 
 def draw(comparisons: Sequence[Comparison]) -> Any:
@@ -23,20 +29,38 @@ def draw(comparisons: Sequence[Comparison]) -> Any:
     figure = Figure(figsize=(3.2 * min(len(kinds), COLUMNS), 3.3 * rows), layout="constrained")
     for place, kind in enumerate(kinds):
         axes = figure.add_subplot(rows, min(len(kinds), COLUMNS), place + 1)
-        own = [each for each in comparisons if each.case.kind == kind]
-        values = [x for each in own for x in (each.measured, each.band.value)]
-        low, high = min(values) / 1.6, max(values) * 1.6
-        axes.plot([low, high], [low, high], color="0.4", linewidth=1)
-        axes.fill_between([low, high], [low / 2, high / 2], [low * 2, high * 2], color="0.92", linewidth=0)
-        for each in own:
-            down, up = each.band.value - each.band.low, each.band.high - each.band.value
-            axes.errorbar(each.measured, each.band.value, [[max(down, 0.0)], [max(up, 0.0)]], fmt="o", color="C0",
-                          markerfacecolor="C0" if each.held_out else "white", markersize=5, linewidth=0.8)  # fmt: skip
-        unit = KINDS[kind].unit
-        shown = "" if unit == "1" else f" [{unit}]"
-        axes.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low / 1.3, high * 1.3))
-        axes.set_title(KINDS[kind].label, fontsize=9)
-        axes.set_xlabel(f"measured{shown}", fontsize=8)
-        axes.set_ylabel(f"predicted{shown}", fontsize=8)
-        axes.tick_params(labelsize=7)
+        _panel(axes, kind, [each for each in comparisons if each.case.kind == kind])
+    handles = figure.axes[0].get_legend_handles_labels() if figure.axes else ([], [])
+    figure.legend(*handles, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
     return figure
+
+
+def _panel(axes: Any, kind: str, own: Sequence[Comparison]) -> None:
+    """Draw the comparisons of one kind into a panel."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    factor, unit = SHOWN.get(kind, (1.0, KINDS[kind].unit))
+    values = [factor * x for each in own for x in (each.measured, each.band.value)]
+    low, high = min(values) / 1.6, max(values) * 1.6
+    axes.plot([low, high], [low, high], color="0.4", linewidth=1, label="prediction equals measurement")
+    axes.fill_between([low, high], [low / 2, high / 2], [low * 2, high * 2], color="0.92", linewidth=0,
+                      label="within a factor of two")  # fmt: skip
+    for held, simulated, style in STYLES:
+        chosen = [each for each in own if each.simulated == simulated and (simulated or each.held_out == held)]
+        ends = [
+            [max(x.band.value - x.band.low, 0.0) for x in chosen],
+            [max(x.band.high - x.band.value, 0.0) for x in chosen],
+        ]
+        axes.errorbar([factor * x.measured for x in chosen], [factor * x.band.value for x in chosen],
+                      [[factor * x for x in end] for end in ends], linestyle="none",
+                      elinewidth=0.8, markersize=5, **style)  # fmt: skip
+    axes.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low / 1.3, high * 1.3))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+    shown = "" if unit == "1" else f" [{unit}]"
+    axes.set_title(KINDS[kind].label, fontsize=9)
+    axes.set_xlabel(f"measured{shown}", fontsize=8)
+    axes.set_ylabel(f"predicted{shown}", fontsize=8)
+    axes.tick_params(labelsize=7)

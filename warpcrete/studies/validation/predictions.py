@@ -2,34 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from ...core.errors import refuse
 from ...core.inputs.amounts import amount
 from ...mix.mix import Mix, mix_of
-from ...mix.rheology import HEAP_CENTRE, HEAP_CENTRE_MEDIAN
+from ...mix.rheology import HEAP_CENTRE, HEAP_CENTRE_MEDIAN, READ_SPREAD
 from ...theory.bands import Band, combined
 from ...theory.inverse import BASE, HEIGHT, TOP, VOLUME
-from ...theory.pipe import Concrete, Line, steady
-from ...theory.vessels import funnel_time, heap_at_rest, tall_cone_slump
+from ...theory.pipe import Concrete, Line, layer_share, steady
+from ...theory.vessels import funnel_time, heap_at_rest, long_heap_spread, tall_cone_slump
 from ..lines.losses import line_of
 from ..lines.run import run_line
-
-if TYPE_CHECKING:
-    from .cases import Case
-
-
-@dataclass(frozen=True)
-class Kind:
-    """Kind of measurement: what is measured, its SI unit, and the function that predicts it."""
-
-    label: str
-    unit: str
-    predict: Callable[[Case], list[Band]]
-    """Return a prediction with its band for each measured value of a case."""
-
+from .cases import Case
 
 LINE_DENSITY = "2400 kg/m3"
 """Density assumed for a mix that states none; only weight and slump depend on it, and friction does not."""
@@ -91,6 +77,17 @@ def _line(case: Case) -> list[Band]:
     return found
 
 
+def _fitting(case: Case) -> list[Band]:
+    """Predict the friction of a part divided by that of straight pipe of its length."""
+    line = line_of({"diameter": case.test["diameter"], "parts": [case.test["part"]]}, case.name, case.folder)
+    found = []
+    for q in case.flows:
+        (loss,) = run_line(line, mix_of_case(case).concrete, q, simulate=False).losses
+        low, high = (loss.at(each) / loss.straight for each in (0, 1))
+        found.append(Band(loss.friction / loss.straight, low, high))
+    return found
+
+
 def line_weight(case: Case) -> float:
     """Return the pressure due to the weight of the concrete in a case's line [Pa]."""
     line = line_of(case.lines[str(case.test["line"])], case.name, case.folder)
@@ -100,21 +97,13 @@ def line_weight(case: Case) -> float:
 def _layer(case: Case) -> list[Band]:
     """Predict the wall stress of the slip layer at one slip velocity [Pa]."""
     speed = _number(case, "speed", "m/s")
-    return [_banded(mix_of_case(case), lambda c: c.slip_yield + c.slip_viscosity * speed)]
+    return [_banded(mix_of_case(case), lambda c: float(c.layer_law.stress(speed)))]
 
 
-def _thickness_share(case: Case) -> list[Band]:
+def _layer_share(case: Case) -> list[Band]:
     """Predict the share of the largest velocity in a pipe that the slip layer contributes."""
-    mix, diameter = mix_of_case(case), _number(case, "diameter", "m")
-
-    def share(concrete: Concrete, flow: float) -> float:
-        state = steady(concrete, Line(radius=diameter / 2, length=1.0, rise=0.0), flow)
-        plug = state.plug_radius
-        sheared = diameter / 2 - plug
-        bulk = (state.wall_stress / diameter) * sheared**2 / concrete.viscosity if sheared > 0 else 0.0
-        return state.slip_velocity / (state.slip_velocity + bulk)
-
-    return [_banded(mix, lambda c, q=q: share(c, q)) for q in case.flows]
+    mix, line = mix_of_case(case), Line(radius=_number(case, "diameter", "m") / 2, length=1.0, rise=0.0)
+    return [_banded(mix, lambda c, q=q: layer_share(c, line, q)) for q in case.flows]
 
 
 def _slump(case: Case) -> list[Band]:
@@ -135,30 +124,61 @@ def _slump(case: Case) -> list[Band]:
 
 
 def _spread(case: Case) -> list[Band]:
-    """Predict the spread [m] from the yield stress of the mix."""
+    """Predict the spread [m] from the yield stress of the mix.
+
+    The band includes the reading error and the difference between a heap that resists its stretch and a long one.
+    """
     mix = mix_of_case(case)
-    return [_banded(mix, lambda c: 2 * heap_at_rest(VOLUME, c.yield_stress, c.density)[0])]
+    own = mix.concrete
+
+    def width(stress: float) -> float:
+        return 2 * heap_at_rest(VOLUME, stress, own.density)[0]
+
+    spread = width(own.yield_stress)
+    ends = {
+        "yield stress": (width(mix["yield stress"].high), width(mix["yield stress"].low)),
+        "theory": (spread, long_heap_spread(VOLUME, own.yield_stress, own.density)),
+        "reading": (spread - READ_SPREAD, spread + READ_SPREAD),
+    }  # fmt: skip
+    return [combined(spread, ends)]
+
+
+FUNNEL = (0.0325, 0.2575), (0.15, 0.6), 0.075
+"""Half widths and heights of the V-funnel of EN 12350-9, and the distance of its parallel sides [m]."""
 
 
 def _funnel(case: Case) -> list[Band]:
-    """Predict the time of the V-funnel of EN 12350-9 [s]."""
+    """Predict the time of the V-funnel [s].
+
+    Concrete neither sticks to the funnel's wet steel nor slips on it as in a pipe. The prediction is the geometric mean
+    of both times, and its band reaches from one to the other.
+    """
     mix = mix_of_case(case)
-    sizes = (0.0325, 0.2575), (0.15, 0.6), 0.075
 
-    def time(concrete: Concrete) -> float:
-        return funnel_time(*sizes, concrete.viscosity, concrete.yield_stress, concrete.density)
+    def time(concrete: Concrete, slips: bool) -> float:
+        layer = (concrete.slip_viscosity, concrete.slip_yield, concrete.slip_flow_index,
+                 concrete.slip_quadratic_viscosity) if slips else None  # fmt: skip
+        law = {"flow_index": concrete.flow_index, "quadratic_viscosity": concrete.quadratic_viscosity}
+        return funnel_time(
+            *FUNNEL, concrete.viscosity, concrete.yield_stress, concrete.density, layer=layer, **law
+        )  # fmt: skip
 
-    return [_banded(mix, time)]
+    slips, sticks = (_banded(mix, lambda c, s=slips: time(c, s)) for slips in (True, False))
+    value = math.sqrt(slips.value * sticks.value)
+    ends = {"walls": (slips.value, sticks.value),
+            "concrete": (value * slips.low / slips.value, value * sticks.high / sticks.value)}  # fmt: skip
+    return [combined(value, ends)]
 
 
-KINDS = {
-    "pipe": Kind("friction of straight pipe", "Pa/m", _pipe),
-    "ratio": Kind("friction relative to another concrete", "1", _ratio),
-    "line": Kind("friction of a whole line", "Pa", _line),
-    "layer": Kind("wall stress of the slip layer", "Pa", _layer),
-    "profile": Kind("share of the layer in the velocity", "1", _thickness_share),
-    "slump": Kind("slump", "m", _slump),
-    "spread": Kind("spread", "m", _spread),
-    "funnel": Kind("time of the V-funnel", "s", _funnel),
+PREDICTORS = {
+    "pipe": _pipe,
+    "ratio": _ratio,
+    "line": _line,
+    "fitting": _fitting,
+    "layer": _layer,
+    "profile": _layer_share,
+    "slump": _slump,
+    "spread": _spread,
+    "funnel": _funnel,
 }
-"""Kinds of measurements that are compared with predictions, by name."""
+"""Functions that return a prediction with its band for each measured value of a case, by the kind of the case."""

@@ -1,0 +1,164 @@
+"""Rules of practice against blocking: their limits, cases that blocked and that did not, and what is missing."""
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from warpcrete.cli.main import cli
+from warpcrete.core.inputs.yaml_files import yaml_text
+from warpcrete.mix.blocking import SELF_COMPACTING, blocking_rules, line_rules, narrowest, rule_lines, worst
+from warpcrete.mix.mix import mix_of, read_mix
+from warpcrete.studies.lines.losses import line_of
+
+ORDINARY = {
+    "parts": {"cement": 340, "water": 180, "sand": 790, "gravel": 1040},
+    "aggregate": "1040 kg/m3",
+    "sizes": ["4 mm", "20 mm"],
+    "shape": "crushed",
+    "slump": "120 mm",
+    "fine_sand": "18 %",
+}
+
+
+def verdicts(bore=0.125, **changes):
+    mix = mix_of({key: value for key, value in (ORDINARY | changes).items() if value is not None})
+    return {each.rule: each for each in blocking_rules(mix.given, bore)}
+
+
+def parts(**masses):
+    return ORDINARY["parts"] | masses
+
+
+def test_an_ordinary_mix_is_fine():
+    found = verdicts()
+    assert {each.verdict for each in found.values()} == {"fine"} and len(found) == 7
+    assert not any(each.change for each in found.values()) and all(each.source for each in found.values())
+
+
+@pytest.mark.parametrize(
+    ("stone", "shape", "spread", "bore", "verdict"),
+    [
+        (30, "crushed", None, 125, "fine"),  # 0.24: fifteen flows through a coil of 125 mm
+        (20, "crushed", None, 125, "fine"),
+        (25.4, "crushed", None, 101.6, "fine"),  # 0.25: hard to pump over a long distance, but it passed
+        (38, "rounded", None, 102, "risky"),  # the example that ACI 304.2R allows
+        (38, "crushed", None, 102, "blocks"),
+        (38, None, None, 102, "blocks"),  # an unknown shape counts as crushed
+        (38, "rounded", 650, 102, "blocks"),  # self-compacting concrete has no allowance for round stones
+        (25, "rounded", 650, 90, "risky"),
+        (42, "rounded", None, 102, "blocks"),
+    ],
+)
+def test_the_stone_in_the_bore(stone, shape, spread, bore, verdict):
+    changes = {} if spread is None else {"slump": None, "spread": f"{spread} mm"}
+    found = verdicts(bore / 1e3, sizes=["4 mm", f"{stone} mm"], shape=shape, **changes)["stone in bore"]
+    assert found.verdict == verdict
+    assert bool(found.change) == (verdict != "fine") and "ACI 304.2R" in found.source
+
+
+@pytest.mark.parametrize(("cement", "verdict"), [(240, "blocks"), (270, "risky"), (300, "fine"), (320, "fine")])
+def test_powder_by_tuutti(cement, verdict):
+    gravel = 1040 + 0.9 * (340 - cement)
+    found = verdicts(parts=parts(cement=cement, gravel=gravel), aggregate=f"{gravel} kg/m3")
+    assert found["powder"].verdict == verdict
+
+
+def test_paste_fills_the_voids():
+    lean = parts(cement=210, water=130, sand=860, gravel=1190)
+    assert verdicts(parts=lean, aggregate="1190 kg/m3")["paste and voids"].verdict == "risky"
+    measured = verdicts(parts=lean, aggregate="1190 kg/m3", voids="30 %")["paste and voids"]
+    assert measured.verdict == "blocks" and "measured" in measured.found
+    # By hand: 0.777 m3 of aggregate at 28 % of voids has 302 l/m3 of them.
+    aggregate = 1 - 210 / 3100 - 0.13 - 0.02
+    assert f"{1e3 * aggregate * 0.28 / 0.72:.3g}" in measured.found
+    assert verdicts(parts=lean, aggregate="1190 kg/m3", voids="15 %")["paste and voids"].verdict == "fine"
+
+
+@pytest.mark.parametrize("slurry", [0.278, 0.325, 0.389])
+def test_coils_that_ran_are_not_said_to_block(slurry):
+    """Smallest and largest paste of 403 flows that were measured, at a ratio of water to binder of 0.44."""
+    powder = slurry / (1 / 3.1 + 0.44) * 1e3 / 1e3
+    masses = {"cement": 1e3 * powder, "water": 440 * powder}
+    left = (0.98 - slurry) * 2650
+    for share in (0.366, 0.518):
+        own = masses | {"sand": share * left, "gravel": (1 - share) * left}
+        found = verdicts(parts=own, aggregate=f"{(1 - share) * left} kg/m3", shape=None)
+        assert {each.verdict for each in found.values()} == {"fine"}
+
+
+def test_bleeding_and_what_holds_the_water():
+    wet = parts(cement=300, water=210, sand=760)
+    assert verdicts(parts=wet)["bleeding"].verdict == "risky"
+    held = verdicts(parts=wet | {"vma": 1})["bleeding"]
+    assert held.verdict == "fine" and "viscosity-modifying" in held.found
+    assert verdicts(parts=wet | {"sand": 710, "limestone": 60})["bleeding"].verdict == "fine"
+
+
+@pytest.mark.parametrize(("slump", "admixture", "verdict"),
+                         [(40, False, "risky"), (80, False, "risky"), (120, False, "fine"), (200, False, "risky"),
+                          (200, True, "fine")])  # fmt: skip
+def test_the_slump(slump, admixture, verdict):
+    own = parts(superplasticizer=2) if admixture else parts()
+    assert verdicts(parts=own, slump=f"{slump} mm")["consistency"].verdict == verdict
+
+
+def test_sand_and_its_fines():
+    stony = parts(sand=600, gravel=1230)
+    assert verdicts(parts=stony, aggregate="1230 kg/m3")["sand"].verdict == "risky"
+    assert verdicts(fine_sand="8 %")["fine sand"].verdict == "risky"
+    assert verdicts(fine_sand="40 %")["fine sand"].verdict == "risky"
+
+
+def test_a_rule_without_data_names_the_entry():
+    found = {
+        each.rule: each for each in blocking_rules(mix_of({"density": 2350, "concrete": {"yield_stress": 60}}).given)
+    }
+    assert {each.verdict for each in found.values()} == {"unknown"}
+    for rule, entry in (("stone in bore", "sieve"), ("powder", "parts"), ("paste and voids", "parts"),
+                        ("sand", "parts"), ("fine sand", "fine_sand"), ("bleeding", "water_binder"),
+                        ("consistency", "slump")):  # fmt: skip
+        assert entry in found[rule].change
+    assert "80 mm" in verdicts(bore=None)["stone in bore"].found  # without a bore, the rule says how wide it must be
+    assert worst(list(found.values())) == "unknown" and worst([]) == "unknown"
+
+
+LINE = {
+    "diameter": "125 mm", "largest_stone": "32 mm",
+    "parts": [{"straight": "10 m"}, {"reducer": {"to": "100 mm", "length": "1 m"}}, {"straight": "1 m"},
+              {"bend": {"to": "up", "radius": "0.5 m"}}, {"straight": "5 m"}],
+}  # fmt: skip
+
+
+def test_a_line_is_judged_at_its_narrowest_part():
+    line = line_of(LINE)
+    assert narrowest(line).number == 2
+    found = line_rules(line, None)
+    assert [(each.rule, each.verdict) for each in found] == [("stone in bore", "risky"), ("behind a reducer", "risky")]
+    longer = LINE | {"parts": [*LINE["parts"][:2], {"straight": "5 m"}, *LINE["parts"][3:]]}
+    assert [each.rule for each in line_rules(line_of(longer), None)] == ["stone in bore"]
+    text = rule_lines(found, "narrowest part 2")
+    assert text[0] == "will it block? rules of practice, narrowest part 2: 2 risky" and any("->" in x for x in text)
+
+
+def test_the_commands_print_the_rules(tmp_path):
+    path = tmp_path / "mix.yaml"
+    path.write_text(yaml_text({"mix": ORDINARY}))
+    found = CliRunner().invoke(cli, ["mix", str(path), "--bore", "2 in"]).output
+    assert "bore of 50.8 mm: 1 blocks, 6 fine" in found and "-> use a bore of 80 mm" in found
+    assert "bore" in str(CliRunner().invoke(cli, ["mix", str(path), "--bore", "-2"]).exception)
+    site = tmp_path / "site.yaml"
+    site.write_text(yaml_text(LINE | {"flow": "20 m3/h", "concrete": str(path)}))
+    done = CliRunner().invoke(cli, ["line", str(site), "--theory", "--out", str(tmp_path / "line")])
+    assert done.exit_code == 0 and "narrowest part 2" in done.output
+    record = json.loads((tmp_path / "line" / "blocking.json").read_text())
+    assert record["worst"] == "risky" and record["narrowest_part"] == 2 and len(record["rules"]) == 8
+    assert (
+        "all rules on the mix" in CliRunner().invoke(cli, ["line", str(site), "--theory", "--concrete", "no1"]).output
+    )
+
+
+def test_self_compacting_by_its_spread():
+    assert (read_mix("example-scc").given.spread or 0) >= SELF_COMPACTING
+    wet = verdicts(slump=None, spread="850 mm")["consistency"]
+    assert wet.verdict == "risky" and wet.change

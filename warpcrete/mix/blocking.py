@@ -1,0 +1,274 @@
+"""Rules of practice against blocking of a pump line: each compares a mix, or the stones in a bore, with a known limit.
+
+The rules answer at once and cover causes that discrete elements cannot show, such as bleeding under pressure. They do
+not replace a trial: Best & Lane (report ADA107524, Waterways Experiment Station) found a check list of ten properties
+to be the best indicator, though a conservative one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ..geometry.lines import Part, PipeLine
+from .figures import short
+from .given import MixEntries
+from .ingredients import powder_mass, water_mass
+
+VERDICTS = ("fine", "unknown", "risky", "blocks")
+"""Verdicts of a rule, from the best to the worst; 'unknown' means that an entry is missing."""
+CRUSHED, ROUNDED = 1 / 3, 0.4
+"""Largest ratio of stone to bore that can be pumped, for crushed and for rounded stones (ACI 304.2R)."""
+SAFE = 0.25
+"""Ratio of stone to bore up to which practice expects no arching."""
+SELF_COMPACTING = 0.55
+"""Spread [m] from which a concrete counts as self-compacting (class SF1 of EN 206)."""
+POWDER_MIN, POWDER_SAFE = 250.0, 300.0
+"""Mass of powder [kg/m3] below which concrete blocked (Tuutti 1976), and above which rules are satisfied."""
+VOIDS = (0.20, 0.27)
+"""Usual range of the voids of sand and stones together when they are compacted [m3/m3]. It is an assumption; it is used
+if the mix states no voids."""
+VOIDS_ERROR = 0.02
+"""Uncertainty of measured voids [m3/m3]."""
+SAND_SHARES = (0.38, 0.45)
+"""Share of sand in the aggregate that JGJ/T 10 requires."""
+PUMPED_SAND_SHARES = (0.365, 0.52)
+"""Smallest and largest share of sand in 403 flows that were pumped (Shen)."""
+FINE_SAND = (0.15, 0.30)
+"""Share of the sand below 0.3 mm: with less the concrete unmixes, with more it becomes sticky."""
+WATER_BINDER = 0.60
+"""Largest mass of water over that of powder (JGJ/T 10)."""
+FINES_PER_WATER = 1.75
+"""Smallest mass of powder and fine sand over that of water."""
+SLUMPS = (0.05, 0.10, 0.16)
+"""Slumps [m]: the least that can be pumped, the least that is usual, and the largest without a plasticizer."""
+LARGEST_SPREAD = 0.795
+"""Largest spread of the 403 flows that were pumped (Shen) [m]."""
+TAPER_RUN = 5.0
+"""Length of straight pipe behind a reducer [m] (JGJ/T 10)."""
+
+ACI = "ACI 304.2R"
+SOCIETY = "Concrete Society: 3.5 to 4 times the stone"
+SHEN = "403 flows through coils, W. Shen"
+JGJ = "JGJ/T 10"
+BLEEDING = "Browne & Bamforth 1977; Kaplan, de Larrard & Sedran 2005"
+
+
+@dataclass(frozen=True)
+class RuleVerdict:
+    """Verdict of one rule against blocking."""
+
+    rule: str
+    """Name of the rule."""
+    verdict: str
+    """One of :data:`VERDICTS`."""
+    found: str
+    """The numbers on which the verdict is based."""
+    change: str
+    """What to change, or which entry would answer the question; empty if the verdict is 'fine'."""
+    source: str
+
+    @property
+    def text(self) -> str:
+        """The verdict as one or two lines of text."""
+        line = f"{self.verdict:8s} {self.rule}: {self.found} ({self.source})"
+        return f"{line}\n{'':8s} -> {self.change}" if self.change else line
+
+    def record(self) -> dict[str, str]:
+        """Return the entries of the verdict for a JSON file."""
+        return {"rule": self.rule, "verdict": self.verdict, "found": self.found, "change": self.change,
+                "source": self.source}  # fmt: skip
+
+
+def worst(verdicts: Sequence[RuleVerdict]) -> str:
+    """Return the worst verdict of several rules."""
+    return max((each.verdict for each in verdicts), key=VERDICTS.index, default="unknown")
+
+
+def blocking_rules(mix: MixEntries | None, bore: float | None = None, stone: float | None = None) -> list[RuleVerdict]:
+    """Return the verdicts of all rules on a mix, and on its stones in a `bore` [m].
+
+    `stone` is the size of the largest stone [m]; it replaces that of the mix. Without a mix, only the rule on the bore
+    has an answer.
+    """
+    found = [stone_in_bore(bore, stone or (mix.largest if mix else None), mix)]
+    if mix is not None:
+        found += [powder(mix), paste(mix), sand_share(mix), fine_sand(mix), bleeding(mix), slump(mix)]
+    return found
+
+
+def line_rules(line: PipeLine, mix: MixEntries | None) -> list[RuleVerdict]:
+    """Return the verdicts of all rules on a mix in a line: on its narrowest bore, and on what follows its reducers."""
+    found = blocking_rules(mix, narrowest(line).narrow, line.largest_stone)
+    return [*found, *behind_reducers(line)]
+
+
+def narrowest(line: PipeLine) -> Part:
+    """Return the narrowest part of a line; of several equally narrow ones a reducer, a bend, or else the first."""
+    order = {"reducer": 0, "bore": 1, "bend": 2}
+    return min(line.parts, key=lambda part: (round(part.narrow, 9), order.get(part.kind, 3), part.number))
+
+
+def stone_in_bore(bore: float | None, stone: float | None, mix: MixEntries | None) -> RuleVerdict:
+    """Compare the largest stone with the bore: stones that are too large wedge and form an arch."""
+    name = "stone in bore"
+    if stone is None:
+        return RuleVerdict(name, "unknown", "the largest stone is not known", "add sieve or sizes to the mix, or "
+                           "largest_stone to the line", ACI)  # fmt: skip
+    if bore is None:
+        widths = f"{1e3 * stone / CRUSHED:.4g} mm, better {1e3 * stone / SAFE:.4g} mm"
+        return RuleVerdict(name, "unknown", f"stones of {1e3 * stone:g} mm need a bore of {widths} or more",
+                           "give the narrowest bore with --bore", f"{ACI}; {SOCIETY}")  # fmt: skip
+    ratio = stone / bore
+    round_ones = mix is not None and mix.shape == "spheres"
+    flowing = mix is not None and (mix.spread or 0) >= SELF_COMPACTING
+    limit = ROUNDED if round_ones and not flowing else CRUSHED
+    kind = "rounded" if round_ones else "crushed" if mix is not None and mix.shape is not None else "unknown shape"
+    words = f"{1e3 * stone:g} mm in {1e3 * bore:.4g} mm is {ratio:.2g}; {SAFE:g} is safe, {limit:.2g} the limit ({kind}"
+    words += ", self-compacting)" if flowing else ")"
+    widths = f"use a bore of {1e3 * stone / SAFE:.4g} mm, or stones up to {1e3 * SAFE * bore:.3g} mm"
+    if ratio > limit * (1 + 1e-9):
+        return RuleVerdict(name, "blocks", words, widths, f"{ACI}; {SOCIETY}")
+    if ratio > SAFE * (1 + 1e-9):
+        return RuleVerdict(name, "risky", words, widths, f"{ACI}; {SOCIETY}")
+    return RuleVerdict(name, "fine", words, "", f"{ACI}; {SOCIETY}")
+
+
+def powder(mix: MixEntries) -> RuleVerdict:
+    """Compare the mass of powder with the least that could be pumped."""
+    name, source = "powder", f"Tuutti 1976, 16 mm stone: blocked below 250, least pressure at 320; {JGJ}: 300"
+    mass = powder_mass(mix.parts)
+    if mass == 0:
+        return RuleVerdict(name, "unknown", "the mass of cement and fines is not known", "add parts to the mix", source)
+    words = f"{mass:.4g} kg/m3 of cement and other powder; {POWDER_SAFE:g} or more are safe"
+    if mass >= POWDER_SAFE:
+        return RuleVerdict(name, "fine", words, "", source)
+    more = f"add {POWDER_SAFE - mass:.3g} kg/m3 of cement, ash, slag or limestone"
+    return RuleVerdict(name, "blocks" if mass < POWDER_MIN else "risky", words, more, source)
+
+
+def paste(mix: MixEntries) -> RuleVerdict:
+    """Compare the paste with the voids between sand and stones: the paste must fill them, or it cannot carry them."""
+    name, source = "paste and voids", "void meter of Browne & Bamforth 1977"
+    if mix.paste_share is None or mix.sand_and_stone is None:
+        return RuleVerdict(name, "unknown", "the volume of the paste is not known", "add parts to the mix", source)
+    low, high = VOIDS if mix.voids is None else (mix.voids - VOIDS_ERROR, mix.voids + VOIDS_ERROR)
+    needed = [mix.sand_and_stone * voids / (1 - voids) for voids in (low, high)]
+    measured = "assumed" if mix.voids is None else "measured"
+    words = (f"{1e3 * mix.paste_share:.3g} l/m3 of powder and water; the voids of {1e3 * mix.sand_and_stone:.3g} l/m3 "
+             f"of aggregate take {1e3 * needed[0]:.3g} to {1e3 * needed[1]:.3g} l/m3 (voids of {100 * low:.3g} to "
+             f"{100 * high:.3g} %, {measured})")  # fmt: skip
+    if mix.paste_share > needed[1]:
+        return RuleVerdict(name, "fine", words, "", source)
+    more = f"add {1e3 * (needed[1] - mix.paste_share):.2g} l/m3 of paste or improve the grading"
+    more += "" if mix.voids is not None else "; measure the voids and state them, as in 'voids: 24 %'"
+    return RuleVerdict(name, "blocks" if mix.paste_share < needed[0] else "risky", words, more, source)
+
+
+def sand_share(mix: MixEntries) -> RuleVerdict:
+    """Compare the share of sand with what is pumped: Tuutti (1976) met an upper limit of stones suddenly."""
+    name, source = "sand", f"{JGJ}; {SHEN}; Tuutti 1976"
+    share = mix.sand_share
+    if share is None:
+        return RuleVerdict(name, "unknown", "the share of sand in the aggregate is not known",
+                           "add parts to the mix, with sand and gravel apart", source)  # fmt: skip
+    words = (f"{100 * share:.3g} % of the aggregate; {100 * SAND_SHARES[0]:g} to {100 * SAND_SHARES[1]:g} % "
+             f"are required, {100 * PUMPED_SAND_SHARES[0]:.3g} to {100 * PUMPED_SAND_SHARES[1]:g} % were "
+             "pumped")  # fmt: skip
+    if share < PUMPED_SAND_SHARES[0] - 1e-9:
+        return RuleVerdict(name, "risky", words, "replace stones by sand", source)
+    if share > PUMPED_SAND_SHARES[1] + 1e-9:
+        return RuleVerdict(name, "risky", words, "replace sand by stones, or add paste", source)
+    return RuleVerdict(name, "fine", words, "", source)
+
+
+def fine_sand(mix: MixEntries) -> RuleVerdict:
+    """Compare the share of fine sand with the range in which concrete neither unmixes nor becomes sticky."""
+    name, source = "fine sand", "GB 50119; a Japanese check list"
+    if mix.fine_sand is None:
+        return RuleVerdict(name, "unknown", "the share of the sand below 0.3 mm is not known",
+                           "add it to the mix, as in 'fine_sand: 18 %'", source)  # fmt: skip
+    low, high = FINE_SAND
+    words = f"{100 * mix.fine_sand:.3g} % of the sand are below 0.3 mm; {100 * low:g} to {100 * high:g} % are safe"
+    if mix.fine_sand < low - 1e-9:
+        return RuleVerdict(name, "risky", words, "blend with a finer sand, or add powder", source)
+    if mix.fine_sand > high + 1e-9:
+        return RuleVerdict(name, "risky", words, "blend with a coarser sand", source)
+    return RuleVerdict(name, "fine", words, "", source)
+
+
+def bleeding(mix: MixEntries) -> RuleVerdict:
+    """Judge whether pressure can press the water out of the concrete and leave a plug of stones behind."""
+    name, source = "bleeding", f"{BLEEDING}; limits: {JGJ}, and Indian practice"
+    ratio, water = mix.water_binder, water_mass(mix.parts)
+    if ratio is None:
+        return RuleVerdict(name, "unknown", "the ratio of water to binder is not known",
+                           "add parts or water_binder to the mix", source)  # fmt: skip
+    words, good = f"water over powder {ratio:.2f}; {WATER_BINDER:.2f} or less is safe", ratio <= WATER_BINDER
+    if water > 0:
+        sand = mix.sand_mass * (FINE_SAND[0] if mix.fine_sand is None else mix.fine_sand)
+        fines = (powder_mass(mix.parts) + sand) / water
+        words += f"; powder and fine sand are {fines:.2f} times the water, {FINES_PER_WATER:g} or more is safe"
+        good = good and fines >= FINES_PER_WATER
+    if good:
+        return RuleVerdict(name, "fine", words, "", source)
+    if mix.thickener:
+        return RuleVerdict(name, "fine", f"{words}; the viscosity-modifying agent holds the water", "", source)
+    return RuleVerdict(name, "risky", words, "lower the water, add powder or a viscosity-modifying agent, and test the "
+                       "bleeding under pressure (GB/T 50080: 10 s and 140 s at 3.5 MPa)", source)  # fmt: skip
+
+
+def slump(mix: MixEntries) -> RuleVerdict:
+    """Compare slump or spread with what is pumped: stiff concrete does not fill the pump, wet concrete unmixes."""
+    name, source = "consistency", f"{JGJ}; B. Palmer, jlconline.com; {SHEN}"
+    least, usual, largest = SLUMPS
+    if mix.spread is not None:
+        words = f"spread {1e3 * mix.spread:g} mm; up to {1e3 * LARGEST_SPREAD:g} mm were pumped"
+        if mix.spread <= LARGEST_SPREAD:
+            return RuleVerdict(name, "fine", words, "", source)
+        return RuleVerdict(name, "risky", words, "lower the spread; check that stones do not sink", source)
+    if mix.slump is None:
+        return RuleVerdict(
+            name, "unknown", "neither slump nor spread is known", "add slump or spread to the mix", source
+        )
+    words = f"slump {1e3 * mix.slump:g} mm; {1e3 * usual:g} to {1e3 * largest:g} mm are usual"
+    if mix.slump < usual - 1e-9:
+        limit = f"; below {1e3 * least:g} mm it cannot be pumped" if mix.slump < least else ""
+        return RuleVerdict(name, "risky", words + limit, "raise it with a plasticizer, not with water", source)
+    if mix.slump > largest + 1e-9 and not (mix.thickener or mix.plasticizer):
+        return RuleVerdict(name, "risky", words, "reach this slump with a superplasticizer, not with water, and state "
+                           "it in parts", source)  # fmt: skip
+    return RuleVerdict(name, "fine", words, "", source)
+
+
+def behind_reducers(line: PipeLine) -> Iterator[RuleVerdict]:
+    """Yield a verdict for each reducer that narrows: stones unmix in it, and straight pipe behind it mixes them."""
+    for here, part in enumerate(line.parts):
+        if part.kind != "reducer" or part.outlet >= part.diameter:
+            continue
+        run = 0.0
+        for after in line.parts[here + 1 :]:
+            if after.kind != "straight":
+                break
+            run += after.length
+        else:
+            run = math.inf
+        words = f"{short(run)} m of straight pipe follow part {part.number}, {part.label}; {TAPER_RUN:g} m are required"
+        if run < TAPER_RUN:
+            yield RuleVerdict("behind a reducer", "risky", words, "move the next bend or hose away", JGJ)
+
+
+def rule_lines(verdicts: Sequence[RuleVerdict], where: str = "") -> list[str]:
+    """Return a headline and the verdicts as lines of text."""
+    counts = [f"{sum(each.verdict == name for each in verdicts)} {name}" for name in reversed(VERDICTS)
+              if any(each.verdict == name for each in verdicts)]  # fmt: skip
+    order = sorted(verdicts, key=lambda each: -VERDICTS.index(each.verdict))
+    return [f"will it block? rules of practice{f', {where}' if where else ''}: {', '.join(counts)}",
+            *(line for each in order for line in each.text.splitlines())]  # fmt: skip
+
+
+def rule_records(verdicts: Sequence[RuleVerdict]) -> dict[str, Any]:
+    """Return the worst verdict and all verdicts for a JSON file."""
+    return {"worst": worst(verdicts), "rules": [each.record() for each in verdicts]}
