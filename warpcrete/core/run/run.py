@@ -20,9 +20,6 @@ from .viewer import LOOPBACK, Viewer, has_screen, screen_viewer, web_viewer
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 DEFAULT_PLOT_COLUMNS = ("pressure", "spread", "front", "inside")
 """Names of columns in order of preference: by default, a plot shows the first of them that the series contains."""
 
