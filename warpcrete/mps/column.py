@@ -207,7 +207,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
             return self.ends
         if self.aggregates:
             return "piston"
-        if self.rest or self.step_error:
+        if self.rest or self.step_error or self.rebuild_rate:
             return "periodic"
         line = Line(radius=bulk, length=self.length, gravity=self.gravity)
         state = steady(concrete, line, flow, "plane" if dimensions == 2 else "pipe")
@@ -249,7 +249,11 @@ def column_scene(
 
 def _is_reference_case(given: FlowParameters) -> bool:
     """Return whether the scene is the paper's own case: one phase, and a slip layer of zero thickness."""
-    free = {"concrete", "spacing", "flow", *(f.name for f in fields(FlowSettings))} - {"gravity", "rest"}
+    free = {"concrete", "spacing", "flow", *(f.name for f in fields(FlowSettings))} - {
+        "gravity",
+        "rest",
+        "rebuild_rate",
+    }
     other = [f.name for f in fields(given) if f.name not in free and getattr(given, f.name) != f.default]
     return not other and given.flow in (None, FLOW)
 
@@ -299,8 +303,9 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
         "volume": (abs(result["volume_error"]) < 1e-3, f"largest error {100 * result['volume_error']:+.3f} %"),
         "balance of forces": (abs(balance) < 5e-3, f"{100 * balance:+.2f} % of the piston's force is not balanced"),
     }  # fmt: skip
-    if scene.gained:  # The closed-form theory does not cover thixotropic structure that partly survives in the bulk.
+    if scene.is_structured:  # The closed-form theory does not cover thixotropic structure in a part of the bulk.
         found = {name: found[name] for name in ("volume", "balance of forces")}
+    if scene.gained:
         peak, least, most = (
             number(result["restart_pressure"]),
             scene.theory().pressure,
@@ -320,7 +325,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
     # A run of given duration need not become steady; the report says if the flow is not steady.
     if scene.duration is None:
         found = {"steady": (result["steady"], f"after {number(result['simulated_time']):g} s"), **found}
-    if not two and not scene.gained:
+    if not two and not scene.is_structured:
         found["slip velocity"] = (abs(slip) < limit, f"off theory by {100 * slip:+.2f} % of the mean velocity")
         found["profile"] = (
             result["profile_error"] < profile_limit,
@@ -342,7 +347,7 @@ def flow_trading(dimensions: int) -> Trading:
     return Trading(
         lambda given: _knobs(given, dimensions),
         quantities=("pressure", "slip_velocity"),
-        closed_form=lambda given: not given.aggregates and not given.rest,
+        closed_form=lambda given: not given.aggregates and not given.rest and not given.rebuild_rate,
         variants=lambda given: _variants(given, dimensions),
         tolerance="tolerated_error",
     )
