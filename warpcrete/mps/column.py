@@ -19,12 +19,12 @@ from ..core.run.run_loop import Run
 from ..core.units import number
 from ..theory.pipe import MIXES, Concrete, Line, Steady, after_rest, flow_of_pressure, steady, steady_of_stress
 from ..theory.suspension import SUSPENSIONS, mortar_of
-from .mixes import CONSTANTS, LAW_DEFAULTS, concrete_of, file_aggregates, file_constants
+from .mixes import CONSTANTS, FACTORS, LAW_DEFAULTS, concrete_of, file_aggregates, file_constants
 from .scene import ENDS, Aggregates, FlowSettings, FluidScene
 
 SHEARED: dict[str, Any] = {
     "concrete": "own", "viscosity": 30.0, "yield_stress": 40.0, "slip_viscosity": 1000.0, "slip_yield": 20.0,
-    "density": 2350.0, **dict.fromkeys(LAW_DEFAULTS),
+    "density": 2350.0, **dict.fromkeys(LAW_DEFAULTS), **dict.fromkeys(FACTORS),
 }  # fmt: skip
 """Parameters of a self-compacting concrete that is strongly sheared.
 
@@ -86,6 +86,17 @@ class ConcreteParameters:
         float | None,
         "Coefficient c of the slip layer [Pa s2/m2], whose stress gets a term c x (slip velocity)^2; default: 0",
         Within(0, hint="use slip_flow_index below 1 for a layer that thins"),
+    ] = None
+    yield_factor: Annotated[
+        float | None,
+        "Factor of both yield stresses by which age or temperature change the concrete, from a source of your own; "
+        "default: 1",
+        Above(),
+    ] = None
+    viscosity_factor: Annotated[
+        float | None,
+        "Factor of all viscosities of bulk and slip layer by which age or temperature change them; default: 1",
+        Above(),
     ] = None
     slip_thickness: Annotated[
         float, "Thickness of the slip layer, which reduces the radius of the concrete [m]", Within(0)
