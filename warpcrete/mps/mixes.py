@@ -31,10 +31,10 @@ AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mo
 def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | None) -> Concrete:
     """Return a concrete by name or from a file, or `own` with all :data:`BINGHAM_CONSTANTS`.
 
-    Given constants replace those of the named concrete, and factors scale the result (:func:`scaled`). For a concrete in
-    Table 3 of Xu, Li & Jiang 2021, the slip viscosity is taken from that table if the slip layer has a thickness [m] and
-    no slip viscosity is given. Raises :class:`SceneError` if constants are missing, or if the table does not list the
-    thickness.
+    Given constants replace those of the named concrete, and factors scale the result (:func:`scaled`). For a concrete
+    in Table 3 of Xu, Li & Jiang 2021, the slip viscosity is taken from that table if the slip layer has a thickness [m]
+    and no slip viscosity is given. Raises :class:`SceneError` if constants are missing, or if the table does not list
+    the thickness.
     """
     given = {key: value for key, value in constants.items() if value is not None}
     named = {} if _is_complete(name, given) else _flow_of(name)
