@@ -13,7 +13,7 @@ import numpy as np
 from ...core.drawing.html import html_table
 from ...core.run.run import dataframe
 from ...core.units import quantity
-from ...mps.mixes import CONSTANTS
+from ...mps.mixes import CONCRETE_CONSTANTS
 from ...theory.bands import Band, combined
 from ...theory.pipe import Concrete, after_rest
 from .answers import EFFICIENCY, PumpMargin, band_sentences, motor_power, pressure_text
@@ -282,7 +282,7 @@ class LineResult:
         return {
             "line": self.line.name,
             "source": self.line.source,
-            "concrete": {"name": self.concrete.name, **{name: getattr(self.concrete, name) for name in CONSTANTS}},
+            "concrete": {name: getattr(self.concrete, name) for name in ("name", *CONCRETE_CONSTANTS)},
             "flow": quantity(self.flow, "m3/s"),
             "length": quantity(self.line.length, "m"),
             "rise": quantity(self.line.rise, "m"),
