@@ -12,16 +12,17 @@ from ..core.errors import positive
 from ..core.inputs.amounts import amount
 from ..core.inputs.fingerprints import fingerprint
 from ..core.inputs.limits import check_limit, check_velocity, check_whole
-from ..core.run.files import atomic_file, next_folder, write_json
+from ..core.run.files import atomic_file, next_folder
 from ..core.run.progress import ProgressBar
-from ..mix.blocking import line_rules, narrowest, rule_lines, rule_records
-from ..mix.mix import Mix, completed, mix_named
+from ..mix.mix import completed, mix_named
 from ..mps.mixes import concrete_of
+from ..studies.lines.blocking import run_blocking
 from ..studies.lines.elements import ElementLine, Elements, element_table_lines, run_elements
 from ..studies.lines.folder import PARTS, line_folder
 from ..studies.lines.losses import PipeLine, friction, read_line, restart, with_stone
 from ..studies.lines.result import LineResult, lines_of
 from ..studies.lines.run import CELLS, LAYER_FACTOR, run_line
+from .blocking import print_rules
 from .run import CHECK_FAILED, INTERRUPTED
 from .theory import growth_of, option_amount
 
@@ -30,6 +31,7 @@ def run(
     line: str, *, concrete: str | None, flow: str | None, theory: bool, layer_factor: float | None, cells: int,
     method: str, shapes: str, coarse: float | None, stiffer: float, seeds: int, out: Path | None, known: Path | None,
     device: str | None, threads: int | None, quiet: bool, rest: str | None, thixotropy: str | None,
+    blocking: int | None = None,
 ) -> None:  # fmt: skip
     """Simulate the parts of a pipeline and print the pressure that it needs."""
     stood, grown = option_amount("rest", rest, "s"), option_amount("thixotropy", thixotropy, "Pa/s")
@@ -45,6 +47,8 @@ def run(
     unused = {"shapes": shapes != usual.shapes, "coarse": coarse is not None, "seeds": seeds != usual.seeds,
               "stiffer": stiffer != usual.stiffer} if method == "flow" else \
         {"cells": cells != CELLS, "layer_factor": layer_factor is not None} if method == "dem" else {}  # fmt: skip
+    if blocking is not None:
+        unused = {name: found and name in ("seeds", "cells", "layer_factor") for name, found in unused.items()}
     for option in (name for name, given_so in unused.items() if given_so):
         raise click.UsageError(f"{option}: has no effect with --method {method}; use --method both, or leave it out")
     rate = given.flow
@@ -67,10 +71,12 @@ def run(
     growth = growth_of(stood, grown)
     moved = [] if stood is None else [restart(given, concrete_of(name), stood, growth, q) / 1e5 for q in (0.0, rate)]
     progress = ProgressBar()
-    folder = out or (None if theory else next_folder("line"))
+    folder = out or (None if theory and blocking is None else next_folder("line"))
     where: dict[str, Any] = {"out": folder, "known": known, "device": device, "threads": threads}
     asked = {"line": given.name, "parts": fingerprint(given.parts), "concrete": name, "flow": rate, "method": method,
              "cells": cells, "elements": fingerprint(elements)}  # fmt: skip
+    if blocking is not None:
+        asked["blocking"] = blocking
     found, packed = None, None
     try:
         with line_folder(folder, asked):
@@ -85,7 +91,11 @@ def run(
                 tell = None if quiet else (lambda phase, fraction: progress(phase, fraction, {}))
                 packed = run_elements(given, name, rate, elements=elements, progress=tell, **where)
             _print(given, name, rate, found, packed, folder)
-            _print_rules(given, mix, folder)
+            print_rules(given, mix, folder)
+            if blocking is not None and folder is not None:
+                chance = run_blocking(given, name, rate, blocking, out=folder, elements=elements, device=device,
+                                      processes=threads, progress=None if quiet else progress)  # fmt: skip
+                click.echo("\n" + "\n".join(chance.lines))
     except KeyboardInterrupt:
         if folder is not None and (folder / PARTS).is_dir():
             click.echo(f"interrupted; continue with the same command and --out {folder}")
@@ -116,18 +126,3 @@ def _print(
     took = (0.0 if found is None else sum(found.took.values())) + (0.0 if packed is None else packed.elapsed)
     if folder is not None:
         click.echo(f"\nfolder: {folder}; simulations took {took:.0f} s")
-
-
-def _print_rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> None:
-    """Print what the rules of practice say about blocking of the line, and write it to its folder."""
-    verdicts = line_rules(line, None if mix is None else mix.given)
-    part = narrowest(line)
-    where = f"narrowest part {part.number}, {part.label}, {1e3 * part.narrow:.4g} mm"
-    text = rule_lines(verdicts, where)
-    if mix is None:
-        text.append(
-            "unknown  all rules on the mix: the concrete has no mix; 'warpcrete mix --help' shows how to write it"
-        )
-    click.echo("\n" + "\n".join(text))
-    if folder is not None:
-        write_json(folder / "blocking.json", rule_records(verdicts) | {"narrowest_part": part.number})
