@@ -37,8 +37,7 @@ FRICTION = 0.5
 """Friction between stones, as of dry stones: an arch forms where the mortar has been squeezed out between them.
 
 With this friction, stones of one size block a funnel if it is up to three times as wide as they are, which is the limit
-of ACI 304.2R for crushed stones. With the friction of 0.05, which Zhan et al. (2019) fitted to pumping pressures, no
-run blocked at half of the bore.
+of ACI 304.2R for crushed stones. With the friction of 0.05 of Zhan et al. (2019), stones of half the bore passed.
 """
 Progress = Callable[[str, float, dict[str, Any]], None]
 
