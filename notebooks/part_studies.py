@@ -57,7 +57,8 @@ def main() -> None:
         bar.close()
         flows = {}
         if not options.no_flows:
-            found = run_line(line, concrete_of(name), options.flow, out=out / "flows", device=options.device)
+            settings = {"out": out / "flows", "device": options.device, "simulate": True}
+            found = run_line(line, concrete_of(name), options.flow, **settings)
             flows = {loss.part.loss_key: loss.friction / loss.theory for loss in found.losses}
         runs = [load(folder) for folder in sorted((out / "parts").iterdir())]
         for part in line.parts:

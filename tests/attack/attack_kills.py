@@ -39,7 +39,7 @@ COMMANDS = {
     "study": ["study", "pipe", *PIPE, "--velocity", "0.3", "0.4", "0.5", *CPU, *OFTEN, "--rerun"],
     "calibrate": ["calibrate", "{targets}", "--trials", "4", "--batch", "4", "--repeat", "1", *CPU],
     "trade": ["trade", "tube", *ENDLESS, "--budget", "10s", "--knob", "spacing", *CPU],
-    "line": ["line", "{line}", *CPU],
+    "line": ["line", "{line}", "--simulate", *CPU],
 }
 TARGETS = """\
 vary:

@@ -204,8 +204,8 @@ def test_two_runs_into_one_folder_are_one_too_many(tmp_path, monkeypatch, whole)
 
 
 @pytest.mark.parametrize(
-    "words", [("reproduce", "zhan"), ("study", "channel", "--flow", "1e-3", "2e-3"), ("line", "{}"), ("trade", "tube"),
-              ("run", "channel"), ("calibrate", "{}")], ids=lambda words: words[0],
+    "words", [("reproduce", "zhan"), ("study", "channel", "--flow", "1e-3", "2e-3"), ("line", "{}", "--simulate"),
+              ("trade", "tube"), ("run", "channel"), ("calibrate", "{}")], ids=lambda words: words[0],
 )  # fmt: skip
 def test_a_device_that_there_is_not_leaves_no_folder(tmp_path, words):
     texts = {

@@ -105,7 +105,7 @@ def test_scenes_that_share_a_parameter_have_the_same_rules():
     assert {name for (name, _), found in shared.items() if len(set(found.values())) > 1} == DIFFERENT
 
 
-@pytest.mark.parametrize("scene", ["slump", "funnel", "lbox", "part", "channel", "tube"])
+@pytest.mark.parametrize("scene", ["slump", "funnel", "lbox", "lcpc", "part", "channel", "tube"])
 @pytest.mark.parametrize(
     ("name", "value"),
     [("slip_thickness", float("nan")), ("slip_thickness", -float("inf")), ("slip_thickness", -1.0), ("density", 1.0),
@@ -307,7 +307,7 @@ def test_the_nearest_word_is_suggested():
         (lambda: scenes.pipe(concrete="zahn"), "did you mean 'zhan'?"),
         (lambda: scenes.tube(concrete="n01"), "did you mean 'no1'?"),
         (lambda: scenes.pipe(unit="vertcal"), "did you mean 'vertical'?"),
-        (lambda: amount("flow", "30 m3/hr", "m3/s"), "did you mean 'm3/h'?"),
+        (lambda: amount("flow", "30 m3/hrs", "m3/s"), "did you mean 'm3/hr'?"),
         (lambda: mix_of({"density": 2300, "spred": 0.6}), "did you mean 'spread'?"),
         (lambda: line_of({"diamter": 0.1}), "did you mean 'diameter'?"),
     ):

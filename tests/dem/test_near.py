@@ -130,6 +130,39 @@ def check_ties(scene, count):
 
 
 @pytest.mark.thorough
+def test_a_bond_pulls_at_gaps_of_more_than_a_quarter_of_the_skin():
+    """Two bonded spheres fly apart; once such a pair was not near, and its force stayed what it had been before."""
+    found = []
+    for way in (nullcontext, divide_work_like_gpu):
+        with way():
+            scene = Scene(
+                name="pulled",
+                duration=1.0,
+                gravity=(0, 0, 0),
+                contact=Contact(friction=0.0, normal_damping_ratio=0.0),
+                bonds=Bonds(effective_modulus=1e3, tensile_strength=1e12, cohesion=1e12, gap=1e-3),
+                bodies=(
+                    Bodies(
+                        positions=[[0.0, 0, 0], [0.0201, 0, 0]],
+                        sizes=0.02,
+                        velocities=[[-0.1, 0, 0], [0.1, 0, 0]],
+                    ),
+                ),
+            )
+            model = build_model(scene, find_device("cpu"), "float64")
+            stepper = Stepper(model, State(model, placed_bodies(scene)), TimeStep(fixed=1e-5))
+            assert stepper.bond(scene.bonds, 1) == 1
+            gaps = []
+            for _ in range(20):
+                stepper.take(200)
+                gaps.append(np.diff(by_id(stepper.state, "position")[:, 0])[0] - 0.02)
+            found.append(gaps)
+    half, full = found
+    assert NEAR * stepper.skin < max(half) < stepper.skin and half[-1] < max(half)
+    assert full == pytest.approx(half, rel=1e-9)
+
+
+@pytest.mark.thorough
 @pytest.mark.parametrize("energies", [False, True], ids=["", "energies"])
 @pytest.mark.parametrize("count", [60, 240])
 def test_a_sphere_feels_entries_of_which_no_bits_tell(count, energies):

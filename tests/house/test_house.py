@@ -159,7 +159,8 @@ def test_text_is_read_and_written_as_utf_8():
 
 PARSERS = {"json.load", "json.loads", "csv.reader", "csv.DictReader", "yaml.load", "yaml.safe_load", "YAML"}
 OWN_FILES = {"record.loading": "csv.reader", "studies.explain": "json.loads", "core.run.checkpoint": "json.loads",
-             "studies.lines.folder": "json.loads", "record.run_folder": "json.loads"}  # fmt: skip
+             "studies.lines.folder": "json.loads", "studies.lines.line_folder": "json.loads",
+             "record.run_folder": "json.loads"}  # fmt: skip
 """Modules that parse what the program itself has written, or holds in memory."""
 
 

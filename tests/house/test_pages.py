@@ -175,6 +175,6 @@ PARTS = {
 def test_what_bends_and_reducers_cost(row):
     """Compare the page with the first concrete's losses over straight pipe, on a CPU as the page's are."""
     line = line_of({"diameter": 0.15, "parts": [{"straight": 1}, PARTS[row], {"straight": 1}]})
-    found = run_line(line, concrete_of("no1"), 30 / 3600, cells=12, device="cpu")
+    found = run_line(line, concrete_of("no1"), 30 / 3600, cells=12, simulate=True, device="cpu")
     told = figures("lines.md", rf"\| {row} \| {N} \| 1\.1\d\d \| 1\.1\d\d \| \d+ \|")
     agree(told, [found.losses[1].friction / found.losses[1].theory], SIMULATED)

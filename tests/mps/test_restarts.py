@@ -137,7 +137,7 @@ def test_a_line_restarts_as_the_sum_of_its_parts():
     moving = weight + 4 * (200 + 1000 * speed) / 0.1 * length
     assert restart(line, plug, 600.0, 0.3, 2e-3) == pytest.approx(moving, rel=1e-9)
     found = CliRunner().invoke(cli, ["line", "burj-khalifa", "--theory", "--rest", "600", "--thixotropy", "0.3"])
-    words = "after 600 s of rest, with a yield stress that grows by 0.3 Pa/s, the concrete starts to move at 198.2 bar"
+    words = "after 10 min of rest, with a yield stress that grows by 0.3 Pa/s (theory), it starts to move at 198.2 ("
     assert found.exit_code == 0 and words in found.output
     bad = CliRunner().invoke(cli, ["line", "burj-khalifa", "--theory", "--thixotropy", "0.3"])
     assert str(bad.exception) == "thixotropy = 0.3: needs the time of rest; add, for example, --rest 600"

@@ -145,7 +145,7 @@ def test_a_line_in_two_planes_loses_what_its_parts_do(device, tmp_path):
     path = tmp_path / "site.yaml"
     path.write_text(TWO_PLANES)
     whole = PartSimulation(scenes.part(line=str(path), spacing=0.125 / 8, time_step=3e-3), device=device).run()
-    added = run_line(read_line(path), concrete_of("no1"), 19.8 / 3600, cells=8, device=device)
+    added = run_line(read_line(path), concrete_of("no1"), 19.8 / 3600, cells=8, simulate=True, device=device)
     assert all(good for good, _ in modules()["part"].check(whole).values())
     weight = 2400.0 * 0
     for part, loss in zip(whole.result["parts"], added.losses, strict=True):

@@ -14,7 +14,7 @@ from ..core.run.progress import ProgressBar
 from ..studies.calibration.calibrate import RECORD, resume_calibration, run_calibration
 from ..studies.calibration.calibration import Calibration
 from ..studies.calibration.report import parameter_table, target_table
-from .run import INTERRUPTED
+from .exits import INTERRUPTED
 from .study import ON_WORKERS, parsed, single
 
 ONE = {

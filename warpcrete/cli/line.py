@@ -1,8 +1,15 @@
-"""Command `warpcrete line`: the pressure that a pipeline needs at its start."""
+"""Command `warpcrete line`: the pressure that a pipeline needs at its start.
+
+The answer by theory must not import the simulations; `line_simulated` does.
+"""
 
 from __future__ import annotations
 
+import importlib
 import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,117 +19,171 @@ from ..core.errors import positive
 from ..core.inputs.amounts import amount
 from ..core.inputs.fingerprints import fingerprint
 from ..core.inputs.limits import check_limit, check_velocity, check_whole
-from ..core.run.files import atomic_file, next_folder
-from ..core.run.progress import ProgressBar
-from ..mix.mix import completed, mix_named
+from ..core.run.files import next_folder, write_json
+from ..geometry.pumps import pump_of
+from ..mix.blocking import line_rules, narrowest, rule_lines, rule_records
+from ..mix.mix import Mix, mix_named
 from ..mps.mixes import concrete_of
-from ..studies.lines.blocking import run_blocking
-from ..studies.lines.elements import ElementLine, Elements, element_table_lines, run_elements
-from ..studies.lines.folder import PARTS, line_folder
-from ..studies.lines.losses import PipeLine, friction, read_line, restart, with_stone
-from ..studies.lines.result import LineResult, lines_of
-from ..studies.lines.run import CELLS, LAYER_FACTOR, run_line
-from .blocking import print_rules
-from .run import CHECK_FAILED, INTERRUPTED
-from .theory import growth_of, option_amount
+from ..studies.lines.fit import fit_line, fit_lines, read_taps
+from ..studies.lines.line_folder import PARTS, line_folder
+from ..studies.lines.losses import PipeLine, read_line, with_stone
+from ..studies.lines.result import Stop, lines_of
+from ..studies.lines.theory_line import LAYER_FACTOR, line_by_theory
+from .exits import CHECK_FAILED, INTERRUPTED
+from .option_amounts import THIXOTROPY_BAND, growth_of, option_amount
+
+ELEMENT_OPTIONS = {"shapes": "spheres", "coarse": None, "seeds": 1, "stiffer": 5.0}
+"""Options that only discrete elements use, with their default values."""
+FLOW_OPTIONS = {"cells": 12, "known": None}
+"""Options that only simulations use, with their default values."""
 
 
-def run(
-    line: str, *, concrete: str | None, flow: str | None, theory: bool, layer_factor: float | None, cells: int,
-    method: str, shapes: str, coarse: float | None, stiffer: float, seeds: int, out: Path | None, known: Path | None,
-    device: str | None, threads: int | None, quiet: bool, rest: str | None, thixotropy: str | None,
-    blocking: int | None = None,
-) -> None:  # fmt: skip
-    """Simulate the parts of a pipeline and print the pressure that it needs."""
-    stood, grown = option_amount("rest", rest, "s"), option_amount("thixotropy", thixotropy, "Pa/s")
-    given = read_line(line)
-    if flow is None and given.flow is None:
+def run(line: str, *, method: str, simulate: bool, theory: bool, out: Path | None, **settings: Any) -> None:
+    """Print the pressure that a pipeline needs, by theory or by simulation."""
+    rest, grown = (option_amount(key, settings[key], u) for key, u in (("rest", "s"), ("thixotropy", "Pa/s")))
+    _check_options(method, simulate, theory, settings)
+    pump = {key: settings[f"pump_{key}"] for key in ("pressure", "flow", "power")}
+    given = _with_pump(read_line(line), pump)
+    name = settings["concrete"] or given.concrete
+    if settings["flow"] is None and given.flow is None and settings["fit"] is None:
         raise click.UsageError("flow: is missing; set it in the file of the line, or with --flow '30 m3/h'")
-    if concrete is None and given.concrete is None:
+    if name is None:
         raise click.UsageError("concrete: is missing; set it in the file of the line, or with --concrete no1 or a file")
-    if theory and method != "flow":
-        raise click.UsageError("--theory: cannot be combined with --method dem or both; leave out one of them")
-    elements = Elements(shapes=shapes, coarse=coarse, seeds=seeds, stiffer=stiffer)
-    usual = Elements()
-    unused = {"shapes": shapes != usual.shapes, "coarse": coarse is not None, "seeds": seeds != usual.seeds,
-              "stiffer": stiffer != usual.stiffer} if method == "flow" else \
-        {"cells": cells != CELLS, "layer_factor": layer_factor is not None} if method == "dem" else {}  # fmt: skip
-    if blocking is not None:
-        unused = {name: found and name in ("seeds", "cells", "layer_factor") for name, found in unused.items()}
-    for option in (name for name, given_so in unused.items() if given_so):
-        raise click.UsageError(f"{option}: has no effect with --method {method}; use --method both, or leave it out")
-    rate = given.flow
-    if flow is not None:
-        rate = amount("flow", flow, "m3/s")
-        positive("flow", rate, "m3/s")
-        check_limit("flow", rate, "m3/s")
-        narrow = min(part.narrow for part in given.parts)
-        check_velocity("flow", rate, 4 * rate / (math.pi * narrow**2))
-    assert rate is not None
-    for name, value in (("layer_factor", layer_factor), ("coarse", coarse), ("stiffer", stiffer)):
-        if value is not None:
-            check_limit(name, value, "")
-    check_whole("cells", cells)
-    check_whole("seeds", seeds)
-    name = str(concrete or given.concrete)
-    mix = mix_named(name)
+    rate = given.flow if settings["flow"] is None else _flow(settings["flow"], given)
+    mix = mix_named(str(name))
     if mix is not None and given.largest_stone is None:
         given = with_stone(given, mix.given.largest)
-    growth = growth_of(stood, grown)
-    moved = [] if stood is None else [restart(given, concrete_of(name), stood, growth, q) / 1e5 for q in (0.0, rate)]
-    progress = ProgressBar()
-    folder = out or (None if theory and blocking is None else next_folder("line"))
-    where: dict[str, Any] = {"out": folder, "known": known, "device": device, "threads": threads}
-    asked = {"line": given.name, "parts": fingerprint(given.parts), "concrete": name, "flow": rate, "method": method,
-             "cells": cells, "elements": fingerprint(elements)}  # fmt: skip
-    if blocking is not None:
-        asked["blocking"] = blocking
-    found, packed = None, None
+    if settings["blocking"] is not None and out is None:
+        out = next_folder("line")
+    growth = growth_of(rest, grown)
+    stop = None if rest is None else Stop(rest, growth, THIXOTROPY_BAND if grown is None else None)
+    if simulate or method != "flow":
+        assert rate is not None
+        failed = _simulated(given, str(name), rate, method, out, mix, stop, settings)
+        if failed:
+            raise SystemExit(CHECK_FAILED)
+        return
+    fit, concrete, layer = None, concrete_of(str(name)), _layer(mix, settings)
+    if settings["fit"] is not None:
+        fit = fit_line(given, concrete, read_taps(settings["fit"], given, rate))
+        click.echo("\n" + "\n".join(fit_lines(fit, given)))
+        given, layer = fit.line(given), {"variants": fit.variants(concrete)}
+        concrete = fit.concrete(concrete)
+        if rate is None:
+            return
+    asked = {"line": given.name, "parts": fingerprint(given.parts), "concrete": str(name), "flow": rate}
+    if settings["blocking"] is not None:
+        asked |= {key: settings[key] for key in ("blocking", "shapes", "coarse", "stiffer")}
+    with _interruptible(out), line_folder(out, {**asked, "method": "theory"}):
+        assert rate is not None
+        found = line_by_theory(given, concrete, rate, out=out, stop=stop, fit=fit, **layer)
+        click.echo("\n" + "\n".join(lines_of(found, settings["practice"])))
+        _judge_blocking(given, str(name), rate, mix, out, settings)
+    if out is not None:
+        click.echo(f"\nfolder: {out}")
+
+
+def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[str, Any]) -> None:
+    """Refuse options that contradict each other or have no effect."""
+    if theory and method != "flow":
+        raise click.UsageError("--theory: cannot be combined with --method dem or both; leave out one of them")
+    if theory and simulate:
+        raise click.UsageError("--theory: cannot be combined with --simulate; leave out one of them")
+    heavy = simulate or method != "flow"
+    if settings["fit"] is not None and heavy:
+        raise click.UsageError("fit: is an answer by theory; leave out --simulate and --method")
+
+    def changed(options: Mapping[str, Any]) -> list[str]:
+        return [name for name, usual in options.items() if settings[name] != usual]
+
+    only_dem = ELEMENT_OPTIONS if settings["blocking"] is None else {"seeds": ELEMENT_OPTIONS["seeds"]}
+    for name in changed(only_dem) if method == "flow" else ():
+        raise click.UsageError(f"{name}: has no effect with --method flow; use --method both, or leave it out")
+    for name in () if heavy else changed(FLOW_OPTIONS):
+        raise click.UsageError(f"{name}: has no effect without a simulation; add --simulate, or leave it out")
+    others = dict.fromkeys(("layer_factor", "rest", "pump_pressure", "pump_flow", "pump_power"))
+    for name in changed({**others, "cells": 12, "practice": False}) if method == "dem" else ():
+        raise click.UsageError(f"{name}: has no effect with --method dem; use --method both, or leave it out")
+    for name in ("layer_factor", "coarse", "stiffer"):
+        if settings[name] is not None:
+            check_limit(name, settings[name], "")
+    check_whole("cells", settings["cells"])
+    check_whole("seeds", settings["seeds"])
+
+
+def _flow(given: str, line: PipeLine) -> float:
+    """Return the flow [m3/s] that an option states."""
+    rate = amount("flow", given, "m3/s")
+    positive("flow", rate, "m3/s")
+    check_limit("flow", rate, "m3/s")
+    narrow = min(part.narrow for part in line.parts)
+    check_velocity("flow", rate, 4 * rate / (math.pi * narrow**2))
+    return rate
+
+
+def _layer(mix: Mix | None, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the uncertainty of the concrete: the bands of its mix, or the factor of its slip layer."""
+    factor = settings["layer_factor"]
+    if mix is not None and factor is None:
+        return {"variants": mix.variants}
+    return {"layer_factor": LAYER_FACTOR if factor is None else factor}
+
+
+def _with_pump(line: PipeLine, limits: Mapping[str, str | None]) -> PipeLine:
+    """Return the line with the pump that options state, which replace entries of the line's own pump."""
+    stated = {key: value for key, value in limits.items() if value is not None}
+    if not stated:
+        return line
+    if line.pump is not None:
+        own = {key: getattr(line.pump, key) for key in limits if getattr(line.pump, key) is not None}
+        stated = {**own, **stated}
+    return replace(line, pump=pump_of(stated))
+
+
+def _simulated(
+    line: PipeLine, name: str, rate: float, method: str, out: Path | None, mix: Mix | None, stop: Stop | None,
+    settings: Mapping[str, Any],
+) -> bool:  # fmt: skip
+    """Simulate the parts of a line, print its pressure, and return whether a check of a part failed."""
+    job = importlib.import_module(f"{__package__}.line_simulated")
+    folder = out or next_folder("line")
+    with _interruptible(folder):
+        return job.run(
+            line, name, rate, method, folder, _layer(mix, settings), stop, settings,
+            lambda: _judge_blocking(line, name, rate, mix, folder, settings),
+        )  # fmt: skip
+
+
+@contextmanager
+def _interruptible(folder: Path | None) -> Iterator[None]:
+    """Turn Ctrl-C during the block into the exit code of an interruption, and say how to continue."""
     try:
-        with line_folder(folder, asked):
-            if method != "dem":
-                found = run_line(
-                    given, concrete_of(name), rate, simulate=not theory,
-                    cells=cells, layer_factor=LAYER_FACTOR if layer_factor is None else layer_factor,
-                    variants=mix.variants if mix is not None and layer_factor is None else None,
-                    progress=None if quiet else progress, **where,
-                )  # fmt: skip
-            if method != "flow":
-                tell = None if quiet else (lambda phase, fraction: progress(phase, fraction, {}))
-                packed = run_elements(given, name, rate, elements=elements, progress=tell, **where)
-            _print(given, name, rate, found, packed, folder)
-            print_rules(given, mix, folder)
-            if blocking is not None and folder is not None:
-                chance = run_blocking(given, name, rate, blocking, out=folder, elements=elements, device=device,
-                                      processes=threads, progress=None if quiet else progress)  # fmt: skip
-                click.echo("\n" + "\n".join(chance.lines))
+        yield
     except KeyboardInterrupt:
         if folder is not None and (folder / PARTS).is_dir():
             click.echo(f"interrupted; continue with the same command and --out {folder}")
         raise SystemExit(INTERRUPTED) from None
-    finally:
-        progress.close()
-    if moved:
-        click.echo(f"\nafter {stood:g} s of rest, with a yield stress that grows by {growth:g} Pa/s, the concrete "
-                   f"starts to move at {moved[0]:.4g} bar, at full flow with {moved[1]:.4g} bar (theory)")  # fmt: skip
-    if (found is not None and found.failed) or (packed is not None and packed.failed):
-        raise SystemExit(CHECK_FAILED)
 
 
-def _print(
-    line: PipeLine, name: str, rate: float, found: LineResult | None, packed: ElementLine | None, folder: Path | None
+def _judge_blocking(
+    line: PipeLine, name: str, rate: float, mix: Mix | None, folder: Path | None, settings: Mapping[str, Any]
 ) -> None:
-    if found is not None:
-        click.echo("\n" + "\n".join(lines_of(found)))
-    if packed is not None:
-        others = {} if found is None else {"flow": [x.friction for x in found.losses]}
-        if completed(name).flow:
-            others["theory"] = [friction(part, concrete_of(name), rate) for part in line.parts]
-        text = element_table_lines(packed, others)
-        click.echo("\n" + "\n".join(text))
-        if folder is not None:
-            with atomic_file(folder / "line-dem.md") as partial:
-                partial.write_text("\n".join(text) + "\n", encoding="utf-8")
-    took = (0.0 if found is None else sum(found.took.values())) + (0.0 if packed is None else packed.elapsed)
+    """Print the rules against blocking and, if the option asks for it, the simulated probability of a blockage."""
+    print_rules(line, mix, folder)
+    if settings["blocking"] is not None and folder is not None:
+        importlib.import_module(f"{__package__}.line_blocked").run(line, name, rate, folder, settings)
+
+
+def print_rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> None:
+    """Print what the rules of practice say about blocking of the line, and write it to its folder."""
+    verdicts = line_rules(line, None if mix is None else mix.given)
+    part = narrowest(line)
+    where = f"narrowest part {part.number}, {part.label}, {1e3 * part.narrow:.4g} mm"
+    text = rule_lines(verdicts, where)
+    if mix is None:
+        text.append(
+            "unknown  all rules on the mix: the concrete has no mix; 'warpcrete mix --help' shows how to write it"
+        )
+    click.echo("\n" + "\n".join(text))
     if folder is not None:
-        click.echo(f"\nfolder: {folder}; simulations took {took:.0f} s")
+        write_json(folder / "blocking.json", rule_records(verdicts) | {"narrowest_part": part.number})

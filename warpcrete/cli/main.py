@@ -1,4 +1,4 @@
-"""The `warpcrete` command: its subcommands and options, which call functions in the other modules of this package."""
+"""The `warpcrete` command and its subcommands; the other modules of this package do most of the work."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ def _repeat_command(path: Path) -> click.Command:
 
 
 class TheoryCommand(click.Command):
-    """Command that has an option for each parameter of the scene functions of flows."""
+    """Command with one option for each parameter of the scene functions that simulate flows."""
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         return [*_part("options").parameter_options(_part("theory").fields().values()), *super().get_params(ctx)]
@@ -213,12 +213,13 @@ def theory(
     rest: str | None, thixotropy: str | None, segregation: tuple[str, ...], aggregate: str | None,
     **values: Any,
 ) -> None:  # fmt: skip
-    """Compute the flow of a Bingham fluid with a slip layer in a pipe and a channel.
+    """Compute the flow of a yield stress fluid with a slip layer in a pipe and a channel.
 
-    The pressure follows from a flow, or the flow from a pressure.
+    The pressure follows from a flow, or the flow from a pressure. The concrete is a Bingham fluid by default; with
+    --flow-index or --quadratic-viscosity it obeys the Herschel-Bulkley or the modified Bingham law.
     """
-    job = _part("theory")
-    one, several = job.option_amount, job.option_amounts
+    job, amounts = _part("theory"), _part("option_amounts")
+    one, several = amounts.option_amount, amounts.option_amounts
     job.run(
         _part("options").given(values, context),
         several("flow", flow, "m3/s"),
@@ -264,18 +265,21 @@ def verify(**settings: Any) -> None:
 
 @cli.command("validate")
 @click.option("--kind", multiple=True, help="Compare only this kind of measurement, such as pipe or slump; repeatable")
+@click.option("--quick", is_flag=True, help="Use closed forms only, and simulate no flow")
 @click.option(
     "--cases", type=click.Path(path_type=Path), help="File of your own measured cases  [default: the shipped ones]"
 )
 @click.option("--every", is_flag=True, help="Also print the table of all cases")
+@click.option("--device", help="Device of the simulations: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
 @click.option("--out", type=click.Path(path_type=Path), help="New folder for the tables and validation.png")
 @click.option("--quiet", is_flag=True, help="Show no progress bar")
 def validate_command(**settings: Any) -> None:
     """Compare blind predictions with measurements of pipes, lines, slip layers and fresh concrete.
 
     Each case is predicted from what was known before the measurement. The table gives, for each kind of measurement,
-    the median ratio of prediction to measurement, the median error, and the share of cases inside their bands. Cases
-    that are held out were never used to fit a constant of the program.
+    the median ratio of prediction to measurement, the median error, and the fraction of the cases whose measured value
+    lies in the uncertainty band of the prediction. Cases that are held out were never used to fit a constant of the
+    program.
     """
     _part("validate").run(**settings)
 
@@ -420,17 +424,18 @@ def calibrate_command(arguments: tuple[str, ...]) -> None:
 
 LINE_HELP = """Compute the pressure that a pipeline needs: `warpcrete line LINE.yaml [options]`.
 
-The file lists the parts of the pipeline in order. Each different part is simulated once as a flow; a straight pipe is
-simulated once and its pressure scaled with its length. The folder holds line.md, line.json, line.png (pressure along
-the line, compared with theory) and the runs, which another line can reuse with --known. Two lines are shipped:
-burj-khalifa and shanghai-tower. --method dem simulates the parts with discrete elements, --method both with both
-methods, in one table.
+The file lists the parts of the pipeline in order. The answer comes at once, from theory and from factors of earlier
+simulations. With --simulate, each different part is simulated once as a flow; a straight pipe is simulated once and its
+pressure scaled with its length. --method dem simulates the parts with discrete elements, --method both with both
+methods, in one table. A folder (--out) holds line.md, line.json, line.png (pressure along the line) and the runs, which
+another line can reuse with --known. Two lines are shipped: burj-khalifa and shanghai-tower.
 
 \b
   diameter: 125 mm
   flow: 30 m3/h
   concrete: no1                 # or a file, as for run
   largest_stone: 16 mm
+  pump: {pressure: 85 bar, flow: 90 m3/h, power: 110 kW}      # optional, from its data sheet
   begin: level                  # up, down
   parts:
     - straight: 10 m
@@ -439,6 +444,9 @@ methods, in one table.
     - straight: {length: 20 m}
     - reducer: {to: 100 mm, length: 1 m}
     - hose: {points: [[1, 0, -0.2], [2, 0.5, -1]]}    # relative to its start: ahead, left, up [m]
+    - bend: level                 # radius 0.5 m, or two diameters if these are larger
+    - valve: {equivalent: 20 m}   # as much friction as 20 m of straight pipe; any part may state it
+    - hose: {length: 4 m, factor: 2.5}            # or its friction over that of straight pipe of its length
     - bore: {file: valve.stl, scale: 0.001, length: 0.6, outlet: 100 mm}
     - straight: 5 m
 
@@ -447,7 +455,7 @@ folder of LINE.yaml. Its outlet has the diameter of the line unless `outlet` is 
 alone; straight pipe is added before and behind it.
 
 Rules of practice say whether the mix may block the narrowest part. --blocking 50 also simulates that part with 50 seeds
-and prints the probability of a blockage; --theory leaves out all other simulations.
+and prints the probability of a blockage.
 
 To simulate a short line as one scene: warpcrete run part --line LINE.yaml, as a flow or with --method dem.
 
@@ -461,10 +469,15 @@ Values without a unit are in m, m3/s, Pa and degrees. The exit code is 3 if a ch
               "with --method dem, zhan or another concrete of the scene 'pipe'")  # fmt: skip
 @click.option("--flow", help="Volume flow, instead of the line's, such as '30 m3/h'")
 @click.option(
-    "--theory",
+    "--simulate",
     is_flag=True,
-    help="Use the closed-form solution only, without simulation; bends and reducers count as straight pipe",
+    help="Simulate each kind of part as a flow, which takes seconds to minutes, instead of the answer by theory and "
+    "by factors of earlier simulations",
 )
+@click.option("--theory", is_flag=True, help="Answer by theory, as without --simulate")
+@click.option("--fit", type=click.Path(path_type=Path), help="CSV file of pressures along a trial line, with a first "
+              "line such as 'place [m],pressure [bar],flow [m3/h]', to which the slip layer and the factor of bends "
+              "are fitted")  # fmt: skip
 @click.option("--layer-factor", type=float, help="Factor by which the slip layer's constants may be wrong, for the "
               "band of the pressure; 1 if they were measured  [default: 2; for a mix, the bands of all its "
               "constants]")  # fmt: skip
@@ -487,7 +500,8 @@ Values without a unit are in m, m3/s, Pa and degrees. The exit code is 3 if a ch
     show_default=True,
     help="Number of random packings of elements, whose scatter gives a band",
 )
-@click.option("--out", type=click.Path(path_type=Path), help="New folder  [default: runs/line-NNN]")
+@click.option("--out", type=click.Path(path_type=Path), help="New folder for the result  [default: runs/line-NNN for "
+              "a simulation, none for an answer by theory]")  # fmt: skip
 @click.option("--known", type=click.Path(path_type=Path), help="Folder of an earlier line, finished or interrupted, "
               "whose runs of the same parts are reused")  # fmt: skip
 @click.option("--device", help="Device: cpu, cuda, cuda:1 ...  [default: a GPU if there is one]")
@@ -497,7 +511,13 @@ Values without a unit are in m, m3/s, Pa and degrees. The exit code is 3 if a ch
     help="Time that the full line has stood still [s], or with a unit such as '10 min'; adds the "
     "theoretical pressure of the restart",
 )
-@click.option("--thixotropy", help="Growth rate A_thix of the yield stress at rest [Pa/s]  [default: 0.5]")
+@click.option("--thixotropy", help="Growth rate A_thix of the yield stress at rest [Pa/s]  [default: 0.5, and a band "
+              "of 0.1 to 1]")  # fmt: skip
+@click.option("--pump-pressure", help="Largest pressure of the pump on the concrete, from its data sheet, such as "
+              "'85 bar'; shows the margin")  # fmt: skip
+@click.option("--pump-flow", help="Largest flow of the pump, such as '90 m3/h'")
+@click.option("--pump-power", help="Power of the pump's motor, such as '110 kW'")
+@click.option("--practice", is_flag=True, help="Compare the result with the rules of AIJ, JSCE and JGJ/T 10")
 @click.option("--blocking", type=click.IntRange(1, 10_000), help="Simulate the narrowest part with this number of "
               "seeds by discrete elements, stones in their true size, and print the probability that it is blocked; "
               "meant for a GPU")  # fmt: skip
@@ -568,7 +588,8 @@ def main() -> None:
     """
     prepare_streams()
     warn_in_one_line()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # Treat SIGTERM like Ctrl-C, which saves unwritten data.
+    # Treat SIGTERM like Ctrl-C, so that the run saves its data before it ends.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         cli(prog_name="warpcrete", standalone_mode=False)
     except click.exceptions.Exit as request:
@@ -584,7 +605,8 @@ def main() -> None:
     except InstabilityError as error:
         _fail(str(error), 1)
     except WarpcreteError as error:
-        if isinstance(error, DiskFullError):  # At exit, libraries may wait for the full disk forever.
+        # While the program exits, libraries may wait without end for space on the full disk.
+        if isinstance(error, DiskFullError):
             end = threading.Timer(EXIT_TIMEOUT, os._exit, [2])
             end.daemon = True
             end.start()

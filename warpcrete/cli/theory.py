@@ -1,4 +1,4 @@
-"""Command `warpcrete theory`: the closed-form solution for a Bingham fluid with a slip layer."""
+"""Command `warpcrete theory`: the closed-form solution for a yield stress fluid with a slip layer."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from typing import Any
 import click
 
 from ..core.errors import refuse
-from ..core.inputs.amounts import amount
-from ..core.inputs.limits import check_limit, check_velocity
+from ..core.inputs.limits import check_velocity
 from ..core.inputs.parameters import Field, declared_fields, resolved
 from ..mix.mix import mix_named
 from ..mix.points import read_points
@@ -20,35 +19,17 @@ from ..mps.column import FLOW, ColumnParameters, ConcreteParameters
 from ..mps.mixes import CONSTANTS, concrete_of, file_constants
 from ..theory.pipe import Concrete, Line, measured_layer, restart_table, steady, table
 from ..theory.segregated import segregation_table
+from .option_amounts import growth_of
 
-THIXOTROPY = 0.5
-"""Default growth rate A_thix of the yield stress at rest [Pa/s], for moderate stiffening (Roussel 2006)."""
 LINE = ("length", "rise", "gravity")
-"""Fields of a pipeline that are parameters of the command under the same name. The pipeline's radius is half the
+"""Properties of a pipeline that the command takes as parameters of the same names. The pipeline's radius is half the
 parameter `diameter`."""
 
 
 def fields() -> dict[str, Field]:
-    """Return the parameters of the command by name.
-
-    They are those parameters of the scenes `channel` and `tube` that the closed form uses.
-    """
+    """Return, by name, the parameters of the command: those parameters of pipe flows that the closed form uses."""
     pipe = {"diameter": declared_fields(ColumnParameters)["diameter"]}
     return {**declared_fields(ConcreteParameters), **pipe, **{name: declared_fields(Line)[name] for name in LINE}}
-
-
-def option_amount(field: str, given: str | None, unit: str) -> float | None:
-    """Return the value of an option as a number in `unit`, or None if the option is missing."""
-    if given is None:
-        return None
-    found = amount(field, given, unit)
-    check_limit(field, found, unit)
-    return found
-
-
-def option_amounts(field: str, given: Sequence[str], unit: str) -> list[float]:
-    """Return the values of a repeatable option as numbers in `unit`."""
-    return [found for each in given if (found := option_amount(field, each, unit)) is not None]
 
 
 def run(
@@ -56,7 +37,7 @@ def run(
     rest: float | None = None, thixotropy: float | None = None, segregation: Sequence[float] = (),
     aggregate: float | None = None,
 ) -> None:  # fmt: skip
-    """Print the closed-form solution for the parameters `given`, with defaults for the others.
+    """Print the closed-form solution for the parameters in `given`, with default values for the others.
 
     With `fit`, a file of measured points, the slip layer is fitted to these points. With `rest` [s], the pressure for a
     restart after that time at rest is added. With `segregation`, the effect of segregation on the pressure is added;
@@ -72,7 +53,8 @@ def run(
         field.check_limits(values[name], name)
     thickness = values["slip_thickness"]
     constants = {name: values[name] for name in CONSTANTS}
-    if fit is not None:  # The fit replaces the slip layer's constants, so placeholders stand for missing ones.
+    # The fit will replace the constants of the slip layer. Constants that are not stated get placeholders until then.
+    if fit is not None:
         constants |= {name: constants[name] or 1.0 for name in ("slip_viscosity", "slip_yield")}
     concrete = concrete_of(values["concrete"], **constants)
     for flow in flows:
@@ -104,15 +86,11 @@ def _share(given: float | None, name: str) -> float:
     return mix.given.share
 
 
-def growth_of(rest: float | None, thixotropy: float | None) -> float:
-    """Return the stated or usual rate A_thix [Pa/s]; refuse a stated rate if no time of rest is given."""
-    if thixotropy is not None and rest is None:
-        refuse("thixotropy", thixotropy, "needs the time of rest", "add, for example, --rest 600")
-    return THIXOTROPY if thixotropy is None else thixotropy
-
-
 def _fitted(concrete: Concrete, line: Line, flows: list[float], pressures: list[float]) -> Concrete:
-    """Return the concrete with a slip layer fitted to measured points, and print the quality of the fit."""
+    """Return the concrete with a slip layer fitted to measured points, and print the quality of the fit.
+
+    The points are flows [m3/s] and the pressures measured at these flows [Pa].
+    """
     fit = measured_layer(concrete, line, flows, pressures)
     found = replace(concrete, slip_viscosity=fit.slope, slip_yield=fit.offset)
     off = [steady(found, line, flow).pressure / pressure - 1 for flow, pressure in zip(flows, pressures)]

@@ -13,8 +13,8 @@ from ..core.run.progress import ProgressBar
 from ..studies.tradeoffs.report import table
 from ..studies.tradeoffs.state import Trade
 from ..studies.tradeoffs.trade import resume_trade, run_trade
+from .exits import INTERRUPTED
 from .options import check_scene
-from .run import INTERRUPTED
 from .study import ON_WORKERS, parameter_values, parsed, recorded_module, single
 
 UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}

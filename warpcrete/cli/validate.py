@@ -13,20 +13,36 @@ from ..studies.validation.cases import read_cases
 from ..studies.validation.validate import SUMMARY_COLUMNS, markdown, summary_cells, validate
 
 
-def run(kind: tuple[str, ...], cases: Path | None, out: Path | None, every: bool, quiet: bool) -> None:
+def run(
+    kind: tuple[str, ...],
+    quick: bool,
+    cases: Path | None,
+    out: Path | None,
+    every: bool,
+    device: str | None,
+    quiet: bool,
+) -> None:
     """Predict the measured cases and print the comparison; with `out`, also write tables and figure."""
     if out is not None:
         check_new(out)
     given = None if cases is None else read_cases(cases)
     bar = ProgressBar()
     try:
-        found = validate(given, kinds=kind, progress=None if quiet else lambda name, part: bar(name, part, {}))
+        found = validate(
+            given,
+            kinds=kind,
+            quick=quick,
+            device=device,
+            progress=None if quiet else lambda name, part: bar(name, part, {}),
+        )
     finally:
         bar.close()
     if every:
         click.echo(found.table())
     else:
         click.echo("\n".join(markdown(SUMMARY_COLUMNS, [summary_cells(each) for each in found.summaries()])))
+        if found.blocking:
+            click.echo("\n" + "\n".join(found.blocking_lines()))
         for name, why in found.refused.items():
             click.echo(f"refused: {name}: {why}")
     if out is not None:

@@ -15,7 +15,7 @@ AMOUNTS = {
     "largest_stone": ("m", "Size of the largest aggregate of the concrete"),
 }
 """Entries of a pipeline file that hold positive numbers, with their units and meaning."""
-KEYS = ("name", "source", "recorded", "diameter", "flow", "concrete", "largest_stone", "begin", "parts")
+KEYS = ("name", "source", "recorded", "diameter", "flow", "concrete", "largest_stone", "pump", "begin", "parts")
 PARTS = {
     "straight": {
         "length": ("m", "Length of its axis"),
@@ -23,15 +23,17 @@ PARTS = {
         "diameter": ("m", "Inner diameter; only checked against the part before it"),
     },
     "bend": {
-        "angle": ("degrees", "Angle of the bend; default: such that it ends in the direction 'to'"),
-        "radius": ("m", "Radius of its centreline"),
         "to": ("", "Direction in which the bend leads"),
+        "angle": ("degrees", "Angle of the bend; default: such that it ends in the direction 'to'"),
+        "radius": ("m", "Radius of its centreline; default: 0.5 m, or two diameters if these are larger"),
     },
     "reducer": {"to": ("m", "Inner diameter behind it"), "length": ("m", "Length of its axis")},
     "hose": {
+        "length": ("m", "Length of a hose that leads straight on; instead of points"),
         "points": ("m", "Points of its axis relative to its start: distance ahead, to the left, up"),
         "layer": ("1", "Resistance of its slip layer divided by that of a pipe"),
     },
+    "valve": {"length": ("m", "Length of its axis; default: four diameters")},
     "bore": {
         "file": (
             "",
@@ -44,15 +46,33 @@ PARTS = {
 }
 """Kinds of pipeline parts, each with its entries, their units and meaning. A part given as a single value states its
 first entry."""
+STATED = {
+    "factor": ("1", "Friction divided by that of straight pipe of its length, instead of the program's model"),
+    "equivalent": ("m", "Length of straight level pipe with the friction of the part, instead of the program's model"),
+}
+"""Entries with which any part may state its friction."""
+PARTS = {kind: {**entries, **STATED} for kind, entries in PARTS.items()}
 LIMITED_AS = {
     "largest_stone": "size_max",
     "recorded": "pressure",
     "to": "diameter",
     "outlet": "diameter",
     "radius": "bend_radius",
+    "equivalent": "length",
 }
-"""Names of quantities whose limits (:mod:`warpcrete.core.inputs.limits`) apply to pipeline entries of another name."""
+"""Names of pipeline entries, each with the name of the quantity whose limits (:mod:`warpcrete.core.inputs.limits`)
+apply to the entry."""
 MOST_PARTS, MOST_POINTS = 2000, 500
-"""Largest numbers of parts in a line and of points in a hose; the longest lines ever pumped have some hundred parts."""
+"""Largest number of parts in a pipeline, and largest number of points in a hose. The longest pipelines ever used for
+concrete have some hundred parts."""
 BEGINS = {"level": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "down": (0.0, 0.0, -1.0)}
 WAYS = ("up", "down", "left", "right", "level", "back")
+BEND_RADIUS, BEND_DIAMETERS = 0.5, 2.0
+"""Default radius of a bend: the larger of a length [m] and a number of diameters. JSCE's rule for pumping lines counts
+bends with radii of 0.5 and 1 m."""
+HOSE_FACTOR = 2.0
+"""Friction of a hose that is given by its length, relative to straight pipe. AIJ counts a hose as twice its length."""
+VALVE_DIAMETERS = 4.0
+"""Default length of a valve [diameters]."""
+FACTORS = (0.1, 100.0)
+"""Smallest and largest `factor` that a part may state."""

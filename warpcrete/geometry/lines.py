@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import one_line, one_of, positive, refuse, suggested
+from ..core.errors import between, one_line, one_of, positive, refuse, suggested
 from ..core.inputs.amounts import amount
 from ..core.inputs.concretes import is_file
 from ..core.inputs.limits import check_limit, check_velocity, warn
@@ -20,8 +20,23 @@ from .axis import Arc, Axis, Line
 from .bores import Bores
 from .crossings import first_crossing
 from .curves import curve_through, start_tangent
-from .line_entries import AMOUNTS, BEGINS, KEYS, LIMITED_AS, MOST_PARTS, MOST_POINTS, PARTS, WAYS
-from .mesh_parts import MeshBore, bore_of, directions_at, rotated_pieces
+from .line_entries import (
+    AMOUNTS,
+    BEGINS,
+    BEND_DIAMETERS,
+    BEND_RADIUS,
+    FACTORS,
+    HOSE_FACTOR,
+    KEYS,
+    LIMITED_AS,
+    MOST_PARTS,
+    MOST_POINTS,
+    PARTS,
+    VALVE_DIAMETERS,
+    WAYS,
+)
+from .mesh_bores import MeshBore
+from .pumps import Pump, pump_of
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
 MAX_BEND_ANGLE = 135.0
@@ -30,27 +45,28 @@ BLOCKING_RATIO = 3.0
 """Ratio of pipe diameter to largest stone below which pipes are known to block. ACI 304.2R requires 3 for crushed
 stone."""
 BEND_EXTRA_LOSS = ((0.0, 0.15, 0.3, 0.6), (0.0, 0.023, 0.042, 0.125))
-"""Additional pressure loss of a bend, relative to straight pipe of its length (second row), by the pipe's diameter over
-the bend's radius (first row). Source: simulated flows of the concrete no1, the highest loss of three concretes, through
-bends of 150 mm pipe at 30 m3/h. The loss of a hose is computed from this table.
-"""
+"""Additional pressure loss of a bend, as a fraction of the loss in straight pipe of the same length. The first tuple
+holds ratios of pipe diameter to bend radius, the second tuple the additional loss at each ratio. Source: simulated
+flows of the concrete no1, the highest loss of three concretes, through bends of 150 mm pipe at 30 m3/h. The loss of a
+hose is computed from this table."""
 MAX_HOSE_KINK = 20.0
-"""Largest angle between a line and the first direction of a hose's points at which the hose still continues the line
-without a kink [degrees]."""
+"""Largest angle between the pipeline's direction at the start of a hose and the tangent of the curve through the hose's
+points there [degrees]. A larger angle is refused as a kink."""
 HOSE_LAYER = (0.1, 10.0)
 """Usual range of the slip layer's resistance in a hose relative to a pipe; a warning is given outside this range."""
 UP = np.array([0.0, 0.0, 1.0])
 Pieces = Sequence[Line | Arc]
 CROSSING_SAMPLES = {"bend": 9, "hose": 33, "bore": 33}
-"""Number of points along a part, by its kind, between which the part is taken as straight when crossings are sought."""
+"""Number of points along a part, by the kind of the part. The search for crossings treats the part as straight between
+neighbouring points."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """One part of a pipeline: a straight pipe, bend, reducer, hose or the bore of a mesh."""
+    """One part of a pipeline: a straight pipe, bend, reducer, hose, valve or the bore of a mesh."""
 
     number: int
-    """Number of the part in its line, counted from 1."""
+    """Number of the part in its pipeline, counted from 1."""
     kind: str
     diameter: float
     """Inner diameter at the start of the part [m]."""
@@ -65,11 +81,21 @@ class Part:
     angle: float = 0.0
     """Angle of a bend [degrees]; 0 for other parts."""
     relative_loss: float = 1.0
-    """Pressure loss of a hose relative to a straight pipe of the same length; 1 for other parts."""
+    """Friction of a hose by the program's model, relative to straight pipe of its length; 1 for other parts."""
     layer: float = 1.0
     """Resistance of the slip layer in a hose relative to that in a pipe; 1 for other parts."""
     mesh: MeshBore | None = None
     """Bore that a mesh file describes; None for other parts."""
+    factor: float | None = None
+    """Friction that the file states, relative to straight pipe of the part's length and bores; None if it states
+    none."""
+    factor_range: tuple[float, float] | None = None
+    """Range of the stated friction, if it was fitted to measured pressures; None if it has no range."""
+
+    @property
+    def relative(self) -> float:
+        """Friction relative to straight pipe: as the file states, or else by the model of hoses."""
+        return self.relative_loss if self.factor is None else self.factor
 
     @property
     def narrow(self) -> float:
@@ -79,7 +105,7 @@ class Part:
     @property
     def is_by_length(self) -> bool:
         """Return whether the part's pressure loss is proportional to its length."""
-        return self.kind in ("straight", "hose")
+        return self.kind in ("straight", "hose", "valve")
 
     @property
     def label(self) -> str:
@@ -92,6 +118,8 @@ class Part:
             return f"bore of {Path(self.mesh.file).name}, {1e3 * self.narrow:.4g} mm at its narrowest"
         if self.kind == "hose":
             return f"hose, rises {self.rise:.3g} m"
+        if self.kind == "valve":
+            return "valve"
         slope = self.rise / self.length
         way = {1.0: " up", -1.0: " down", 0.0: ""}.get(round(slope, 9), f", rises {self.rise:.3g} m")
         return f"straight{way}"
@@ -116,10 +144,12 @@ class PipeLine:
     """Volume flow [m3/s]."""
     concrete: str | None = None
     largest_stone: float | None = None
-    """Diameter of the concrete's largest stone [m]."""
+    """Diameter of the largest stone in the concrete [m]."""
     source: str = ""
     recorded: float | None = None
     """Pressure recorded at the pump [Pa]."""
+    pump: Pump | None = None
+    """Data sheet of the pump."""
 
     @property
     def length(self) -> float:
@@ -128,7 +158,7 @@ class PipeLine:
 
     @property
     def rise(self) -> float:
-        """Height of the line's end above its start [m]."""
+        """Height of the pipeline's end above its start [m]."""
         return sum(part.rise for part in self.parts)
 
     @property
@@ -153,7 +183,7 @@ class PipeLine:
         return Bores(tuple(places), tuple(radii))
 
     def remarks(self) -> list[str]:
-        """Return warnings about the line for its user, such as stones that may block a narrow part."""
+        """Return warnings for the user about the pipeline, for example about stones that may block a narrow part."""
         found = []
         narrow = min(part.narrow for part in self.parts)
         if self.largest_stone and narrow < BLOCKING_RATIO * self.largest_stone:
@@ -163,12 +193,12 @@ class PipeLine:
 
 
 def shipped_lines() -> tuple[str, ...]:
-    """Return the names of the lines that are shipped with the package."""
+    """Return the names of the pipelines that are shipped with the package."""
     return tuple(sorted(path.stem for path in SHIPPED.glob("*.yaml")))
 
 
 def read_line(name: Path | str) -> PipeLine:
-    """Read a line from a YAML file, or a shipped line by its name.
+    """Read a pipeline from a YAML file, or a shipped pipeline by its name.
 
     Raises :class:`SceneError` if the file cannot be read, or if the parts do not fit together.
     """
@@ -177,9 +207,9 @@ def read_line(name: Path | str) -> PipeLine:
 
 
 def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
-    """Read the entries of a line's file, and return them with the path of the file.
+    """Read the entries of a pipeline file, and return them with the path of the file.
 
-    A relative path of a concrete's file is resolved from the folder of the line's file. Raises :class:`SceneError` if
+    A relative path of a concrete's file is resolved from the folder of the pipeline file. Raises :class:`SceneError` if
     the file does not exist or holds no 'key: value' lines.
     """
     if not isinstance(name, (str, Path)):
@@ -196,12 +226,12 @@ def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
 
 
 def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path()) -> PipeLine:
-    """Build a line from the entries of its file.
+    """Build a pipeline from the entries of its file.
 
     Required are `parts`, a list of mappings from a kind to its entries, and `diameter`, the diameter of the first part.
-    Optional are `begin`, the direction in which the line starts, and `flow`, `concrete`, `largest_stone`, `source` and
-    `recorded`. Mesh files are searched for in `folder`. Raises :class:`SceneError` if an entry is wrong or the parts do
-    not fit.
+    Optional are `begin`, the direction in which the line starts, and `flow`, `concrete`, `largest_stone`, `pump`,
+    `source` and `recorded`. Mesh files are searched for in `folder`. Raises :class:`SceneError` if an entry is wrong or
+    the parts do not fit.
     """
     if not isinstance(given, Mapping):
         refuse("line", given, "must hold 'key: value' lines")
@@ -239,13 +269,14 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
         concrete=str(given["concrete"]) if "concrete" in given else None,
         source=_text(given, "source", ""),
         recorded=recorded,
+        pump=_pump(given),
     )
     check_crossing(line)
     return with_stone(line, stone)
 
 
 def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
-    """Return the line with the diameter of the largest stone of its concrete set to `stone` [m].
+    """Return the pipeline with the diameter of its concrete's largest stone replaced by `stone` [m].
 
     The value None stands for an unknown diameter. Raises :class:`SceneError` if the stone does not pass through a part.
     """
@@ -265,8 +296,16 @@ def _text(given: Mapping[str, Any], field: str, default: str) -> str:
     return one_line(str(found))
 
 
+def _pump(given: Mapping[str, Any]) -> Pump | None:
+    """Return the data sheet of the pump, or None if the entry is missing."""
+    if "pump" not in given:
+        return None
+    with errors_located_at(given, "pump"):
+        return pump_of(given["pump"])
+
+
 def _above(given: Mapping[str, Any], field: str, unit: str) -> float | None:
-    """Return a positive entry in `unit`, or None if the entry is missing."""
+    """Return the value of the entry `field` in `unit`, after checking that it is positive; None without the entry."""
     if field not in given:
         return None
     with errors_located_at(given, field):
@@ -277,25 +316,30 @@ def _above(given: Mapping[str, Any], field: str, unit: str) -> float | None:
 
 
 class _Course:
-    """Course of a line while it is built part by part: current direction, diameter and the parts so far."""
+    """Pipeline while it is built part by part, with its current direction and diameter and the parts added so far."""
 
     def __init__(self, tangent: np.ndarray, diameter: float, folder: Path) -> None:
         self.begin: tuple[float, float, float] = tuple(tangent.tolist())
         self.tangent, self.diameter, self.folder = tangent, diameter, folder
         self.heading = tangent if tangent[2] == 0 else np.array([1.0, 0.0, 0.0])
-        """Last horizontal direction of the line, a unit vector of shape (3,)."""
+        """Most recent direction of the pipeline that was not vertical, projected onto the horizontal plane, as a unit
+        vector of shape (3,)."""
         self.parts: list[Part] = []
         self.pieces: list[Line | Arc] = []
 
     def add(self, number: int, entry: Any) -> None:
-        """Append a part to the line; the argument is the part's entry in the pipeline file."""
+        """Append a part to the pipeline.
+
+        `entry` is the part's entry in the pipeline file, and `number` counts the parts from 1.
+        """
         if not isinstance(entry, Mapping) or len(entry) != 1:
             refuse(f"part {number}", entry, f"must be one of {', '.join(PARTS)} with its properties",
                    "for example '- straight: {length: 10 m}'")  # fmt: skip
         kind, said = next(iter(entry.items()))
         one_of(f"part {number}", kind, PARTS)
         if not isinstance(said, Mapping):
-            said = {next(iter(PARTS[kind])): said}
+            listed = kind == "hose" and isinstance(said, Sequence) and not isinstance(said, str)
+            said = {"points" if listed else next(iter(PARTS[kind])): said}
         for key in said:
             one_of(f"part {number}, {kind}: key", key, PARTS[kind])
 
@@ -308,7 +352,7 @@ class _Course:
             return found
 
         part, pieces = getattr(self, f"_{kind}")(number, said, get)
-        self.parts.append(part)
+        self.parts.append(replace(part, factor=_stated(part, said, get)))
         self.pieces += pieces
         self.diameter = part.outlet
 
@@ -325,7 +369,7 @@ class _Course:
         return Part(number, "straight", self.diameter, length, rise, self.diameter), (Line(length),)
 
     def _bend(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
-        radius = get("radius", "m")
+        radius = get("radius", "m", max(BEND_RADIUS, BEND_DIAMETERS * self.diameter))
         field = f"part {number}, bend"
         if radius <= self.diameter / 2:
             refuse(f"{field}: radius", radius, f"must exceed the radius of the pipe, {self.diameter / 2:g} m")
@@ -357,7 +401,10 @@ class _Course:
         return Part(number, "bend", self.diameter, radius * turn, rise, self.diameter, radius, angle), (piece,)
 
     def _turn(self, tangent: np.ndarray) -> None:
-        """Change the direction in which the line continues."""
+        """Let the pipeline continue in the direction `tangent`.
+
+        The horizontal heading changes too, unless the new direction is vertical.
+        """
         tangent = np.where(np.abs(tangent) < 1e-12, 0.0, tangent)
         self.tangent = tangent / np.linalg.norm(tangent)
         level = self.tangent * [1, 1, 0]
@@ -365,11 +412,23 @@ class _Course:
             self.heading = level / np.linalg.norm(level)
 
     def _hose(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
-        """Return a hose as a curve through points, given relative to the hose's start as forward, left and up."""
+        """Return a hose of a given length, or as a curve through points.
+
+        The points are given relative to the hose's start as forward, left and up.
+        """
         field = f"part {number}, hose"
         given = said.get("points")
+        if "length" in said and given is not None:
+            refuse(f"{field}: length", said["length"], "cannot be given together with points", "leave out one of them")
+        if "length" in said:
+            length = get("length", "m")
+            positive(f"{field}: length", length, "m")
+            rise = length * float(self.tangent[2])
+            return Part(number, "hose", self.diameter, length, rise, self.diameter, relative_loss=HOSE_FACTOR,
+                        layer=_hose_layer(field, said)), (Line(length),)  # fmt: skip
         if not isinstance(given, Sequence) or isinstance(given, str) or not given:
-            refuse(f"{field}: points", given, "must be a list of points", "for example '[[1, 0, 0], [2, 0, -0.5]]'")
+            refuse(f"{field}: points", given, "must be a list of points",
+                   "for example '[[1, 0, 0], [2, 0, -0.5]]', or give its length, as in 'hose: 8 m'")  # fmt: skip
         if any(not isinstance(p, Sequence) or isinstance(p, str) or len(p) != 3 for p in given):
             refuse(f"{field}: points", given, "must each have three lengths: ahead, to the left, up")
         if len(given) > MOST_POINTS:
@@ -379,11 +438,7 @@ class _Course:
             check_limit(f"{field}: points", x, "m", "length")
         if np.any(np.linalg.norm(np.diff(local, axis=0), axis=1) < 0.5 * self.diameter):
             refuse(f"{field}: points", given, "must be at least half a diameter apart")
-        layer = float(amount(f"{field}: layer", said.get("layer", 1.0), "1"))
-        positive(f"{field}: layer", layer, "")
-        if not HOSE_LAYER[0] <= layer <= HOSE_LAYER[1]:
-            warn(f"{field}: layer = {layer:g}: is unusual: hoses have {HOSE_LAYER[0]:g} to {HOSE_LAYER[1]:g} times the "
-                 "resistance of a pipe; write per cent with the unit, as '80 %'")  # fmt: skip
+        layer = _hose_layer(field, said)
         points = local @ np.array([self.heading, np.cross(UP, self.heading), UP])
         askew = math.degrees(math.acos(float(np.clip(start_tangent(points) @ self.tangent, -1, 1))))
         if askew > MAX_HOSE_KINK:
@@ -418,7 +473,16 @@ class _Course:
         rise = length * float(self.tangent[2])
         return Part(number, "reducer", self.diameter, length, rise, outlet), (Line(length),)
 
+    def _valve(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
+        length = get("length", "m", VALVE_DIAMETERS * self.diameter)
+        positive(f"part {number}, valve: length", length, "m")
+        rise = length * float(self.tangent[2])
+        return Part(number, "valve", self.diameter, length, rise, self.diameter), (Line(length),)
+
     def _bore(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
+        # Meshes need Warp, which takes seconds to import, so a line without them must not import it.
+        from .mesh_parts import bore_of, directions_at, rotated_pieces
+
         field, file = f"part {number}, bore", said.get("file")
         if not isinstance(file, str) or not file:
             refuse(f"{field}: file", file, "must be the path of a mesh file", "for example 'file: valve.stl'")
@@ -438,8 +502,34 @@ class _Course:
         return part, rotated_pieces(mesh.axis.pieces, directions)
 
 
+def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> float | None:
+    """Return the friction that a part's entries state, relative to straight pipe of its length; None without these."""
+    field = f"part {part.number}, {part.kind}"
+    if "factor" in said and "equivalent" in said:
+        refuse(f"{field}: factor", said["factor"], "cannot be given together with equivalent", "leave out one of them")
+    if "factor" in said:
+        factor = get("factor", "1")
+        between(f"{field}: factor", factor, *FACTORS, "", "it is the friction divided by that of straight pipe")
+        return factor
+    if "equivalent" in said:
+        length = get("equivalent", "m")
+        positive(f"{field}: equivalent", length, "m")
+        return length / part.length
+    return None
+
+
+def _hose_layer(field: str, said: Mapping[str, Any]) -> float:
+    """Return the resistance of a hose's slip layer relative to that of a pipe."""
+    layer = float(amount(f"{field}: layer", said.get("layer", 1.0), "1"))
+    positive(f"{field}: layer", layer, "")
+    if not HOSE_LAYER[0] <= layer <= HOSE_LAYER[1]:
+        warn(f"{field}: layer = {layer:g}: is unusual: hoses have {HOSE_LAYER[0]:g} to {HOSE_LAYER[1]:g} times the "
+             "resistance of a pipe; write per cent with the unit, as '80 %'")  # fmt: skip
+    return layer
+
+
 def check_crossing(line: PipeLine, gap: float = 0.0, hint: str = "change the course of the line") -> None:
-    """Refuse a line whose walls meet, or come closer to each other than `gap` [m]."""
+    """Refuse a pipeline whose walls meet, or come closer to each other than `gap` [m]."""
     parts = line.parts
     spans = []
     for part in parts:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from ..core.errors import refuse
+from ..theory.fits import student_t
 
 INSTRUMENTS = 2.0
 """Factor by which results of different instruments for one concrete may differ before they count as contradictory. The
@@ -14,8 +15,6 @@ but no figure was taken from them."""
 CONES = 3.0
 """Factor by which the bands from spread and slump of one cone may differ before they count as contradictory. In 80
 pairs of Yeh (2007) they differ by up to 1.6."""
-STUDENT_T = {1: 12.7, 2: 4.30, 3: 3.18, 4: 2.78, 5: 2.57, 6: 2.45, 7: 2.36, 8: 2.31, 9: 2.26, 10: 2.23}
-"""Factor from the standard error to the 95 % confidence limit, Student's t, by the number of points minus two."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ def line_uncertainty(error: float, count: int, value: float, default: float) -> 
     """
     if count < 3:
         return default * abs(value)
-    return STUDENT_T.get(count - 2, 2.1) * error
+    return student_t(count - 2) * error
 
 
 def of_line(name: str, value: float, off: float, unit: str, way: str, count: int) -> Figure:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
 from ..core.errors import between, one_of, positive, refuse, suggested
-from ..core.inputs.amounts import amount, bare_number
+from ..core.inputs.amounts import amount, bare_number, is_amount
 from ..core.inputs.limits import check_limit
 from ..core.inputs.text_files import errors_located_at
 from .ingredients import (
@@ -17,6 +16,7 @@ from .ingredients import (
     check_volume,
     is_plasticizer,
     is_thickener,
+    mass_per_volume,
     paste_volumes,
     powder_mass,
     sand_and_stone_masses,
@@ -27,8 +27,13 @@ from .points import PUMPED, read_points
 T = TypeVar("T")
 
 UNITS = {"yield_stress": "Pa", "viscosity": "Pa s"}
+CONCRETE_UNITS = {**UNITS, "flow_index": "1", "quadratic_viscosity": "Pa s2"}
+LAYER_UNITS = {"yield_stress": "Pa", "viscosity": "Pa s/m", "flow_index": "1", "quadratic_viscosity": "Pa s2/m2"}
+"""Measured constants of concrete and slip layer, with their SI units; the last two belong to other laws than
+Bingham's."""
 SLIPPED = {"speed": "m/s", "stress": "Pa"}
-SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity"}
+SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity", "flow_index": "slip_flow_index",
+        "quadratic_viscosity": "slip_quadratic_viscosity"}  # fmt: skip
 """Names of a slip layer's constants in the table of limits."""
 SHEARED = {"rate": "1/s", "stress": "Pa"}
 """Columns of points measured with a viscometer, with their SI units."""
@@ -53,6 +58,7 @@ NUMBERS = {
         5000,
         "write another unit as in '2.35 t/m3'",
     ),
+    "volume": Entry("Volume of the load, if parts state the masses of a whole load", "m3", 1e-3, 1e4),
     "air": Entry("Air content, share of the volume", "m3/m3", 0, 0.3, "write per cent as in '2 %'"),
     "aggregate_density": Entry("Density of the coarse aggregate", "kg/m3", 1000, 8000),
     "slump": Entry("Slump of the Abrams cone", "m", 0.01, 0.29, "use spread for softer concrete"),
@@ -70,7 +76,7 @@ NUMBERS = {
 }  # fmt: skip
 """Numeric entries of a mix."""
 OTHERS = {
-    "parts": "Mass of every ingredient in a cubic metre [kg/m3]",
+    "parts": "Mass of every ingredient in a cubic metre [kg/m3], or with its unit; liquids also by volume",
     "aggregate": "Coarse aggregate: share of the volume, or mass in a cubic metre with a unit",
     "sieve": "Sieve curve of the coarse aggregate: openings [mm], and the share of the mass that passes each",
     "sizes": "Smallest and largest coarse aggregate [m], instead of a sieve curve",
@@ -82,8 +88,8 @@ OTHERS = {
     "thickener": "True if the concrete contains a viscosity-modifying admixture that parts do not name",
 }
 """Entries of a mix that are not single numbers, with their meaning."""
-KEYS = ("density", "air", "parts", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete", "mortar",
-        "viscometer", "slump", "spread", "t500", "water_binder", "thickener", "layer", "voids",
+KEYS = ("density", "air", "parts", "volume", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete",
+        "mortar", "viscometer", "slump", "spread", "t500", "water_binder", "thickener", "layer", "voids",
         "fine_sand")  # fmt: skip
 SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crushed": "reference",
           "angular": "reference", "reference": "reference"}  # fmt: skip
@@ -250,7 +256,7 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
         sieve=_entry(given, "sieve", _sieve),
         sizes=_entry(given, "sizes", _sizes),
         shape=_entry(given, "shape", _shape),
-        concrete=_entry(given, "concrete", lambda found: _constants("concrete", found, UNITS)) or Measured(),
+        concrete=_entry(given, "concrete", lambda found: _constants("concrete", found, CONCRETE_UNITS)) or Measured(),
         mortar=mortar,
         viscometer_points=_entry(given, "viscometer", lambda found: _pairs("viscometer", found, SHEARED, folder)),
         slump=_number(given, "slump"),
@@ -278,7 +284,8 @@ def _entry(given: Mapping[str, Any], name: str, read: Callable[[Any], T]) -> T |
 
 def _masses(given: Mapping[str, Any]) -> dict[str, float]:
     """Return the ingredients of a cubic metre [kg/m3] by their names."""
-    return {str(name): amount(f"mix parts: {name}", x, "kg/m3") for name, x in given.get("parts", {}).items()}
+    load = _number(given, "volume")
+    return {str(name): mass_per_volume(str(name), x, load) for name, x in given.get("parts", {}).items()}
 
 
 def _paste_solids(given: Mapping[str, Any]) -> float | None:
@@ -365,10 +372,10 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool]:
             "must be the ingredients of a cubic metre",
             "for example {cement: 340 kg/m3, water: 170 kg/m3}",
         )
-    masses = {}
+    masses, load = {}, _number(given, "volume")
     for name, value in parts.items():
         with errors_located_at(parts, name):
-            masses[str(name)] = amount(f"mix parts: {name}", value, "kg/m3")
+            masses[str(name)] = mass_per_volume(str(name), value, load)
             between(
                 f"mix parts: {name}", masses[str(name)], MIN_AMOUNT, 5000, "kg/m3", "leave out ingredients with no mass"
             )
@@ -386,13 +393,13 @@ def _share(given: Any, heavy: float) -> float:
 
     An amount in kg/m3 is divided by the density `heavy` of the stones [kg/m3].
     """
-    if isinstance(given, str) and re.search(r"(kg|t|g)/", given):
+    if is_amount(given, "kg/m3"):
         found = amount("mix aggregate", given, "kg/m3") / heavy
     else:
         found = amount("mix aggregate", given, "m3/m3")
         if found > 1:
             refuse("mix aggregate", given, "must be a share of the volume up to 1, or have a unit",
-                   "for example '36 %', '360 l/m3' or '950 kg/m3'")  # fmt: skip
+                   "for example '36 %', '360 l/m3', '950 kg/m3' or '1600 lb/yd3'")  # fmt: skip
     positive("mix aggregate", found)
     if found >= PACKING:
         refuse("mix aggregate", given, f"is {found:.3g} of the volume: more than loosely packed stones fill, {PACKING}",
@@ -519,8 +526,8 @@ def _layer(given: Any, folder: Path) -> Layer:
     source = given.get("from", "tribometer")
     one_of("mix layer: from", source, ("tribometer", "pipe"))
     own = {key: value for key, value in given.items() if key != "from"}
-    constants = _constants("layer", own, {"yield_stress": "Pa", "viscosity": "Pa s/m"})
-    if len(constants.values) < 2:
+    constants = _constants("layer", own, LAYER_UNITS)
+    if not set(UNITS) <= set(constants.values):
         refuse(
             "mix layer",
             dict(given),

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from typing import Any
 
 from ..core.errors import quoted, refuse, suggested
+from ..core.inputs.amounts import amount, is_amount, unit_names
 from ..core.inputs.limits import warn
 
 DENSITIES = {
@@ -117,6 +119,29 @@ def paste_volumes(parts: Mapping[str, float]) -> tuple[float, float]:
             liquid += mass / DENSITIES[noun]
             water = water or noun in ("water", "ice")
     return (powder, liquid) if water else (0.0, 0.0)
+
+
+def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
+    """Return the mass of an ingredient in a cubic metre of concrete [kg/m3].
+
+    `value` is a number [kg/m3], a text with a unit of mass per volume, or, for liquids only, of volume per volume such
+    as "33 gal/yd3". With the volume `load` of a whole load [m3], it may also be the mass or the volume of liquid in
+    that load. Raises :class:`SceneError` for other texts.
+    """
+    field = f"mix parts: {name}"
+    whole = is_amount(value, "kg") or is_amount(value, "m3")
+    if whole and load is None:
+        refuse(field, value, f"must be a number with one of {', '.join(unit_names('kg/m3'))}, unless the volume of the "
+               "load is known", "add it, as in 'volume: 8 yd3'")  # fmt: skip
+    liquid = is_amount(value, "m3") or (is_amount(value, "m3/m3") and not str(value).rstrip().endswith("%"))
+    if liquid:
+        known = [word for word in _words(name) if word in DENSITIES]
+        if not known or known[-1] not in LIQUIDS:
+            refuse(field, value, "is a volume, which is accepted for water and liquid admixtures only",
+                   "give its mass, for example '340 kg/m3' or '570 lb/yd3'")  # fmt: skip
+        return DENSITIES[known[-1]] * (amount(field, value, "m3") / load if whole and load
+                                       else amount(field, value, "m3/m3"))  # fmt: skip
+    return amount(field, value, "kg") / load if whole and load else amount(field, value, "kg/m3")
 
 
 def density_of(name: str) -> float | None:

@@ -18,7 +18,7 @@ class CheckRecorder(Recorder):
         self.check = check
 
     def finish(self, simulation: Simulation, run: Run) -> None:
-        """Add the results of the scene's checks to a run that reached its end."""
+        """Add the results of the scene's checks to the result of a run, if the run reached its end."""
         if run.finished:
             found = self.check(run)
             run.result["checks"] = {

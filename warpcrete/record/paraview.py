@@ -27,10 +27,10 @@ VERSION = (2, 0)
 class ParaViewRecorder(Recorder):
     """Recorder of `bodies.vtkhdf`, `walls.vtkhdf` and, if bodies touch each other, `contacts.vtkhdf` in `folder`.
 
-    Bodies are points with `radius`, `colour` and the fields of the display; a clump is shown by its spheres. In
-    ParaView, use Glyph, Sphere, scaled by `radius`, or Point Gaussian. Frames are kept in memory until a checkpoint.
-    Then they are appended to a copy of each file, which replaces the file, so that no file is ever incomplete. Raises
-    :class:`WarpcreteError` if h5py is not installed.
+    Bodies are points with `radius`, `colour` and the fields of the display; a clump appears as its spheres. ParaView
+    shows the bodies as spheres with the filter Glyph (type Sphere, scaled by `radius`) or as Point Gaussian. Frames are
+    kept in memory until a checkpoint. Then they are appended to a copy of each file, and the copy replaces the file, so
+    that no file is ever incomplete. Raises :class:`WarpcreteError` if h5py is not installed.
     """
 
     expendable = True
@@ -45,7 +45,7 @@ class ParaViewRecorder(Recorder):
         self._files: dict[str, Poly] = {}
 
     def start(self, simulation: Simulation) -> None:
-        """Prepare the files, the walls, and the display, which provides the data to be drawn."""
+        """Prepare the files and the walls. The display prepared here provides the data of all later frames."""
         self._display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._walls = self._display.walls()
         self._open()
@@ -60,7 +60,7 @@ class ParaViewRecorder(Recorder):
             self._files["contacts"] = Poly(self.folder / "contacts.vtkhdf", "Lines")
 
     def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
-        """Remove the frames after the checkpoint, and frames that are not in all files."""
+        """Shorten the files to the frames that all files contain, at most those written before the checkpoint."""
         self._display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._walls = self._display.walls()
         self._open()
@@ -72,7 +72,7 @@ class ParaViewRecorder(Recorder):
             file.shorten(self._frames)
 
     def frame(self, simulation: Simulation) -> None:
-        """Draw the current state as one step of each file."""
+        """Append the current state of bodies, walls and contacts to the files, as a new time step."""
         self._display.draw(self._later, self._draw)
 
     def _draw(self, time: float, steps: int) -> None:
@@ -132,7 +132,7 @@ class ParaViewRecorder(Recorder):
 
 
 class Poly:
-    """VTKHDF file of PolyData in time steps; each step is a partition of the data."""
+    """VTKHDF file of PolyData in time steps; the data of each step is one partition in terms of the format."""
 
     def __init__(self, path: Path, kind: str) -> None:
         self.path, self.kind = path, kind
@@ -164,7 +164,7 @@ class Poly:
         self._pending_frames = []
 
     def _begin(self, file: Any) -> Any:
-        """Create the empty, extendable datasets of the format, and return their group."""
+        """Create the empty, extendable datasets of the VTKHDF format, and return their group."""
         root = file.create_group("VTKHDF")
         root.attrs["Version"] = np.array(VERSION, np.int64)
         root.attrs.create("Type", np.bytes_("PolyData"))

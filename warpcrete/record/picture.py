@@ -18,7 +18,7 @@ class PictureRecorder(Recorder):
         self.folder, self.colouring = folder, colouring
 
     def finish(self, simulation: Simulation, run: Run) -> None:
-        """Draw the pictures for which the run has data."""
+        """Draw the pictures of the finished run as PNG files, except those for which the run has no data."""
         method = method_of(simulation.scene)
         figures = {method.picture: method.draw(simulation, run, self.colouring), **method.more_pictures(run)}
         for name, figure in figures.items():

@@ -100,7 +100,8 @@ class RerunRecorder(Recorder):
     def start(self, simulation: Simulation) -> None:
         """Open the file and the viewer, and send the layout of the views and all data that does not change."""
         if self.path is not None:
-            for path in self._parts_from(0):  # Delete parts of a run that stopped before its first checkpoint.
+            # Delete the part files of an earlier run that stopped before its first checkpoint.
+            for path in self._parts_from(0):
                 path.unlink(missing_ok=True)
         display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._open(display, str(uuid.uuid4()), 0, self._blueprint(simulation, display))
@@ -142,7 +143,7 @@ class RerunRecorder(Recorder):
             self._open_sinks()
 
     def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
-        """Record the values of all curves at one sample of the run."""
+        """Record the current values of all curves, such as pressures, that the viewer plots over time."""
         assert self._display is not None
         time, steps = simulation.stepper.time, simulation.stepper.steps
         values = {
@@ -161,7 +162,8 @@ class RerunRecorder(Recorder):
         """Record bodies, moving walls and, if selected, the lines between bodies."""
         assert self._display is not None
         self._display.draw(self._later, self._draw)
-        if self._legend_due:  # Draw the legend after the first frame, because it takes ten times as long as a frame.
+        # Draw the legend after the first frame, because drawing a legend takes ten times as long as drawing a frame.
+        if self._legend_due:
             self._legend_due = False
             self._later.submit(self._log_legend)
 
@@ -187,7 +189,10 @@ class RerunRecorder(Recorder):
             self._draw_profile(profile)
 
     def _draw_paint(self, display: Display) -> None:
-        """Record the values of painted walls, as coordinates in a texture that holds all colours."""
+        """Record the colours of painted walls.
+
+        The value at each vertex becomes a coordinate in a texture that holds all colours.
+        """
         paint = display.paint()
         if paint is None:
             return
@@ -267,12 +272,12 @@ class RerunRecorder(Recorder):
                 raise self._recording_error(RuntimeError("the writer thread did not finish in time"))
 
     def tidy(self, simulation: Simulation, run: Run) -> None:
-        """Join the parts of the recording into one file."""
+        """Join the part files of the recording into one file."""
         if self.path is not None and self._parts > 0:
             join([self._part(number) for number in range(self._parts + 1)], self.path)
 
     def _describe(self, display: Display) -> None:
-        """Record all data that does not change."""
+        """Record all data that does not change during the run."""
         rr = self._rr
         self._log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._log(f"scene/{display.noun}", rr.Points3D.from_fields(radii=display.radii()), static=True)
@@ -313,7 +318,7 @@ class RerunRecorder(Recorder):
         self._log(path, pose, static=static)
 
     def _set_time(self, time: float, steps: int) -> None:
-        """Set the time and the step for the data that this thread records next."""
+        """Set the simulated time and the number of steps under which this thread records further data."""
         self._recording.set_time("time", duration=time)
         self._recording.set_time("step", sequence=steps)
 
@@ -394,7 +399,8 @@ class RerunRecorder(Recorder):
                 trouble = error
                 # If Rerun's writer has crashed, `flush` fails at once, so pause before the next attempt.
                 time.sleep(0.05)
-            # After a full disk, the writer may never answer; a slow writer can be recognised by the growing file.
+            # If the disk was full at some time, the writer may never answer. If the writer is only slow, the file still
+            # grows.
             if self.path is not None:
                 before, size = size, self._part(self._parts).stat().st_size
                 if size != before:

@@ -62,7 +62,10 @@ class TableRecorder(Recorder):
         return self.folder / "series.csv"
 
     def claim(self, simulation: Simulation) -> None:
-        """Create the folder with scene.json, or take over the folder of an interrupted run, and lock the folder."""
+        """Create the run folder or take over the folder of an interrupted run, and lock the folder.
+
+        A new folder receives scene.json.
+        """
         if self._folder_hold is not None:
             return
         record = scene_record(simulation, self.command)
@@ -85,7 +88,7 @@ class TableRecorder(Recorder):
         write_json(path, record)
 
     def abandon(self, simulation: Simulation) -> None:
-        """Remove the folder if it is new and holds no checkpoint."""
+        """Remove the folder if this recorder created it and it holds no checkpoint."""
         if self._folder_hold is not None and self._is_new and not (self.folder / "checkpoint.npz").exists():
             with suppress(OSError):
                 (self.folder / "scene.json").unlink(missing_ok=True)
@@ -116,7 +119,10 @@ class TableRecorder(Recorder):
             self._writer = csv.writer(self._file)
 
     def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
-        """Append a row to series.csv; the header states the unit of each column."""
+        """Append the sampled values to series.csv as a new row.
+
+        The header of the file states the unit of each column.
+        """
         assert self._file is not None
         try:
             self._write(simulation, row)

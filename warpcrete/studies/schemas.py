@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import refuse, suggested
-from ..core.inputs.amounts import UNITS
+from ..core.inputs.amounts import patterns
 from ..core.inputs.concretes import SECTIONS, TEXTS
 from ..core.inputs.limits import LARGEST_INTEGER, LARGEST_SEED, limit_of
 from ..core.inputs.parameters import Above, Alias, CompositeRule, Field, OneOf, Within, declared_fields
@@ -20,6 +20,7 @@ from ..dem.pumping.parameters import PipeParameters
 from ..geometry.line_entries import AMOUNTS, BEGINS, MOST_PARTS, MOST_POINTS, PARTS, WAYS
 from ..geometry.line_entries import KEYS as LINE_KEYS
 from ..geometry.line_entries import TEXTS as LINE_TEXTS
+from ..geometry.pumps import PUMP
 from ..methods import METHODS
 from ..mix import given as mixes
 from ..mix.points import PUMPED
@@ -31,8 +32,6 @@ Schema = dict[str, Any]
 FOLDER = Path(__file__).parents[1] / "schemas"
 DRAFT = "http://json-schema.org/draft-07/schema#"
 """Draft of the JSON Schema standard that most editors support."""
-NUMBER = r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?"
-"""Regular expression of a number in a text."""
 TEXT: Schema = {"type": ["string", "number"]}
 """Schema of a text entry, which YAML may have read as a number."""
 TEXT_DESCRIPTIONS = {
@@ -66,7 +65,7 @@ def concrete_schema() -> Schema:
         **{name: TEXT | {"description": TEXT_DESCRIPTIONS[name]} for name in TEXTS},
         "elements": _object({name: field_schema(fields[name]) for name in known}, "parameters of discrete elements"),
         "flow": _object({name: field_schema(field) for name, field in constants.items()},
-                        "constants of a Bingham fluid with a slip layer"),
+                        "constants of a yield stress fluid with a slip layer"),
         "mix": _mix_section(),
     }  # fmt: skip
     needed = [{"required": [key]} for key in (*SECTIONS, "mix", "base")]
@@ -82,6 +81,9 @@ def line_schema() -> Schema:
     """Return the schema of a pump line's file."""
     found = {name: TEXT | {"description": text} for name, text in LINE_TEXTS.items()}
     found |= {name: quantity(unit, text) for name, (unit, text) in AMOUNTS.items()}
+    pump = {name: quantity(unit, text) for name, (unit, text) in PUMP.items()}
+    found["pump"] = {"description": "data sheet of the pump, or its largest pressure",
+                     "anyOf": [pump["pressure"], _object(pump, "", ["pressure"])]}  # fmt: skip
     found["begin"] = {"enum": list(BEGINS), "description": "direction in which the line begins"}
     parts = [_object({kind: _part(kind)}, f"a {kind}", [kind]) for kind in PARTS]
     found["parts"] = {"type": "array", "minItems": 1, "maxItems": MOST_PARTS, "items": {"anyOf": parts},
@@ -133,15 +135,19 @@ def targets_schema() -> Schema:
 
 def quantity(unit: str, text: str, number: Mapping[str, Any] | None = None) -> Schema:
     """Return the schema of a number in `unit`, or a text with a number and a common unit, such as "125 mm"."""
-    units = "|".join(sorted((_escaped(each) for each in UNITS[unit]), key=len, reverse=True))
     shown = f"{text} [{unit}]" if unit != "1" and f"[{unit}]" not in text else text
     return {
         "description": shown,
         "anyOf": [
             {"type": "number", **(number or {})},
-            {"type": "string", "pattern": rf"^\s*{NUMBER}\s*({units})?\s*$"},
+            {"type": "string", "pattern": text_pattern(unit)},
         ],
     }
+
+
+def text_pattern(unit: str) -> str:
+    """Return the pattern of a text that holds an amount in `unit`, for a schema."""
+    return rf"^\s*(?:{'|'.join(patterns(unit))})\s*$"
 
 
 def field_schema(field: Field) -> Schema:
@@ -208,29 +214,34 @@ def _part(kind: str) -> Schema:
     for name, (unit, text) in PARTS[kind].items():
         plain = name in special and (name != "to" or kind == "bend")
         found[name] = special[name] | {"description": text} if plain else quantity(unit, text)
-    first = next(iter(found))
-    return {"anyOf": [found[first], _object(found)]}
+    single = [found[next(iter(found))]] + ([found["points"]] if kind == "hose" else [])
+    return {"anyOf": [*single, _object(found)]}
 
 
 def _mix_section() -> Schema:
     """Return the schema of the section `mix`."""
     amounts = {name: quantity(each.unit, each.help) for name, each in mixes.NUMBERS.items()}
-    constants = {name: quantity(unit, name.replace("_", " ")) for name, unit in mixes.UNITS.items()}
+    constants, of_concrete, of_layer = (
+        {name: quantity(unit, name.replace("_", " ")) for name, unit in units.items()}
+        for units in (mixes.UNITS, mixes.CONCRETE_UNITS, mixes.LAYER_UNITS)
+    )
     off = {"uncertainty": quantity("1", "uncertainty of the values, as '15 %'")}
     passing = quantity("1", "fraction of the mass that passes")
+    texts = [{"type": "string", "pattern": text_pattern(unit)} for unit in ("kg/m3", "m3/m3", "kg", "m3")]
+    ingredient: Schema = {"description": "mass [kg/m3], or with its unit", "anyOf": [{"type": "number"}, *texts]}
     special: dict[str, Schema] = {
-        "parts": {"type": "object", "minProperties": 1, "additionalProperties": quantity("kg/m3", "mass")},
+        "parts": {"type": "object", "minProperties": 1, "additionalProperties": ingredient},
         "aggregate": {"type": ["number", "string"]},
         "sieve": {"type": "object", "minProperties": 2, "additionalProperties": passing,
-                  "propertyNames": {"pattern": rf"^\s*{NUMBER}\s*(mm|um|cm|m|in|inch|inches)?\s*$"}},
+                  "propertyNames": {"pattern": text_pattern("m")}},
         "sizes": {"type": "array", "items": quantity("m", "diameter"), "minItems": 2, "maxItems": 2},
         "shape": {"anyOf": [{"enum": list(mixes.SHAPES)}, {"type": "number", "minimum": 1, "maximum": 20}]},
-        "concrete": _object(constants | off),
+        "concrete": _object(of_concrete | off),
         "mortar": _object(constants | off | {"density": quantity("kg/m3", "density")}),
         "viscometer": _points(mixes.SHEARED),
         "thickener": {"type": "boolean"},
         "layer": {"anyOf": [
-            _object({**constants, "viscosity": quantity("Pa s/m", "viscosity divided by thickness"), **off,
+            _object({**of_layer, "viscosity": quantity("Pa s/m", "viscosity divided by thickness"), **off,
                      "from": {"enum": ["tribometer", "pipe"], "description": "origin of the constants"}}, "",
                     ["yield_stress", "viscosity"]),
             _object({"points": _points(PUMPED), **{name: quantity("m", f"{name} of the pipe")
@@ -261,7 +272,3 @@ def _object(properties: Mapping[str, Schema], text: str = "", required: list[str
 
 def _file(title: str, properties: Mapping[str, Schema]) -> Schema:
     return {"$schema": DRAFT, "title": title, **_object(properties)}
-
-
-def _escaped(unit: str) -> str:
-    return "".join(f"\\{each}" if each in ".^$*+?()[]{}|/" and each != "/" else each for each in unit)

@@ -8,6 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+STUDENT_T = {1: 12.71, 2: 4.303, 3: 3.182, 4: 2.776, 5: 2.571, 6: 2.447, 7: 2.365, 8: 2.306, 9: 2.262, 10: 2.228}
+"""Factor from the standard error to the 95 % confidence limit, Student's t, by the degrees of freedom."""
+
 
 @dataclass(frozen=True)
 class StraightLine:
@@ -30,3 +33,15 @@ def straight_line(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarr
     spread = float(np.sum((x - x.mean()) ** 2))
     off = math.sqrt(variance * (1 / len(x) + float(x.mean()) ** 2 / spread))
     return StraightLine(float(slope), float(offset), math.sqrt(variance / spread), off)
+
+
+def student_t(freedom: int) -> float:
+    """Return the factor from a standard error to the 95 % confidence limit for some degrees of freedom.
+
+    Beyond ten degrees of freedom, the first terms of the expansion about the normal distribution are exact to 0.1 %
+    (Abramowitz & Stegun 1964, 26.7.5).
+    """
+    if freedom < 1:
+        return math.inf
+    z = 1.959964
+    return STUDENT_T.get(freedom) or z + (z**3 + z) / (4 * freedom) + (5 * z**5 + 16 * z**3 + 3 * z) / (96 * freedom**2)

@@ -1,7 +1,11 @@
-"""Parser for amounts with units, such as `30 m3/h` or `125 mm`, which it converts to numbers in SI units."""
+"""Parser for amounts with units, such as `30 m3/h`, `125 mm` or `4 1/2 in`, which it converts to numbers in SI units.
+
+One parser serves files, the command and parameters in Python. The schemas of files use the same patterns.
+"""
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 from contextlib import suppress
@@ -12,74 +16,192 @@ import numpy as np
 from ..errors import refuse, suggested
 
 NUMBERS = (int, float, np.integer, np.floating)
+INCH, FOOT, YARD = 0.0254, 0.3048, 0.9144
+"""Lengths of inch, foot and yard [m]."""
+GALLON = 231 * INCH**3
+"""Volume of the US gallon [m3]."""
+POUND = 0.45359237
+"""Mass of the avoirdupois pound [kg]."""
+PSI = POUND * 9.80665 / INCH**2
+"""Pressure of a pound-force per square inch [Pa]."""
 UNITS = {
-    "m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "um": 1e-6, "in": 0.0254, "inch": 0.0254, "inches": 0.0254,
-          "ft": 0.3048, "feet": 0.3048, "yd": 0.9144},
-    "m2": {"m2": 1.0, "m²": 1.0, "cm2": 1e-4, "mm2": 1e-6},
-    "m3/s": {"m3/s": 1.0, "m3/h": 1 / 3600, "m³/h": 1 / 3600, "m³/s": 1.0, "l/s": 1e-3, "L/s": 1e-3,
-             "l/min": 1e-3 / 60, "L/min": 1e-3 / 60, "cm3/s": 1e-6, "yd3/h": 0.9144**3 / 3600,
-             "yd³/h": 0.9144**3 / 3600, "cy/h": 0.9144**3 / 3600},
-    "Pa": {"Pa": 1.0, "bar": 1e5, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "mbar": 100.0, "N/mm2": 1e6,
-           "psi": 0.45359237 * 9.80665 / 0.0254**2},
+    "m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "um": 1e-6, "in": INCH, "inch": INCH, "inches": INCH,
+          "in.": INCH, '"': INCH, "\u201d": INCH, "\u2033": INCH, "ft": FOOT, "ft.": FOOT, "feet": FOOT, "foot": FOOT,
+          "'": FOOT, "\u2019": FOOT, "\u2032": FOOT, "yd": YARD},
+    "m2": {"m2": 1.0, "m²": 1.0, "cm2": 1e-4, "mm2": 1e-6, "in2": INCH**2, "ft2": FOOT**2},
+    "m3": {"m3": 1.0, "m³": 1.0, "l": 1e-3, "L": 1e-3, "cm3": 1e-6, "yd3": YARD**3, "yd³": YARD**3, "cy": YARD**3,
+           "ft3": FOOT**3, "gal": GALLON},
+    "m3/s": {"m3/s": 1.0, "m3/h": 1 / 3600, "m³/h": 1 / 3600, "m3/hr": 1 / 3600, "m³/s": 1.0, "m3/min": 1 / 60,
+             "m³/min": 1 / 60, "l/s": 1e-3, "L/s": 1e-3, "l/min": 1e-3 / 60, "L/min": 1e-3 / 60, "l/h": 1e-3 / 3600,
+             "L/h": 1e-3 / 3600, "cm3/s": 1e-6, "yd3/h": YARD**3 / 3600, "yd³/h": YARD**3 / 3600,
+             "yd3/hr": YARD**3 / 3600, "yd³/hr": YARD**3 / 3600, "cy/h": YARD**3 / 3600, "cy/hr": YARD**3 / 3600,
+             "yd3/min": YARD**3 / 60, "yd³/min": YARD**3 / 60, "cy/min": YARD**3 / 60, "ft3/min": FOOT**3 / 60,
+             "gal/min": GALLON / 60, "gpm": GALLON / 60},
+    "Pa": {"Pa": 1.0, "bar": 1e5, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "mbar": 100.0, "N/mm2": 1e6, "N/mm²": 1e6,
+           "psi": PSI, "PSI": PSI, "ksi": 1e3 * PSI},
     "Pa/s": {"Pa/s": 1.0, "Pa/min": 1 / 60},
+    "W": {"W": 1.0, "kW": 1e3, "hp": 550 * FOOT * POUND * 9.80665},
+    "kg": {"kg": 1.0, "t": 1e3, "g": 1e-3, "lb": POUND, "lbs": POUND},
     "Pa/m": {"Pa/m": 1.0, "kPa/m": 1e3, "MPa/m": 1e6, "bar/m": 1e5, "MPa/100m": 1e4},
     "degrees": {"degrees": 1.0, "deg": 1.0, "°": 1.0, "rad": 180 / math.pi},
-    "kg/m3": {"kg/m3": 1.0, "t/m3": 1e3, "kg/m³": 1.0, "t/m³": 1e3, "g/cm3": 1e3, "kg/l": 1e3, "kg/L": 1e3,
-              "lb/ft3": 0.45359237 / 0.3048**3, "lb/yd3": 0.45359237 / 0.9144**3},
-    "m3/m3": {"m3/m3": 1.0, "%": 1e-2, "l/m3": 1e-3, "L/m3": 1e-3, "l/m³": 1e-3},
+    "kg/m3": {"kg/m3": 1.0, "t/m3": 1e3, "kg/m³": 1.0, "t/m³": 1e3, "g/cm3": 1e3, "g/m3": 1e-3, "kg/l": 1e3,
+              "kg/L": 1e3, "lb/ft3": POUND / FOOT**3, "lb/ft³": POUND / FOOT**3, "pcf": POUND / FOOT**3,
+              "lb/yd3": POUND / YARD**3, "lb/yd³": POUND / YARD**3, "lb/cy": POUND / YARD**3},
+    "m3/m3": {"m3/m3": 1.0, "%": 1e-2, "l/m3": 1e-3, "L/m3": 1e-3, "l/m³": 1e-3, "L/m³": 1e-3, "ml/m3": 1e-6,
+              "gal/yd3": GALLON / YARD**3, "gal/yd³": GALLON / YARD**3, "gal/cy": GALLON / YARD**3,
+              "oz/yd3": GALLON / 128 / YARD**3, "oz/yd³": GALLON / 128 / YARD**3, "ft3/yd3": 1 / 27},
     "1": {"1": 1.0, "%": 1e-2},
-    "s": {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0},
+    "s": {"s": 1.0, "ms": 1e-3, "min": 60.0, "h": 3600.0, "hr": 3600.0},
     "1/s": {"1/s": 1.0, "Hz": 1.0},
-    "m/s": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "m/min": 1 / 60, "ft/s": 0.3048},
+    "m/s": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "m/min": 1 / 60, "ft/s": FOOT, "ft/min": FOOT / 60},
     "m/s2": {"m/s2": 1.0, "m/s²": 1.0},
     "m2/N": {"m2/N": 1.0, "m²/N": 1.0, "1/Pa": 1.0},
     "Pa s": {"Pa s": 1.0, "Pa.s": 1.0, "Pa·s": 1.0, "Pas": 1.0, "mPa s": 1e-3},
     "Pa s/m": {"Pa s/m": 1.0, "Pa.s/m": 1.0, "Pa·s/m": 1.0},
+    "Pa s2": {"Pa s2": 1.0, "Pa s²": 1.0, "Pa.s2": 1.0, "Pa·s²": 1.0},
+    "Pa s2/m2": {"Pa s2/m2": 1.0, "Pa s²/m²": 1.0, "Pa.s2/m2": 1.0, "Pa·s²/m²": 1.0},
 }  # fmt: skip
 """Accepted unit names, by internal unit: `UNITS[internal][written]` is the factor that converts a value in the written
-unit to the internal unit."""
-
-
-NUMBER = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)")
-"""Pattern of an amount: group 1 is the number, group 2 the unit that follows it (possibly empty)."""
+unit to the internal unit. Gallons and fluid ounces (oz/yd3) are those of the United States."""
+DECIMAL = r"(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+"""Pattern of a number with a decimal point, without sign."""
+COMMA = r"(?:0,[0-9]+|[0-9]{1,3},(?:[0-9]{1,2}|[0-9]{4,})|[0-9]{4,},[0-9]+)"
+"""Pattern of a number whose comma can only be a decimal comma: `12,5` or `0,125`. In `1,234` the comma may also
+separate thousands."""
+PROPER = r"[0-9]{1,2}/(?:2|4|8|16|32|64)"
+"""Pattern of a fraction as tape measures show it."""
+FRACTION = rf"(?:[0-9]{{1,4}}(?:\s+|\s?-\s?))?{PROPER}"
+"""Pattern of an amount in fractions, such as `4 1/2` or `4-1/2`."""
 LONGEST = 100
 """Maximum length of the text of an amount, in characters."""
 
 
-def _split(value: str) -> re.Match[str] | None:
-    """Return the match of the pattern `NUMBER` with a text, or None if the text is not an amount."""
-    return NUMBER.fullmatch(value.strip()) if len(value) <= LONGEST else None
+def _names(factors: tuple[float, ...]) -> str:
+    """Return a pattern of the names of all units of length with one of the `factors`, longest names first."""
+    return _alternatives(name for name, factor in UNITS["m"].items() if factor in factors)
+
+
+def _alternatives(names: Any) -> str:
+    """Return a pattern that matches any one of the `names`, longest names first."""
+    return "|".join(_escaped(name) for name in sorted(names, key=len, reverse=True))
+
+
+def _escaped(name: str) -> str:
+    """Return a pattern that matches `name`, valid both in Python and in JSON schemas (ECMA 262)."""
+    return "".join(f"\\{each}" if each in ".^$*+?()[]{}|" else each for each in name)
+
+
+@functools.cache
+def patterns(unit: str) -> tuple[str, ...]:
+    """Return the patterns of texts that :func:`amount` accepts in `unit`, a key of :data:`UNITS`.
+
+    A text is first stripped of spaces at both ends. Groups of the first pattern are the number and its unit; those of
+    the second, for lengths in customary units only, fraction and unit; and those of the third feet and inches.
+    """
+    simple = rf"([-+]?(?:{COMMA}|{DECIMAL}))\s*({_alternatives(UNITS[unit])})?"
+    if unit != "m":
+        return (simple,)
+    inches, feet = _names((INCH,)), _names((FOOT,))
+    below_twelve = rf"(?:1[01]|[0-9])(?:\.[0-9]{{1,6}}|\s+{PROPER})?"
+    return (
+        simple,
+        rf"([-+]?{FRACTION})\s*({inches}|{feet})",
+        rf"([-+]?[0-9]{{1,5}})\s*(?:{feet})[\s-]{{0,3}}({below_twelve}|{PROPER})\s*(?:{inches})",
+    )
+
+
+@functools.cache
+def _compiled(unit: str) -> tuple[re.Pattern[str], ...]:
+    return tuple(re.compile(each) for each in patterns(unit))
+
+
+def _decimal(text: str) -> float:
+    """Return a number with a decimal point or an unambiguous decimal comma."""
+    return float(text.replace(",", "."))
+
+
+def _mixed(text: str) -> float:
+    """Return an amount in fractions such as `4 1/2`, with its sign; NaN if the fraction of a mixed number exceeds 1."""
+    sign = -1.0 if text.startswith("-") else 1.0
+    *whole, fraction = re.split(r"[\s-]+", text.lstrip("+-"))
+    upper, lower = (int(each) for each in fraction.split("/"))
+    if whole and upper >= lower:
+        return math.nan
+    return sign * (sum(int(each) for each in whole) + upper / lower)
+
+
+def _parsed(text: str, unit: str) -> float:
+    """Return a text as a number in `unit`, or NaN if it is not an amount in that unit."""
+    forms = [pattern.fullmatch(text) for pattern in _compiled(unit)]
+    if forms[0]:
+        return _decimal(forms[0][1]) * UNITS[unit][forms[0][2] or unit]
+    if len(forms) > 1 and forms[1]:
+        return _mixed(forms[1][1]) * UNITS["m"][forms[1][2]]
+    if len(forms) > 1 and forms[2]:
+        feet, inches = forms[2][1], forms[2][2]
+        more = INCH * (_mixed(inches) if "/" in inches else float(inches))
+        return FOOT * int(feet) + (-more if feet.startswith("-") else more)
+    return math.nan
 
 
 def bare_number(value: Any) -> bool:
     """Return whether `value` is a number, or a text that holds a number without a unit."""
     if not isinstance(value, str):
         return isinstance(value, NUMBERS)
-    text = _split(value)
-    return text is not None and not text[2]
+    return len(value) <= LONGEST and re.fullmatch(f"[-+]?(?:{COMMA}|{DECIMAL})", value.strip()) is not None
+
+
+def is_amount(value: Any, unit: str) -> bool:
+    """Return whether `value` is a text with a number and a unit that :func:`amount` accepts in `unit`."""
+    return (
+        isinstance(value, str)
+        and len(value) <= LONGEST
+        and not bare_number(value)
+        and math.isfinite(_parsed(value.strip(), unit))
+    )
+
+
+def unit_names(unit: str) -> list[str]:
+    """Return one name of each accepted unit of a quantity, without synonyms."""
+    factors: dict[float, str] = {}
+    for name, factor in UNITS[unit].items():
+        factors.setdefault(factor, name)
+    return list(factors.values())
 
 
 def amount(field: str, value: Any, unit: str) -> float:
     """Return a number or a text such as "125 mm" as a number in `unit`.
 
     `unit` is a key of :data:`UNITS`, and `field` names the parameter in error messages. A number without a unit counts
-    as a number in `unit`. Raises :class:`SceneError` for an unknown unit, or if `value` is not a finite number.
+    as a number in `unit`. Lengths may be fractions of inches ("4 1/2 in") and feet with inches ("6 ft 3 in"). A decimal
+    comma is accepted if it cannot separate thousands. Raises :class:`SceneError` for an unknown unit, or if `value` is
+    not a finite number.
     """
-    known = UNITS[unit]
     number, more = math.nan, ""
     if isinstance(value, str):
-        text = _split(value)
-        if text is not None and (not text[2] or text[2] in known):
-            number = float(text[1]) * known[text[2] or unit]
-        elif re.match(r"\s*[-+]?\d+,\d", value):
-            more = "; write a decimal point instead of a decimal comma, as in 10.3"
-        elif text is not None and (meant := suggested(text[2], known)):
-            more = f"; {meant}"
+        text = value.strip() if len(value) <= LONGEST else ""
+        number = _parsed(text, unit)
+        if not math.isfinite(number):
+            more = _advice(text, unit)
     elif isinstance(value, NUMBERS) and not isinstance(value, bool):
         with suppress(OverflowError):
             number = float(value)
     if not math.isfinite(number):
-        units = f"with one of {', '.join(known)}" if unit != "1" else "without a unit, or with %"
-        refuse(field, value, f"must be a number {units}{more}",
+        units = f"with one of {', '.join(unit_names(unit))}" if unit != "1" else "without a unit, or with %"
+        refuse(field, value, f"must be a number {units}{more and f'; {more}'}",
                f"a number without a unit is in {unit}" if unit != "1" else "")  # fmt: skip
     return number
+
+
+def _advice(text: str, unit: str) -> str:
+    """Return what may be wrong with a text that is not an amount in `unit`; empty if nothing is known."""
+    if re.match(r"[-+]?[0-9]+[.,][0-9]+[.,]", text):
+        return "leave out separators of thousands"
+    if found := re.match(r"[-+]?([0-9]{1,3}),([0-9]{3})(?![0-9])", text):
+        return (f"the comma in {found[0]} may separate decimals or thousands; write {found[1]}.{found[2]} or "
+                f"{found[1]}{found[2]}")  # fmt: skip
+    if re.match(r"[-+]?[0-9]+(?:[\s-]+[0-9]+)?/[0-9]", text):
+        return ("write fractions of inches or feet as '4 1/2 in', in halves to sixty-fourths" if unit == "m"
+                else "write a decimal number instead of a fraction")  # fmt: skip
+    found = re.fullmatch(rf"[-+]?(?:{COMMA}|{DECIMAL})\s*(.*)", text)
+    return suggested(found[1], UNITS[unit]) if found and found[1] else ""

@@ -293,8 +293,13 @@ class SceneFunction(Generic[P, S]):
 
     @property
     def module(self) -> types.ModuleType:
-        """Module in which the function is defined, together with the scene's checks and knobs."""
-        return sys.modules[self._build.__module__]
+        """Module that holds the function together with the scene's checks and knobs."""
+        return sys.modules[self._module_name]
+
+    @property
+    def _module_name(self) -> str:
+        """Name of the module; a function `scene_dem` in a file NAME belongs to module NAME_dem (`scenes/__init__`)."""
+        return self._build.__module__ + ("_dem" if self.__name__ == "scene_dem" else "")
 
     def __call__(self, *args: P.args, **given: P.kwargs) -> S:
         known = declared_fields(self.parameters)
@@ -333,7 +338,7 @@ class SceneFunction(Generic[P, S]):
     @property
     def name(self) -> str:
         """Name of the scene in the command."""
-        return self._build.__module__.rpartition(".")[2].replace("_", "-")
+        return self._module_name.rpartition(".")[2].replace("_", "-")
 
     def _plain_values(self, parameters: Any) -> tuple[dict[str, Any], tuple[str, ...]]:
         """Return parameters as plain values, and the names of parameters that these values cannot reproduce."""

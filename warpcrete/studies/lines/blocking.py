@@ -22,7 +22,7 @@ from ...theory.bands import wilson_interval
 from ..cases import Case
 from ..study import Study, resume_study, run_listed
 from .elements import SCENE, Elements, part_parameters
-from .folder import PARTS
+from .line_folder import PARTS
 from .losses import Part, PipeLine
 
 FOLDER = "blocking"

@@ -132,7 +132,7 @@ class SeedResult:
 
     def ratio(self, part: Part) -> float:
         """Return a part's friction divided by that of straight pipe of the same length."""
-        return self.ratios.get(part.loss_key, part.relative_loss)
+        return part.factor if part.factor is not None else self.ratios.get(part.loss_key, part.relative_loss)
 
     def course(self, line: PipeLine) -> list[tuple[float, float]]:
         """Return the pressure losses (friction, weight) of each part of a line [Pa], from its start to its end."""
@@ -286,7 +286,7 @@ def run_elements(
 def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
     """Yield the kinds of parts that need a simulation, including straight pipe of every diameter."""
     for part in line.parts:
-        if not part.is_by_length:
+        if not part.is_by_length and part.factor is None:
             yield part.loss_key, part
         for diameter in (part.diameter, part.outlet):
             straight = Part(part.number, "straight", diameter, 1.0, 0.0, diameter)
@@ -450,7 +450,9 @@ def element_table_lines(found: ElementLine, others: Mapping[str, Sequence[float]
     ]
     rows = zip(found.line.parts, found.frictions(), found.weights(), found.blocked(), strict=True)
     for place, (part, friction, weight, blocked) in enumerate(rows):
-        ratios = [each.ratios[part.loss_key] for each in found.packed if part.loss_key in each.ratios]
+        ratios = [
+            each.ratios[part.loss_key] for each in found.packed if part.loss_key in each.ratios and part.factor is None
+        ]
         shown = f"{np.mean(ratios):.2f}" if ratios else ""
         if len(ratios) > 1:
             shown += f" ± {np.std(ratios, ddof=1) / math.sqrt(len(ratios)):.2f}"

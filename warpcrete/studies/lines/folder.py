@@ -3,48 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from ...core.errors import RunFolderError
-from ...core.run.files import read_json, write_json
-from ...core.run.folders import locked_folder, new_folder
+from ...core.run.files import read_json
 from ...methods import Simulation
 from ...record.checks import CheckRecorder
 from ...record.run_folder import TableRecorder
-
-LINE_RECORD = "asked.json"
-"""Name of the file that describes the folder's line until all its runs are finished."""
-PARTS = "parts"
-
-
-@contextmanager
-def line_folder(out: Path | None, asked: Mapping[str, Any]) -> Iterator[None]:
-    """Lock the folder of a line during a `with` block: a new folder, or that of the same interrupted line.
-
-    `asked` holds everything on which the line's runs depend, as JSON; `out` may be None for no folder. A block that
-    fails before any run leaves no folder. Raises :class:`RunFolderError` if the folder exists and is complete or
-    belongs to another line.
-    """
-    if out is None:
-        yield
-        return
-    record = out / LINE_RECORD
-    known = json.loads(json.dumps(asked))
-    if record.is_file() and read_json(record) != known:
-        raise RunFolderError(f"out = '{out}': contains another, unfinished line; choose a new folder")
-    with locked_folder(out, LINE_RECORD) if record.is_file() else new_folder(out):
-        if not record.is_file():
-            write_json(record, known)
-        try:
-            yield
-        except BaseException:
-            if not (out / PARTS).exists():
-                record.unlink()
-            raise
-        record.unlink()
+from .line_folder import PARTS
 
 
 def previous_run(lines: Sequence[Path | None], scene: Any, digest: str = "") -> Path | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,8 +15,12 @@ from ...core.run.run import dataframe
 from ...core.units import quantity
 from ...mps.mixes import CONSTANTS
 from ...theory.bands import Band, combined
-from ...theory.pipe import Concrete
-from .losses import Part, PipeLine, friction, with_layer_factor
+from ...theory.pipe import Concrete, after_rest
+from .answers import EFFICIENCY, PumpMargin, band_sentences, motor_power, pressure_text
+from .fit import LineFit
+from .fittings import METHODS_ON_BENDS, MODEL_ERRORS, is_in_library, range_of, uncertain_kinds
+from .losses import GRAVITY, Part, PipeLine, friction, straight_friction, with_layer_factor
+from .practice import PracticeRow, practice_lines, practice_rows
 
 
 @dataclass(frozen=True)
@@ -26,9 +31,38 @@ class Loss:
     friction: float
     """Pressure loss by friction [Pa]."""
     theory: float
-    """Friction by the closed form, which treats the part as a straight pipe of the same bore and length [Pa]."""
+    """Friction by the closed form [Pa]: that of straight pipe of the same bore and length, times the part's stated
+    factor or the model of hoses and valves."""
     weight: float
     """Pressure due to the weight of the concrete over the part's rise [Pa]."""
+
+    @property
+    def straight(self) -> float:
+        """Friction of a straight pipe of the same bore and length by the closed form [Pa]."""
+        return self.theory / self.part.relative
+
+    @property
+    def range(self) -> tuple[float, float] | None:
+        """Range of the friction relative to straight pipe, by the model error of the part; None without an error."""
+        return range_of(self.part, self.straight)
+
+    def at(self, end: int) -> float:
+        """Return the friction at the lower (0) or upper (1) end of its range [Pa], which includes the friction."""
+        if self.range is None:
+            return self.friction
+        return (min, max)[end](self.range[end] * self.straight, self.friction)
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Time for which a full line stands still, and the growth of the concrete's yield stresses meanwhile."""
+
+    rest: float
+    """Duration [s]."""
+    growth: float
+    """Growth rate of the yield stresses [Pa/s]."""
+    band: tuple[float, float] | None = None
+    """Smallest and largest growth rate [Pa/s]; None if `growth` is certain."""
 
 
 @dataclass(repr=False)
@@ -51,7 +85,12 @@ class LineResult:
     failed: dict[str, list[str]] = field(default_factory=dict)
     """Failed checks of the simulations with their findings, by folder name."""
     variants: Mapping[str, tuple[Concrete, Concrete]] | None = None
-    """Pairs of concretes by the cause of their uncertainty; None if `layer_factor` is the only cause."""
+    """Pairs of concretes by the cause of their uncertainty; None if only the slip layer is uncertain, by
+    `layer_factor`."""
+    stop: Stop | None = None
+    """Stop of the pump, after which the line must start again; None for no stop."""
+    fit: LineFit | None = None
+    """Fit of the slip layer and of the bends to a trial line; None if the concrete's own constants hold."""
 
     def __repr__(self) -> str:
         return f"<LineResult of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
@@ -90,6 +129,26 @@ class LineResult:
         """Hydraulic power transferred to the concrete [W]; the pump itself consumes more."""
         return self.pressure * self.flow
 
+    @property
+    def motor_power(self) -> float:
+        """Power of the pump's motor [W], by the efficiency of practice."""
+        return motor_power(self.pressure, self.flow)
+
+    @property
+    def volume(self) -> float:
+        """Volume of the concrete that fills the line [m3]."""
+        return self.line.bores.volume(0.0, self.line.length)
+
+    @property
+    def residence_time(self) -> float:
+        """Time that the concrete spends in the line [s]."""
+        return self.volume / self.flow
+
+    @property
+    def margin(self) -> PumpMargin | None:
+        """Comparison with the data sheet of the line's pump; None if the line names no pump."""
+        return None if self.line.pump is None else PumpMargin(self.line.pump, self.band(), self.flow)
+
     def band(self) -> Band:
         """Return the pressure at the start of the line [Pa] with its band and the share of each cause of the band."""
         return self.bands()[1][0]
@@ -97,16 +156,78 @@ class LineResult:
     def bands(self) -> tuple[np.ndarray, list[Band]]:
         """Return places along the line between its parts [m], and the pressure there with its band [Pa].
 
-        For each cause, the pressure is calculated with the two concretes at the ends of this cause's band. Simulated
-        friction is scaled in proportion to the closed form.
+        For each cause, the pressure is calculated with this cause alone at both ends of its own band. Causes are the
+        concrete and the model errors of fittings; all bends of a line deviate in the same direction. Simulated friction
+        of another concrete is scaled in proportion to the closed form.
         """
+        return self._bands
+
+    @functools.cached_property
+    def _bands(self) -> tuple[np.ndarray, list[Band]]:
+        """Places and bands as :meth:`bands` returns them, calculated once."""
         places, ours = self.course(lambda loss: loss.friction + loss.weight)
         ends = {cause: [self._course_of(each) for each in pair] for cause, pair in self._variants().items()}
+        for kind in uncertain_kinds(self.line.parts):
+            ends[MODEL_ERRORS[kind].cause] = [
+                self.course(lambda x, k=kind, e=end: (x.at(e) if x.part.kind == k else x.friction) + x.weight)[1]
+                .tolist()
+                for end in (0, 1)
+            ]  # fmt: skip
         found = [
             combined(value, {cause: (low[k], high[k]) for cause, (low, high) in ends.items()})
             for k, value in enumerate(ours.tolist())
         ]
         return places, found
+
+    def restart(self, flow: float = 0.0) -> Band:
+        """Return the pressure at the pump that sets the line in motion after the stop [Pa], by the closed form.
+
+        With a `flow` of 0 [m3/s], the result is the pressure at which motion begins; with a larger `flow`, it is the
+        pressure for restarting at that flow at once. Fittings have their friction relative to straight pipe.
+        """
+        stop = self.stop
+        assert stop is not None, "the line does not stop"
+
+        def pressure(concrete: Concrete, growth: float, of: Callable[[Loss], float]) -> float:
+            grown = after_rest(concrete, stop.rest, growth)
+            rubbed = sum(straight_friction(x.part, grown, flow) * of(x) / x.straight for x in self.losses)
+            return max(rubbed + concrete.density * GRAVITY * self.line.rise, 0.0)
+
+        def own(x: Loss) -> float:
+            return x.friction
+
+        value = pressure(self.concrete, stop.growth, own)
+        ends = {cause: (pressure(low, stop.growth, own), pressure(high, stop.growth, own))
+                for cause, (low, high) in self._variants().items()}  # fmt: skip
+        for kind in uncertain_kinds(self.line.parts):
+            low, high = (
+                pressure(self.concrete, stop.growth, lambda x, k=kind, e=e: x.at(e) if x.part.kind == k else x.friction)
+                for e in (0, 1)
+            )
+            ends[MODEL_ERRORS[kind].cause] = (low, high)
+        if stop.band is not None:
+            low, high = (pressure(self.concrete, each, own) for each in stop.band)
+            ends["thixotropy"] = (low, high)
+        return combined(value, ends)
+
+    def practice(self) -> tuple[PracticeRow, list[PracticeRow]]:
+        """Return the pressure of the line, split by kind of part, by this result and by rules of practice."""
+        ours: dict[str, float] = {}
+        for x in self.losses:
+            ours[x.part.kind] = ours.get(x.part.kind, 0.0) + x.friction + x.weight
+        straight = {x.part.number: x.straight for x in self.losses}
+        rows = practice_rows(self.line.parts, straight, self.concrete.density * GRAVITY)
+        return PracticeRow("this result", ours, ""), rows
+
+    def _restart_record(self) -> dict[str, Any] | None:
+        """Return the restart after the stop as an entry of line.json."""
+        if self.stop is None:
+            return None
+        record: dict[str, Any] = {"rest": quantity(self.stop.rest, "s"), "growth": quantity(self.stop.growth, "Pa/s")}
+        for name, band in (("begins", self.restart()), ("at_full_flow", self.restart(self.flow))):
+            record[name] = {"pressure": quantity(band.value, "Pa"), "pressure_low": quantity(band.low, "Pa"),
+                            "pressure_high": quantity(band.high, "Pa"), "band_shares": dict(band.shares)}  # fmt: skip
+        return record
 
     def _variants(self) -> Mapping[str, tuple[Concrete, Concrete]]:
         if self.variants is not None:
@@ -126,12 +247,7 @@ class LineResult:
     @property
     def band_text(self) -> str:
         """Description of the uncertainty band of the pressure, for the user."""
-        if self.variants is None:
-            return f"{self.layer_factor:g} times less or more resistance of the slip layer"
-        shares = sorted(self.band().shares.items(), key=lambda item: -item[1])
-        if not shares:
-            return "no uncertainty of the mix"
-        return f"the bands of the mix, of which the {shares[0][0]} makes {100 * shares[0][1]:.0f} %"
+        return "; ".join(band_sentences(self.band())) or "no uncertainty is stated"
 
     def course(self, of: Callable[[Loss], float]) -> tuple[np.ndarray, np.ndarray]:
         """Return places along the line between its parts [m] and the pressure there [Pa], both of shape (parts + 1,).
@@ -149,6 +265,9 @@ class LineResult:
         """Return remarks for the user about the line, failed checks, and places where the concrete column breaks."""
         found = self.line.remarks()
         found += [f"check FAILED in {name}: {what}" for name, bad in self.failed.items() for what in bad]
+        found += [f"part {x.part.number}, {x.part.label}, is sharper than all parts of the library of simulated parts; "
+                  "--simulate computes it" for x in self.losses
+                  if not self.simulated and not is_in_library(x.part)]  # fmt: skip
         course = self.course(lambda loss: loss.friction + loss.weight)[1]
         for number, loss in enumerate(self.losses):
             if course[number + 1] + loss.friction + loss.weight < 0:
@@ -158,7 +277,8 @@ class LineResult:
 
     def record(self) -> dict[str, Any]:
         """Return the contents of line.json."""
-        band = self.band()
+        places, bands = self.bands()
+        band, margin = bands[0], self.margin
         return {
             "line": self.line.name,
             "source": self.line.source,
@@ -174,6 +294,19 @@ class LineResult:
             "layer_factor": None if self.variants is not None else self.layer_factor,
             "band": self.band_text,
             "power": quantity(self.power, "W"),
+            "motor_power": quantity(self.motor_power, "W"),
+            "efficiency": EFFICIENCY,
+            "pump": None if margin is None else margin.record(),
+            "volume": quantity(self.volume, "m3"),
+            "residence_time": quantity(self.residence_time, "s"),
+            "restart": self._restart_record(),
+            "fit": None if self.fit is None else self.fit.record(),
+            "practice": {row.rule: quantity(row.pressure, "Pa") for row in self.practice()[1]},
+            "along": {
+                "place": {"values": places.tolist(), "unit": "m"},
+                **{name: {"values": [getattr(each, end) for each in bands], "unit": "Pa"}
+                   for name, end in (("pressure", "value"), ("pressure_low", "low"), ("pressure_high", "high"))},
+            },
             "recorded": None if self.line.recorded is None else quantity(self.line.recorded, "Pa"),
             "simulated": self.simulated,
             "remarks": self.remarks(),
@@ -182,40 +315,64 @@ class LineResult:
                 {"number": x.part.number, "kind": x.part.kind, "what": x.part.label,
                  "diameter": quantity(x.part.diameter, "m"), "length": quantity(x.part.length, "m"),
                  "rise": quantity(x.part.rise, "m"), "friction": quantity(x.friction, "Pa"),
-                 "friction_theory": quantity(x.theory, "Pa"), "weight": quantity(x.weight, "Pa")}
+                 "friction_theory": quantity(x.theory, "Pa"), "weight": quantity(x.weight, "Pa"),
+                 "over_straight": x.friction / x.straight, "over_straight_range": x.range}
                 for x in self.losses
             ],
             "wall_time": {name: quantity(time, "s") for name, time in self.took.items()},
         }  # fmt: skip
 
 
-def lines_of(result: LineResult) -> list[str]:
-    """Return a headline and a table of the parts as lines of Markdown."""
+def lines_of(result: LineResult, practice: bool = False) -> list[str]:
+    """Return a headline, answers and a table of the parts as lines of Markdown.
+
+    With `practice`, a table compares the result with rules of practice.
+    """
     band = result.band()
     found = [
         f"**{result.line.name}**: {result.line.length:.4g} m, {result.line.rise:.4g} m up, {result.concrete.name} at "
         f"{3600 * result.flow:.4g} m3/h",
         "",
-        f"- pressure at the pump {_bar(result.pressure)}; {_bar(band.low)} to {_bar(band.high)} with "
-        f"{result.band_text}",
-        f"- by theory, with bends and reducers as straight pipe, {_bar(result.theory)}",
-        f"- power into the concrete {result.power / 1e3:.3g} kW",
+        f"- pressure at the pump {pressure_text(result.pressure)}; {band.low / 1e5:.4g} to {band.high / 1e5:.4g} bar",
+        *(f"- {sentence}" for sentence in band_sentences(band)),
+        f"- with bends and reducers as straight pipe, {pressure_text(result.theory)} (theory)",
+        f"- power into the concrete {result.power / 1e3:.3g} kW, of the pump's motor {result.motor_power / 1e3:.3g} kW "
+        f"(efficiency {EFFICIENCY:.2f}: bar times m3/h over 25)",
+        f"- the line holds {result.volume:.3g} m3, and concrete passes it in {_time(result.residence_time)}",
     ]
+    if result.margin is not None:
+        found.append(f"- {result.margin.sentence()}")
+    if result.stop is not None:
+        begins, full = result.restart(), result.restart(result.flow)
+        found += [
+            f"- after {_time(result.stop.rest)} of rest, with a yield stress that grows by {result.stop.growth:g} Pa/s "
+            f"(theory), it starts to move at {_span(begins)} bar, and at full flow with {_span(full)} bar",
+            *(f"- restart: {sentence}" for sentence in band_sentences(full)[:1]),
+        ]
     if result.line.recorded is not None:
-        found.append(f"- recorded {_bar(result.line.recorded)} ({result.line.source})")
+        found.append(f"- recorded {pressure_text(result.line.recorded)} ({result.line.source})")
     found += [f"- {remark}" for remark in result.remarks()]
-    found += ["", "| part | | diameter [mm] | length [m] | rise [m] | friction [kPa] | theory [kPa] | weight [kPa] |",
-              "|---|---|---|---|---|---|---|---|"]  # fmt: skip
+    columns = ("part", "", "diameter [mm]", "length [m]", "rise [m]", "friction [kPa]", "times straight pipe",
+               "weight [kPa]")  # fmt: skip
+    found += ["", f"| {' | '.join(columns)} |".replace("|  |", "| |"), "|" + "---|" * len(columns)]
     for x in result.losses:
-        part = x.part
-        cells = [f"{part.number}", part.label, f"{1e3 * part.diameter:g}", f"{part.length:.4g}", f"{part.rise:.4g}"]
-        cells += [f"{each / 1e3:.4g}" for each in (x.friction, x.theory, x.weight)]
+        part, span = x.part, x.range
+        cells = [f"{part.number}", part.label, f"{1e3 * part.diameter:.4g}", f"{part.length:.4g}", f"{part.rise:.4g}"]
+        ratio = f"{x.friction / x.straight:.3g}" + ("" if span is None else f" ({span[0]:.3g} to {span[1]:.3g})")
+        cells += [f"{x.friction / 1e3:.4g}", ratio, f"{x.weight / 1e3:.4g}"]
         found.append(f"| {' | '.join(cells)} |")
+    if practice:
+        found += ["", *practice_lines(*result.practice()), "", METHODS_ON_BENDS]
     return found
 
 
-def _bar(pressure: float) -> str:
-    return f"{pressure / 1e5:.4g} bar ({pressure / 1e6:.3g} MPa)"
+def _span(band: Band) -> str:
+    """Return a pressure with its band in bar."""
+    return f"{band.value / 1e5:.4g} ({band.low / 1e5:.3g} to {band.high / 1e5:.3g})"
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.3g} min"
 
 
 def draw(result: LineResult) -> Any:
@@ -227,15 +384,9 @@ def draw(result: LineResult) -> Any:
     places, bands = result.bands()
     low, ours, high = (np.array([getattr(each, end) for each in bands]) for end in ("low", "value", "high"))
     low, high = low / 1e5, high / 1e5
-    words = (
-        "band of the mix"
-        if result.variants is not None
-        else (f"resistance of the slip layer {result.layer_factor:g} times less or more")
-    )
-    axes.fill_between(places, low, high, color="C0", alpha=0.15, linewidth=0, label=words)
-    if result.simulated:
-        axes.plot(places, ours / 1e5, color="C0", linewidth=1.8, label="simulated")
-    axes.plot(*_scaled(result.course(lambda x: x.theory + x.weight)), "k--", linewidth=1.0, label="theory")
+    axes.fill_between(places, low, high, color="C0", alpha=0.15, linewidth=0, label="band")
+    axes.plot(places, ours / 1e5, color="C0", linewidth=1.8, label="simulated" if result.simulated else "pressure")
+    axes.plot(*_scaled(result.course(lambda x: x.theory + x.weight)), "k--", linewidth=1.0, label="straight pipe")
     axes.plot(*_scaled(result.course(lambda x: x.weight)), color="0.6", linewidth=1.0, label="weight alone")
     begin = 0.0
     for x in result.losses:

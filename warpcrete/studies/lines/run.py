@@ -7,27 +7,25 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ...core.errors import between, positive, refuse
-from ...core.run.files import atomic_file, check_new, read_json, write_json
+from ...core.errors import between, refuse
+from ...core.run.files import check_new, read_json
 from ...core.units import number
 from ...mps.mixes import CONSTANTS
 from ...record.checks import failed_checks
 from ...scenes import modules
 from ...theory.pipe import Concrete
-from .folder import LINE_RECORD, part_simulation, previous_run
-from .losses import Part, PipeLine, friction, with_layer_factor
-from .result import LineResult, Loss, draw, lines_of
+from .folder import part_simulation, previous_run
+from .line_folder import LINE_RECORD
+from .losses import GRAVITY, Part, PipeLine, friction, with_layer_factor
+from .result import LineResult, Loss, Stop
+from .theory_line import LAYER_FACTOR, check_settings, line_by_theory, write_result
 
-GRAVITY = 9.81
-"""Gravitational acceleration [m/s2]."""
 CELLS = 12
 """Default number of cells across the narrowest bore of a bend or reducer. With 12 cells, the pressure loss of straight
 stretches in parts of 125 mm deviates from theory by -0.7 to 1.7 %, with 8 cells by 1.6 %.
 """
 TUBE_CELLS = 20
 """Number of particles across a straight pipe, which is cheaper to simulate because it is periodic."""
-LAYER_FACTOR = 2.0
-"""Default factor by which the resistance of an unmeasured slip layer may be wrong, in both directions."""
 STRAIGHT_DIAMETERS = 2.5
 """Length of straight pipe before and behind a simulated bend or reducer [diameters]."""
 Progress = Callable[[str, float, dict[str, Any]], None]
@@ -40,27 +38,28 @@ def run_line(
     *,
     out: Path | None = None,
     known: Path | None = None,
-    simulate: bool = True,
+    simulate: bool = False,
     cells: int = CELLS,
     layer_factor: float = LAYER_FACTOR,
     variants: Mapping[str, tuple[Concrete, Concrete]] | None = None,
     device: str | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
+    stop: Stop | None = None,
 ) -> LineResult:
     """Compute the pressure that a `line` needs at a `flow` [m3/s] of a `concrete`.
 
-    Each kind of part is simulated once, without weight. Straight pipe is periodic. A bend or reducer lies between
-    straight stretches with `cells` cells across the narrowest bore, and its loss excludes that of these stretches.
-    Without `simulate`, the closed form of straight pipe replaces all simulations. The band of the pressure belongs to a
+    By default, the answer is that of :func:`line_by_theory`. With `simulate`, each kind of part is simulated once,
+    without weight. Straight pipe is periodic. A bend or reducer lies between straight stretches with `cells` cells
+    across the narrowest bore, and its loss excludes that of these stretches. The band of the pressure belongs to a
     slip layer whose resistance is wrong by `layer_factor`, or to the pairs of concretes in `variants`, as
-    :attr:`warpcrete.mix.mix.Mix.variants` gives them. Runs are stored in the
-    new folder `out`, or in one locked by :func:`warpcrete.studies.lines.folder.line_folder`, where interrupted runs
-    continue; finished runs in `known`, the folder of an earlier line, are reused. Raises :class:`SceneError` for an
+    :attr:`warpcrete.mix.mix.Mix.variants` gives them, and to the model errors of fittings. After a `stop`, the line
+    starts again. Runs are stored in the new folder `out`, or in one locked by
+    :func:`warpcrete.studies.lines.line_folder.line_folder`, where interrupted runs continue; finished runs in `known`,
+    the folder of an earlier line, are reused. Raises :class:`SceneError` for an
     impossible flow or setting.
     """
-    positive("flow", flow, "m3/s")
-    between("layer_factor", layer_factor, 1, math.inf)
+    check_settings(flow, layer_factor)
     between("cells", cells, 8, math.inf)
     if out is not None and not (out / LINE_RECORD).is_file():
         check_new(out)
@@ -71,8 +70,10 @@ def run_line(
             "is not the folder of a line with simulated parts",
             "give one that contains a folder 'parts'",
         )
+    if not simulate:
+        return line_by_theory(line, concrete, flow, out=out, layer_factor=layer_factor, variants=variants, stop=stop)
     tell = progress or (lambda phase, fraction, figures: None)
-    kinds = {part.loss_key: part for part in line.parts} if simulate else {}
+    kinds = {part.loss_key: part for part in line.parts if part.factor is None}
     cases = {key: _scene_of_part(part, concrete, flow, cells) for key, part in kinds.items()}
     # Build all scenes before the first run, so that an impossible scene is refused at once.
     scenes = {key: modules()[name].scene(**parameters) for key, (name, parameters) in cases.items()}
@@ -107,13 +108,13 @@ def run_line(
         theory = friction(part, concrete, flow)
         ours = (
             theory
-            if not simulate
+            if part.factor is not None
             else found[part.loss_key] * (part.length * part.relative_loss if part.is_by_length else 1.0)
         )
         losses.append(Loss(part, ours, theory, concrete.density * GRAVITY * part.rise))
-    result = LineResult(line, concrete, flow, losses, layer_factor, simulate, out, took, failed, variants)
+    result = LineResult(line, concrete, flow, losses, layer_factor, True, out, took, failed, variants, stop)
     if out is not None:
-        _write(result, out)
+        write_result(result, out)
     return result
 
 
@@ -153,12 +154,3 @@ def folder_name(part: Part) -> str:
         return f"bore-{1e3 * part.diameter:g}-{1e3 * part.outlet:g}-{part.length:g}-{part.mesh.digest}"
     shape = f"{part.angle:g}-{part.radius:g}" if part.kind == "bend" else f"{1e3 * part.outlet:g}-{part.length:g}"
     return f"{part.kind}-{1e3 * part.diameter:g}-{shape}"
-
-
-def _write(result: LineResult, out: Path) -> None:
-    out.mkdir(parents=True, exist_ok=True)
-    write_json(out / "line.json", result.record())
-    with atomic_file(out / "line.md") as partial:
-        partial.write_text("\n".join(lines_of(result)) + "\n", encoding="utf-8")
-    with atomic_file(out / "line.png") as partial:
-        draw(result).savefig(partial, dpi=150, format="png")

@@ -21,6 +21,8 @@ class Comparison:
     measured: float
     band: Band
     """Prediction and its band, in the SI unit of the case's kind."""
+    simulated: bool = False
+    """True if a flow was simulated, and False if a closed form predicts the case."""
 
     @property
     def ratio(self) -> float:

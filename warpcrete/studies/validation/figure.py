@@ -10,6 +10,12 @@ from .kinds import KINDS
 
 COLUMNS = 4
 """Number of panels in a row of the figure."""
+STYLES = (
+    (False, False, {"marker": "o", "color": "C0", "markerfacecolor": "white", "label": "others, with band"}),
+    (True, False, {"marker": "o", "color": "C0", "label": "held out, with band"}),
+    (False, True, {"marker": "s", "color": "C1", "label": "simulated as a flow"}),
+)
+"""Looks of held-out, other and simulated cases: held out, simulated, and keywords of Matplotlib."""
 SHOWN = {"pipe": (1e-3, "kPa/m"), "line": (1e-5, "bar"), "slump": (1e3, "mm"), "spread": (1e3, "mm")}
 """Factor and unit in which the figure shows a kind of measurement; by default the SI unit."""
 
@@ -39,16 +45,15 @@ def _panel(axes: Any, kind: str, own: Sequence[Comparison]) -> None:
     axes.plot([low, high], [low, high], color="0.4", linewidth=1, label="prediction equals measurement")
     axes.fill_between([low, high], [low / 2, high / 2], [low * 2, high * 2], color="0.92", linewidth=0,
                       label="within a factor of two")  # fmt: skip
-    for held, fill in ((False, "white"), (True, "C0")):
-        chosen = [each for each in own if each.held_out == held]
+    for held, simulated, style in STYLES:
+        chosen = [each for each in own if each.simulated == simulated and (simulated or each.held_out == held)]
         ends = [
             [max(x.band.value - x.band.low, 0.0) for x in chosen],
             [max(x.band.high - x.band.value, 0.0) for x in chosen],
         ]
         axes.errorbar([factor * x.measured for x in chosen], [factor * x.band.value for x in chosen],
-                      [[factor * x for x in end] for end in ends], fmt="o", color="C0", markerfacecolor=fill,
-                      markersize=5, linewidth=0.8,
-                      label="held out, with band" if held else "others, with band")  # fmt: skip
+                      [[factor * x for x in end] for end in ends], linestyle="none",
+                      elinewidth=0.8, markersize=5, **style)  # fmt: skip
     axes.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low / 1.3, high * 1.3))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

@@ -14,10 +14,12 @@ import numpy as np
 from ...core.drawing.html import html_table
 from ...core.errors import WarpcreteError, one_line, one_of
 from ...core.run.files import atomic_file, write_json
+from .blocked import BlockingComparison, compare_blocking
 from .cases import Case, held_out_groups, shipped_cases
 from .comparison import Comparison, compare
 from .figure import draw
-from .kinds import KINDS
+from .kinds import BLOCKING, KINDS, UNITS
+from .simulated import representatives, simulate
 
 Progress = Callable[[str, float], None]
 
@@ -28,7 +30,7 @@ class Summary:
 
     kind: str
     chosen: str
-    """Cases in the statistics: "all", "held out" or "others"."""
+    """Cases in the statistics: "all", "held out", "others" or "simulated"."""
     count: int
     groups: int
     """Number of independent groups among the cases."""
@@ -47,11 +49,13 @@ class Validation:
     """All comparisons, with their statistics, table and figure."""
 
     comparisons: list[Comparison]
+    blocking: list[BlockingComparison]
+    """Verdicts of the rules against blocking."""
     refused: dict[str, str]
     """Cases that the program refuses to predict, with the reason."""
 
     def __repr__(self) -> str:
-        return f"<Validation of {len(self.comparisons)} cases>"
+        return f"<Validation of {len(self.comparisons) + len(self.blocking)} cases>"
 
     def _repr_html_(self) -> str:
         return html_table([summary_cells(each) for each in self.summaries()], SUMMARY_COLUMNS, repr(self))
@@ -60,12 +64,13 @@ class Validation:
         """Return the statistics of each kind, for all cases and for held-out and other cases apart."""
         found = []
         for kind in KINDS:
-            own = [each for each in self.comparisons if each.case.kind == kind]
+            own = [each for each in self.comparisons if each.case.kind == kind and not each.simulated]
             parts = {
                 "all": own,
                 "held out": [x for x in own if x.held_out],
                 "others": [x for x in own if not x.held_out],
             }
+            parts |= {"simulated": [each for each in self.comparisons if each.case.kind == kind and each.simulated]}
             found += [
                 _summary(kind, name, part) for name, part in parts.items() if part and (name == "all" or part != own)
             ]
@@ -75,8 +80,17 @@ class Validation:
         """Return the statistics and the cases as Markdown."""
         lines = [*markdown(SUMMARY_COLUMNS, [summary_cells(each) for each in self.summaries()]), ""]
         lines += markdown(CASE_COLUMNS, [_case_cells(each) for each in self.comparisons])
+        lines += ["", *self.blocking_lines(), ""] if self.blocking else []
         lines += [f"- refused: {name}: {why}" for name, why in self.refused.items()]
         return "\n".join(lines)
+
+    def blocking_lines(self) -> list[str]:
+        """Return the verdicts of the rules against blocking as a Markdown table below its summary."""
+        right = sum(each.agrees for each in self.blocking)
+        rows = [(x.case.name, "yes" if x.held_out else "no", "blocked" if x.blocked else "not blocked", x.verdict,
+                 x.rules or "-", "yes" if x.agrees else "no") for x in self.blocking]  # fmt: skip
+        return [f"The rules against blocking agree with {right} of {len(rows)} observations.", "",
+                *markdown(BLOCKING_COLUMNS, rows)]  # fmt: skip
 
     def record(self) -> dict[str, Any]:
         """Return the contents of validation.json, in SI units."""
@@ -84,10 +98,16 @@ class Validation:
             "summaries": [vars(each) for each in self.summaries()],
             "cases": [
                 {"id": x.case.name, "kind": x.case.kind, "group": x.case.group, "held_out": x.held_out,
+                 "simulated": x.simulated,
                  "unit": KINDS[x.case.kind].unit, "measured": x.measured, "predicted": x.band.value,
                  "low": x.band.low, "high": x.band.high, "causes": dict(x.band.shares), "source": x.case.source,
                  "note": x.case.note}
                 for x in self.comparisons
+            ],
+            "blocking": [
+                {"id": x.case.name, "group": x.case.group, "held_out": x.held_out, "blocked": x.blocked,
+                 "verdict": x.verdict, "rules": x.rules, "source": x.case.source, "note": x.case.note}
+                for x in self.blocking
             ],
             "refused": self.refused,
         }  # fmt: skip
@@ -120,32 +140,42 @@ SUMMARY_COLUMNS = (
     "inside",
     "median factor of band",
 )
+BLOCKING_COLUMNS = ("case", "held out", "observed", "verdict", "rules that warn", "agrees")
 CASE_COLUMNS = ("case", "kind", "held out", "unit", "measured", "predicted", "low", "high", "ratio", "inside")
 
 
 def validate(
-    cases: Sequence[Case] | None = None, *, kinds: Iterable[str] = (), progress: Progress | None = None
-) -> Validation:
+    cases: Sequence[Case] | None = None, *, kinds: Iterable[str] = (), quick: bool = False, device: str | None = None,
+    progress: Progress | None = None,
+) -> Validation:  # fmt: skip
     """Predict measured cases, by default all that are shipped, and compare the predictions with the measurements.
 
     `kinds` restricts the comparison, and an empty sequence means all kinds. Raises :class:`SceneError` for an unknown
-    kind. A case that the program refuses to predict is listed with the reason.
+    kind. Unless it is `quick`, one case of each group of slumps, spreads and funnels is also simulated as a flow, which
+    takes a few minutes. A case that the program refuses to predict is listed with the reason.
     """
     kinds = tuple(kinds)
     for kind in kinds:
-        one_of("kind", kind, KINDS)
+        one_of("kind", kind, UNITS)
     everything = list(cases) if cases is not None else shipped_cases()
     held = held_out_groups(everything)
     chosen = [case for case in everything if not kinds or case.kind in kinds]
-    found, refused = [], {}
-    for place, case in enumerate(chosen):
+    found: list[Comparison] = []
+    blocking: list[BlockingComparison] = []
+    refused: dict[str, str] = {}
+    jobs = [(case, False) for case in chosen] + [(case, True) for case in ([] if quick else representatives(chosen))]
+    for place, (case, as_flow) in enumerate(jobs):
         if progress is not None:
-            progress(case.name, place / len(chosen))
+            progress(case.name, place / len(jobs))
+        held_out = (case.kind, case.group) in held
         try:
-            found.append(compare(case, (case.kind, case.group) in held))
+            if case.kind == BLOCKING:
+                blocking.append(compare_blocking(case, held_out))
+            else:
+                found.append(simulate(case, held_out, device=device) if as_flow else compare(case, held_out))
         except WarpcreteError as error:
-            refused[case.name] = one_line(str(error))
-    return Validation(found, refused)
+            refused[f"{case.name}{', simulated' if as_flow else ''}"] = one_line(str(error))
+    return Validation(found, blocking, refused)
 
 
 def _summary(kind: str, chosen: str, part: Sequence[Comparison]) -> Summary:
@@ -165,8 +195,9 @@ def summary_cells(x: Summary) -> tuple[str, ...]:
 
 
 def _case_cells(x: Comparison) -> tuple[str, ...]:
+    name = f"{x.case.name}, simulated" if x.simulated else x.case.name
     numbers = (x.measured, x.band.value, x.band.low, x.band.high)
-    return (x.case.name, x.case.kind, "yes" if x.held_out else "no", KINDS[x.case.kind].unit,
+    return (name, x.case.kind, "yes" if x.held_out else "no", KINDS[x.case.kind].unit,
             *(f"{each:.4g}" for each in numbers), f"{x.ratio:.2f}", "yes" if x.inside else "no")  # fmt: skip
 
 

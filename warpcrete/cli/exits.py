@@ -1,0 +1,8 @@
+"""Exit codes of the command."""
+
+from __future__ import annotations
+
+CHECK_FAILED = 3
+"""Exit code of a finished run that failed one of the scene's checks."""
+INTERRUPTED = 130
+"""Exit code of a run that the user interrupted."""

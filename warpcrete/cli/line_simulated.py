@@ -1,0 +1,71 @@
+"""Simulated answers of `warpcrete line`: by flows, by discrete elements, or by both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ..core.inputs.fingerprints import fingerprint
+from ..core.run.files import atomic_file
+from ..core.run.progress import ProgressBar
+from ..mix.mix import completed
+from ..mps.mixes import concrete_of
+from ..studies.lines.elements import ElementLine, Elements, element_table_lines, run_elements
+from ..studies.lines.line_folder import line_folder
+from ..studies.lines.losses import PipeLine, friction
+from ..studies.lines.result import LineResult, Stop, lines_of
+from ..studies.lines.run import run_line
+
+
+def run(
+    line: PipeLine, name: str, rate: float, method: str, folder: Path, layer: Mapping[str, Any], stop: Stop | None,
+    settings: Mapping[str, Any], finish: Callable[[], None],
+) -> bool:  # fmt: skip
+    """Simulate a line, print its pressure, and return whether a check of a part failed.
+
+    `layer` holds the uncertainty of the concrete as arguments of `run_line`, and `settings` the options of the command.
+    `finish` is called when the result has been printed, while the folder is locked.
+    """
+    elements = Elements(**{key: settings[key] for key in ("shapes", "coarse", "seeds", "stiffer")})
+    asked = {"line": line.name, "parts": fingerprint(line.parts), "concrete": name, "flow": rate, "method": method,
+             "cells": settings["cells"], "elements": fingerprint(elements)}  # fmt: skip
+    if settings["blocking"] is not None:
+        asked["blocking"] = settings["blocking"]
+    where = {"out": folder, **{key: settings[key] for key in ("known", "device", "threads")}}
+    found, packed, progress = None, None, ProgressBar()
+    try:
+        with line_folder(folder, asked):
+            if method != "dem":
+                found = run_line(
+                    line, concrete_of(name), rate, simulate=True, cells=settings["cells"], stop=stop,
+                    progress=None if settings["quiet"] else progress, **layer, **where,
+                )  # fmt: skip
+            if method != "flow":
+                tell = None if settings["quiet"] else (lambda phase, fraction: progress(phase, fraction, {}))
+                packed = run_elements(line, name, rate, elements=elements, progress=tell, **where)
+            _print(line, name, rate, found, packed, folder, settings["practice"])
+            finish()
+    finally:
+        progress.close()
+    return any(each is not None and bool(each.failed) for each in (found, packed))
+
+
+def _print(
+    line: PipeLine, name: str, rate: float, found: LineResult | None, packed: ElementLine | None, folder: Path,
+    practice: bool,
+) -> None:  # fmt: skip
+    if found is not None:
+        click.echo("\n" + "\n".join(lines_of(found, practice)))
+    if packed is not None:
+        others = {} if found is None else {"flow": [x.friction for x in found.losses]}
+        if completed(name).flow:
+            others["theory"] = [friction(part, concrete_of(name), rate) for part in line.parts]
+        text = element_table_lines(packed, others)
+        click.echo("\n" + "\n".join(text))
+        with atomic_file(folder / "line-dem.md") as partial:
+            partial.write_text("\n".join(text) + "\n", encoding="utf-8")
+    took = (0.0 if found is None else sum(found.took.values())) + (0.0 if packed is None else packed.elapsed)
+    click.echo(f"\nfolder: {folder}; simulations took {took:.0f} s")

@@ -1,0 +1,36 @@
+"""Values of options that are amounts with units, read without importing the simulations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..core.errors import refuse
+from ..core.inputs.amounts import amount
+from ..core.inputs.limits import check_limit
+
+THIXOTROPY = 0.5
+"""Default growth rate A_thix of the yield stress at rest [Pa/s], for moderate stiffening (Roussel 2006)."""
+THIXOTROPY_BAND = (0.1, 1.0)
+"""Range of the growth rate of a concrete that was not measured [Pa/s]: from hardly any stiffening to a strong one
+(Roussel 2006)."""
+
+
+def option_amount(field: str, given: str | None, unit: str) -> float | None:
+    """Return the value of an option as a number in `unit`, or None if the option is missing."""
+    if given is None:
+        return None
+    found = amount(field, given, unit)
+    check_limit(field, found, unit)
+    return found
+
+
+def option_amounts(field: str, given: Sequence[str], unit: str) -> list[float]:
+    """Return the values of a repeatable option as numbers in `unit`."""
+    return [found for each in given if (found := option_amount(field, each, unit)) is not None]
+
+
+def growth_of(rest: float | None, thixotropy: float | None) -> float:
+    """Return the stated or usual rate A_thix [Pa/s]; refuse a stated rate if no time of rest is given."""
+    if thixotropy is not None and rest is None:
+        refuse("thixotropy", thixotropy, "needs the time of rest", "add, for example, --rest 600")
+    return THIXOTROPY if thixotropy is None else thixotropy

@@ -1,0 +1,34 @@
+"""Bore of a mesh as one part of a pipeline; `mesh_parts` measures it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .axis import Axis
+
+
+@dataclass(frozen=True)
+class MeshBore:
+    """Bore of a mesh; the mesh is one part of a pipeline."""
+
+    file: str
+    """Absolute path of the mesh file."""
+    scale: float
+    """Factor from the file's length unit to metres: 0.001 for mm."""
+    axis: Axis
+    """Centreline of the bore in the mesh's coordinates, starting at the mesh's origin."""
+    narrowest: float
+    """Smallest distance between two opposite places of the bore's wall [m]."""
+    digest: str
+    """Hash of the mesh file's content and of its scale."""
+    places: tuple[float, ...]
+    """Arc lengths of the stored cross-sections from the start of the bore, increasing [m]."""
+    radii: tuple[float, ...]
+    """Radii of circles with the areas of the stored cross-sections [m]."""
+    least: tuple[float, ...]
+    """Radii of the largest free circles about the axis in the stored cross-sections [m]."""
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Diameters of the bore: first at its start, then at its end [m]."""
+        return 2 * self.radii[0], 2 * self.radii[-1]

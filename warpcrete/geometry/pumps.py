@@ -1,0 +1,50 @@
+"""Data sheet of a concrete pump: its limits of pressure, flow and power."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ..core.errors import one_of, positive, refuse
+from ..core.inputs.amounts import amount
+from ..core.inputs.limits import check_limit
+from ..core.inputs.text_files import errors_located_at
+
+PUMP = {
+    "pressure": ("Pa", "Largest pressure on the concrete"),
+    "flow": ("m3/s", "Largest volume flow"),
+    "power": ("W", "Power of the motor"),
+}
+"""Entries of a pump, with their units and meaning. A pump given as a single value states its pressure."""
+
+
+@dataclass(frozen=True)
+class Pump:
+    """Limits of a concrete pump; a limit that is not known is None."""
+
+    pressure: float
+    """Largest pressure on the concrete [Pa]."""
+    flow: float | None = None
+    """Largest volume flow [m3/s]."""
+    power: float | None = None
+    """Power of the motor [W]."""
+
+
+def pump_of(given: Any, field: str = "pump") -> Pump:
+    """Read a pump from a pressure, or from a mapping with the keys :data:`PUMP`.
+
+    `field` names the entry in messages. Raises :class:`SceneError` for a wrong key or value, or without a pressure.
+    """
+    entries = given if isinstance(given, Mapping) else {"pressure": given}
+    found = {}
+    for key, value in entries.items():
+        with errors_located_at(entries, key):
+            one_of(f"{field}'s key", key, PUMP)
+            called, unit = f"{field} {key}", PUMP[key][0]
+            found[key] = amount(called, value, unit)
+            positive(called, found[key], unit)
+            check_limit(called, found[key], unit, key)
+    if "pressure" not in found:
+        refuse(field, dict(entries), "has no pressure", "add it from the data sheet, for example 'pressure: 85 bar'")
+    return Pump(**found)

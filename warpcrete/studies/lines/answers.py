@@ -1,0 +1,113 @@
+"""Answers to questions of a site engineer: where the band comes from, the power, and whether the pump suffices."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from ...core.units import quantity
+from ...geometry.pumps import Pump
+from ...theory.bands import Band
+
+EFFICIENCY = 25 / 36
+"""Hydraulic power over the power of the pump's motor. The rule of practice is motor power [kW] = pressure [bar] * flow
+[m3/h] / 25 (bestsupportunderground.com, "Long distance concrete pumping"); the hydraulic power is a 36th."""
+MARGIN = 1.25
+"""Pressure that a pump should deliver, divided by the pressure that the line needs (AIJ,
+http://pmkujira.sakura.ne.jp/Exsokuryo/Free/Kentiku/KcheckL3/02-04-KC-017.htm)."""
+LEAST_SHARE = 0.1
+"""Share of the band below which a cause is not mentioned, unless it is the largest."""
+ADVICE = {
+    "slip layer": "measure it with a tribometer, or fit it to pressures of a trial line with --fit",
+    "viscosity of the bulk": "measure it with a rheometer, or state t500",
+    "yield stress of the bulk": "measure slump or spread",
+    "density": "weigh a known volume, or state the parts of the mix",
+    "bends": "fit their factor to pressures of a trial line with --fit, or state it with 'factor'",
+    "reducers": "measure the pressure on both sides of one, and state its 'factor'",
+    "hoses": "measure the pressure on both sides of one, and state its 'factor'",
+    "valves": "ask the manufacturer for their loss, and state it as 'equivalent'",
+    "bores": "simulate them with --simulate, or state their 'factor'",
+    "thixotropy": "measure how the yield stress grows at rest, and state --thixotropy",
+}
+"""Advice on how to make the band narrower, by cause."""
+
+
+def pressure_text(pressure: float) -> str:
+    """Return a pressure [Pa] in bar and MPa."""
+    return f"{pressure / 1e5:.4g} bar ({pressure / 1e6:.3g} MPa)"
+
+
+def band_sentences(band: Band) -> list[str]:
+    """Return sentences that split the width of a band of pressure [Pa] by its causes, largest first, with advice."""
+    shares = sorted(band.shares.items(), key=lambda item: -item[1])
+    found = []
+    for place, (cause, share) in enumerate(shares):
+        if place and share < LEAST_SHARE:
+            break
+        span = "" if place else f" of the band of {band.low / 1e5:.3g} to {band.high / 1e5:.3g} bar"
+        advice = ADVICE.get(cause)
+        found.append(
+            f"{100 * share:.0f} %{span} {'of it comes' if place else 'comes'} from the {cause}"
+            + (f"; {advice}" if advice else "")
+        )
+    return found
+
+
+def motor_power(pressure: float, flow: float) -> float:
+    """Return the power of the pump's motor [W] for a pressure [Pa] and a flow [m3/s]."""
+    return pressure * flow / EFFICIENCY
+
+
+@dataclass(frozen=True)
+class PumpMargin:
+    """Comparison of a line's needs with the data sheet of a pump."""
+
+    pump: Pump
+    band: Band
+    """Pressure that the line needs [Pa], with its band."""
+    flow: float
+    """Flow that is wanted [m3/s]."""
+
+    @property
+    def factor(self) -> float:
+        """Pressure of the pump divided by the pressure that the line needs."""
+        return self.pump.pressure / self.band.value if self.band.value > 0 else float("inf")
+
+    @property
+    def verdict(self) -> str:
+        """Answer in two or three words: 'strong enough', 'perhaps too weak' or 'too weak'."""
+        value, high = ((x, x * self.flow / EFFICIENCY) for x in (self.band.value, self.band.high))
+        limits = (self.pump.pressure, self.pump.power)
+
+        def over(needs: tuple[float, float]) -> bool:
+            return any(limit is not None and need > limit for need, limit in zip(needs, limits, strict=True))
+
+        if over(value) or (self.pump.flow is not None and self.flow > self.pump.flow):
+            return "too weak"
+        return "perhaps too weak" if over(high) else "strong enough"
+
+    def sentence(self) -> str:
+        """Return the comparison in words."""
+        text = (f"the pump is {self.verdict}: it delivers {self.pump.pressure / 1e5:.4g} bar, {self.factor:.2f} times "
+                f"the pressure needed")  # fmt: skip
+        if self.band.high > self.band.value:
+            text += f", and {self.pump.pressure / self.band.high:.2f} times the upper end of the band"
+        text += f" (AIJ asks for {MARGIN:g} times)"
+        if self.pump.power is not None:
+            text += (f"; the motor has {self.pump.power / 1e3:.3g} kW, and the line needs "
+                     f"{motor_power(self.band.value, self.flow) / 1e3:.3g} kW")  # fmt: skip
+        if self.pump.flow is not None:
+            word = "enough" if self.flow <= self.pump.flow else "too little"
+            text += f"; its flow of up to {3600 * self.pump.flow:.4g} m3/h is {word}"
+        return text
+
+    def record(self) -> dict[str, Any]:
+        """Return the comparison as an entry of line.json."""
+        return {
+            "pressure_limit": quantity(self.pump.pressure, "Pa"),
+            "flow_limit": None if self.pump.flow is None else quantity(self.pump.flow, "m3/s"),
+            "motor_power_limit": None if self.pump.power is None else quantity(self.pump.power, "W"),
+            "margin": self.factor,
+            "margin_at_upper_end": self.pump.pressure / self.band.high if self.band.high > 0 else None,
+            "verdict": self.verdict,
+        }  # fmt: skip

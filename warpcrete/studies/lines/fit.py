@@ -1,0 +1,373 @@
+"""Slip layer and bend factor of a trial line, fitted to pressures that were measured at several places and flows."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...core.errors import SceneError, between, positive, refuse
+from ...core.inputs.amounts import amount
+from ...core.inputs.limits import check_limit, check_velocity
+from ...core.inputs.text_files import read_rows
+from ...core.units import quantity
+from ...theory.fits import student_t
+from ...theory.pipe import Concrete
+from .losses import GRAVITY, Part, PipeLine, straight_friction
+
+NAMES = ("slip viscosity", "slip yield", "factor of bends")
+UNITS = ("Pa s/m", "Pa", "")
+COLUMNS = {"place": "m", "part": "1", "pressure": "Pa", "flow": "m3/s"}
+"""Columns of a file of taps, with their SI units: either `place`, the distance from the pump along the line, or `part`,
+the number of the part before which the tap lies."""
+SAME_FLOW = 0.02
+"""Relative difference up to which flows count as equal; they then do not tell yield stress from viscosity."""
+DEPENDENT = 1e-3
+"""Smallest singular value of the scaled sensitivities at which a constant still counts as determined by the points."""
+LEAST = (1e-2, -1.0, 0.0)
+"""Limits of slip viscosity [Pa s/m], slip yield [Pa] and factor of bends, up to which a fitted value is impossible."""
+ITERATIONS = 50
+"""Largest number of iterations of the least-squares fit."""
+
+
+@dataclass(frozen=True)
+class Tap:
+    """One measured pressure in a line."""
+
+    place: float
+    """Distance from the pump along the line [m]."""
+    pressure: float
+    """Measured pressure [Pa]."""
+    flow: float
+    """Volume flow [m3/s]."""
+    row: int
+    """Line of the file."""
+
+
+@dataclass(frozen=True)
+class FittedConstant:
+    """Constant of the fit with its 95 % confidence interval."""
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+    fitted: bool
+    """False if the points do not determine the constant, which then keeps the value it had before."""
+
+    @property
+    def text(self) -> str:
+        """Value with its band in words."""
+        unit = f" {self.unit}" if self.unit else ""
+        if not self.fitted:
+            return f"{self.name} {self.value:.4g}{unit} (not determined by these points, kept)"
+        return f"{self.name} {self.value:.4g}{unit} ({self.low:.4g} to {self.high:.4g})"
+
+
+@dataclass(frozen=True)
+class LineFit:
+    """Fit of a line to its taps."""
+
+    taps: tuple[Tap, ...]
+    constants: tuple[FittedConstant, ...]
+    """Slip viscosity, slip yield and, for a line with bends, their factor."""
+    pressures: tuple[float, ...]
+    """Fitted pressures at the taps [Pa]."""
+    uncertainty: float
+    """Half width of the 95 % confidence interval of the straight pipe's friction, relative to it."""
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of the measured from the fitted pressures [Pa]."""
+        off = self.deviations()
+        return math.sqrt(float(off @ off) / (len(off) - sum(each.fitted for each in self.constants)))
+
+    def deviations(self) -> np.ndarray:
+        """Return fitted less measured pressures [Pa], shape (taps,)."""
+        return np.array(self.pressures) - [tap.pressure for tap in self.taps]
+
+    def concrete(self, concrete: Concrete) -> Concrete:
+        """Return a concrete with the fitted slip layer."""
+        return replace(concrete, slip_viscosity=self.constants[0].value, slip_yield=self.constants[1].value)
+
+    def variants(self, concrete: Concrete) -> dict[str, tuple[Concrete, Concrete]]:
+        """Return the concrete with the layer at both ends of its band, as the only cause of uncertainty."""
+        own = self.concrete(concrete)
+        low, high = (
+            replace(own, slip_viscosity=x * own.slip_viscosity, slip_yield=x * own.slip_yield)
+            for x in (1 / (1 + self.uncertainty), 1 + self.uncertainty)
+        )
+        return {"slip layer": (low, high)}
+
+    def line(self, line: PipeLine) -> PipeLine:
+        """Return the line whose bends have the fitted factor, unless their file states one."""
+        bends = self.constants[2] if len(self.constants) > 2 else None
+        if bends is None or not bends.fitted:
+            return line
+
+        def own(part: Part) -> Part:
+            return replace(part, factor=bends.value, factor_range=(bends.low, bends.high)) if _is_free(part) else part
+
+        return replace(line, parts=tuple(own(part) for part in line.parts))
+
+    def record(self) -> dict[str, Any]:
+        """Return the fit as an entry of line.json."""
+        return {
+            "constants": {x.name: {"value": x.value, "low": x.low, "high": x.high, "unit": x.unit, "fitted": x.fitted}
+                          for x in self.constants},
+            "uncertainty": self.uncertainty,
+            "scatter": quantity(self.scatter, "Pa"),
+            "taps": [{"place": quantity(tap.place, "m"), "flow": quantity(tap.flow, "m3/s"),
+                      "measured": quantity(tap.pressure, "Pa"), "fitted": quantity(fitted, "Pa")}
+                     for tap, fitted in zip(self.taps, self.pressures, strict=True)],
+        }  # fmt: skip
+
+
+def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Tap, ...]:
+    """Read pressures measured along a line from a CSV file.
+
+    The header names columns with their units, such as `place [m],pressure [bar],flow [m3/h]`. Instead of the place,
+    `part` gives the number of the part before which the tap lies. Without a column of flows, all taps have `flow`
+    [m3/s]. Raises :class:`SceneError` for a missing column or an impossible number.
+    """
+    example = "write the first line in the form 'place [m],pressure [bar],flow [m3/h]'"
+    header, rows = read_rows(path, "fit")
+    heads = [re.fullmatch(r"\s*(\w+)\s*(?:\[([^\[\]]+)\])?\s*", head) for head in header]
+    columns = {head[1]: (place, head[2] or "") for place, head in enumerate(heads) if head is not None}
+    for name in columns:
+        if name not in COLUMNS:
+            refuse("fit", str(path), f"has an unknown column {name!r}", example)
+    if ("place" in columns) == ("part" in columns):
+        refuse("fit", str(path), "must have one of the columns 'place' and 'part'", example)
+    for name in ("pressure", *(() if flow is not None else ("flow",))):
+        if name not in columns:
+            refuse("fit", str(path), f"has no column {name!r}", example)
+    starts = np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
+    narrow = min(part.narrow for part in line.parts)
+    found = []
+    for row, cells in rows:
+        values = {"flow": flow or 0.0}
+        for name, (place, unit) in columns.items():
+            field = f"{path.name}, line {row}: {name}"
+            values[name] = amount(field, f"{cells[place].strip()} {unit}".strip(), COLUMNS[name])
+            if name in ("pressure", "flow"):
+                positive(field, values[name], COLUMNS[name], "leave out taps without pressure")
+                check_limit(field, values[name], COLUMNS[name], name)
+        if "part" in values:
+            field, last = f"{path.name}, line {row}: part", len(line.parts)
+            if values["part"] != int(values["part"]) or not 1 <= values["part"] <= last:
+                refuse(field, values["part"], f"must be the number of a part, 1 to {last}")
+            values["place"] = float(starts[int(values["part"]) - 1])
+        field = f"{path.name}, line {row}: place"
+        between(field, values["place"], 0.0, float(np.nextafter(starts[-1], 0.0)), "m",
+                "the distance from the pump, before the open end of the line")  # fmt: skip
+        check_velocity(f"{path.name}, line {row}: flow", values["flow"], 4 * values["flow"] / (math.pi * narrow**2))
+        found.append(Tap(values["place"], values["pressure"], values["flow"], row))
+    return tuple(found)
+
+
+def _is_free(part: Part) -> bool:
+    """Return whether the friction of a part is that of a bend whose factor is to be fitted."""
+    return part.kind == "bend" and part.factor is None
+
+
+class _Model:
+    """Pressure at the taps as a function of slip viscosity, slip yield and the factor of bends."""
+
+    def __init__(self, line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> None:
+        self.concrete, self.taps = concrete, taps
+        starts = np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
+        self.kinds: dict[tuple[Any, ...], Part] = {}
+        """A part of each kind of straight pipe, whose friction per metre the others share."""
+        self.metres: list[dict[tuple[Any, ...], list[float]]] = []
+        """For each tap, by kind: metres behind the tap that count as straight pipe, and metres of bends."""
+        self.rises: list[float] = []
+        for tap in taps:
+            own: dict[tuple[Any, ...], list[float]] = {}
+            rise = 0.0
+            for part, start in zip(line.parts, starts, strict=False):
+                share = float(np.clip((start + part.length - tap.place) / part.length, 0.0, 1.0))
+                kind = (part.diameter, part.outlet, part.layer)
+                self.kinds.setdefault(kind, part)
+                metres = own.setdefault(kind, [0.0, 0.0])
+                metres[_is_free(part)] += share * part.length * part.relative
+                rise += share * part.rise
+            self.metres.append(own)
+            self.rises.append(rise)
+
+    def pressures(self, constants: np.ndarray) -> np.ndarray:
+        """Return the pressures at the taps [Pa], shape (taps,)."""
+        concrete = replace(self.concrete, slip_viscosity=float(constants[0]), slip_yield=float(constants[1]))
+        known: dict[tuple[Any, ...], float] = {}
+        found = []
+        for tap, metres, rise in zip(self.taps, self.metres, self.rises, strict=True):
+            total = concrete.density * GRAVITY * rise
+            for kind, (plain, bends) in metres.items():
+                if (kind, tap.flow) not in known:
+                    part = self.kinds[kind]
+                    known[kind, tap.flow] = straight_friction(part, concrete, tap.flow) / part.length
+                total += known[kind, tap.flow] * (plain + constants[2] * bends)
+            found.append(total)
+        return np.array(found)
+
+    def sensitivities(self, constants: np.ndarray, free: Sequence[int]) -> np.ndarray:
+        """Return the derivatives of the pressures with respect to the free constants, shape (taps, free)."""
+        here, steps = self.pressures(constants), (1e-4 * constants[0], max(1e-4 * constants[1], 1e-3), 1e-3)
+        columns = []
+        for place in free:
+            moved = constants.copy()
+            moved[place] += steps[place]
+            columns.append((self.pressures(moved) - here) / steps[place])
+        return np.array(columns).T
+
+
+def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit:
+    """Fit the slip layer, and the factor of bends, to pressures along a line by least squares.
+
+    `concrete` supplies density, viscosity and yield stress of the bulk, and values of constants that the points do not
+    determine. Pressures at a single flow do not tell the layer's yield stress from its viscosity, and taps with the
+    same proportion of bends behind them do not tell the factor of bends. All pressures have the same weight. Raises
+    :class:`SceneError` for too few points or an impossible result.
+    """
+    model = _Model(line, concrete, taps)
+    measured = np.array([tap.pressure for tap in taps])
+    flows = np.array([tap.flow for tap in taps])
+    for tap, rise in zip(taps, model.rises, strict=True):
+        if tap.pressure <= (weight := concrete.density * GRAVITY * rise):
+            refuse(
+                f"fit, line {tap.row}: pressure", tap.pressure,
+                f"must exceed the weight of the concrete above the tap, {weight:.5g} Pa",
+                "check place, unit and zero of the gauge, and the density",
+            )  # fmt: skip
+    start = np.array([concrete.slip_viscosity, concrete.slip_yield, 1.0])
+    bends = any(_is_free(part) for part in line.parts)
+    free = [0]
+    if len(taps) > 1 and np.ptp(flows) > SAME_FLOW * flows.mean():
+        free.append(1)
+    if bends and len(taps) > 1:
+        free.append(2)
+    free = _determined(model.sensitivities(start, free), free)
+    _check_count(taps, free)
+    found = _least_squares(model, measured, start, free)
+    for place, value in ((2, 1.0), (1, 0.0)):
+        if place in free and found[place] < 0:
+            # The points cannot tell this constant from nothing, so it gets a plain value and the others are fitted.
+            free.remove(place)
+            start[place] = value
+            found = _least_squares(model, measured, start, free)
+    _check_result(found, free)
+    fitted = model.pressures(found)
+    slopes = model.sensitivities(found, free)
+    off = fitted - measured
+    count = len(taps) - len(free)
+    covariance = float(off @ off) / count * np.linalg.inv(slopes.T @ slopes)
+    factor = student_t(count)
+    widths = dict(zip(free, factor * np.sqrt(np.diag(covariance)), strict=True))
+    constants = []
+    for place in range(3 if bends else 2):
+        value, wide = float(found[place]), float(widths.get(place, 0.0))
+        constants.append(FittedConstant(NAMES[place], value, max(value - wide, 0.0), value + wide, UNITS[place],
+                                        place in widths))  # fmt: skip
+    # The error of straight pipe's friction follows from those of the layer's constants, which depend on each other.
+    layer = [k for k, place in enumerate(free) if place < 2]
+    pipe = _Model(_metre(line), concrete, [Tap(0.0, 1.0, float(flows.mean()), 0)])
+    weights = pipe.sensitivities(found, [free[k] for k in layer])[0]
+    wide = factor * math.sqrt(float(weights @ covariance[np.ix_(layer, layer)] @ weights))
+    wide /= float(pipe.pressures(found)[0])
+    return LineFit(tuple(taps), tuple(constants), tuple(fitted.tolist()), wide)
+
+
+def _metre(line: PipeLine) -> PipeLine:
+    """Return a metre of level pipe of the line's first diameter."""
+    first = line.parts[0].diameter
+    return replace(line, parts=(Part(1, "straight", first, 1.0, 0.0, first),))
+
+
+def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
+    """Return the constants that the points determine; `slopes` are the sensitivities to the constants `free`."""
+    while len(free) > 1:
+        scaled = slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
+        if np.linalg.matrix_rank(scaled, tol=DEPENDENT) == len(free):
+            break
+        slopes, free = slopes[:, :-1], free[:-1]
+    return free
+
+
+def _check_count(taps: Sequence[Tap], free: Sequence[int]) -> None:
+    """Refuse points that are too few to determine the free constants with a band."""
+    if len(taps) <= len(free):
+        names = " and ".join(filter(None, (", ".join(NAMES[k] for k in free[:-1]), NAMES[free[-1]])))
+        refuse("fit", f"{len(taps)} points", f"must be at least {len(free) + 1} to determine {names} with a band",
+               "measure at more places, or at other flows")  # fmt: skip
+
+
+def _check_result(found: np.ndarray, free: Sequence[int]) -> None:
+    """Refuse constants that are impossible."""
+    for place in free:
+        if not math.isfinite(found[place]) or found[place] <= LEAST[place]:
+            unit = f" {UNITS[place]}" if UNITS[place] else ""
+            raise SceneError(
+                f"fit: the points give a {NAMES[place]} of {found[place]:.4g}{unit}, which is impossible; check "
+                "places, flows, rise and diameters, the density, and the viscosity and yield stress of the concrete"
+            )
+
+
+def _least_squares(model: _Model, measured: np.ndarray, start: np.ndarray, free: Sequence[int]) -> np.ndarray:
+    """Return the constants that minimise the squared deviations, by damped Gauss-Newton steps."""
+    own, places = start.copy(), list(free)
+    off = model.pressures(own) - measured
+    for _ in range(ITERATIONS):
+        slopes = model.sensitivities(own, places)
+        step = np.linalg.lstsq(slopes, -off, rcond=None)[0]
+        size = 1.0
+        while size > 1e-6:
+            trial = own.copy()
+            trial[places] += size * step
+            if trial[0] > 0:
+                moved = model.pressures(trial) - measured
+                if moved @ moved <= off @ off:
+                    break
+            size /= 2
+        else:
+            break
+        change = np.abs(trial - own) / np.maximum(np.abs(own), 1.0)
+        own, off = trial, moved
+        if change.max() < 1e-9:
+            break
+    return own
+
+
+def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
+    """Return the fit as lines of Markdown: constants, quality, what to write into the files, and the taps."""
+    eta, tau, *bends = fit.constants
+    off = fit.deviations()
+    worst = int(np.argmax(np.abs(off)))
+    measured = [tap.pressure for tap in fit.taps]
+    found = [
+        f"**Fit to {len(fit.taps)} taps of {line.name}** (least squares; bands of 95 %, Student's t)",
+        "",
+        *(f"- {each.text}" for each in fit.constants),
+        f"- measured pressures scatter by {fit.scatter / 1e5:.2g} bar about the fit; the largest deviation is "
+        f"{off[worst] / 1e5:+.2g} bar of {measured[worst] / 1e5:.4g} bar (line {fit.taps[worst].row})",
+        "",
+        "Write into the section `mix` of the concrete's file (for this delivery; without `uncertainty`, the band is "
+        "30 %, that of other deliveries):",
+        "",
+        f"    layer: {{viscosity: {eta.value:.4g} Pa s/m, yield_stress: {tau.value:.4g} Pa, "
+        f"uncertainty: {min(max(100 * fit.uncertainty, 0.1), 90):.2g} %, from: pipe}}",
+        "",
+    ]
+    if bends and bends[0].fitted:
+        found += ["and for every bend of the line's file:", "", f"    factor: {bends[0].value:.3g}", ""]
+    found += ["| place [m] | flow [m3/h] | measured [bar] | fitted [bar] | deviation [bar] |", "|---|---|---|---|---|"]
+    for tap, fitted, each in zip(fit.taps, fit.pressures, off, strict=True):
+        cells = (f"{tap.place:.4g}", f"{3600 * tap.flow:.4g}", f"{tap.pressure / 1e5:.4g}", f"{fitted / 1e5:.4g}",
+                 f"{each / 1e5:+.2g}")  # fmt: skip
+        found.append(f"| {' | '.join(cells)} |")
+    return found

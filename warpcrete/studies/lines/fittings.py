@@ -1,0 +1,98 @@
+"""Friction of bends, reducers, hoses, valves and bores over that of straight pipe: its range, and who found it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...geometry.lines import BEND_EXTRA_LOSS, Part
+
+AIJ = "AIJ, rule for pumping (https://ga40077.com/concrete-engineer/calculation-pumping-load)"
+JGJ = "JGJ/T 10, table of pressure losses (https://www.wendadaohang.com/zd/A5nWWn53n31WG51WdKW.html)"
+JSCE = "JSCE, rule for pumping (https://ga40077.com/concrete-engineer/calculation-pumping-load)"
+CALIBE = "Kaplan and CALIBE (NIST, Materials science of concrete 2000: 150 m, 12 elbows, more than 50 concretes)"
+PARK = "Park et al., ACI Mater. J. 117-3 (2020) 205 (133, 369 and 560 m, four concretes)"
+VALVE_PRESSURE = 0.8e6
+"""Pressure loss of a stop valve [Pa] (JGJ/T 10)."""
+REDUCER_EXTRA_LOSS = ((0.0, 0.0208, 0.025, 0.0417, 0.05, 0.0833), (0.0, 0.047, 0.082, 0.117, 0.161, 0.452))
+"""Additional pressure loss of a reducer, relative to straight pipe of its bores and length (second row), by the change
+of its radius over its length (first row). Source: simulated flows of the concrete no1 at 20 and 30 m3/h through
+reducers from 150 to 125 mm and from 125 to 100 mm over 0.15 to 0.6 m, with 12 cells across. A pipe that widens from 100
+to 125 mm over 0.5 m has 0.993 times the friction."""
+METHODS_ON_BENDS = (
+    "Simulated as a fluid, a bend of 90 degrees costs 2 to 13 % more than straight pipe of its length; simulated with "
+    "stones, it costs the same for a radius of 0.5 m or more, and half as much again for 0.25 m; therefore count it "
+    "by its length, and allow for three times that."
+)
+"""One sentence for site engineers about what flows and discrete elements find in pipes of 150 mm."""
+
+
+@dataclass(frozen=True)
+class ModelError:
+    """Range of the friction of one kind of part, relative to straight pipe of its length."""
+
+    cause: str
+    """Name of this cause of uncertainty, such as 'bends'."""
+    low: float
+    high: float
+    source: str
+    """Publications and rules from which the ends of the range come."""
+
+
+MODEL_ERRORS = {
+    "bend": ModelError("bends", 1.0, 3.0, f"1: {CALIBE}; 2: {PARK}; 3: {AIJ}"),
+    "reducer": ModelError("reducers", 1.0, 2.0, f"2: {AIJ}"),
+    "hose": ModelError("hoses", 1.0, 2.0, f"2: {AIJ}"),
+    "bore": ModelError("bores", 1.0, 2.0, f"as a reducer, 2: {AIJ}"),
+    "valve": ModelError("valves", 1.0, 1.0, f"from straight pipe to 0.8 MPa: {JGJ}"),
+}
+"""Ranges of friction by kind of part; the upper end of a valve's range is :data:`VALVE_PRESSURE`."""
+
+
+def range_of(part: Part, straight: float) -> tuple[float, float] | None:
+    """Return the range of a part's friction relative to that of straight pipe of its length and bores.
+
+    `straight` is the friction of this straight pipe [Pa]. The result is None for straight pipe and for a part whose
+    friction the line's file states; a fitted factor has the range of the fit.
+    """
+    error = MODEL_ERRORS.get(part.kind)
+    if part.factor is not None:
+        return part.factor_range
+    if error is None:
+        return None
+    return error.low, max(error.high, VALVE_PRESSURE / straight) if part.kind == "valve" else error.high
+
+
+def uncertain_kinds(parts: Iterable[Part]) -> tuple[str, ...]:
+    """Return the kinds of parts in a line whose friction is uncertain, in the order of the line."""
+    return tuple(dict.fromkeys(p.kind for p in parts if p.kind in MODEL_ERRORS and _is_uncertain(p)))
+
+
+def _is_uncertain(part: Part) -> bool:
+    return part.factor is None or part.factor_range is not None
+
+
+def library_factor(part: Part) -> float:
+    """Return the friction of a bend or reducer relative to straight pipe by simulated flows of similar parts.
+
+    The result is 1 for other parts, and for a part whose friction the line's file states.
+    """
+    if part.factor is not None:
+        return 1.0
+    if part.kind == "bend":
+        return 1 + float(np.interp(part.diameter / part.radius, *BEND_EXTRA_LOSS))
+    if part.kind == "reducer":
+        # A pipe that widens costs what straight pipe of its bores costs.
+        return 1 + float(np.interp((part.diameter - part.outlet) / 2 / part.length, *REDUCER_EXTRA_LOSS))
+    return 1.0
+
+
+def is_in_library(part: Part) -> bool:
+    """Return whether parts as sharp as this one were simulated for the library."""
+    if part.factor is not None or part.kind not in ("bend", "reducer"):
+        return True
+    if part.kind == "bend":
+        return part.diameter / part.radius <= BEND_EXTRA_LOSS[0][-1]
+    return (part.diameter - part.outlet) / 2 / part.length <= REDUCER_EXTRA_LOSS[0][-1]

@@ -1,0 +1,121 @@
+"""Rules of practice for the pressure of a pump line (AIJ, JSCE and JGJ/T 10), beside the program's result.
+
+AIJ and JSCE count parts as straight pipe, whose friction they take from a measurement; here it is the program's.
+JGJ/T 10 gives pressures for parts, whatever the concrete and the flow.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...geometry.lines import Part
+from .fittings import AIJ, JGJ, JSCE
+
+GROUPS = {"straight": "straight pipe", "bend": "bends", "reducer": "reducers", "hose": "hoses", "valve": "valves",
+          "bore": "bores"}  # fmt: skip
+"""Columns of the comparison, by kind of part."""
+AIJ_FACTORS = {"straight": 1.0, "bend": 3.0, "reducer": 2.0, "hose": 2.0}
+"""Friction relative to straight pipe of a part's length (AIJ)."""
+JSCE_RISE = ((0.100, 0.125, 0.150), (3.0, 4.0, 5.0))
+"""Diameters [m], and metres of level pipe that stand for one metre of rise, weight included (JSCE)."""
+JSCE_BEND, JSCE_REDUCER, JSCE_HOSE, JSCE_HOSE_LENGTH = 6.0, 3.0, 20.0, 8.0
+"""Metres of level pipe that stand for a bend of 90 degrees, a reducer, and a hose of 5 to 8 m (JSCE)."""
+JGJ_LEVEL, JGJ_RISE = 0.1e6 / 20, 0.1e6 / 5
+"""Pressure loss of a metre of level pipe and of a metre of rise [Pa/m] (JGJ/T 10)."""
+JGJ_BEND, JGJ_HOSE, JGJ_HOSE_LENGTH, JGJ_VALVE = 0.1e6, 0.2e6, 5.0, 0.8e6
+"""Pressure loss of a bend of 90 degrees, of a rubber hose of 3 to 5 m, and of a stop valve [Pa] (JGJ/T 10)."""
+
+
+@dataclass(frozen=True)
+class PracticeRow:
+    """Pressure of a line by one rule, split by kind of part."""
+
+    rule: str
+    pressures: dict[str, float]
+    """Pressures [Pa] by kind of part; weight counts with the part that rises."""
+    implies: str
+    """What the rule means for friction and weight."""
+    source: str = ""
+
+    @property
+    def pressure(self) -> float:
+        """Pressure at the pump [Pa]."""
+        return max(sum(self.pressures.values()), 0.0)
+
+
+def _level(part: Part) -> float:
+    """Return the level length of a straight part [m], which may slope."""
+    return math.sqrt(max(part.length**2 - part.rise**2, 0.0))
+
+
+def _summed(parts: Iterable[Part], loss: Callable[[Part], float]) -> dict[str, float]:
+    """Return the sums of a pressure loss over the parts of each kind [Pa]."""
+    found: dict[str, float] = {}
+    for part in parts:
+        found[part.kind] = found.get(part.kind, 0.0) + loss(part)
+    return found
+
+
+def practice_rows(parts: tuple[Part, ...], straight: dict[int, float], weight: float) -> list[PracticeRow]:
+    """Return the pressure of a line by each rule.
+
+    `straight` is the friction [Pa] of straight pipe with the length and bores of each part, by the part's number, and
+    `weight` the pressure of a metre of rise [Pa/m].
+    """
+
+    def per_metre(part: Part) -> float:
+        return straight[part.number] / part.length
+
+    def aij(part: Part) -> float:
+        return AIJ_FACTORS.get(part.kind, 1.0) * straight[part.number] + weight * part.rise
+
+    def jsce(part: Part) -> float:
+        rise = float(np.interp(part.diameter, *JSCE_RISE)) * max(part.rise, 0.0)
+        if part.kind == "bend":
+            return per_metre(part) * JSCE_BEND * part.angle / 90
+        if part.kind == "reducer":
+            return per_metre(part) * JSCE_REDUCER
+        if part.kind == "hose":
+            return per_metre(part) * JSCE_HOSE * math.ceil(part.length / JSCE_HOSE_LENGTH)
+        return per_metre(part) * (rise + _level(part) if part.rise >= 0 else part.length)
+
+    def jgj(part: Part) -> float:
+        if part.kind == "bend":
+            return JGJ_BEND * part.angle / 90
+        if part.kind == "hose":
+            return JGJ_HOSE * math.ceil(part.length / JGJ_HOSE_LENGTH)
+        if part.kind == "valve":
+            return JGJ_VALVE
+        return JGJ_LEVEL * (_level(part) if part.rise >= 0 else part.length) + JGJ_RISE * max(part.rise, 0.0)
+
+    longest = max(parts, key=lambda part: part.length if part.kind == "straight" else 0.0)
+    metre, counted = per_metre(longest), float(np.interp(longest.diameter, *JSCE_RISE))
+    return [
+        PracticeRow("AIJ", _summed(parts, aij),
+                    "bends 3 times, reducers and hoses 2 times straight pipe of their length, with the friction of "
+                    f"this result, {metre / 1e3:.3g} kPa/m in the longest part", AIJ),
+        PracticeRow("JSCE", _summed(parts, jsce),
+                    f"a metre of rise counts as {counted:.3g} m of level pipe, or {counted * metre / 1e3:.3g} "
+                    f"kPa, while friction and weight are {(metre + weight) / 1e3:.3g} kPa", JSCE),
+        PracticeRow("JGJ/T 10", _summed(parts, jgj),
+                    f"{JGJ_LEVEL / 1e3:g} kPa/m level and {JGJ_RISE / 1e3:g} kPa/m of rise, whatever the concrete "
+                    "and the flow", JGJ),
+    ]  # fmt: skip
+
+
+def practice_lines(ours: PracticeRow, rows: list[PracticeRow]) -> list[str]:
+    """Return a table of pressures [bar] by rule and kind of part as lines of Markdown, with what the rules imply."""
+    kinds = [kind for kind in GROUPS if any(kind in row.pressures for row in (ours, *rows))]
+    found = [f"| | pressure [bar] | {' | '.join(GROUPS[kind] for kind in kinds)} |", "|" + "---|" * (2 + len(kinds))]
+    for row in (ours, *rows):
+        cells = [
+            row.rule,
+            f"{row.pressure / 1e5:.3g}",
+            *(f"{row.pressures.get(kind, 0.0) / 1e5:.3g}" for kind in kinds),
+        ]
+        found.append(f"| {' | '.join(cells)} |")
+    return [*found, "", *(f"- {row.rule}: {row.implies}" for row in rows)]

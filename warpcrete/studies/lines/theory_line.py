@@ -1,0 +1,67 @@
+"""Pressure of a pump line by closed forms and by factors of simulated fittings, within a tenth of a second.
+
+This module must not import the simulations, because Warp alone takes longer to import than the answer takes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+from ...core.errors import between, positive
+from ...core.run.files import atomic_file, write_json
+from ...theory.pipe import Concrete
+from .fit import LineFit
+from .fittings import library_factor
+from .losses import GRAVITY, PipeLine, friction
+from .result import LineResult, Loss, Stop, draw, lines_of
+
+LAYER_FACTOR = 2.0
+"""Default factor by which the resistance of an unmeasured slip layer may be wrong, in both directions."""
+
+
+def check_settings(flow: float, layer_factor: float) -> None:
+    """Refuse an impossible flow [m3/s] or factor of the slip layer's band."""
+    positive("flow", flow, "m3/s")
+    between("layer_factor", layer_factor, 1, math.inf)
+
+
+def line_by_theory(
+    line: PipeLine,
+    concrete: Concrete,
+    flow: float,
+    *,
+    out: Path | None = None,
+    layer_factor: float = LAYER_FACTOR,
+    variants: Mapping[str, tuple[Concrete, Concrete]] | None = None,
+    stop: Stop | None = None,
+    fit: LineFit | None = None,
+) -> LineResult:
+    """Compute the pressure that a `line` needs at a `flow` [m3/s] of a `concrete` without any simulation.
+
+    Straight pipe follows the closed form, and bends and reducers have the factors of earlier simulations. The band
+    belongs to a slip layer whose resistance is wrong by `layer_factor`, or to the pairs of concretes in `variants`, and
+    to the model errors of fittings. After a `stop`, the line starts again. `fit` is the
+    fit from which line and concrete come. With a folder `out`, the result is written
+    there. Raises :class:`SceneError` for an impossible flow or setting.
+    """
+    check_settings(flow, layer_factor)
+    losses = []
+    for part in line.parts:
+        theory = friction(part, concrete, flow)
+        losses.append(Loss(part, theory * library_factor(part), theory, concrete.density * GRAVITY * part.rise))
+    result = LineResult(line, concrete, flow, losses, layer_factor, False, out, variants=variants, stop=stop, fit=fit)
+    if out is not None:
+        write_result(result, out)
+    return result
+
+
+def write_result(result: LineResult, out: Path) -> None:
+    """Write the files line.json, line.md and line.png of a result into a folder."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / "line.json", result.record())
+    with atomic_file(out / "line.md") as partial:
+        partial.write_text("\n".join(lines_of(result)) + "\n", encoding="utf-8")
+    with atomic_file(out / "line.png") as partial:
+        draw(result).savefig(partial, dpi=150, format="png")

@@ -1,0 +1,51 @@
+"""Predictions of standard tests by flow simulations instead of closed forms."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ...core.units import number
+from ...methods import method_of
+from ...scenes import modules
+from ...theory.bands import Band
+from .cases import Case
+from .comparison import Comparison, compare
+from .predictions import mix_of_case
+
+SIMULATED = {"slump": ("slump", "slump", {}), "spread": ("slump", "spread", {}),
+             "funnel": ("funnel", "funnel_time", {"surfaces": "sticks"})}  # fmt: skip
+"""Scene, quantity of its result and parameters that predict a kind of measurement."""
+
+
+def representatives(cases: Sequence[Case]) -> list[Case]:
+    """Return, for each group of a kind that can be simulated, the case with the median measurement."""
+    found = []
+    for kind in SIMULATED:
+        own = [case for case in cases if case.kind == kind]
+        for group in sorted({case.group for case in own}):
+            members = sorted((case for case in own if case.group == group), key=lambda case: case.measured[0])
+            found.append(members[len(members) // 2])
+    return found
+
+
+def simulate(case: Case, held_out: bool, *, device: str | None = None, spacing: float | None = None) -> Comparison:
+    """Predict a case by simulating its standard test as a flow.
+
+    `spacing` is the edge length of the cells [m], by default that of the scene. The band has the factors of the closed
+    form's band. Raises :class:`WarpcreteError` if the run fails, and KeyboardInterrupt if it is interrupted.
+    """
+    scene, quantity, more = SIMULATED[case.kind]
+    concrete = mix_of_case(case).concrete
+    own = {
+        name: getattr(concrete, name)
+        for name in ("density", "viscosity", "yield_stress", "slip_viscosity", "slip_yield")
+    }
+    settings = {"concrete": "own", **own, **more, **({} if spacing is None else {"spacing": spacing})}
+    given = modules()[scene].scene(**settings)
+    run = method_of(given).simulation(given, device=device).run()
+    if not run.finished:
+        raise KeyboardInterrupt
+    value = number(run.result[quantity])
+    form = compare(case)
+    low, high = form.band.low / form.band.value, form.band.high / form.band.value
+    return Comparison(case, held_out, form.measured, Band(value, value * low, value * high, form.band.shares), True)
