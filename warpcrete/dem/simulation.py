@@ -54,6 +54,7 @@ class ElementSimulation(Simulation):
 
     scene_type = Scene
     scene: Scene
+    stepper: Stepper  # pyright: ignore[reportIncompatibleVariableOverride]  # Only this class assigns it.
 
     if TYPE_CHECKING:
 

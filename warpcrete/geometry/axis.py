@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -216,7 +217,7 @@ class Axis:
             begin += piece.length
         return found
 
-    def parametrised(self) -> list[dict]:
+    def parametrised(self) -> list[dict[str, Any]]:
         """Return the pieces of the axis, each with the range of the coordinate along it.
 
         The coordinate is the length [m] along a line or the angle [rad] along an arc. At an end of the axis a line has

@@ -16,7 +16,8 @@ import numpy as np
 from ..core.device.recorder_thread import RecorderThread
 from ..core.errors import WarpcreteError
 from ..core.run.files import atomic_file, cannot_write
-from ..core.run.run_loop import Recorder, Run, Simulation
+from ..core.run.run_loop import Recorder, Run
+from ..core.run.simulation_protocol import RecordedSimulation
 from ..geometry.rotation import rotate
 
 KINDS = ("Vertices", "Lines", "Polygons", "Strips")
@@ -44,7 +45,7 @@ class ParaViewRecorder(Recorder):
         self._frames = 0
         self._files: dict[str, Poly] = {}
 
-    def start(self, simulation: Simulation) -> None:
+    def start(self, simulation: RecordedSimulation) -> None:
         """Prepare the files and the walls. The display prepared here provides the data of all later frames."""
         self._display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._walls = self._display.walls()
@@ -59,7 +60,7 @@ class ParaViewRecorder(Recorder):
         if self._display.has_network:
             self._files["contacts"] = Poly(self.folder / "contacts.vtkhdf", "Lines")
 
-    def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
+    def resume(self, simulation: RecordedSimulation, state: dict[str, Any]) -> None:
         """Shorten the files to the frames that all files contain, at most those written before the checkpoint."""
         self._display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._walls = self._display.walls()
@@ -71,7 +72,7 @@ class ParaViewRecorder(Recorder):
         for file in self._files.values():
             file.shorten(self._frames)
 
-    def frame(self, simulation: Simulation) -> None:
+    def frame(self, simulation: RecordedSimulation) -> None:
         """Append the current state of bodies, walls and contacts to the files, as a new time step."""
         self._display.draw(self._later, self._draw)
 
@@ -109,16 +110,16 @@ class ParaViewRecorder(Recorder):
             count += len(wall.vertices)
         self._files["walls"].add(time, np.concatenate(points), np.concatenate(faces), {"wall": np.concatenate(of)})
 
-    def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
+    def checkpoint(self, simulation: RecordedSimulation) -> dict[str, Any]:
         """Return the number of frames so far, after the background jobs have ended."""
         self._later.wait()
         return {"frames": self._frames}
 
-    def write(self, simulation: Simulation) -> None:
+    def write(self, simulation: RecordedSimulation) -> None:
         """Write the frames that are kept in memory."""
         self._write()
 
-    def finish(self, simulation: Simulation, run: Run) -> None:
+    def finish(self, simulation: RecordedSimulation, run: Run) -> None:
         """Write the frames that are still in memory when the run has ended."""
         if self._files:
             try:

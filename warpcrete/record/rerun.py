@@ -20,7 +20,8 @@ from ..core.drawing.display import Display, Profile
 from ..core.drawing.paint import COLOUR_STEPS, Paint
 from ..core.errors import RunFolderError, refuse
 from ..core.run.files import cannot_write, space_error
-from ..core.run.run_loop import Recorder, Run, Simulation
+from ..core.run.run_loop import Recorder, Run
+from ..core.run.simulation_protocol import RecordedSimulation
 from ..core.run.viewer import LOOPBACK, has_screen, screen_viewer
 from .blueprint import CHAINS, CUT, PAINT_LEGEND, blueprint, cut_walls
 from .joining import join
@@ -97,7 +98,7 @@ class RerunRecorder(Recorder):
                     "for example rerun+http://127.0.0.1:9876/proxy",
                 )
 
-    def start(self, simulation: Simulation) -> None:
+    def start(self, simulation: RecordedSimulation) -> None:
         """Open the file and the viewer, and send the layout of the views and all data that does not change."""
         if self.path is not None:
             # Delete the part files of an earlier run that stopped before its first checkpoint.
@@ -108,7 +109,7 @@ class RerunRecorder(Recorder):
         self._describe(display)
         self._log_zeros(display, simulation.stepper.time, simulation.stepper.steps)
 
-    def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
+    def resume(self, simulation: RecordedSimulation, state: dict[str, Any]) -> None:
         """Delete the parts of the recording that were written after the checkpoint, and open the next part."""
         if self.path is not None:
             if not self.path.is_file():
@@ -129,20 +130,20 @@ class RerunRecorder(Recorder):
         if self.live:
             self._describe(display)
 
-    def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
+    def checkpoint(self, simulation: RecordedSimulation) -> dict[str, Any]:
         """Return the data with which a resumed run continues the recording in its next part."""
         self._later.wait()
         following = self._parts + (self.path is not None)
         return {"recording_id": self._id, "parts": following, "places": self._places}
 
-    def write(self, simulation: Simulation) -> None:
+    def write(self, simulation: RecordedSimulation) -> None:
         """Close the current part of the recording and open the next part."""
         if self.path is not None:
             self._flush()
             self._parts += 1
             self._open_sinks()
 
-    def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
+    def sample(self, simulation: RecordedSimulation, row: dict[str, float]) -> None:
         """Record the current values of all curves, such as pressures, that the viewer plots over time."""
         assert self._display is not None
         time, steps = simulation.stepper.time, simulation.stepper.steps
@@ -158,7 +159,7 @@ class RerunRecorder(Recorder):
 
         self._later.submit(log)
 
-    def frame(self, simulation: Simulation) -> None:
+    def frame(self, simulation: RecordedSimulation) -> None:
         """Record bodies, moving walls and, if selected, the lines between bodies."""
         assert self._display is not None
         self._display.draw(self._later, self._draw)
@@ -256,7 +257,7 @@ class RerunRecorder(Recorder):
             self._tensors[len(values)] = like = TensorDataBatch(values).as_arrow_array()
         return with_values(like, values)
 
-    def finish(self, simulation: Simulation, run: Run) -> None:
+    def finish(self, simulation: RecordedSimulation, run: Run) -> None:
         """Flush the recording and close it."""
         if self._recording is not None:
             watched = bool(self.live)
@@ -271,7 +272,7 @@ class RerunRecorder(Recorder):
             if not self._disconnect(CLOSE_TIMEOUT if watched and not self.live else PATIENCE):
                 raise self._recording_error(RuntimeError("the writer thread did not finish in time"))
 
-    def tidy(self, simulation: Simulation, run: Run) -> None:
+    def tidy(self, simulation: RecordedSimulation, run: Run) -> None:
         """Join the part files of the recording into one file."""
         if self.path is not None and self._parts > 0:
             join([self._part(number) for number in range(self._parts + 1)], self.path)
@@ -322,7 +323,7 @@ class RerunRecorder(Recorder):
         self._recording.set_time("time", duration=time)
         self._recording.set_time("step", sequence=steps)
 
-    def _blueprint(self, simulation: Simulation, display: Display) -> Any:
+    def _blueprint(self, simulation: RecordedSimulation, display: Display) -> Any:
         network = self.network and display.has_network
         with_legend = display.scale() is not None or bool(display.categories())
         return blueprint(display, network=network, legend=with_legend, duration=simulation.expected_duration)
