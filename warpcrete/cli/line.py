@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import importlib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -52,6 +53,8 @@ def run(line: str, *, method: str, simulate: bool, theory: bool, out: Path | Non
     mix = mix_named(str(name))
     if mix is not None and given.largest_stone is None:
         given = with_stone(given, mix.given.largest)
+    if settings["blocking"] is not None and out is None:
+        out = next_folder("line")
     growth = growth_of(rest, grown)
     stop = None if rest is None else Stop(rest, growth, THIXOTROPY_BAND if grown is None else None)
     if simulate or method != "flow":
@@ -69,11 +72,13 @@ def run(line: str, *, method: str, simulate: bool, theory: bool, out: Path | Non
         if rate is None:
             return
     asked = {"line": given.name, "parts": fingerprint(given.parts), "concrete": str(name), "flow": rate}
-    with line_folder(out, {**asked, "method": "theory"}):
+    if settings["blocking"] is not None:
+        asked |= {key: settings[key] for key in ("blocking", "shapes", "coarse", "stiffer")}
+    with _interruptible(out), line_folder(out, {**asked, "method": "theory"}):
         assert rate is not None
         found = line_by_theory(given, concrete, rate, out=out, stop=stop, fit=fit, **layer)
         click.echo("\n" + "\n".join(lines_of(found, settings["practice"])))
-        print_rules(given, mix, out)
+        _judge_blocking(given, str(name), rate, mix, out, settings)
     if out is not None:
         click.echo(f"\nfolder: {out}")
 
@@ -91,7 +96,8 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
     def changed(options: Mapping[str, Any]) -> list[str]:
         return [name for name, usual in options.items() if settings[name] != usual]
 
-    for name in changed(ELEMENT_OPTIONS) if method == "flow" else ():
+    only_dem = ELEMENT_OPTIONS if settings["blocking"] is None else {"seeds": ELEMENT_OPTIONS["seeds"]}
+    for name in changed(only_dem) if method == "flow" else ():
         raise click.UsageError(f"{name}: has no effect with --method flow; use --method both, or leave it out")
     for name in () if heavy else changed(FLOW_OPTIONS):
         raise click.UsageError(f"{name}: has no effect without a simulation; add --simulate, or leave it out")
@@ -141,13 +147,31 @@ def _simulated(
     """Simulate the parts of a line, print its pressure, and return whether a check of a part failed."""
     job = importlib.import_module(f"{__package__}.line_simulated")
     folder = out or next_folder("line")
+    with _interruptible(folder):
+        return job.run(
+            line, name, rate, method, folder, _layer(mix, settings), stop, settings,
+            lambda: _judge_blocking(line, name, rate, mix, folder, settings),
+        )  # fmt: skip
+
+
+@contextmanager
+def _interruptible(folder: Path | None) -> Iterator[None]:
+    """Turn Ctrl-C during the block into the exit code of an interruption, and say how to continue."""
     try:
-        layer = _layer(mix, settings)
-        return job.run(line, name, rate, method, folder, layer, stop, settings, lambda: print_rules(line, mix, folder))
+        yield
     except KeyboardInterrupt:
-        if (folder / PARTS).is_dir():
+        if folder is not None and (folder / PARTS).is_dir():
             click.echo(f"interrupted; continue with the same command and --out {folder}")
         raise SystemExit(INTERRUPTED) from None
+
+
+def _judge_blocking(
+    line: PipeLine, name: str, rate: float, mix: Mix | None, folder: Path | None, settings: Mapping[str, Any]
+) -> None:
+    """Print the rules against blocking and, if the option asks for it, the simulated probability of a blockage."""
+    print_rules(line, mix, folder)
+    if settings["blocking"] is not None and folder is not None:
+        importlib.import_module(f"{__package__}.line_blocked").run(line, name, rate, folder, settings)
 
 
 def print_rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> None:

@@ -32,6 +32,8 @@ def run(
     elements = Elements(**{key: settings[key] for key in ("shapes", "coarse", "seeds", "stiffer")})
     asked = {"line": line.name, "parts": fingerprint(line.parts), "concrete": name, "flow": rate, "method": method,
              "cells": settings["cells"], "elements": fingerprint(elements)}  # fmt: skip
+    if settings["blocking"] is not None:
+        asked["blocking"] = settings["blocking"]
     where = {"out": folder, **{key: settings[key] for key in ("known", "device", "threads")}}
     found, packed, progress = None, None, ProgressBar()
     try:

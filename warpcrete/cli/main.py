@@ -463,6 +463,9 @@ A bore is a mesh of the inner surface that begins at its origin and leads along 
 folder of LINE.yaml. Its outlet has the diameter of the line unless `outlet` is given. The mesh must hold the bore
 alone; straight pipe is added before and behind it.
 
+Rules of practice say whether the mix may block the narrowest part. --blocking 50 also simulates that part with 50 seeds
+and prints the probability of a blockage.
+
 To simulate a short line as one scene: warpcrete run part --line LINE.yaml, as a flow or with --method dem.
 
 Values without a unit are in m, m3/s, Pa and degrees. The exit code is 3 if a check of a part failed.
@@ -524,6 +527,9 @@ Values without a unit are in m, m3/s, Pa and degrees. The exit code is 3 if a ch
 @click.option("--pump-flow", help="Largest flow of the pump, such as '90 m3/h'")
 @click.option("--pump-power", help="Power of the pump's motor, such as '110 kW'")
 @click.option("--practice", is_flag=True, help="Compare the result with the rules of AIJ, JSCE and JGJ/T 10")
+@click.option("--blocking", type=click.IntRange(1, 10_000), help="Simulate the narrowest part with this number of "
+              "seeds by discrete elements, stones in their true size, and print the probability that it is blocked; "
+              "meant for a GPU")  # fmt: skip
 @click.option("--quiet", is_flag=True, help="Show no progress bar")
 def line_command(line: str, **settings: Any) -> None:
     _part("line").run(line, **settings)
