@@ -335,7 +335,11 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
         "",
         f"- pressure at the pump {pressure_text(result.pressure)}; {band.low / 1e5:.4g} to {band.high / 1e5:.4g} bar",
         *(f"- {sentence}" for sentence in band_sentences(band)),
-        f"- with bends and reducers as straight pipe, {pressure_text(result.theory)} (theory)",
+        *(
+            [f"- with bends and reducers as straight pipe, {pressure_text(result.theory)} (theory)"]
+            if result.simulated or result.theory != result.pressure
+            else []
+        ),
         f"- power into the concrete {result.power / 1e3:.3g} kW, of the pump's motor {result.motor_power / 1e3:.3g} kW "
         f"(efficiency {EFFICIENCY:.2f}: bar times m3/h over 25)",
         f"- the line holds {result.volume:.3g} m3, and concrete passes it in {_time(result.residence_time)}",
