@@ -329,12 +329,13 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
     With `practice`, a table compares the result with rules of practice.
     """
     band = result.band()
+    fitted = () if result.fit is None else ("slip layer", "bends")
     found = [
         f"**{result.line.name}**: {result.line.length:.4g} m, {result.line.rise:.4g} m up, {result.concrete.name} at "
         f"{3600 * result.flow:.4g} m3/h",
         "",
         f"- pressure at the pump {pressure_text(result.pressure)}; {band.low / 1e5:.4g} to {band.high / 1e5:.4g} bar",
-        *(f"- {sentence}" for sentence in band_sentences(band)),
+        *(f"- {sentence}" for sentence in band_sentences(band, fitted)),
         *(
             [f"- with bends and reducers as straight pipe, {pressure_text(result.theory)} (theory)"]
             if result.simulated or result.theory != result.pressure
