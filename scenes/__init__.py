@@ -1,16 +1,17 @@
 """Scenes, one file for each: the function `scene(**parameters)` builds a scene, and `check(run)` judges its runs.
 
-Every file in this folder is a scene. Its name is the file's name with hyphens instead of underscores, and the function
-`modules` returns the modules of all scenes by name. The scene functions are also attributes of this package. If a test
-can be simulated both as a flow and with discrete elements, there are two scenes, NAME and NAME-dem. Scenes import
-`core`, `geometry`, `theory`, `dem` and `mps`, but never the modules that run or record scenes. Start with `slump`, a
-complete scene in one file.
+Every file in this folder is a scene, which `modules` finds by the file's name with hyphens; the scene functions are
+also attributes of this package. If both a flow and discrete elements can simulate a test, there are two scenes, NAME
+and NAME-dem. The second one has a file of its own, NAME_dem.py, or it is in the same file as `scene_dem`, `check_dem`
+and `trading_dem`. Scenes import `core`, `geometry`, `theory`, `standards`, `dem` and `mps`, and never what runs or
+records them. Start with `slump`, a complete scene in one file, or with `lcpc`, a test for both methods in one file.
 """
 
 from __future__ import annotations
 
 import importlib
 import pkgutil
+import sys
 from types import ModuleType
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from .jring_dem import scene as jring_dem
     from .lbox import scene as lbox
     from .lbox_dem import scene as lbox_dem
+    from .lcpc import scene as lcpc
+    from .lcpc import scene_dem as lcpc_dem
     from .part import scene as part
     from .part_dem import scene as part_dem
     from .pipe import scene as pipe
@@ -30,8 +33,8 @@ if TYPE_CHECKING:
     from .slump_dem import scene as slump_dem
     from .tube import scene as tube
 
-__all__ = ["by_method", "channel", "funnel", "funnel_dem", "jring_dem", "lbox", "lbox_dem", "modules", "part",
-           "part_dem", "pipe", "slump", "slump_dem", "tube"]  # fmt: skip
+__all__ = ["by_method", "channel", "funnel", "funnel_dem", "jring_dem", "lbox", "lbox_dem", "lcpc", "lcpc_dem",
+           "modules", "part", "part_dem", "pipe", "slump", "slump_dem", "tube"]  # fmt: skip
 
 METHODS = ("mps", "dem")
 """Names of the two simulation methods: "mps" for flows (moving particles or a grid), "dem" for discrete elements."""
@@ -39,9 +42,25 @@ METHODS = ("mps", "dem")
 
 def modules() -> dict[str, ModuleType]:
     """Return the modules of all scenes, by scene name."""
-    names = sorted(info.name for info in pkgutil.iter_modules(__path__))
-    found = {name: importlib.import_module(f"{__name__}.{name}") for name in names if not name.startswith("_")}
-    return {name.replace("_", "-"): module for name, module in found.items() if hasattr(module, "scene")}
+    names = [info.name for info in pkgutil.iter_modules(__path__) if not info.name.startswith("_")]
+    found = {name: importlib.import_module(f"{__name__}.{name}") for name in names}
+    found |= {f"{name}_dem": _second(module) for name, module in found.items() if hasattr(module, "scene_dem")}
+    return {name.replace("_", "-"): found[name] for name in sorted(found) if hasattr(found[name], "scene")}
+
+
+def _second(file: ModuleType) -> ModuleType:
+    """Return the scene of discrete elements in a file that also holds a flow, as a module like that of other scenes.
+
+    The module can be imported as NAME_dem, because worker processes of studies import scenes by name.
+    """
+    name = f"{file.__name__}_dem"
+    if name not in sys.modules:
+        title = (file.__doc__ or "").partition("\n")[0].replace("as a 3D flow on a grid", "by discrete elements")
+        module = sys.modules[name] = ModuleType(name, title)
+        for part in ("scene", "check", "trading"):
+            if hasattr(file, f"{part}_dem"):
+                setattr(module, part, getattr(file, f"{part}_dem"))
+    return sys.modules[name]
 
 
 def by_method(name: str, method: str) -> str:

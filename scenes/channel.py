@@ -1,4 +1,4 @@
-"""Upward flow of concrete, a Bingham fluid with a slip layer, between two planes in 2D (Xu, Li & Jiang 2021)."""
+"""Upward flow of concrete, a yield stress fluid with a slip layer, between two planes in 2D (Xu, Li & Jiang 2021)."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from warpcrete.standards import J_RING
 from .slump_dem import SlumpElements, lifted_cone
 
 SIDES = 12
-"""Number of flat facets that approximate the round surface of a bar."""
+"""Number of flat facets that approximate the round surface of a bar of the J-ring."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +64,7 @@ def scene(parameters: RingElements) -> Scene:
 
 
 def _bars(given: RingElements) -> MeshWall:
-    """Return all bars of the ring as one triangle mesh."""
+    """Return all bars of the J-ring as one wall, a triangle mesh."""
     bar = truncated_cone(given.bar_diameter / 2, given.bar_diameter / 2, given.ring_height, SIDES)
     angle = 2 * np.pi * np.arange(given.bars) / given.bars
     axes = 0.5 * given.ring_diameter * np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)

@@ -23,7 +23,7 @@ THICK = 2.5
 FEWEST = 3
 """Minimum number of grid cells over the height of the opening below the column's front wall."""
 SEEN = 1.5
-"""Minimum number of grid cells across the diameter of a bar; a coarser grid would miss the bar."""
+"""Minimum number of grid cells across the diameter of a bar of the L-box; a coarser grid would miss the bar."""
 AROUND = 24
 """Number of sides of the prism that represents a round bar."""
 VOLUME = 0.07
@@ -54,9 +54,11 @@ class BoxParameters(FreeConcrete):
 
 @scene_function(BoxParameters)
 def scene(parameters: BoxParameters) -> FreeScene:
-    """Model a column of concrete that flows into a box when its gate is lifted: H2/H1, T200 and T400.
+    """Model a column of concrete that flows into a box when its gate is lifted (L-box test).
 
-    Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
+    The results are the ratio H2/H1 of the depth at the box's far end to that at the gate, and the times T200 and T400
+    at which the front is 200 and 400 mm away from the gate. Raises :class:`warpcrete.SceneError` for parameters that
+    cannot be simulated.
     """
     given = parameters
     if given.length < given.column_width + 0.1:

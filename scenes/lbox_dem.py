@@ -35,7 +35,10 @@ class BoxElements(VesselParameters):
 
 @scene_function(BoxElements)
 def scene(parameters: BoxElements) -> Scene:
-    """Model a column of grains that flows into a box when its gate is lifted: H2/H1, T200 and T400.
+    """Model a column of grains that flows into a box when its gate is lifted (L-box test).
+
+    The results are the ratio H2/H1 of the depth at the box's far end to that at the gate, and the times T200 and T400
+    at which the front is 200 and 400 mm away from the gate.
 
     The gate lies in front of the column's wall, at a distance of the smallest grain's radius, so that no grain touches
     both. `plate_grip` scales the floor's resistance to sliding, and `mould_grip` scales the resistance of all sides and

@@ -46,7 +46,10 @@ REMARKS = ("concrete enters through a plane as a plug with uniform velocity, and
 
 NO_LINE = Needs("line", lambda line: line is None, "is left out")
 MIN_LEG_DISTANCE = 3.0
-"""Minimum distance between two stretches of a line that pass each other, in cells, so that no cell belongs to both."""
+"""Minimum distance between two stretches of a line that pass each other, in grid cells.
+
+At this distance no cell belongs to both stretches.
+"""
 
 
 def _is_given(value: Any) -> bool:
@@ -121,14 +124,14 @@ class _PipeCourse:
 
     axis: Axis
     bores: Bores
-    """Inner radii along the pipe, including the slip layer."""
+    """Inner radii along the pipe [m], up to the wall: the slip layer lies inside them."""
     wall: MeshWall | None = None
     insert: tuple[float, float] | None = None
     parts: tuple[Section, ...] = ()
 
 
 def _unit(given: PartParameters) -> _PipeCourse:
-    """Return the course of the pipe for a single part, without a file of a line."""
+    """Return axis, inner radii and, if it is a mesh, the wall of the pipe of a single part (not of a whole line)."""
     bends = given.unit.startswith("bend")
     if given.unit == "mesh":
         return _mesh(given)
@@ -222,7 +225,8 @@ def _line(given: PartParameters) -> _PipeCourse:
 def _axis(given: PartParameters, bends: bool) -> Axis:
     """Return the axis of a single part, which starts at the origin; z points up."""
     origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
-    # A taper lies in the middle of a straight pipe. Behind a bend, a straight stretch separates it from the bend.
+    # A taper lies in the middle of a pipe without a bend. In a pipe with a bend, a straight stretch separates bend and
+    # taper.
     narrowing = given.straight + given.taper if given.outlet_diameter is not None else 0.0
     if not bends:
         return Axis(

@@ -98,7 +98,7 @@ def _piston(course: Course, radius: float) -> PlaneWall:
 
 
 def _stations(given: PartElements, course: Course) -> Stations:
-    """Return slices of equal length from the beginning of the part to its end."""
+    """Return slices of equal length along the part, in which stresses, solid fraction and velocity are measured."""
     begin, end = course.travel, course.axis.length
     count = max(1, round(given.slices * (end - begin) / (2 * float(course.bores.at(begin)))))
     edges = np.linspace(begin, end, count + 1)

@@ -59,7 +59,10 @@ PAUSE_LEFT_AT_REST = 0.05
 The rest, which takes no time steps, begins shortly before the end of the pause.
 """
 SLICES, MAX_SLICES = 2.0, 1000
-"""Number of slices per pipe diameter in which recordings show the stress along the pipe, and maximum of all slices."""
+"""Resolution of the stress along the pipe that recordings show.
+
+`SLICES` is the number of slices per pipe diameter, and `MAX_SLICES` the maximum number of slices in the whole pipe.
+"""
 MAX_BALANCE_ERROR = 0.01
 """Largest error of the momentum balance that a run may have, as a fraction of the largest impulse."""
 
@@ -133,7 +136,8 @@ def check(run: Run) -> dict[str, tuple[bool, str]]:
     bodies = run.bodies  # type: ignore[attr-defined]
     wall = next(wall for wall in scene.walls if wall.name == "pipe")
     outside = int(np.count_nonzero(~enclosed(wall, scene.pipe.axis, bodies.position)))
-    # The last time step may end after the planned duration, so the travel may exceed its goal by that of one step.
+    # The last time step may end after the planned duration, so the travel may exceed its goal by the travel of one
+    # step.
     step = scene.pipe.velocity * number(result["simulated_time"]) / max(result["steps"], 1)
     blocked = bool(result.get("blocked"))
     whole = abs(travel - goal) < 1e-3 * goal + step or (blocked and scene.blockage.stop)

@@ -25,8 +25,9 @@ SHELL, ABOVE = 3, 3
 VOLUME = 0.05
 """Largest error of the volume below the free surface that a run may have, as a fraction of the concrete's volume.
 
-In test runs the errors reached 0.027 while the surface moved fastest. They are 0.07 to 0.14 if a yield stress of 20 Pa
-lets the concrete spread into a layer only a few cells thick. Runs of this kind should fail the check.
+In most test runs the largest error was 0.027, while the surface moved fastest. If a yield stress of 20 Pa lets the
+concrete spread into a layer only a few cells thick, the error is 0.07 to 0.14. A run of this kind should fail the
+check.
 """
 
 
@@ -54,7 +55,7 @@ def scene(parameters: SlumpParameters) -> FreeScene:
     """Model a cone of concrete on a plate whose mould is lifted: slump, spread, T500.
 
     The mould opens from below as it is lifted, and has no friction; the concrete sticks to the plate by default. The
-    concrete is a Bingham fluid, and the flow is symmetric about the axis.
+    concrete is a yield stress fluid, and the flow is symmetric about the axis.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """

@@ -41,9 +41,9 @@ def scene(parameters: SlumpElements) -> Scene:
 
 
 def lifted_cone(given: SlumpElements, test: StandardTest, around: tuple[Wall, ...], what: str) -> Scene:
-    """Build the scene of a `test` in which a mould on a plate is lifted, with further walls `around` it.
+    """Build the scene of a `test` in which a mould is lifted from a plate; `around` contains any further walls.
 
-    `what` names the surfaces along which concrete may slide freely; a remark then mentions them.
+    `what` names the surfaces on which the concrete may slide freely, for the text of a remark to the user.
     """
     cone = truncated_cone(given.base_diameter / 2, given.top_diameter / 2, given.mould_height)
     narrowest = min(given.top_diameter, given.base_diameter, given.mould_height)

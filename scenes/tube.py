@@ -1,4 +1,4 @@
-"""Upward flow of concrete, a Bingham fluid with a slip layer, in a round pipe (3D case of Xu, Li & Jiang 2021)."""
+"""Upward flow of concrete, a yield stress fluid with a slip layer, in a round pipe (3D case of Xu, Li & Jiang 2021)."""
 
 from __future__ import annotations
 

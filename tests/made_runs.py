@@ -91,6 +91,7 @@ def free(scene: FreeScene) -> Made:
         "slump": {"top": 0.3 * falling, "spread": 0.5 / falling},
         "funnel": {"screen": falling, "inside": falling},
         "lbox": {"near_depth": 0.6 * falling, "far_depth": 0.1 / falling, "front": 0.7 - 0.7 * falling},
+        "lcpc": {"near_depth": 0.15 * falling, "front": 0.2 / falling},
     }[scene.name]
     zero = np.zeros(ROWS)
     return Made(scene, {"time": np.linspace(0, 5, ROWS), "fastest": zero, "volume_error": zero.copy()} | columns)
@@ -133,9 +134,9 @@ def pumped(name: str, **parameters) -> Made:
     return made
 
 
-def vessel(name: str) -> Made:
+def vessel(name: str, **parameters) -> Made:
     """Return a standard test by discrete elements in which one heap comes to rest, or light is seen."""
-    scene: Any = scenes.modules()[name].scene()
+    scene: Any = scenes.modules()[name].scene(**parameters)
     falling = np.linspace(1, 0.2, ROWS)
     columns = {name: falling for name in ("top", "spread", "outside", "screen", "inside", "near_depth", "far_depth")}
     return elements(scene, columns | {"front": 1 - falling, "main_body": 1 + 0 * falling, "fastest": 0 * falling,
@@ -155,10 +156,13 @@ COLUMN = {"channel": dict(name="channel"), "tube": dict(name="tube"),
           "tube, tolerant": dict(name="tube", tolerated_error=0.2)}  # fmt: skip
 RUNS: dict[str, Callable[[], Made]] = {
     **{name: lambda given=given: column(**given) for name, given in COLUMN.items()},
-    **{name: lambda name=name: free(getattr(scenes, name)()) for name in ("slump", "funnel", "lbox")},
+    **{name: lambda name=name: free(getattr(scenes, name)()) for name in ("slump", "funnel", "lbox", "lcpc")},
     "part": part,
     "part, level": lambda: part(unit="bend-level"),
-    **{name: lambda name=name: vessel(name) for name in ("slump-dem", "funnel-dem", "lbox-dem", "jring-dem")},
+    **{
+        name: lambda name=name: vessel(name)
+        for name in ("slump-dem", "funnel-dem", "lbox-dem", "jring-dem", "lcpc-dem")
+    },
     "pipe": lambda: pumped("pipe"),
     "pipe, stops": lambda: pumped("pipe", stop_when_blocked=True),
     "pipe, plate": lambda: pumped("pipe", plug="plate"),

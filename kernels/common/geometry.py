@@ -7,14 +7,14 @@ import warp as wp
 
 from .types import types
 
-LINE = wp.constant(0)
-ARC = wp.constant(1)
+LINE: int = wp.constant(0)
+ARC: int = wp.constant(1)
 
 # Codes returned by `closest_on_triangle` for the part of the triangle on which the closest point lies: 0 for the
 # inside of the face, 1, 2, 3 for the edge from corner 0, 1, 2 to the next corner, and 4, 5, 6 for corner 0, 1, 2.
-FACE = wp.constant(0)
-FIRST_EDGE = wp.constant(1)
-FIRST_CORNER = wp.constant(4)
+FACE: int = wp.constant(0)
+FIRST_EDGE: int = wp.constant(1)
+FIRST_CORNER: int = wp.constant(4)
 
 
 @functools.cache

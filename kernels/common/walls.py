@@ -13,20 +13,20 @@ from .geometry import axis_functions
 from .types import types, vector_functions
 
 # Shapes of walls. Shapes given by a formula come before meshes, both in these codes and in a scene's list of walls.
-PLANE = wp.constant(0)
-PIPE = wp.constant(1)
-MESH = wp.constant(2)
+PLANE: int = wp.constant(0)
+PIPE: int = wp.constant(1)
+MESH: int = wp.constant(2)
 
 # For each edge of a mesh face, an array stores the opposite corner of the neighbouring face. Unless exactly one other
 # face shares the edge, it stores a negative code instead: BORDER if no other face shares the edge, and SHARED minus a
 # row number if several do. This row of a second array (`ring`) then lists the opposite corners of all these faces.
-BORDER = wp.constant(-1)
-SHARED = wp.constant(-2)
+BORDER: int = wp.constant(-1)
+SHARED: int = wp.constant(-2)
 
 # Kinds of wall motion: at rest, prescribed as a function of time, or driven by a force.
-FIXED = wp.constant(0)
-PRESCRIBED = wp.constant(1)
-DRIVEN = wp.constant(2)
+FIXED: int = wp.constant(0)
+PRESCRIBED: int = wp.constant(1)
+DRIVEN: int = wp.constant(2)
 
 
 @functools.cache

@@ -22,7 +22,7 @@ from .wear import wear_functions
 FARTHEST = 1.0e15
 # Number of walls that have a bit in a sphere's mask of touched walls. Walls with higher indices have no bit, so every
 # step reads their contact history.
-WALL_BITS = wp.constant(31)
+WALL_BITS: int = wp.constant(31)
 LEADER = """
 #if defined(__CUDA_ARCH__)
     unsigned column = 0;
@@ -322,7 +322,7 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
 
 
 @functools.cache
-def wall_kernel(scalar, law, dissipation: bool, wear: bool):
+def wall_kernel(scalar, law, dissipation: bool, wear: bool) -> wp.Kernel:
     """Return the CPU kernel that adds the forces of planes and pipes to the spheres.
 
     Two separate kernels, for walls and for contacts between spheres, are faster than a joint one: clang inlines a

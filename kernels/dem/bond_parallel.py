@@ -11,14 +11,14 @@ from .contact_law import contact_functions
 
 # State of a pair's bond: 0 without a bond, negative if the bond broke. A positive state combines the bond's kind with
 # the row of `pairs.load` that holds the bond's force and moment.
-UNBONDED = wp.constant(0)
-BROKEN_IN_TENSION = wp.constant(-1)
-BROKEN_IN_SHEAR = wp.constant(-2)
-HYDRATED = wp.constant(2)  # Kind of the stiff bonds at hydrated contacts; kind 1 is the ordinary bond.
+UNBONDED: int = wp.constant(0)
+BROKEN_IN_TENSION: int = wp.constant(-1)
+BROKEN_IN_SHEAR: int = wp.constant(-2)
+HYDRATED: int = wp.constant(2)  # Kind of the stiff bonds at hydrated contacts; kind 1 is the ordinary bond.
 
 # The lowest KIND_BITS bits of a bond state are the bond's kind. The bits above are the row of `pairs.load` that holds
 # the bond's force and moment. Few pairs of a neighbour list are bonded, so `pairs.load` has rows for bonded pairs only.
-KIND_BITS = wp.constant(4)
+KIND_BITS: int = wp.constant(4)
 MOST_KINDS = 2 ** int(KIND_BITS) - 1
 MOST_ROWS = 2 ** (31 - int(KIND_BITS))
 

@@ -11,7 +11,7 @@ from .structs import array_structs
 
 
 @functools.cache
-def bond_kernels(scalar):
+def bond_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
     """Return the kernels ``make`` (bond contacts within a gap) and ``reassign`` (change the kind of a random fraction).
 
     They run over the spheres of one scene. The structs passed to them contain the arrays of this scene alone, not those

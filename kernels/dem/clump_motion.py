@@ -119,7 +119,7 @@ def sphere_motion_function(scalar, growth: bool, meshes: bool, half: bool):
 def clump_kernel(
     scalar, drives: bool, growth: bool, meshes: bool, half: bool, subcycling: bool, dissipation: bool, rows: int,
     width: int,
-):  # fmt: skip
+) -> wp.Kernel:  # fmt: skip
     """Return the kernel over bodies of one or more spheres that makes one leapfrog step (Zhan et al. 2019, Eqs. 2-3).
 
     Velocities are known at half steps and positions at full steps. The velocity kick spans from the middle of the

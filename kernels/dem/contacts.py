@@ -36,7 +36,7 @@ def contact_options(half: bool) -> dict:
 @functools.cache
 def contact_kernel(
     scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool, mixed: bool
-):
+) -> wp.Kernel:
     """Return the CPU kernel that adds contact forces [N] and moments about sphere centres [N m], with half lists.
 
     With `dissipation` it also adds up the energy that friction, dashpots and breaking bonds dissipate [J]. A launch

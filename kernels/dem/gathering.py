@@ -19,7 +19,7 @@ ESTIMATE_LANES = 4
 
 
 @functools.cache
-def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcycling: bool, lanes: int):
+def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcycling: bool, lanes: int) -> wp.Kernel:
     """Return the kernel over spheres from `begin` on that adds stiffness and damping of contacts to `estimate`.
 
     With `stiff` it counts only pairs that are stepped in sub-cycling rounds. With half lists, `first` and `last` bound
@@ -72,7 +72,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
         slots: Slots,
         pairs: Pairs,
         walls: Walls,
-        # The next arguments are arrays that this kernel writes.
+        # Outputs.
         estimate: Estimate,
     ):
         i = begin + wp.tid() / wp.static(lanes)

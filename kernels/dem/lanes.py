@@ -21,7 +21,7 @@ from .pairs import bond_pull_functions, broken_function, decode, pair_functions
 from .structs import array_structs
 
 # Number of contacts that are gathered before the law is evaluated.
-LANES = wp.constant(32)
+LANES: int = wp.constant(32)
 BOND = (
     "effective_modulus", "shear_to_normal", "tensile_strength", "cohesion", "tan_friction_angle", "radius_multiplier",
     "moment_factor",

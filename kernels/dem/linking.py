@@ -13,9 +13,9 @@ from ..common.types import types
 from .pairs import BLOCK, decode
 from .structs import APART, TOUCHING, array_structs, links_struct
 
-EXTRA_MASKS = wp.constant(4)
+EXTRA_MASKS: int = wp.constant(4)
 """Number of bit masks per sphere for its list entries beyond the first BLOCK, whose bits are in `spheres.touching`."""
-MASKED_ENTRIES = wp.constant((int(EXTRA_MASKS) + 1) * int(BLOCK))
+MASKED_ENTRIES: int = wp.constant((int(EXTRA_MASKS) + 1) * int(BLOCK))
 """Number of leading entries of a list row for which a bit mask records whether the pair touches.
 
 A row with more entries is rare: a large sphere among small ones has about a hundred.
@@ -49,7 +49,7 @@ def mark_function(scalar):
 
 
 @functools.cache
-def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, lanes: int):
+def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, lanes: int) -> SimpleNamespace:
     """Return the kernels of a rebuild: ``clear_links`` over links, ``count_own`` over spheres, and ``fill_links``.
 
     ``fill_links`` runs with `lanes` threads per sphere, which share the sphere's list entries. `rows` is the number of

@@ -329,7 +329,7 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
 @functools.cache
 def link_kernel(
     scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool, mixed: bool
-):
+) -> wp.Kernel:
     """Return the kernel that computes the contact forces of all links whose spheres touch.
 
     The launch has `threads` threads, which first divide the near links among them. Then they divide all links of those

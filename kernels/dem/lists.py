@@ -16,12 +16,14 @@ from .pairs import ALL_TOUCHED, decode
 from .search import find_function
 from .structs import SINCE_BUILD, array_structs
 
-SAMPLED = wp.constant(16)
+SAMPLED: int = wp.constant(16)
 """Approximate number of spheres sampled in each part of a scene for the mean velocity."""
 
 
 @functools.cache
-def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool, healing: bool, lanes: int = 1):
+def transfer_kernel(
+    scalar, half: bool, history: bool, rolls: bool, bonds: bool, healing: bool, lanes: int = 1
+) -> wp.Kernel:
     """Return a kernel that completes the entries of a new neighbour list and copies contact history from the old list.
 
     It copies contact history, rolling moment and bond of each pair. A launch runs over the range of spheres of one CPU
@@ -115,7 +117,7 @@ def transfer_kernel(scalar, half: bool, history: bool, rolls: bool, bonds: bool,
 
 
 @functools.cache
-def list_kernels(scalar):
+def list_kernels(scalar) -> SimpleNamespace:
     """Return the kernels that run before and after a search for neighbours.
 
     They are ``centres``, ``stretch``, ``starts``, ``drift`` and ``clear_stale``.

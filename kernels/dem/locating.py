@@ -11,7 +11,7 @@ from .structs import array_structs, subcycled_struct
 
 
 @functools.cache
-def locating_kernels(scalar, half: bool, history: bool):
+def locating_kernels(scalar, half: bool, history: bool) -> SimpleNamespace:
     """Return the kernels ``index_spheres``, ``index_bodies``, ``locate_pairs`` and ``locate_bodies``.
 
     The first two store, for each permanent number of a sphere or body, its current array index. The other two use these

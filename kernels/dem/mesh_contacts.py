@@ -308,12 +308,14 @@ def mesh_parts(scalar, law) -> SimpleNamespace:
 
 
 @functools.cache
-def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
+def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Kernel:
     """Return the kernel over spheres that adds the contact forces of triangle meshes to spheres and walls."""
     t = types(scalar)
     parts, rolls = mesh_parts(scalar, law), law.rolls
     span = SPAN if half else 1
 
+    # The arrays of walls and slots are separate arguments. With structs, CUDA's compiler orders the arithmetic of this
+    # kernel in another way, which is slower and changes the last digit.
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def mesh_contacts(
         # The next arguments are arrays of the model.
@@ -326,7 +328,7 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
         scenes: parts.Scenes, candidates: parts.Candidates, wall_position: wp.array(dtype=t.vec3),
         wall_orientation: wp.array(dtype=t.quat), wall_velocity: wp.array(dtype=t.vec3),
         wall_spin: wp.array(dtype=t.vec3),
-        # The next arguments are arrays of the state that this kernel reads and writes.
+        # Outputs, which this kernel also reads.
         flags: wp.array2d(dtype=wp.int32), spheres: parts.Spheres, slot_wall: wp.array2d(dtype=wp.int32),
         slot_normal: wp.array2d(dtype=t.vec3), slot_overlap: wp.array2d(dtype=scalar),
         slot_history: wp.array2d(dtype=t.vec3), slot_rolling: wp.array2d(dtype=t.vec3),
@@ -430,7 +432,7 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool):
 
 
 @functools.cache
-def candidate_kernels(scalar):
+def candidate_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
     """Return the kernels that count and store the faces within reach (radius plus mesh skin) of each sphere."""
     t = types(scalar)
     structs = array_structs(scalar)

@@ -230,7 +230,7 @@ def placing_function(scalar, growth: bool, meshes: bool, half: bool):
 @functools.cache
 def sphere_kernel(
     scalar, drives: bool, growth: bool, meshes: bool, rotation: bool, half: bool, dissipation: bool, rows: int
-):
+) -> wp.Kernel:
     """Return the kernel over single-sphere bodies that makes one leapfrog step on the sphere arrays alone.
 
     The step is the same as in `clump_kernel`. With full lists (GPU) it adds up the forces of each sphere's links (its
@@ -330,7 +330,7 @@ def sphere_kernel(
 
 
 @functools.cache
-def sync_kernel(scalar):
+def sync_kernel(scalar) -> wp.Kernel:
     """Return the kernel that copies position, velocity and spin of spheres to their single-sphere bodies."""
     structs = array_structs(scalar)
     Bodies, Spheres = structs.Bodies, structs.Spheres

@@ -12,7 +12,7 @@ from .contact_law import contact_functions
 from .structs import array_structs
 
 # Number of list entries that are checked at a time: one bit per entry in an int32, without its sign bit.
-BLOCK = wp.constant(31)
+BLOCK: int = wp.constant(31)
 # Mask with all bits set. It is stored after a list rebuild, so that every entry counts as having touched before.
 ALL_TOUCHED = 2**31 - 1
 

@@ -14,48 +14,49 @@ from .pairs import decode
 from .structs import DT_PREVIOUS, array_structs
 
 # Columns of the sums over the contacts of each sphere.
-CONTACTS = wp.constant(0)  # number of pairs in contact
-OVERLAP_SUM = wp.constant(1)  # sum over pairs of the overlap divided by the smaller radius
+CONTACTS: int = wp.constant(0)  # number of pairs in contact
+OVERLAP_SUM: int = wp.constant(1)  # sum over pairs of the overlap divided by the smaller radius
 # OVERLAP_MAX is the largest overlap divided by the smaller radius.
-OVERLAP_MAX = wp.constant(2)
-ELASTIC_ENERGY = wp.constant(3)  # energy of contact springs, walls included, at the middle of the last step [J]
-BOND_ENERGY = wp.constant(4)  # elastic energy of bonds [J]
-BONDED = wp.constant(5)  # number of bonded pairs
-VIRIAL = wp.constant(6)  # sum over pairs: normal spring force times distance of centroids along the normal [N m]
-BONDED_HYDRATED = wp.constant(7)  # number of bonded pairs with hydrated (stiff) bonds
+OVERLAP_MAX: int = wp.constant(2)
+ELASTIC_ENERGY: int = wp.constant(3)  # energy of contact springs, walls included, at the middle of the last step [J]
+BOND_ENERGY: int = wp.constant(4)  # elastic energy of bonds [J]
+BONDED: int = wp.constant(5)  # number of bonded pairs
+VIRIAL: int = wp.constant(6)  # sum over pairs: normal spring force times distance of centroids along the normal [N m]
+BONDED_HYDRATED: int = wp.constant(7)  # number of bonded pairs with hydrated (stiff) bonds
 # DEPTH_MAX is the largest overlap relative to its limit. Between spheres the limit is the overlap that swallows the
 # smaller sphere or halves the distance of the centres; at a wall it is the radius.
-DEPTH_MAX = wp.constant(8)
-BROKEN_TENSION = wp.constant(9)  # number of bonds broken in tension since the start
-BROKEN_SHEAR = wp.constant(10)  # number of bonds broken in shear since the start
-CONTACT_COLUMNS = wp.constant(11)
+DEPTH_MAX: int = wp.constant(8)
+BROKEN_TENSION: int = wp.constant(9)  # number of bonds broken in tension since the start
+BROKEN_SHEAR: int = wp.constant(10)  # number of bonds broken in shear since the start
+CONTACT_COLUMNS: int = wp.constant(11)
 ContactRow = wp.types.vector(int(CONTACT_COLUMNS), wp.float64)
 CONTACT_MAXIMA = (int(OVERLAP_MAX), int(DEPTH_MAX))  # Columns of which the maximum is computed instead of the sum.
 
 # Columns of the sums over bodies.
-KINETIC = wp.constant(0)  # kinetic energy at the middle of the last step [J]
-POTENTIAL = wp.constant(1)  # potential energy of gravity, relative to the origin, at the middle of the last step [J]
-MOMENTUM = wp.constant(2)  # columns 2 to 4: momentum at the middle of the last step [kg m/s]
-LIFT = wp.constant(5)  # columns 5 to 7: sum of mass times position [kg m]
-DRIVEN = wp.constant(8)  # columns 8 to 10: sum of the forces that drive bodies along the axis [N]
-DRIVE_POWER = wp.constant(11)  # power of the forces that drive bodies along the axis [W]
-REACH = wp.constant(12)  # largest absolute coordinate of any body [m]
-BODY_COLUMNS = wp.constant(13)
+KINETIC: int = wp.constant(0)  # kinetic energy at the middle of the last step [J]
+# potential energy of gravity, relative to the origin, at the middle of the last step [J]
+POTENTIAL: int = wp.constant(1)
+MOMENTUM: int = wp.constant(2)  # columns 2 to 4: momentum at the middle of the last step [kg m/s]
+LIFT: int = wp.constant(5)  # columns 5 to 7: sum of mass times position [kg m]
+DRIVEN: int = wp.constant(8)  # columns 8 to 10: sum of the forces that drive bodies along the axis [N]
+DRIVE_POWER: int = wp.constant(11)  # power of the forces that drive bodies along the axis [W]
+REACH: int = wp.constant(12)  # largest absolute coordinate of any body [m]
+BODY_COLUMNS: int = wp.constant(13)
 BODY_MAXIMA = (int(REACH),)
 
 # Columns of the values that are read from each wall.
-IMPULSE = wp.constant(0)  # columns 0 to 5: impulse of force and moment about the wall's position [N s], [N m s]
-FORCE = wp.constant(6)  # columns 6 to 11: force [N] and moment [N m]
-TURN = wp.constant(12)  # columns 12 to 15: orientation quaternion of the wall's frame
-TRAVEL = wp.constant(16)  # displacement of the wall along its path [m]
-WORK = wp.constant(17)  # work done by the wall on the concrete [J]
+IMPULSE: int = wp.constant(0)  # columns 0 to 5: impulse of force and moment about the wall's position [N s], [N m s]
+FORCE: int = wp.constant(6)  # columns 6 to 11: force [N] and moment [N m]
+TURN: int = wp.constant(12)  # columns 12 to 15: orientation quaternion of the wall's frame
+TRAVEL: int = wp.constant(16)  # displacement of the wall along its path [m]
+WORK: int = wp.constant(17)  # work done by the wall on the concrete [J]
 WALL_COLUMNS = 18
 
 LANES = 256  # Number of partial sums of a column. The order of a sum depends only on the number of rows.
 
 
 @functools.cache
-def column_kernels():
+def column_kernels() -> tuple[wp.Kernel, wp.Kernel]:
     """Return two kernels that compute the sum of every column, or its maximum if the column's bit in `maxima` is set.
 
     The first kernel reduces the rows to LANES partial results. The second kernel reduces these to one result.
@@ -91,7 +92,7 @@ def column_kernels():
 
 
 @functools.cache
-def wall_probe(scalar):
+def wall_probe(scalar) -> wp.Kernel:
     """Return the kernel over the walls of all scenes that writes one row of values for each wall."""
     Walls = array_structs(scalar).Walls
 
@@ -112,7 +113,7 @@ def wall_probe(scalar):
 
 
 @functools.cache
-def body_probe(scalar):
+def body_probe(scalar) -> wp.Kernel:
     """Return the kernel over bodies of scene `s` that writes a row of measured values for each body.
 
     Rows are sorted by the bodies' permanent numbers.
@@ -243,7 +244,7 @@ def pair_probe_function(scalar, law, history: bool, bonds: bool):
 
 
 @functools.cache
-def load_probe(scalar):
+def load_probe(scalar) -> wp.Kernel:
     """Return the kernel over spheres of scene `s` that updates the largest normal force on each body.
 
     The pairs' normal forces come from :func:`contact_probe`.
@@ -275,7 +276,7 @@ def load_probe(scalar):
 
 
 @functools.cache
-def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool):
+def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool) -> wp.Kernel:
     """Return the kernel that writes contact sums of scene `s`: one row per sphere, sorted by permanent number.
 
     It also writes the normal force of each pair.

@@ -204,7 +204,7 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
 
 
 @functools.cache
-def half_search_kernel(scalar, bonds: bool):
+def half_search_kernel(scalar, bonds: bool) -> wp.Kernel:
     """Return the kernel ``search`` for half lists (CPU).
 
     A chunk is the range of spheres of one CPU thread. A pair inside a chunk is listed at its larger sphere; of two
@@ -244,10 +244,12 @@ def half_search_kernel(scalar, bonds: bool):
     def search(
         grid: Grid,
         shift: wp.array(dtype=t.vec3),
-        # The next arguments are the range of spheres of this chunk and its index, and the bounding boxes of all chunks.
+        # The next arguments are the range of spheres of this chunk and its index, the range of entries of `other` that
+        # belongs to the chunk, and the bounding boxes of all chunks.
         first: wp.int32,
         last: wp.int32,
         part: wp.int32,
+        room: wp.vec2i,
         boxes: wp.array2d(dtype=t.vec3),
         # The next arguments are arrays of the state that this kernel only reads.
         flags: wp.array2d(dtype=wp.int32),
@@ -256,10 +258,9 @@ def half_search_kernel(scalar, bonds: bool):
         old_pairs: Pairs,
         old_place: wp.array(dtype=wp.int32),
         stretched: wp.array(dtype=scalar),
-        # The next arguments are arrays that this kernel writes.
+        # Outputs.
         count: wp.array(dtype=wp.int32),
         place: wp.array(dtype=wp.int32),
-        room: wp.vec2i,
         wanted: wp.array(dtype=wp.int32),
         other: wp.array(dtype=wp.int32),
     ):
@@ -343,7 +344,7 @@ def recording_functions(scalar, bonds: bool):
 
 
 @functools.cache
-def full_search_kernels(scalar, bonds: bool, lanes: int):
+def full_search_kernels(scalar, bonds: bool, lanes: int) -> tuple[wp.Kernel, wp.Kernel]:
     """Return the kernels ``search`` and ``fill`` for full lists (GPU).
 
     ``search`` counts the neighbours of each sphere (`count` must be zero before) and stores them in `finds` as far as

@@ -10,7 +10,7 @@ from .structs import array_structs, scene_struct
 
 
 @functools.cache
-def permute_kernels(scalar) -> dict:
+def permute_kernels(scalar) -> dict[tuple[type, bool], wp.Kernel]:
     """Return the kernels that permute the rows of arrays: target[i] = source[order[i]].
 
     The key of a kernel is its data type, and True for two-dimensional or False for one-dimensional arrays.
@@ -44,7 +44,7 @@ def permute_kernels(scalar) -> dict:
 
 
 @functools.cache
-def order_kernels(scalar):
+def order_kernels(scalar) -> SimpleNamespace:
     """Return kernels that re-sort bodies and spheres: ``corner``, ``keys``, ``counts``, ``place_spheres``, ``invert``.
 
     Each scene keeps its range of rows. Within a scene to be sorted (`sort[s]`), bodies are ordered by the Morton code

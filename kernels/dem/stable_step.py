@@ -53,7 +53,7 @@ def estimate_options(half: bool) -> dict:
 
 
 @functools.cache
-def begin_kernel(scalar):
+def begin_kernel(scalar) -> wp.Kernel:
     """Return the kernel over scenes that selects the scenes with an estimate due and resets their sums.
 
     An estimate is due for a scene if the host set the scene's entry in `requested`. With `by_device` the device decides
@@ -202,7 +202,7 @@ def floor_function(scalar, pair_law, wall_law):
 
 
 @functools.cache
-def reduce_kernel(scalar, pair_law, wall_law, half: bool):
+def reduce_kernel(scalar, pair_law, wall_law, half: bool) -> wp.Kernel:
     """Return the kernel over bodies from `begin` on that finds the smallest stable step of each scene.
 
     With half lists it also clears `estimate.sums`, to which both spheres of a pair add.
@@ -305,7 +305,7 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool):
 
 
 @functools.cache
-def keep_kernel(scalar):
+def keep_kernel(scalar) -> wp.Kernel:
     """Return the kernel over scenes that stores the latest estimate as the stable step of sub-cycled pairs."""
     Estimate, Subcycled = estimate_struct(scalar), subcycled_struct(scalar)
     least = recording_functions(scalar).least
@@ -321,7 +321,7 @@ def keep_kernel(scalar):
 
 
 @functools.cache
-def step_kernel(scalar, subcycling: bool):
+def step_kernel(scalar, subcycling: bool) -> wp.Kernel:
     """Return the kernel over scenes that sets the stable step, driven walls included, and the next time step.
 
     With `by_device`, scenes then continue. A scene without a usable step stays halted, so that the host can report it.

@@ -14,7 +14,7 @@ from .structs import array_structs
 
 
 @functools.cache
-def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool):
+def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bool) -> wp.Kernel:
     """Return the kernel over spheres of scene `s` that writes the force vector of each contact with spheres or walls.
 
     The force acts on the sphere whose row lists the contact, and includes the bond. Shear springs and bonds are as the
@@ -124,12 +124,12 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
     return measure_forces
 
 
-STRESSES = wp.constant(6)
+STRESSES: int = wp.constant(6)
 """Number of stress components of a body: force times branch vector, in the order xx, yy, zz, xy, yz, zx."""
 
 
 @functools.cache
-def stress_probe(scalar):
+def stress_probe(scalar) -> wp.Kernel:
     """Return the kernel over spheres of scene `s` that sums force times branch vector of contacts for each body.
 
     The branch vector points from the centroid of one body to that of the other. The forces come from

@@ -17,21 +17,21 @@ from ..common.types import types
 from ..common.walls import wall_struct
 
 # Columns of the double-precision array `clock`, which has one row a scene.
-TIME = wp.constant(0)  # simulated time [s]
-DT = wp.constant(1)  # the coming time step [s]
+TIME: int = wp.constant(0)  # simulated time [s]
+DT: int = wp.constant(1)  # the coming time step [s]
 # previous time step [s]; 0 at the start, so that the first velocity kick has half the length
-DT_PREVIOUS = wp.constant(2)
-SINCE_BUILD = wp.constant(3)  # time since the neighbour lists were built [s]
-FORCE_SCALE = wp.constant(4)  # fixed-point units per newton, for sums of wall forces in integers
-STABLE = wp.constant(5)  # latest estimate of the stable step, without safety factor [s]
+DT_PREVIOUS: int = wp.constant(2)
+SINCE_BUILD: int = wp.constant(3)  # time since the neighbour lists were built [s]
+FORCE_SCALE: int = wp.constant(4)  # fixed-point units per newton, for sums of wall forces in integers
+STABLE: int = wp.constant(5)  # latest estimate of the stable step, without safety factor [s]
 # Number of columns of `clock`.
 CLOCK = 8
 
 # States of a link, in `links.state`.
-APART = wp.constant(0)  # the spheres do not touch
-TOUCHING = wp.constant(1)  # the spheres touch or are bonded, or a new list has taken over their contact history
-PARTED = wp.constant(2)  # contact just ended; energy left in its springs counts as lost in the next step
-STIFF = wp.constant(3)  # the spheres have a stiff bond, whose forces are computed in sub-cycling rounds
+APART: int = wp.constant(0)  # the spheres do not touch
+TOUCHING: int = wp.constant(1)  # the spheres touch or are bonded, or a new list has taken over their contact history
+PARTED: int = wp.constant(2)  # contact just ended; energy left in its springs counts as lost in the next step
+STIFF: int = wp.constant(3)  # the spheres have a stiff bond, whose forces are computed in sub-cycling rounds
 
 
 @functools.cache

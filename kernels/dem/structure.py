@@ -8,7 +8,7 @@ from .structs import array_structs
 
 
 @functools.cache
-def breakdown_kernel(scalar, law):
+def breakdown_kernel(scalar, law) -> wp.Kernel:
     """Return a kernel, one thread a scene, that updates the yield stress of a :class:`LubricationLayer` `law`.
 
     The yield stress that the layer gained at rest decays with the slip as exp(-slip / breakdown). Slip is the travel of

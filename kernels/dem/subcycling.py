@@ -176,7 +176,7 @@ def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: 
 
 
 @functools.cache
-def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
+def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool) -> wp.Kernel:
     """Return the CPU kernel over stiff pairs for one round; see :func:`pair_round_function`."""
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs
@@ -281,7 +281,7 @@ def body_round_function(scalar):
 
 
 @functools.cache
-def body_kernel(scalar):
+def body_kernel(scalar) -> wp.Kernel:
     """Return the CPU kernel over bodies with stiff bonds for one round; see :func:`body_round_function`."""
     Scenes = array_structs(scalar).Scenes
     Subcycled = subcycled_struct(scalar)
@@ -307,7 +307,7 @@ def body_kernel(scalar):
 
 
 @functools.cache
-def rounds_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
+def rounds_kernel(scalar, law, history: bool, healing: bool, dissipation: bool) -> wp.Kernel:
     """Return the GPU kernel that performs all rounds of a step with `threads` resident threads.
 
     Its blocks stay on the GPU and wait for each other at barriers. This is faster than two kernel launches per round,
@@ -357,7 +357,7 @@ def rounds_kernel(scalar, law, history: bool, healing: bool, dissipation: bool):
 
 
 @functools.cache
-def prediction_kernel(scalar, meshes: bool, half: bool, dissipation: bool):
+def prediction_kernel(scalar, meshes: bool, half: bool, dissipation: bool) -> wp.Kernel:
     """Return the kernel over bodies with stiff bonds that runs after the last round of a step.
 
     It applies the last half kick, predicts the bodies' positions at the end of the step for the contact kernels, and

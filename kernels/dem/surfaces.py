@@ -17,7 +17,7 @@ from .warps import warp_functions
 
 
 @functools.cache
-def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int):
+def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int) -> wp.Kernel:
     """Return the kernel over spheres that stores the force and moment of all planes and pipes on each sphere.
 
     Each sphere has 2^`lane_bits` threads, and the launch consists of whole warps of `width` threads (1 on a CPU). The

@@ -108,7 +108,7 @@ def motion_functions(scalar, strokes: bool):
 
 
 @functools.cache
-def advance_kernel(scalar, strokes: bool):
+def advance_kernel(scalar, strokes: bool) -> wp.Kernel:
     """Return the kernel, one thread a wall, that collects the wall forces of the step and moves the walls.
 
     `strokes` must be set if any wall pauses between strokes.

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from ..common.control import HALTED
+from .flow_laws import BINGHAM, law_functions
 from .structs import array_structs, flow_struct, mps_functions, mps_types, row_place, span
 
 FREE = wp.constant(0.9)
@@ -22,13 +23,14 @@ below a hole of one particle inside the fluid, which is no free surface, it is 0
 
 
 @functools.cache
-def rheology_functions(scalar, dimensions: int):
-    """Build the functions of the regularised Bingham law.
+def rheology_functions(scalar, dimensions: int, law: str):
+    """Build the functions of the regularised flow law, which is Bingham's or another one of `flow_laws`.
 
     `rate_of` returns the shear rate of a velocity gradient [1/s], `apparent` the viscosity at that rate.
     """
     t = mps_types(scalar, dimensions)
     FlowConstants = flow_struct(scalar)
+    h = law_functions(scalar, law)
 
     @wp.func
     def rate_of(gradient: t.mat) -> scalar:
@@ -43,9 +45,14 @@ def rheology_functions(scalar, dimensions: int):
     def apparent(flow: FlowConstants, rate: scalar):
         """Return the apparent viscosity and the derivative of the stress with respect to the rate, both in [Pa s].
 
-        The law is Eq. 15 of Xu, Li & Jiang 2021.
+        Bingham's law is Eq. 15 of Xu, Li & Jiang 2021.
         """
         viscosity = flow.viscosity
+        tangent = flow.viscosity
+        if wp.static(law != BINGHAM):
+            slow = scalar(1.0) / flow.regularisation
+            viscosity = h.viscosity(flow.viscosity, flow.flow_index, flow.quadratic_viscosity, rate, slow)
+            tangent = h.tangent(flow.viscosity, flow.flow_index, flow.quadratic_viscosity, rate, slow)
         bent_rate = flow.regularisation * rate
         fall = wp.exp(-bent_rate)
         if bent_rate > scalar(1.0e-3):
@@ -53,7 +60,7 @@ def rheology_functions(scalar, dimensions: int):
         else:
             # Use a series for small rates, because the fraction (1 - exp(-x)) / x loses digits there.
             viscosity += flow.yield_stress * flow.regularisation * (scalar(1.0) - scalar(0.5) * bent_rate)
-        return viscosity, flow.viscosity + flow.yield_stress * flow.regularisation * fall
+        return viscosity, tangent + flow.yield_stress * flow.regularisation * fall
 
     return SimpleNamespace(rate_of=rate_of, apparent=apparent)
 
@@ -168,7 +175,7 @@ def moments_function(scalar, dimensions: int, serial: bool):
 
 
 @functools.cache
-def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
+def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, law: str = BINGHAM):
     """Build the kernel that evaluates each particle's neighbourhood at the start of a step.
 
     It computes moment matrices, wall weights, apparent viscosity, predicted pressure and the error of the density, and
@@ -182,7 +189,7 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     Lists, Fields, Matrix, Solve = structs.Lists, structs.Fields, structs.Matrix, structs.NumberSolve
     open_above = moments_function(scalar, dimensions, serial).open_above
     moments = moments_function(scalar, dimensions, serial).moments
-    rheology = rheology_functions(scalar, dimensions)
+    rheology = rheology_functions(scalar, dimensions, law)
     rate_of, apparent_viscosity = rheology.rate_of, rheology.apparent
 
     @wp.kernel(enable_backward=False, module="unique")

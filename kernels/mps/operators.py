@@ -11,6 +11,7 @@ import functools
 import warp as wp
 
 from ..common.control import HALTED
+from .flow_laws import BINGHAM, law_functions
 from .structs import array_structs, flow_struct, mps_functions, mps_types, row_place, span
 
 NEARER, DAMPED = wp.constant(0.45), wp.constant(2.0)
@@ -22,8 +23,10 @@ pressure would oscillate from step to step."""
 
 
 @functools.cache
-def wall_law_function(scalar, dimensions: int):
+def wall_law_function(scalar, dimensions: int, slip_law: str):
     """Build `wall_force`, the law of the slip layer between the wall and a particle beside the wall."""
+    if slip_law != BINGHAM:
+        return other_wall_law_function(scalar, dimensions, slip_law)
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
     FlowConstants = flow_struct(scalar)
@@ -57,7 +60,54 @@ def wall_law_function(scalar, dimensions: int):
 
 
 @functools.cache
-def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
+def other_wall_law_function(scalar, dimensions: int, slip_law: str):
+    """Build `wall_force` for a slip layer whose stress is not a linear function of the slip velocity."""
+    t = mps_types(scalar, dimensions)
+    f = mps_functions(scalar, dimensions)
+    FlowConstants = flow_struct(scalar)
+    layer = law_functions(scalar, slip_law)
+
+    @wp.func
+    def wall_force(flow: FlowConstants, x: t.vec, v: t.vec, area: scalar, compliance: scalar, force: t.vec):
+        """Return three values: `force` plus the slip layer's force, the layer's resistance, the wall's stress [Pa].
+
+        The arguments and results are those for a linear layer. The stress at which slip and shear add up to the
+        particle's speed is found by Newton's method between two bounds.
+        """
+        n = f.outward(x)
+        along = v - wp.dot(n, v) * n
+        speed = wp.length(along)
+        stress = speed / compliance  # The layer sticks, because its stress is below its yield stress.
+        eased = compliance
+        if stress > flow.slip_yield:
+            low = flow.slip_yield
+            high = wp.min(stress, low + layer.stress(flow.slip_viscosity, flow.slip_index, flow.slip_quadratic, speed))
+            stress = high
+            for _ in range(40):
+                over = stress - flow.slip_yield
+                slip = layer.rate(flow.slip_viscosity, flow.slip_index, flow.slip_quadratic, over)
+                eased = compliance + layer.slope(flow.slip_viscosity, flow.slip_index, flow.slip_quadratic, over, slip)
+                value = slip + compliance * stress - speed
+                if value > scalar(0.0):
+                    high = stress
+                else:
+                    low = stress
+                next = stress - value / eased
+                if next <= low or next >= high:
+                    next = scalar(0.5) * (low + high)
+                step = next - stress
+                stress = next
+                if wp.abs(step) <= scalar(1.0e-6) * stress:
+                    break
+        if speed > scalar(0.0):
+            force -= (area * stress / speed) * along
+        return force, area / eased, stress
+
+    return wall_force
+
+
+@functools.cache
+def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, slip_law: str = BINGHAM):
     """Build the kernel that sets up the implicit solve for the velocities.
 
     The forces per volume at the known velocities are stored as the residual with which the solve starts. The matrix
@@ -70,7 +120,7 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     structs = array_structs(scalar, dimensions)
     Particles, Lists, Fields = structs.Particles, structs.Lists, structs.Fields
     Matrix, Solve = structs.Matrix, structs.VectorSolve
-    wall_force = wall_law_function(scalar, dimensions)
+    wall_force = wall_law_function(scalar, dimensions, slip_law)
     place = row_place(serial)
     last = dimensions - 1
 

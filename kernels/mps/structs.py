@@ -50,11 +50,15 @@ def flow_struct(scalar):
         gravity: scalar  # Gravitational acceleration along the pipe, positive if opposite to the flow [m/s2].
         dt: scalar  # Time step [s].
         density: scalar  # Reference density of the pressure equation [kg/m3].
-        viscosity: scalar  # Plastic viscosity of the Bingham law [Pa s].
-        yield_stress: scalar  # Yield stress of the Bingham law [Pa].
-        regularisation: scalar  # Regularisation time beta of the Bingham law [s].
+        viscosity: scalar  # Plastic viscosity of the Bingham law [Pa s], or consistency k of another law [Pa s^n].
+        flow_index: scalar  # Flow index n; 1 except for the Herschel-Bulkley law.
+        quadratic_viscosity: scalar  # Coefficient c of the modified Bingham law [Pa s2], else 0.
+        yield_stress: scalar  # Yield stress [Pa].
+        regularisation: scalar  # Regularisation time beta of the law [s].
         slip_viscosity: scalar  # Viscous constant eta_L of the slip layer [Pa s/m].
         slip_yield: scalar  # Yield stress tau_L0 of the slip layer [Pa].
+        slip_index: scalar  # Flow index of the slip layer.
+        slip_quadratic: scalar  # Coefficient of the squared velocity of the slip layer [Pa s2/m2].
         correction: scalar  # Fraction of the density error that one step corrects.
         skin: scalar  # Skin of the neighbour lists [m].
 

@@ -25,7 +25,7 @@ from warpcrete.record.loading import load, repeatable_scene
 from warpcrete.studies import study as studies
 from warpcrete.studies.tradeoffs.trade import run_trade
 
-TAKING = ("pipe", "part-dem", "slump-dem", "funnel-dem", "lbox-dem", "jring-dem")
+TAKING = ("pipe", "part-dem", "slump-dem", "funnel-dem", "lbox-dem", "jring-dem", "lcpc-dem")
 TOY = dict(contact="test_laws:Toy", contact_push=0.25)
 HERTZ = HertzMindlin(effective_modulus=1e6, effective_shear_modulus=4e5)
 pipe_module = importlib.import_module("warpcrete.scenes.pipe")

@@ -312,7 +312,7 @@ def test_bars_hold_back_grains_that_are_wider_than_their_gaps(device):
     assert step[0] > 0.02 and step[1] < 0.5 * step[0]
 
 
-@pytest.mark.parametrize("name", ["slump-dem", "jring-dem", "funnel-dem", "lbox-dem"])
+@pytest.mark.parametrize("name", ["slump-dem", "jring-dem", "funnel-dem", "lbox-dem", "lcpc-dem"])
 def test_a_scene_is_made_again_from_its_parameters(name):
     from warpcrete.core.inputs.fingerprints import fingerprint
 

@@ -156,7 +156,7 @@ def dark(made: Made) -> None:
 
 def of_free(run: str) -> list[Case]:
     """Return the cases of a standard test as a flow."""
-    limit = {"slump": 0.05, "funnel": 0.04, "lbox": 0.07}[run]
+    limit = {"slump": 0.05, "funnel": 0.04, "lbox": 0.07, "lcpc": 0.06}[run]
     last = off("light is seen", dark) if run == "funnel" else off("at rest", unsteady)
     return [off("finished", cut_short), *beyond("volume", limit, in_the_middle("volume_error")), last]
 
@@ -204,7 +204,7 @@ def of_vessel(run: str) -> list[Case]:
     if run == "funnel-dem":
         return [*cases, off("light is seen", dark)]
     cases.append(off("at rest", restless))
-    return cases if run == "lbox-dem" else [*cases, *over("one heap", 0.05, strays)]
+    return cases if run in ("lbox-dem", "lcpc-dem") else [*cases, *over("one heap", 0.05, strays)]
 
 
 def outside(made: Made, part: float) -> None:
@@ -272,8 +272,8 @@ def of_pumped(run: str) -> list[Case]:
 def cases_of(run: str) -> list[Case]:
     name = scene_name(run)
     makers = {"channel": of_column, "tube": of_column, "part": of_part, "pipe": of_pumped, "part-dem": of_pumped,
-              **dict.fromkeys(("slump", "funnel", "lbox"), of_free),
-              **dict.fromkeys(("slump-dem", "funnel-dem", "lbox-dem", "jring-dem"), of_vessel)}  # fmt: skip
+              **dict.fromkeys(("slump", "funnel", "lbox", "lcpc"), of_free),
+              **dict.fromkeys(("slump-dem", "funnel-dem", "lbox-dem", "jring-dem", "lcpc-dem"), of_vessel)}  # fmt: skip
     return makers[name](run)
 
 

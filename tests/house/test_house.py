@@ -188,7 +188,8 @@ def test_every_array_says_what_it_is():
         for node in ast.walk(ast.parse(MODULES[module].read_text())):
             if isinstance(node, ast.ClassDef):
                 for statement, after in zip(node.body, [*node.body[1:], None]):
-                    if isinstance(statement, ast.AnnAssign) and "wp.array" in ast.unparse(statement.annotation):
+                    typed = isinstance(statement, ast.AnnAssign) and ast.unparse(statement.annotation)
+                    if typed and re.search(r"\bwp\.array|\bDeviceArray\b", typed):
                         counted += 1
                         said = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
                         assert said, f"{module}: {ast.unparse(statement)}"

@@ -347,3 +347,67 @@ def test_contradictory_and_empty_mixes_are_refused_in_one_line(tmp_path, section
         assert says in str(refused.value) and "\n" not in str(refused.value)
     done = CliRunner().invoke(cli, ["mix", str(path), "--out", str(tmp_path / "plain.yaml")])
     assert isinstance(done.exception, SceneError) and not (tmp_path / "plain.yaml").exists()
+
+
+# Other flow laws.
+
+
+def test_a_mix_states_another_law(tmp_path):
+    """A file, its record and all flows have the law; the share of aggregate scales it to that of the mortar."""
+    section = {"density": 2300, "aggregate": "36 %",
+               "concrete": {"yield_stress": 40, "viscosity": "25 Pa s", "flow_index": 1.3},
+               "layer": {"yield_stress": 10, "viscosity": 700, "quadratic_viscosity": "300 Pa s2/m2"}}  # fmt: skip
+    path = written(tmp_path, section)
+    mix = read_mix(path)
+    assert mix["flow index"].value == 1.3 and mix["slip quadratic viscosity"].unit == "Pa s2/m2"
+    assert mix.concrete.flow_index == 1.3 and mix.concrete.slip_quadratic_viscosity == 300.0
+    assert "flow index" in mix.table()
+    for made in (scenes.tube, scenes.slump, scenes.part):
+        assert made(concrete=path).concrete == mix.concrete
+    two = scenes.channel(concrete=path, aggregates=True).aggregates.mortar
+    alone = mortar_of(mix.concrete, 0.36, 2650.0)
+    assert two.flow_index == 1.3 and two.viscosity == pytest.approx(alone.viscosity)
+    kept = scenes.tube(concrete=path).parameters
+    path.unlink()  # a record holds the law
+    assert scenes.tube(**kept).concrete == mix.concrete
+
+
+def test_a_flow_states_another_law(tmp_path):
+    path = tmp_path / "law.yaml"
+    path.write_text("base: no1\nflow: {flow_index: 0.8, slip_flow_index: 1.2}\n")
+    found = scenes.tube(concrete=path)
+    assert (found.concrete.flow_index, found.concrete.slip_flow_index) == (0.8, 1.2)
+    assert scenes.tube(concrete=path, flow_index=1.0).concrete.flow_index == 1.0
+    whole = {name: getattr(found.concrete, name) for name in ("density", "viscosity", "yield_stress", "slip_viscosity",
+                                                              "slip_yield")}  # fmt: skip
+    assert scenes.tube(concrete=path, **whole).concrete.flow_index == 0.8
+    path.unlink()
+    assert scenes.tube(concrete=path, **whole).concrete.flow_index == 1.0  # as in records of earlier versions
+
+
+def test_elements_have_no_layer_that_is_not_linear(tmp_path):
+    path = tmp_path / "law.yaml"
+    path.write_text("base: no1\nflow: {slip_flow_index: 0.8}\n")
+    section = "elements: {layer_yield: 100, layer_viscosity: 900}\n"
+    if not concrete("no1").elements:
+        with pytest.raises(SceneError, match=r"slip_flow_index = 0\.8: describes a slip layer that discrete elements"):
+            scenes.pipe(concrete=path)
+    path.write_text(f"base: no1\nflow: {{slip_flow_index: 0.8}}\n{section}")
+    assert scenes.pipe(concrete=path).parameters["layer_viscosity"] == 900
+
+
+@pytest.mark.parametrize(
+    ("section", "says"),
+    [
+        ({"concrete": {"yield_stress": 40, "flow_index": 1.3}}, "mix viscosity = None: must be stated beside a flow"),
+        ({"viscometer": [[2, 140], [5, 260]], "concrete": {"flow_index": 1.3}}, "mix viscosity = None: must be stated"),
+        ({"concrete": {"yield_stress": 40, "viscosity": 25, "flow_index": 9}}, "mix concrete: flow_index = 9.0: is"),
+        ({"spread": 0.6, "layer": {"flow_index": 0.7}}, "mix layer = {'flow_index': 0.7}: must have yield_stress and"),
+        ({"concrete": {"yield_stress": 40, "viscosity": 25, "flow_index": 1.2, "quadratic_viscosity": 1}},
+         "flow_index = 1.2: cannot be combined with quadratic_viscosity"),
+    ],
+)  # fmt: skip
+def test_laws_that_a_mix_cannot_have(section, says):
+    with pytest.raises(SceneError) as caught:
+        mix_of({"density": 2300, **section})
+    assert str(caught.value).startswith(says) and "\n" not in str(caught.value)

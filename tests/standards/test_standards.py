@@ -16,14 +16,14 @@ from warpcrete.standards import TESTS, ClosedForm, StandardTest
 
 @pytest.fixture
 def channel():
-    """Concrete that spreads along a channel, as in the LCPC box (Roussel 2007)."""
+    """Concrete that spreads along a channel."""
     yield StandardTest(
         name="channel-spread",
         dimensions=("length",),
         columns={"front": "m"},
         measure=lambda concrete, size: {"front": concrete.front()},
-        quantities=(Quantity("spread_length", "m", lambda k: k.last("front"), "spread length", None, True),),
-        forms=(ClosedForm("spread_length", "theory", "level", lambda k: k.size["length"]),),
+        quantities=(Quantity("channel_spread", "m", lambda k: k.last("front"), "spread length", None, True),),
+        forms=(ClosedForm("channel_spread", "theory", "level", lambda k: k.size["length"]),),
     )
     del TESTS["channel-spread"]
 
@@ -33,12 +33,11 @@ def test_a_test_of_one_s_own_needs_nothing_but_its_record(device, channel):
     scene = vessel(test=channel, dimensions={"length": 0.4}, outline=outline, duration=0.1, sample_interval=0.05)
     run = FreeSimulation(scene, device=device).run()
     method = method_of(scene)
-    assert run.units["front"] == "m" and 0.1 < run["spread_length"] < 0.4
-    assert number(run.result["spread_length_theory"]) == method.expected(scene)["spread_length"] == 0.4
+    assert run.units["front"] == "m" and 0.1 < run["channel_spread"] < 0.4
+    assert number(run.result["channel_spread_theory"]) == method.expected(scene)["channel_spread"] == 0.4
     assert dict(report_of(method.quantities, run))["spread length"].endswith("mm   (level: 400 mm)")
     assert "slump" not in run.result
-    assert "spread_length_theory" not in {each.name for each in METHODS[0].quantities}  # discrete elements
-    assert {"spread_length", "slump"} <= {each.name for each in METHODS[0].quantities}
+    assert {"channel_spread", "channel_spread_theory", "slump"} <= {each.name for each in METHODS[0].quantities}
     with pytest.raises(SceneError, match="dimensions"):
         vessel(test=channel)
 

@@ -123,6 +123,25 @@ def test_what_data_cannot_tell_apart_is_said(tmp_path, monkeypatch):
 
 
 @pytest.mark.thorough
+def test_a_flow_index_comes_back(tmp_path, monkeypatch):
+    """Pressures at three flows fix the consistency and the index of concrete that thickens, above and below 1."""
+    monkeypatch.setattr(SEARCH, "run_round", by_closed_form(0.0))
+    own = {"concrete": "own", "density": 2350.0, "yield_stress": 40.0, "slip_viscosity": 1e5, "slip_yield": 0.0}
+    targets = [asked({"scene": "tube", "parameters": own | {"flow": flow}}, "pressure", 1.0, "0.5%")
+               for flow in (2e-4, 1e-3, 4e-3)]  # fmt: skip
+    raw = {"vary": {"viscosity": [10, 100], "flow_index": [0.6, 1.6]}, "targets": targets}
+    truth = {"viscosity": 30.0, "flow_index": 1.3}
+    for target, value in zip(raw["targets"], truth_of(raw, truth), strict=True):
+        target["value"] = value
+    found = calibrate(raw, out=tmp_path / "out", device="cpu", repeat=0, trials=16)
+    assert found.best["flow_index"] == pytest.approx(1.3, abs=0.03)
+    assert found.best["viscosity"] == pytest.approx(30.0, rel=0.06)
+    path = tmp_path / "concrete.yaml"
+    path.write_text(yaml_text(concrete_of(found, modules())))
+    assert scenes.tube(concrete=path).concrete.flow_index == pytest.approx(found.best["flow_index"], rel=1e-5)
+
+
+@pytest.mark.thorough
 def test_a_target_that_nothing_moves_and_one_that_cannot_be_met(tmp_path, monkeypatch):
     monkeypatch.setattr(SEARCH, "run_round", by_closed_form(0.0))
     raw = task(("slip_viscosity",), asked(SLUMP | {"parameters": {**SLUMP["parameters"], "viscosity": 30.0,

@@ -13,7 +13,7 @@ from warpcrete.core.errors import SceneError
 from warpcrete.mix.rheology import HEAP_CENTRE_MEDIAN
 from warpcrete.studies.validation.cases import FITTED, held_out_groups, read_cases, shipped_cases
 from warpcrete.studies.validation.comparison import compare
-from warpcrete.studies.validation.kinds import KINDS
+from warpcrete.studies.validation.kinds import UNITS
 from warpcrete.studies.validation.simulated import representatives, simulate
 from warpcrete.studies.validation.validate import validate
 from warpcrete.theory.bands import combined
@@ -57,7 +57,7 @@ def test_a_case_is_predicted_as_a_user_would(tmp_path):
                                    "density": (gradient(q), gradient(q))}) for q in (20, 40)]  # fmt: skip
     assert found.band.low == pytest.approx(math.sqrt(ends[0].low * ends[1].low))
     assert found.band.high == pytest.approx(math.sqrt(ends[0].high * ends[1].high))
-    assert case.source == "our yard, 2026, log 7" and KINDS[case.kind].unit == "Pa/m"
+    assert case.source == "our yard, 2026, log 7" and UNITS[case.kind] == "Pa/m"
 
 
 def test_bands_add_up_by_cause():
@@ -72,7 +72,7 @@ def test_bands_add_up_by_cause():
 
 def test_a_third_of_the_groups_is_held_out_and_no_fitted_one():
     held = held_out_groups(shipped_cases())
-    for kind in KINDS:
+    for kind in UNITS:
         groups = {case.group for case in shipped_cases() if case.kind == kind}
         own = {group for of, group in held if of == kind}
         assert own <= groups - set(FITTED.get(kind, ()))
@@ -150,6 +150,18 @@ def test_a_refused_case_is_listed_with_its_reason(tmp_path):
     assert found.comparisons == [] and "has no diameter" in found.refused["yard"]
 
 
+def test_rules_against_blocking_are_compared_with_what_blocked():
+    found = validate(kinds=["blocking", "fitting"], quick=True)
+    by_name = {each.case.name: each for each in found.blocking}
+    assert by_name["tuutti-240"].blocked and by_name["tuutti-240"].agrees and "powder" in by_name["tuutti-240"].rules
+    assert not by_name["lightweight-1in-in-4in"].agrees  # no rule knows how lightweight aggregate absorbs water
+    assert sum(each.agrees for each in found.blocking) == len(found.blocking) - 1 == 9
+    assert "agree with 9 of 10 observations" in found.table() and len(found.record()["blocking"]) == 10
+    assert all(each.inside for each in found.comparisons)
+    assert [(x.band.low, x.band.high) for x in found.comparisons] == [pytest.approx((1, 3))] * 2
+
+
 def test_every_shipped_measurement_is_positive_and_has_a_source():
     for case in shipped_cases():
-        assert np.all(np.array(case.measured) > 0) and len(case.source) > 20
+        assert np.all(np.array(case.measured) >= 0) and len(case.source) > 20
+        assert case.kind == "blocking" or min(case.measured) > 0

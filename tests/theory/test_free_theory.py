@@ -8,6 +8,8 @@ import pytest
 from warpcrete.theory.vessels import (
     HEAPS,
     box_at_rest,
+    box_slope,
+    box_yield_stress,
     cone_volume,
     duct_stress,
     funnel_time,
@@ -119,3 +121,18 @@ def test_a_box_at_rest_holds_the_volume_and_bears_its_slope(tau, reaches):
         depth[n - 1] = depth[n] + min(slope * (x[1] - x[0]), 1e-3)
     assert depth[0] == pytest.approx(near, rel=5e-4)
     assert np.trapezoid(depth, x) * 0.2 == pytest.approx(0.012, rel=1e-3)
+
+
+@pytest.mark.parametrize("tau", [20.0, 100.0, 400.0])
+def test_a_long_box_tells_its_yield_stress(tau):
+    """L = h0 / A + b / (2 A) ln(b / (b + 2 h0)) with A = 2 tau / (rho g b), as Roussel (2007) prints it."""
+    volume, width, rho, g = 0.006, 0.2, 2300.0, 9.81
+    near, _, reach = box_at_rest(volume, 1.2, width, tau, rho)
+    a = 2 * tau / (rho * g * width)
+    assert near / a + width / (2 * a) * math.log(width / (width + 2 * near)) == pytest.approx(reach, rel=1e-4)
+    assert width / a * box_slope(near, width)[1] == pytest.approx(volume, rel=1e-4)
+    assert box_yield_stress(reach, volume, width, rho) == pytest.approx(tau, rel=1e-4)
+    # Of a wide box only the floor holds the concrete: tau = rho g h0^2 / (2 L), and h0 is 3/2 of the mean depth.
+    wide, mean = 1e3, volume / (width * reach)
+    found = box_yield_stress(reach, mean * wide * reach, wide, rho)
+    assert found == pytest.approx(rho * g * (1.5 * mean) ** 2 / (2 * reach), rel=1e-3)

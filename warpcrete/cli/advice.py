@@ -1,4 +1,4 @@
-"""Option `--accuracy` of `warpcrete run`, which chooses settings from a measured trade-off of speed and accuracy."""
+"""Option `--accuracy` of `warpcrete run`: settings chosen from a measured trade-off of speed and accuracy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Output streams of the command line."""
+"""Preparation of the output streams of the command line."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 
 
 def prepare_streams() -> None:
-    """Make the output streams escape characters that the terminal cannot show, which would raise errors otherwise."""
+    """Make the output streams escape characters that the terminal cannot show, instead of raising an error."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

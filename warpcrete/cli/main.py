@@ -1,10 +1,11 @@
-"""The `warpcrete` command: its subcommands and options, which call functions in the other modules of this package."""
+"""The `warpcrete` command and its subcommands; the other modules of this package do most of the work."""
 
 from __future__ import annotations
 
 import importlib
 import inspect
 import os
+import re
 import signal
 import threading
 from pathlib import Path
@@ -153,8 +154,16 @@ def _scene_command(name: str, module: ModuleType) -> click.Command:
 
     own = options.parameter_options(field for key, field in fields.items() if key not in common)
     return options.SceneCommand(
-        name, module.scene, params=own + options.run_options(), callback=callback, help=module.scene.description
-    )
+        name, module.scene, params=own + options.run_options(), callback=callback,
+        help=help_text(module.scene.description),
+    )  # fmt: skip
+
+
+def help_text(docstring: str) -> str:
+    """Return a docstring as help of a command, without the markup of Sphinx and the errors that Python raises."""
+    kept = [part for part in docstring.split("\n\n") if not part.lstrip().startswith("Raises ")]
+    text = re.sub(r"\s*Raises\s+:class:`[^`]*`[^.]*\.", "", "\n\n".join(kept))
+    return re.sub(r":\w+:`~?\.*(?:[\w.]*\.)?(\w+)`", r"\1", text)
 
 
 def _repeat_command(path: Path) -> click.Command:
@@ -178,7 +187,7 @@ def _repeat_command(path: Path) -> click.Command:
 
 
 class TheoryCommand(click.Command):
-    """Command that has an option for each parameter of the scene functions of flows."""
+    """Command with one option for each parameter of the scene functions that simulate flows."""
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         return [*_part("options").parameter_options(_part("theory").fields().values()), *super().get_params(ctx)]
@@ -213,9 +222,10 @@ def theory(
     rest: str | None, thixotropy: str | None, segregation: tuple[str, ...], aggregate: str | None,
     **values: Any,
 ) -> None:  # fmt: skip
-    """Compute the flow of a Bingham fluid with a slip layer in a pipe and a channel.
+    """Compute the flow of a yield stress fluid with a slip layer in a pipe and a channel.
 
-    The pressure follows from a flow, or the flow from a pressure.
+    The pressure follows from a flow, or the flow from a pressure. The concrete is a Bingham fluid by default; with
+    --flow-index or --quadratic-viscosity it obeys the Herschel-Bulkley or the modified Bingham law.
     """
     job, amounts = _part("theory"), _part("option_amounts")
     one, several = amounts.option_amount, amounts.option_amounts
@@ -276,8 +286,9 @@ def validate_command(**settings: Any) -> None:
     """Compare blind predictions with measurements of pipes, lines, slip layers and fresh concrete.
 
     Each case is predicted from what was known before the measurement. The table gives, for each kind of measurement,
-    the median ratio of prediction to measurement, the median error, and the share of cases inside their bands. Cases
-    that are held out were never used to fit a constant of the program.
+    the median ratio of prediction to measurement, the median error, and the fraction of the cases whose measured value
+    lies in the uncertainty band of the prediction. Cases that are held out were never used to fit a constant of the
+    program.
     """
     _part("validate").run(**settings)
 
@@ -589,7 +600,8 @@ def main() -> None:
     """
     prepare_streams()
     warn_in_one_line()
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # Treat SIGTERM like Ctrl-C, which saves unwritten data.
+    # Treat SIGTERM like Ctrl-C, so that the run saves its data before it ends.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         cli(prog_name="warpcrete", standalone_mode=False)
     except click.exceptions.Exit as request:
@@ -605,7 +617,8 @@ def main() -> None:
     except InstabilityError as error:
         _fail(str(error), 1)
     except WarpcreteError as error:
-        if isinstance(error, DiskFullError):  # At exit, libraries may wait for the full disk forever.
+        # While the program exits, libraries may wait without end for space on the full disk.
+        if isinstance(error, DiskFullError):
             end = threading.Timer(EXIT_TIMEOUT, os._exit, [2])
             end.daemon = True
             end.start()

@@ -17,7 +17,7 @@ from ..record.recorders import RECORDERS
 
 
 class ParameterOption(click.Option):
-    """Option of a declared parameter, which help pages list under the parameter's group."""
+    """Option of a declared parameter. Help pages list the option under the parameter's group."""
 
     group = ""
 
@@ -38,7 +38,7 @@ class GroupedCommand(click.Command):
 
 
 class SceneCommand(GroupedCommand):
-    """Command of a scene, in which some options add others: `--contact LAW` adds the options of that law."""
+    """Command of a scene. Some options of the command add others: `--contact LAW` adds the options of that law."""
 
     def __init__(self, name: str, scene: Any, **settings: Any) -> None:
         super().__init__(name, **settings)
@@ -57,7 +57,7 @@ class SceneCommand(GroupedCommand):
 
 
 def _value_of(option: str, words: list[str]) -> str | None:
-    """Return the value of an option among the words of a command, or None."""
+    """Return the value of a command-line option, searched for in a command's `words`; None if the option is missing."""
     for place, word in enumerate(words):
         if word == option and place + 1 < len(words):
             return words[place + 1]
@@ -99,7 +99,7 @@ class Quantity(click.ParamType):
         self.field, self.called = field, called
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the number in the field's unit."""
+        """Return the option's value as a number in the unit of its parameter."""
         return quantity_of(value, self.field, self.called)
 
 
@@ -107,9 +107,12 @@ NO_NUMBERS = ("nan", "inf", "infinity")
 
 
 def quantity_of(value: Any, field: Field, called: str) -> float:
-    """Return a number, or a text such as "125 mm", in the field's unit; `called` is the name of its option."""
+    """Convert the value of an option to a number in the unit of `field`.
+
+    The value is a number, or a text such as "125 mm". `called` is the name of the option in error messages.
+    """
     if isinstance(value, str) and value.strip().lower().lstrip("+-") in NO_NUMBERS:
-        return float(value)  # Accept NaN and infinity here: the parameter's own check refuses them later.
+        return float(value)  # Accept NaN and infinity here, because the check of the parameter refuses them later.
     return amount(called, value, field.units)
 
 

@@ -38,7 +38,7 @@ def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str
     if is_finished(folder):
         raise RunFolderError(f"resume = '{folder}': the run is already finished; start a new one with another --out")
     settings = dict(record.get("command", {}))
-    # Keep recorders off that the interrupted run did not have.
+    # Recorders that the interrupted run did not use must stay off, even if they are on by default.
     settings = {kind.name: False for kind in RECORDERS} | settings
     if set(settings) != set(KEPT):
         raise RunFolderError(
@@ -131,7 +131,10 @@ def run(
 
 
 def _pipeline_checked(scene: Any, settings: dict[str, Any]) -> dict[str, Any] | None:
-    """Check the pipeline options, and return the contents of the result.json of `pipeline_other`, or None."""
+    """Check the options that describe a pipeline, and return the result of the run in the folder `pipeline_other`.
+
+    The result is the contents of result.json, or None if the option is not used.
+    """
     lengths = {key: settings[key] for key in ("pipeline_vertical", "pipeline_horizontal")}
     for field, value in lengths.items():
         if value is not None:
@@ -158,7 +161,7 @@ class PipelineRecorder(Recorder):
         self.height, self.distance, self.other = height, distance, other
 
     def finish(self, simulation: Simulation, run: Run) -> None:
-        """Compute the pipeline's pressure from the pressure plateau of the run, if there is one."""
+        """Compute the pressure of the whole pipeline from the run's pressure plateau, if the run has reached one."""
         if run.finished and (self.height is not None or self.distance is not None):
             estimate = pipeline_estimate(run, self.height or 0.0, self.distance or 0.0, self.other)
             if estimate is not None:
@@ -166,7 +169,7 @@ class PipelineRecorder(Recorder):
 
 
 def pipeline_report(run: Run, settings: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the pressure of the pipeline as lines of the report."""
+    """Return the estimated pressure of the whole pipeline, as labels and texts for the printed report."""
     if settings["pipeline_vertical"] is None and settings["pipeline_horizontal"] is None:
         return []
     if "pipeline_estimate" not in run.result:
@@ -177,7 +180,10 @@ def pipeline_report(run: Run, settings: dict[str, Any]) -> list[tuple[str, str]]
 
 
 def report(run: Run, more: Iterable[tuple[str, str]] = ()) -> None:
-    """Print the main results of a run; `more` holds labels and texts that are printed after the method's own report."""
+    """Print the main results of a run.
+
+    `more` holds labels and texts that are printed after the report of the simulation method.
+    """
     result = run.result
 
     def show(label: str, text: str) -> None:

@@ -110,7 +110,10 @@ def report(study: Study) -> None:
 
 
 def single(options: dict[str, list[str]], kinds: Mapping[str, Any]) -> dict[str, Any]:
-    """Remove the settings with a single value from `options`, and return their converted values."""
+    """Remove the options named in `kinds` from `options`, and return their converted values.
+
+    Each of these options must have exactly one value.
+    """
     found = {}
     for name in kinds.keys() & options.keys():
         values = options.pop(name)
@@ -121,7 +124,10 @@ def single(options: dict[str, list[str]], kinds: Mapping[str, Any]) -> dict[str,
 
 
 def _take_settings(options: dict[str, list[str]]) -> dict[str, Any]:
-    """Remove the study's flags and settings from `options`, and return them; only the scene's parameters remain."""
+    """Remove the options of the study itself from `options`, and return their values by name.
+
+    The options that remain in `options` are parameters of the scene.
+    """
     settings: dict[str, Any] = {}
     for name in FLAGS:
         values = options.pop(name, None)
@@ -151,7 +157,10 @@ def _resumed(
 
 
 def recorded_module(folder: Path, kind: str, modules: Mapping[str, Any]) -> Any:
-    """Return the module of the scene in the record of a `study` or `trade`; raise :class:`RunFolderError` if none."""
+    """Return the module of the scene that the record of a study names; `kind` is `study` or `trade`.
+
+    Raises :class:`RunFolderError` if the folder holds no such record, or if the scene does not exist in this version.
+    """
     record = f"{kind}.json"
     if not (folder / record).is_file():
         raise RunFolderError(f"resume = '{folder}': is not the folder of a {kind} (it holds no {record})")

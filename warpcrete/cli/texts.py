@@ -16,6 +16,7 @@ commands accepts the file.
     spread: 650 mm                       # also t500: 3.5 s; or one of slump, concrete, mortar, viscometer:
     # slump: 180 mm
     # concrete: {yield_stress: 60 Pa, viscosity: 40 Pa s, uncertainty: 15 %}      # the same keys for mortar
+    # concrete: {yield_stress: 60 Pa, viscosity: 30 Pa s, flow_index: 1.3}        # or quadratic_viscosity: 0.5 Pa s2
     # viscometer: [[5, 210], [20, 660]]  # shear rate [1/s] and stress [Pa], or a .csv file
     voids: 24 %                          # voids of sand and stones together; fine_sand: 18 % of it is below 0.3 mm
     layer: {yield_stress: 20 Pa, viscosity: 900 Pa s/m}                           # slip layer; or one of:

@@ -1,4 +1,4 @@
-"""Command `warpcrete theory`: the closed-form solution for a Bingham fluid with a slip layer."""
+"""Command `warpcrete theory`: the closed-form solution for a yield stress fluid with a slip layer."""
 
 from __future__ import annotations
 
@@ -22,15 +22,12 @@ from ..theory.segregated import segregation_table
 from .option_amounts import growth_of
 
 LINE = ("length", "rise", "gravity")
-"""Fields of a pipeline that are parameters of the command under the same name. The pipeline's radius is half the
+"""Properties of a pipeline that the command takes as parameters of the same names. The pipeline's radius is half the
 parameter `diameter`."""
 
 
 def fields() -> dict[str, Field]:
-    """Return the parameters of the command by name.
-
-    They are those parameters of the scenes `channel` and `tube` that the closed form uses.
-    """
+    """Return, by name, the parameters of the command: those parameters of pipe flows that the closed form uses."""
     pipe = {"diameter": declared_fields(ColumnParameters)["diameter"]}
     return {**declared_fields(ConcreteParameters), **pipe, **{name: declared_fields(Line)[name] for name in LINE}}
 
@@ -40,7 +37,7 @@ def run(
     rest: float | None = None, thixotropy: float | None = None, segregation: Sequence[float] = (),
     aggregate: float | None = None,
 ) -> None:  # fmt: skip
-    """Print the closed-form solution for the parameters `given`, with defaults for the others.
+    """Print the closed-form solution for the parameters in `given`, with default values for the others.
 
     With `fit`, a file of measured points, the slip layer is fitted to these points. With `rest` [s], the pressure for a
     restart after that time at rest is added. With `segregation`, the effect of segregation on the pressure is added;
@@ -56,7 +53,8 @@ def run(
         field.check_limits(values[name], name)
     thickness = values["slip_thickness"]
     constants = {name: values[name] for name in CONSTANTS}
-    if fit is not None:  # The fit replaces the slip layer's constants, so placeholders stand for missing ones.
+    # The fit will replace the constants of the slip layer. Constants that are not stated get placeholders until then.
+    if fit is not None:
         constants |= {name: constants[name] or 1.0 for name in ("slip_viscosity", "slip_yield")}
     concrete = concrete_of(values["concrete"], **constants)
     for flow in flows:
@@ -89,7 +87,10 @@ def _share(given: float | None, name: str) -> float:
 
 
 def _fitted(concrete: Concrete, line: Line, flows: list[float], pressures: list[float]) -> Concrete:
-    """Return the concrete with a slip layer fitted to measured points, and print the quality of the fit."""
+    """Return the concrete with a slip layer fitted to measured points, and print the quality of the fit.
+
+    The points are flows [m3/s] and the pressures measured at these flows [Pa].
+    """
     fit = measured_layer(concrete, line, flows, pressures)
     found = replace(concrete, slip_viscosity=fit.slope, slip_yield=fit.offset)
     off = [steady(found, line, flow).pressure / pressure - 1 for flow, pressure in zip(flows, pressures)]

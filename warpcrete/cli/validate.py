@@ -41,6 +41,8 @@ def run(
         click.echo(found.table())
     else:
         click.echo("\n".join(markdown(SUMMARY_COLUMNS, [summary_cells(each) for each in found.summaries()])))
+        if found.blocking:
+            click.echo("\n" + "\n".join(found.blocking_lines()))
         for name, why in found.refused.items():
             click.echo(f"refused: {name}: {why}")
     if out is not None:

@@ -7,7 +7,7 @@ import math
 import sys
 import warnings
 from collections.abc import Iterable
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import numpy as np
 
@@ -87,7 +87,7 @@ def one_line(text: str, longest: int = LONGEST_MESSAGE) -> str:
     return "".join(each if each.isprintable() else " " if each in "\r\n\t" else ascii(each)[1:-1] for each in text)
 
 
-def quoted(value: Any) -> str:
+def quoted(value: object) -> str:
     """Return a value as quoted text for a message, shortened if it is long."""
     if isinstance(value, int) and value.bit_length() > LONGEST_NUMBER:
         return f"a number of {value.bit_length()} bits"
@@ -102,7 +102,7 @@ def warn_in_one_line() -> None:
     """Print each distinct warning of this process once, as one line on stderr without file name and line number."""
     shown: set[str] = set()
 
-    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+    def show(message: Warning | str, category: type[Warning], *where: object, **more: object) -> None:
         text = one_line(str(message))
         if text not in shown:
             print(f"warning: {text}", file=sys.stderr)
@@ -111,13 +111,13 @@ def warn_in_one_line() -> None:
     warnings.showwarning = show
 
 
-def refuse(field: str, value: Any, allowed: str, hint: str = "") -> NoReturn:
+def refuse(field: str, value: object, allowed: str, hint: str = "") -> NoReturn:
     """Raise :class:`SceneError` that names `field`, its value, what is allowed and an optional hint."""
     said = f"{one_line(field, LONGEST_VALUE)} = {quoted(value)}: {one_line(allowed)}"
     raise SceneError(said + (f"; {one_line(hint)}" if hint else ""))
 
 
-def suggested(word: Any, known: Iterable[Any]) -> str:
+def suggested(word: object, known: Iterable[object]) -> str:
     """Return "did you mean ...?" with the closest of the `known` words; empty if no word is close."""
     if not isinstance(word, str):
         return ""
@@ -126,7 +126,7 @@ def suggested(word: Any, known: Iterable[Any]) -> str:
     return f"did you mean {folded[near[0]]!r}?" if near else ""
 
 
-def known_names(word: Any, known: Iterable[Any]) -> str:
+def known_names(word: object, known: Iterable[object]) -> str:
     """Return a text that lists the `known` words and suggests the one closest to `word`.
 
     If there are more than `MOST_NAMES_LISTED` words and one of them is close, the text only suggests that word.
@@ -153,14 +153,14 @@ def between(field: str, value: float, lower: float, upper: float, unit: str = ""
         refuse(field, value, f"must be {span}{' ' + unit if unit else ''}", hint)
 
 
-def one_of(field: str, value: Any, choices: Any) -> None:
+def one_of(field: str, value: object, choices: Iterable[object]) -> None:
     """Raise :class:`SceneError` unless `value` is one of `choices`."""
     choices = list(choices)  # Search in a list, which works even if `value` is not hashable.
     if value not in choices:
         refuse(field, value, f"must be one of {', '.join(map(str, choices))}", suggested(value, choices))
 
 
-def vector(field: str, value: Any) -> tuple[float, float, float]:
+def vector(field: str, value: object) -> tuple[float, float, float]:
     """Return three finite numbers as a tuple; raises :class:`SceneError` for any other value."""
     try:
         array = np.asarray(value, dtype=float)
@@ -171,5 +171,5 @@ def vector(field: str, value: Any) -> tuple[float, float, float]:
     return (float(array[0]), float(array[1]), float(array[2]))
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: object) -> bool:
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)

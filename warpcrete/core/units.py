@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, SupportsFloat, TypedDict
 
 DISPLAY_UNITS = {"Pa": (1e-3, "kPa"), "m/s": (100.0, "cm/s"), "m": (1e3, "mm"), "1": (100.0, "%")}
 """Display unit of each SI unit: the SI unit is the key, and the value is (factor, display unit)."""
 
 
-def quantity(value: float, unit: str) -> dict[str, Any]:
+class Quantified(TypedDict):
+    """Number with its unit, as an entry of result.json."""
+
+    value: float
+    unit: str
+
+
+def quantity(value: float, unit: str) -> Quantified:
     """Return a number with its unit as an entry of result.json."""
     return {"value": float(value), "unit": unit}
 
 
-def number(entry: Any) -> float:
+def number(entry: SupportsFloat | Mapping[str, Any]) -> float:
     """Return the number in an entry of result.json, which may be a plain number or a number with a unit."""
-    return float(entry["value"] if isinstance(entry, dict) else entry)
+    return float(entry["value"] if isinstance(entry, Mapping) else entry)
 
 
 def shown(unit: str) -> tuple[float, str]:

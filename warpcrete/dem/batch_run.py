@@ -97,7 +97,7 @@ def _run_batch(
             break
         if done + 1 < len(turns):
             for part in members:
-                part.release()  # The next group of batches needs this memory.
+                part.release()  # Free the memory of these batches, because the next batches need it.
     return [outcomes.get(number, KeyboardInterrupt()) for number in range(len(simulations))]
 
 
@@ -169,7 +169,10 @@ class _BatchMember:
                 member.release()
 
     def _restore_or_place(self, number: int) -> bool:
-        """Restore or create the state of simulation `number`; return False if that failed, and store the error."""
+        """Create the state of simulation `number`, or restore it from the simulation's checkpoint if it has one.
+
+        Returns whether this succeeded. If it failed, the error is stored as the simulation's outcome.
+        """
         simulation, path = self.simulations[number], self.checkpoints[number]
         try:
             if path is not None:
@@ -207,10 +210,11 @@ def _packing_key(simulation: ElementSimulation) -> tuple:
 
 
 def _packed(simulations: Sequence[ElementSimulation], tell: Callable[[float], None]) -> dict[tuple, tuple[Any, float]]:
-    """Run each distinct packing once, even if several simulations need the same packing.
+    """Run each distinct packing once, even if several simulations need it; return results and wall times.
 
-    Returns, by the key from :func:`_packing_key`, the result of :func:`pack_many` and the wall time of a packing [s].
-    This time is the mean over all packings on the same device.
+    The dictionary's keys are those of :func:`_packing_key`. Each value is the packing's result from :func:`pack_many`
+    and the wall time of one packing [s]. The wall time is the mean over all packings with the same device, precision
+    and number of threads.
     """
     needed = {_packing_key(s): s for s in simulations if s.scene.fill is not None}
     kinds: dict[tuple, list[tuple]] = {}
@@ -237,7 +241,10 @@ def _packed(simulations: Sequence[ElementSimulation], tell: Callable[[float], No
 def _split_by_memory(
     simulations: Sequence[ElementSimulation], packings_by_number: dict[int, tuple[Any, float]], numbers: list[int]
 ) -> list[tuple[list[int], float]]:
-    """Split simulations into batches that fit the device's memory; return indices and memory [B] of each batch."""
+    """Split simulations into batches that fit the device's memory.
+
+    Returns, for each batch, the indices of its simulations and the memory that they need [B].
+    """
     first = simulations[numbers[0]]
     if not parallel(first.device) and first.threads > 1:
         return [([number], 0.0) for number in numbers]  # on a CPU each simulation runs alone and uses all threads
@@ -276,9 +283,10 @@ def _turns(
 
 
 def _streams(simulations: Sequence[ElementSimulation], turn: list[tuple[list[int], float]]) -> list[Any]:
-    """Return a CUDA stream for each batch of a `turn`, or None for a batch that runs alone or on a CPU.
+    """Return a CUDA stream for each batch in `turn`, a list of batches that run at the same time.
 
-    The largest batch has the lowest priority: it keeps the GPU busy anyway, so small batches should not wait for it.
+    A batch that runs alone or on a CPU gets None instead of a stream. The largest batch has the lowest priority: it
+    keeps the GPU busy anyway, so small batches should not wait for it.
     """
     device = simulations[turn[0][0][0]].device
     if len(turn) == 1 or not device.is_cuda:

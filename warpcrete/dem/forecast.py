@@ -33,7 +33,9 @@ from .scene.containers import PipeContainer
 from .scene.scene import Scene
 from .simulation import SETTLING_PARTS, ElementSimulation
 
-LEAST = 0.1  # minimum share of steps in the timed wall time, even if list rebuilds seem to take all of it
+# Minimum fraction of the measured wall time that is attributed to steps, even if the estimated time of list rebuilds
+# would leave less.
+LEAST = 0.1
 TIMING_TIME = 0.7  # wall time for which steps are timed [s]
 # Maximum number of spheres of the timed copy of a scene, on a GPU (True) or a CPU (False). With more spheres the time
 # per sphere is constant.
@@ -103,7 +105,10 @@ def _settling_time(scene: Scene) -> float:
 
 
 class _ShortenedCopy:
-    """Copy of a scene at t = 0, without settling, on which times are measured; it shortens a very long pipe."""
+    """Copy of a scene on which the forecast measures wall times.
+
+    The copy starts at t = 0 without settling. If the pipe is very long, the copy has a shorter one.
+    """
 
     def __init__(self, scene: Scene, device: Any, precision: str, threads: int | None) -> None:
         self.scene, self.device = scene, device
@@ -198,7 +203,10 @@ class _ShortenedCopy:
         return float(np.quantile(rates, 0.25))
 
     def settling_step(self) -> float:
-        """Measure the wall time of a step without hydrated bonds [s]; this changes the copy, so call it last."""
+        """Measure the wall time of a step without hydrated bonds [s].
+
+        The measurement switches sub-cycling off in the timed copy of the scene, so call this method last.
+        """
         if not self.stepper.batch.subcycles.rounds:
             return self.step
         self.stepper.batch.subcycles.set_rounds(self.stepper.index, 0)
@@ -213,7 +221,7 @@ class _ShortenedCopy:
         return pipe.travel / ((STRAIGHT if straight else BENT) * skin)
 
     def limits(self) -> tuple[dict[str, float], str]:
-        """Return the time steps [s] that single features would allow, by name, and a text on what limits the time step.
+        """Return the stable time step [s] for single features of the scene, by name, and a text on what limits it.
 
         The features are contacts alone, contacts with each kind of bonds, and contacts without dashpots.
         """
@@ -237,7 +245,7 @@ class _ShortenedCopy:
         rounds = subcycles.rounds
         if rounds:
             found["hydrated bonds, a round"] = safety * subcycles.stable_step(stepper.index)
-            subcycles.set_rounds(stepper.index, 0)  # estimate all other limits for steps without sub-cycling
+            subcycles.set_rounds(stepper.index, 0)  # The other limits are those of steps without sub-cycling.
         try:
             found["contacts"] = estimate()
             for number, name in enumerate(names, 1):
@@ -245,7 +253,7 @@ class _ShortenedCopy:
                 if rounds and name == "hydrated bonds":
                     continue
                 only = held.copy()
-                if name == "hydrated bonds":  # together with the bonds that did not hydrate
+                if name == "hydrated bonds":  # Estimate hydrated bonds together with the bonds that did not hydrate.
                     only[~np.isin(kinds, (number - 1, number))] = 0
                 else:
                     only[kinds != number] = 0
@@ -287,7 +295,11 @@ class _ShortenedCopy:
 
     @property
     def _springs_differ(self) -> bool:
-        """True if the damping ratio of some contact law is not 0, so that dashpots can be left out of an estimate."""
+        """True if the forecast can also estimate a stable step without dashpots.
+
+        For this, at least one contact law must have dashpots, and all laws must be dataclasses, because only these can
+        be copied without their dashpots.
+        """
         laws = (self.scene.contact, *self.scene.contacts.values())
         return all(dataclasses.is_dataclass(law) for law in laws) and any(_springs(law) != law for law in laws)
 
@@ -317,8 +329,12 @@ class _ShortenedCopy:
 
 
 def tiled(table: BodyTable, axis: Axis, period: float, length: float) -> BodyTable:
-    """Repeat the bodies of the first `period` [m] of a pipe along its `axis` up to `length` [m]."""
-    # Copies keep their offset from the axis in its local frame (tangent, normal, binormal), so that they follow bends.
+    """Return a table that repeats the bodies of the first `period` [m] of a pipe along its `axis`.
+
+    The copies fill the pipe up to the arc length `length` [m].
+    """
+    # Copies of a body keep its offset from the axis in the axis' local frame (tangent, normal, binormal), so that the
+    # copied packing follows bends.
     grid = np.linspace(-0.1 * period, 1.1 * period, 4000)
     points, tangents, normal, side = axis.frame(grid)
     place = np.array([np.argmin(np.sum((points - p) ** 2, axis=1)) for p in table.position])

@@ -33,10 +33,12 @@ START_FRACTION = 0.10  # solid fraction at which small aggregates are placed bef
 GROWTH_STEPS = 1500
 RELAX_STEPS = 3000
 CHUNK = 50  # steps between two evaluations of the pressure of a packing
-# ratio of pressure to contact modulus that freshly placed, overlapping aggregates may cause until they have moved apart
+# Pressure that freshly placed aggregates may cause by their initial overlaps until they have moved apart, divided by
+# the contact modulus. Growth ends only at a higher pressure.
 TRANSIENT_LOOKS = 0.005
 CLOSE_FRACTION = 0.75  # solid fraction that no packing of aggregates reaches at pressures of kilopascals
-# number of consecutive evaluations with the pressure too high, or too low, after which sizes are changed faster
+# Number of consecutive evaluations in which the pressure was always too high, or always too low, after which sizes are
+# changed faster.
 LOOKS_BEFORE_GAIN = 45
 MOST_GAIN = 16.0  # largest factor by which the adjustment of sizes to a wanted pressure is sped up
 # Relative error of the pressure below which the relaxation of a packing ends after RELAX_STEPS steps. With a larger
@@ -90,7 +92,7 @@ def draw(
     total = np.cumsum(np.pi / 6 * sizes**3)
     count = int(np.searchsorted(total, wanted)) + 1
     if count > 1 and abs(total[count - 2] - wanted) < abs(total[count - 1] - wanted):
-        count -= 1  # without the last aggregate the total volume is closer to the wanted one
+        count -= 1  # Leave out the last aggregate if the total volume is then closer to the wanted one.
     sizes = sizes[:count]
     # Shapes are drawn independently of sizes, so their fractions by number equal their fractions by volume.
     template = random.choice(len(fill.templates), size=count, p=fill.fractions)
@@ -104,7 +106,10 @@ def draw(
 
 @dataclass(frozen=True)
 class Request:
-    """Request for one packing by :func:`pack_many`: the fill, the contact law whose stiffness is used, and the seed."""
+    """Request for one packing by :func:`pack_many`.
+
+    It has the container with the aggregates that fill it, the contact law whose stiffness is used, and the seed.
+    """
 
     fill: Fill
     contact: ContactLaw
@@ -123,10 +128,11 @@ def pack(
 ) -> tuple[BodyTable, PackingReport]:
     """Pack aggregates into their container: place them small, let them grow without friction and come to rest.
 
-    Returns the bodies at rest and a report. `progress` is called with the fraction done. If the fill gives a
-    pressure, a trial packing in a smaller container first finds the solid fraction at that pressure. The real packing
-    then stops growing when it reaches the pressure. All sizes therefore change by a factor near 1, which is returned as
-    the report's `size_factor`.
+    Returns the bodies at rest and a report. `progress` is called with the fraction done.
+
+    If `fill` has a pressure instead of a solid fraction, a trial packing in a smaller container first finds the solid
+    fraction at that pressure. The real packing then stops growing when it reaches the pressure. All sizes therefore
+    change by a factor near 1, which is returned as the report's `size_factor`.
     """
     request = Request(fill, contact or Contact(), seed)
     (packed,) = pack_many([request], device=device, precision=precision, progress=progress, threads=threads)
@@ -159,7 +165,8 @@ def pack_many(
             pilot = replace(pilot) if pilot is fill.container else pilot
             parts.append(pilot.volume / (pilot.volume + fill.container.volume))
             pilots[number] = (pilot, CLOSE_FRACTION)
-    part = float(np.mean(parts)) if parts else 0.0  # share of the trial packings in the total work, for the progress
+    # fraction of the total work that the trial packings take, for the display of progress
+    part = float(np.mean(parts)) if parts else 0.0
 
     def grow_all(containers: dict[int, Any], report_fraction: Callable[[float], None]) -> dict[int, Any]:
         found: dict[int, Any] = {}
@@ -188,7 +195,10 @@ def pack_many(
 
 
 def _grow_together(growths: dict[int, _Growth], threads: int, tell: Callable[[float], None]) -> dict[int, Any]:
-    """Run packings, those with the same features as one batch; return the result or error of each by its number."""
+    """Run packings and return the result or the error of each, by its number.
+
+    On a GPU, packings with the same features run as one batch.
+    """
     groups: dict[Any, list[int]] = {}
     for number, growth in growths.items():
         key = batch_key(growth.model) if parallel(growth.model.device) else number
@@ -266,7 +276,7 @@ class _Growth:
         gain, looks_off_target = (
             1.0,
             0,
-        )  # `looks_off_target` counts consecutive evaluations with the pressure too high, or too low
+        )  # `looks_off_target` counts consecutive evaluations with the pressure always too high, or always too low
         looks = RELAX_STEPS // CHUNK
         for number in range(looks if pressure is None else 2 * looks):
             if pressure is not None:
@@ -285,11 +295,14 @@ class _Growth:
                     if looks_off_target > LOOKS_BEFORE_GAIN and looks_off_target % 3 == 0:
                         gain = min(MOST_GAIN, 1.5 * gain)
                 was_too_low = bool(error > 0)
-                # Divide the error by the contact modulus, which is about dp/d(ln size) of a packing. In a barely jammed
-                # packing dp/d(ln size) is far smaller, because growing aggregates move into free space.
+                # The contact modulus is about dp/d(ln size) of a packing, so the error over the modulus is the change
+                # of ln size that corrects the pressure. In a barely jammed packing dp/d(ln size) is far smaller,
+                # because growing aggregates move into free space. The factor `gain` makes up for this.
                 change = np.clip(gain * error / self.contact.stress_scale, -2e-3 * gain, 2e-3 * gain)
                 if error > 0.5 * pressure:
-                    change = max(change, least)  # the pressure of an unjammed packing does not show how much to grow
+                    # Grow by at least `least`, because the pressure of a packing that is not yet jammed does not show
+                    # how much to grow.
+                    change = max(change, least)
                 stepper.change(growth_rate=float(change) / CHUNK, growth_end=2.0)
             stepper.choose_dt()
             yield Steps(CHUNK)

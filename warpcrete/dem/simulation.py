@@ -54,6 +54,7 @@ class ElementSimulation(Simulation):
 
     scene_type = Scene
     scene: Scene
+    stepper: Stepper  # pyright: ignore[reportIncompatibleVariableOverride]  # Only this class assigns it.
 
     if TYPE_CHECKING:
 
@@ -106,7 +107,11 @@ class ElementSimulation(Simulation):
         run_coroutine(self.preparing(), self.stepper.advance)
 
     def place(self, packed: tuple[BodyTable, PackingReport] | None, took: float) -> None:
-        """Create the state from the result of packing, which lasted `took` [s], and from the scene's placed bodies."""
+        """Create the state from the packed bodies and from the bodies that the scene places.
+
+        `packed` is the result of a packing, or None for a scene without one, and `took` is the wall time of the packing
+        [s].
+        """
         table = BodyTable.empty()
         if packed is not None:
             table, self.packing = packed
@@ -141,7 +146,7 @@ class ElementSimulation(Simulation):
         self._settled = None
         self.stepper.restart_clock()
         if scene.bonds is not None and scene.bonds.healing:
-            # Bonds that formed during settling have loads: remove them, and bond all contacts anew without load.
+            # Bonds that formed during settling carry forces. Remove them, and bond all contacts anew without forces.
             bonds = self.state.pairs.bond.numpy()
             bonds[bond_kinds(bonds) <= 1] = 0
             self.state.pairs.bond.assign(bonds)
@@ -187,7 +192,11 @@ class ElementSimulation(Simulation):
             self.stepper.hydrate(1, 2, scene.hydration.fraction, scene.seed)
 
     def reaching(self, time: float) -> Coroutine:
-        """Step to `time` [s]; if the scene rests before that time, apply the rest at its moment."""
+        """Advance the simulation to `time` [s]; the coroutine yields the times to which the run loop steps.
+
+        If the scene has a rest of the concrete at or before `time` that was not yet applied, the simulation first
+        advances to the moment of the rest and applies it there.
+        """
         rest = self.scene.rest
         if rest is not None and self.rested is None and rest.at <= time:
             yield Until(rest.at)
@@ -266,11 +275,15 @@ class ElementSimulation(Simulation):
         return row
 
     def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if the row shows that the state has become meaningless."""
+        """Raise :class:`InstabilityError` if a sampled row of the time series shows that the simulation is unstable."""
         self.watch(row)
 
     def ended_early(self) -> bool:
-        """Return whether the run ends early: a vessel test is over, or a pipe is blocked and the scene stops then."""
+        """Return whether the run may end before its planned duration.
+
+        This is so if a test in a vessel is over. It is also so if the pipe is blocked and the scene's settings stop a
+        blocked run.
+        """
         vessel, blockage = self.scene.vessel, self.scene.blockage
         if self.blockage is not None and self.blockage.found and blockage is not None and blockage.stop:
             return True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -29,9 +30,9 @@ class Arc:
     angle: float
     """Angle by which the bend turns the axis [rad]."""
     towards: tuple[float, float, float]
-    """Direction from the start of the bend to its centre, shape (3,).
+    """Vector from the start of the bend towards its centre, shape (3,), of any length.
 
-    Only the component of this vector perpendicular to the axis is used.
+    Only the component perpendicular to the axis is used.
     """
 
     def __post_init__(self) -> None:
@@ -154,8 +155,8 @@ class Axis:
             return rows[0]["begin"] + (points - rows[0]["start"]) @ rows[0]["tangent"]
         length, distance = np.zeros(len(points)), np.full(len(points), np.inf)
         for row in rows:
-            # Compute the components along the axis, outwards and across as separate numbers. For many points, this
-            # takes a third of the time of operations on vectors.
+            # Compute the components along the axis, away from the arc's centre, and perpendicular to both, as separate
+            # numbers. For many points, this takes a third of the time of operations on vectors.
             local = points - (row["start"] - row["radius"] * row["outward"])
             a, b = local @ row["tangent"], local @ row["outward"]
             if row["arc"]:
@@ -195,16 +196,16 @@ class Axis:
         return points, tangents, np.cross(sides, tangents), sides
 
     def carried(self, s: np.ndarray | float, side: np.ndarray) -> np.ndarray:
-        """Return the unit normal `side` at the start of the axis, transported along the axis without twist.
+        """Transport the unit vector `side`, a normal of the axis at its start, along the axis without twist.
 
-        The result holds the normals at the arc lengths `s` [m], shape (n, 3).
+        The result holds the transported normals at the arc lengths `s` [m], shape (n, 3).
         """
         s = np.atleast_1d(np.asarray(s, dtype=float))
         found, begin = np.empty((len(s), 3)), 0.0
         for segment in self.segments():
             piece = segment["piece"]
-            # Each piece fills in the results at all arc lengths beyond the piece's start; the next piece then
-            # overwrites the results beyond its own start.
+            # Write the results of each piece to all arc lengths beyond the start of the piece. The next piece then
+            # overwrites those beyond its own start.
             beyond = s >= begin if begin > 0 else np.ones(len(s), bool)
             turn = np.zeros(np.count_nonzero(beyond))
             hinge = np.zeros(3)
@@ -216,11 +217,12 @@ class Axis:
             begin += piece.length
         return found
 
-    def parametrised(self) -> list[dict]:
-        """Return the pieces of the axis, each with the limits of its parameter.
+    def parametrised(self) -> list[dict[str, Any]]:
+        """Return the pieces of the axis, each with the range of the coordinate along it.
 
-        The parameter is the length [m] along a line or the angle [rad] along an arc. A line at an end of the axis has
-        no limit there. If the axis begins or ends with an arc, an unlimited straight line is added at that end.
+        The coordinate is the length [m] along a line or the angle [rad] along an arc. At an end of the axis a line has
+        no limit, because the axis continues there. If the axis begins or ends with an arc, an unlimited straight line
+        is added at that end.
         """
         rows = []
         segments = self.segments()

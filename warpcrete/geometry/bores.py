@@ -12,8 +12,8 @@ from .axis import Arc, Axis
 FACETS = 32
 """Number of facets around the circumference of a pipe that is drawn with triangles."""
 VOLUME_SAMPLES = 400
-"""Number of arc lengths at which the volume before them is tabulated, to find where a share of the pipe's volume ends.
-"""
+"""Number of arc lengths in a table of the pipe's volume up to each arc length. The table serves to find the place
+before which a given fraction of the volume lies."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,11 @@ class Bores:
         return np.asarray(np.interp(s, self.places, self.radii))
 
     def _edges(self, begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the arc lengths that bound the cones between `begin` and `end`, and the radii there [m]."""
+        """Return the arc lengths [m] where the radius changes its slope from `begin` to `end`, and the radii there [m].
+
+        The first and last arc lengths are `begin` and `end`. Between successive arc lengths the pipe is a truncated
+        cone.
+        """
         places = np.array(self.places)
         s = np.concatenate([[begin], places[(places > begin) & (places < end)], [end]])
         return s, self.at(s)
@@ -67,9 +71,9 @@ class Bores:
         return float(np.pi * np.sum((r[1:] + r[:-1]) * np.hypot(np.diff(s), np.diff(r))))
 
     def spread(self, parts: np.ndarray, length: float) -> np.ndarray:
-        """Return the arc lengths [m] before which given shares of a pipe's volume lie.
+        """Return the arc lengths [m] before which given fractions of a pipe's volume lie.
 
-        `parts` (n,) are shares of the volume of the first `length` [m] of the pipe.
+        `parts`, shape (n,), are fractions of the volume between the arc lengths 0 and `length` [m].
         """
         s = np.union1d(np.linspace(0, length, VOLUME_SAMPLES), [p for p in self.places if 0 < p < length])
         slices = (

@@ -71,7 +71,10 @@ def merged_corners(vertices: np.ndarray, tolerance: float) -> np.ndarray:
 
 
 def _cells(places: np.ndarray) -> np.ndarray:
-    """Return the index of the unit cell that contains each of `places` (n, 3); only occupied cells are numbered."""
+    """Return, for each of `places` (n, 3), the index of the unit cell that contains it.
+
+    Only cells that contain a place are numbered.
+    """
     number = np.zeros(len(places), np.int64)
     for axis in np.floor(places).astype(np.int64).T:
         _, column = np.unique(axis, return_inverse=True)

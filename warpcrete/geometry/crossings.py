@@ -10,15 +10,16 @@ import numpy as np
 from .axis import Axis
 
 HALF_TURN = 0.51 * math.pi
-"""Distance along the axis, in pipe diameters, within which a bent pipe may be close to itself without crossing
-itself."""
+"""Smallest distance along the axis, in pipe diameters, between two pieces that are checked for a crossing. In a tight
+bend, pieces nearer to each other along the axis may be close together without crossing."""
 
 
 def first_crossing(axis: Axis, spans: Sequence[tuple[float, float, int]], gap: float = 0.0) -> tuple[int, int] | None:
-    """Return the indices of the first two spans of a pipe whose walls are closer than `gap` [m], or None.
+    """Return the indices of the first two spans of a pipe that come closer to each other than `gap` [m], or None.
 
     A span is a section of the pipe, given by its length [m], its diameter [m] and the number of points along it.
-    Between these points the axis is taken to be straight. Each span begins where the previous span ends.
+    Between these points the axis is taken to be straight. Each span begins where the previous span ends. The distance
+    between two spans is measured between their walls.
     """
     begin = 0.0
     places = []

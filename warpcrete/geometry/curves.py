@@ -9,7 +9,7 @@ import numpy as np
 from .axis import Arc, Line
 
 FLAT = 1e-6
-"""Turning angle below which a piece of a curve is made straight [rad]."""
+"""Turning angle [rad] below which a piece of a curve becomes a straight line instead of an arc."""
 
 
 def curve_through(points: np.ndarray, tangent: np.ndarray) -> list[Line | Arc]:

@@ -10,12 +10,13 @@ from .cleaning import clean, default_tolerance, merged_corners
 from .meshes import FARTHEST_WALL, SurfaceQueries
 
 MAX_RADIUS_ERROR = 0.1
-"""Largest difference between the radius of a mesh's bore and the radius of its pipe, as a share of the latter.
-"""
+"""Largest difference between the radius of a mesh's bore and the radius of its pipe, as a fraction of the pipe's
+radius."""
 DIRECTIONS_AROUND = 24
 """Number of directions in which the wall's distance is measured at each cross-section."""
 INSET = 1e-3
-"""Smallest distance, in radii, of cross-sections from a rim or lid; rays exactly at a rim or lid may miss the wall."""
+"""Smallest distance, in radii, between a cross-section and a rim or lid. Rays exactly at a rim or lid may miss the
+wall."""
 MAX_SHORTFALL = 0.02
 """Length in radii by which a mesh may be shorter than the pipeline part that the mesh represents."""
 LID_COSINE, LID_DISTANCE = 0.9, 0.1
@@ -244,9 +245,10 @@ def equal_radii(sections: np.ndarray) -> np.ndarray:
 def pipe_in(
     vertices: np.ndarray, faces: np.ndarray, field: str, name: str, axis: Axis, radius: float, length: float
 ) -> InnerSurface:
-    """Return the inner surface of a mesh that must be a pipe of about `radius` [m] along the first `length` [m].
+    """Return the inner surface of a mesh, after checking that the mesh is a pipe of about `radius` [m].
 
-    Raises :class:`SceneError` if the mesh is no such pipe, or if its wall differs from `radius` by more than a tenth.
+    The check covers the first `length` [m] of the pipe. Raises :class:`SceneError` if the mesh is no such pipe, or if
+    its wall differs from `radius` by more than a tenth.
     """
     surface = InnerSurface(vertices, faces, axis, radius, field, name, (0.0, length))
     reach = surface.sections(np.linspace(0.0, length, max(8, int(length / radius))))

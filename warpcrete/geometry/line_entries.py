@@ -60,9 +60,11 @@ LIMITED_AS = {
     "radius": "bend_radius",
     "equivalent": "length",
 }
-"""Names of quantities whose limits (:mod:`warpcrete.core.inputs.limits`) apply to pipeline entries of another name."""
+"""Names of pipeline entries, each with the name of the quantity whose limits (:mod:`warpcrete.core.inputs.limits`)
+apply to the entry."""
 MOST_PARTS, MOST_POINTS = 2000, 500
-"""Largest numbers of parts in a line and of points in a hose; the longest lines ever pumped have some hundred parts."""
+"""Largest number of parts in a pipeline, and largest number of points in a hose. The longest pipelines ever used for
+concrete have some hundred parts."""
 BEGINS = {"level": (1.0, 0.0, 0.0), "up": (0.0, 0.0, 1.0), "down": (0.0, 0.0, -1.0)}
 WAYS = ("up", "down", "left", "right", "level", "back")
 BEND_RADIUS, BEND_DIAMETERS = 0.5, 2.0

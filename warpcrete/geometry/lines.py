@@ -41,28 +41,29 @@ SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
 MAX_BEND_ANGLE = 135.0
 """Largest angle of a single bend [degrees]."""
 BEND_EXTRA_LOSS = ((0.0, 0.15, 0.3, 0.6), (0.0, 0.023, 0.042, 0.125))
-"""Additional pressure loss of a bend, relative to straight pipe of its length (second row), by the pipe's diameter over
-the bend's radius (first row). Source: simulated flows of the concrete no1, the highest loss of three concretes, through
-bends of 150 mm pipe at 30 m3/h. The loss of a hose is computed from this table.
-"""
+"""Additional pressure loss of a bend, as a fraction of the loss in straight pipe of the same length. The first tuple
+holds ratios of pipe diameter to bend radius, the second tuple the additional loss at each ratio. Source: simulated
+flows of the concrete no1, the highest loss of three concretes, through bends of 150 mm pipe at 30 m3/h. The loss of a
+hose is computed from this table."""
 MAX_HOSE_KINK = 20.0
-"""Largest angle between a line and the first direction of a hose's points at which the hose still continues the line
-without a kink [degrees]."""
+"""Largest angle between the pipeline's direction at the start of a hose and the tangent of the curve through the hose's
+points there [degrees]. A larger angle is refused as a kink."""
 HOSE_LAYER = (0.1, 10.0)
 """Usual range of the slip layer's resistance in a hose relative to a pipe; a warning is given outside this range."""
 UP = np.array([0.0, 0.0, 1.0])
 Pieces = Sequence[Line | Arc]
 CROSSING_SAMPLES = {"bend": 9, "hose": 33, "bore": 33}
-"""Number of points along a part, by its kind, between which the part is taken as straight when crossings are sought."""
+"""Number of points along a part, by the kind of the part. The search for crossings treats the part as straight between
+neighbouring points."""
 
 
 def shipped_lines() -> tuple[str, ...]:
-    """Return the names of the lines that are shipped with the package."""
+    """Return the names of the pipelines that are shipped with the package."""
     return tuple(sorted(path.stem for path in SHIPPED.glob("*.yaml")))
 
 
 def read_line(name: Path | str) -> PipeLine:
-    """Read a line from a YAML file, or a shipped line by its name.
+    """Read a pipeline from a YAML file, or a shipped pipeline by its name.
 
     Raises :class:`SceneError` if the file cannot be read, or if the parts do not fit together.
     """
@@ -71,9 +72,9 @@ def read_line(name: Path | str) -> PipeLine:
 
 
 def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
-    """Read the entries of a line's file, and return them with the path of the file.
+    """Read the entries of a pipeline file, and return them with the path of the file.
 
-    A relative path of a concrete's file is resolved from the folder of the line's file. Raises :class:`SceneError` if
+    A relative path of a concrete's file is resolved from the folder of the pipeline file. Raises :class:`SceneError` if
     the file does not exist or holds no 'key: value' lines.
     """
     if not isinstance(name, (str, Path)):
@@ -90,7 +91,7 @@ def line_file(name: Path | str) -> tuple[dict[str, Any], Path]:
 
 
 def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path()) -> PipeLine:
-    """Build a line from the entries of its file.
+    """Build a pipeline from the entries of its file.
 
     Required are `parts`, a list of mappings from a kind to its entries, and `diameter`, the diameter of the first part.
     Optional are `begin`, the direction in which the line starts, and `flow`, `concrete`, `largest_stone`, `pump`,
@@ -140,7 +141,7 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
 
 
 def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
-    """Return the line with the diameter of the largest stone of its concrete set to `stone` [m].
+    """Return the pipeline with the diameter of its concrete's largest stone replaced by `stone` [m].
 
     The value None stands for an unknown diameter. Raises :class:`SceneError` if the stone does not pass through a part.
     """
@@ -169,7 +170,7 @@ def _pump(given: Mapping[str, Any]) -> Pump | None:
 
 
 def _above(given: Mapping[str, Any], field: str, unit: str) -> float | None:
-    """Return a positive entry in `unit`, or None if the entry is missing."""
+    """Return the value of the entry `field` in `unit`, after checking that it is positive; None without the entry."""
     if field not in given:
         return None
     with errors_located_at(given, field):
@@ -180,18 +181,22 @@ def _above(given: Mapping[str, Any], field: str, unit: str) -> float | None:
 
 
 class _Course:
-    """Course of a line while it is built part by part: current direction, diameter and the parts so far."""
+    """Pipeline while it is built part by part, with its current direction and diameter and the parts added so far."""
 
     def __init__(self, tangent: np.ndarray, diameter: float, folder: Path) -> None:
         self.begin: tuple[float, float, float] = tuple(tangent.tolist())
         self.tangent, self.diameter, self.folder = tangent, diameter, folder
         self.heading = tangent if tangent[2] == 0 else np.array([1.0, 0.0, 0.0])
-        """Last horizontal direction of the line, a unit vector of shape (3,)."""
+        """Most recent direction of the pipeline that was not vertical, projected onto the horizontal plane, as a unit
+        vector of shape (3,)."""
         self.parts: list[Part] = []
         self.pieces: list[Line | Arc] = []
 
     def add(self, number: int, entry: Any) -> None:
-        """Append a part to the line; the argument is the part's entry in the pipeline file."""
+        """Append a part to the pipeline.
+
+        `entry` is the part's entry in the pipeline file, and `number` counts the parts from 1.
+        """
         if not isinstance(entry, Mapping) or len(entry) != 1:
             refuse(f"part {number}", entry, f"must be one of {', '.join(PARTS)} with its properties",
                    "for example '- straight: {length: 10 m}'")  # fmt: skip
@@ -261,7 +266,10 @@ class _Course:
         return Part(number, "bend", self.diameter, radius * turn, rise, self.diameter, radius, angle), (piece,)
 
     def _turn(self, tangent: np.ndarray) -> None:
-        """Change the direction in which the line continues."""
+        """Let the pipeline continue in the direction `tangent`.
+
+        The horizontal heading changes too, unless the new direction is vertical.
+        """
         tangent = np.where(np.abs(tangent) < 1e-12, 0.0, tangent)
         self.tangent = tangent / np.linalg.norm(tangent)
         level = self.tangent * [1, 1, 0]
@@ -386,7 +394,7 @@ def _hose_layer(field: str, said: Mapping[str, Any]) -> float:
 
 
 def check_crossing(line: PipeLine, gap: float = 0.0, hint: str = "change the course of the line") -> None:
-    """Refuse a line whose walls meet, or come closer to each other than `gap` [m]."""
+    """Refuse a pipeline whose walls meet, or come closer to each other than `gap` [m]."""
     parts = line.parts
     spans = []
     for part in parts:

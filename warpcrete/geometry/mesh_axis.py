@@ -21,12 +21,13 @@ MIN_END_STEP = 1 / 256
 MIN_ADVANCE = ADVANCE / 16
 """Smallest distance between neighbouring cross-sections, in radii, in the search along a bore."""
 MAX_ROTATIONS, ROTATION_FRACTION = 6, 0.4
-"""Number of times a new cross-section is turned towards the local direction of the bore, and the fraction of the
-remaining angle by which it is turned each time."""
+"""Number of iterations that turn a new cross-section towards the local direction of the bore, and the fraction of the
+remaining angle by which each iteration turns the cross-section."""
 MAX_TURN_PER_STEP = 0.6
 """Largest angle between the directions of neighbouring cross-sections [rad]."""
 END_CHECK_DISTANCES = (0.1, 0.3)
-"""Distances beyond an end of a bore, in radii, at which no wall may surround the axis."""
+"""Distances beyond an end of a bore, in radii, at which the surroundings of the axis are checked. At these places most
+directions must be free of walls."""
 MAX_SECTIONS = 4000
 """Largest number of cross-sections of a bore."""
 TURNING_ROUNDS = 3
@@ -38,7 +39,7 @@ AXIS_TOLERANCE = 0.004
 STRAIGHT_TOLERANCE = 0.004
 """Largest angle between a straight piece of the axis and the directions of its cross-sections [rad]."""
 LEAST_STRAIGHT = 4
-"""Smallest number of intervals between cross-sections that form a straight piece of the axis."""
+"""Smallest number of intervals between neighbouring cross-sections that a straight piece of the axis spans."""
 NEAREST = 1e-3
 """Distance between the start of the bore and its first cross-section, relative to the size of the mesh."""
 ASIDE = 0.02
@@ -97,7 +98,10 @@ def follow(
 
 
 def _square(queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, ahead: np.ndarray) -> None:
-    """Turn cross-sections perpendicular to the curve through their centres; points and radii change in place."""
+    """Turn cross-sections perpendicular to the curve through their centres.
+
+    The function changes the arrays `points` and `radii` in place.
+    """
     for _ in range(TURNING_ROUNDS):
         tangents = directions(points, ahead)
         for k in range(1, len(points)):
@@ -109,14 +113,14 @@ def _square(queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, ahea
 def _extended_to_end(
     queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, tangents: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Move the last cross-section towards the end of the bore, as long as it stays closed and keeps its size."""
+    """Move the last cross-section towards the bore's end, while the cross-section stays closed and keeps its size."""
     bend = (tangents[-1] - tangents[-2]) / np.linalg.norm(points[-1] - points[-2])
     step, far, found = 0.5 * ADVANCE * radii[-1], 0.0, None
     while step > MIN_END_STEP / 4 * radii[-1]:
         way = tangents[-1] + (far + step) * bend
         way = way / np.linalg.norm(way)
         further = _section(queries, points[-1] + 0.5 * (far + step) * (tangents[-1] + way), way, radii[-1])
-        # Near a lid, some rays of a slightly tilted cross-section end on the lid, which changes the measured radius.
+        # Near a lid, some rays of a slightly tilted cross-section end on the lid. The measured radius then changes.
         if further is None or abs(further[1] / radii[-1] - 1) > RADIUS_TOLERANCE:
             step *= 0.5
         else:
@@ -130,10 +134,11 @@ def _extended_to_end(
 
 
 def pieces_through(points: np.ndarray, ahead: np.ndarray, radius: float) -> tuple[Line | Arc, ...]:
-    """Return the fewest lines and arcs that pass points (n, 3) [m] within a small part of the `radius` [m].
+    """Return a smooth curve of few lines and arcs that passes close to points (n, 3) [m].
 
-    The curve begins at the first point in the direction `ahead` and has no kinks. Each straight piece or pair of arcs
-    spans as many points as the tolerance allows.
+    The distance to each point is at most a small fraction of the `radius` [m]. The curve begins at the first point in
+    the direction `ahead` and has no kinks. Each straight piece or pair of arcs spans as many points as the tolerance
+    allows.
     """
     tangents = directions(points, ahead)
     allowed = AXIS_TOLERANCE * radius
@@ -153,7 +158,10 @@ def pieces_through(points: np.ndarray, ahead: np.ndarray, radius: float) -> tupl
 
 
 def directions(points: np.ndarray, ahead: np.ndarray) -> np.ndarray:
-    """Return unit tangents of a curve at points (n, 3), from parabolas through neighbours; the first is `ahead`."""
+    """Return unit tangents of a curve at points (n, 3), from parabolas through neighbouring points.
+
+    The tangent at the first point is `ahead`.
+    """
     found = np.empty_like(points)
     count = len(points)
     for k in range(count):
@@ -213,8 +221,8 @@ def _follow_bore(
     else:
         refuse(field, name, f"is longer than {MAX_SECTIONS} quarters of its radius",
                "split it into several parts")  # fmt: skip
-    # Drop the last cross-section, whose rays may end on a lid, and cross-sections close together, because the direction
-    # between their centres is inaccurate.
+    # Drop the last cross-section, because its rays may end on a lid. Also drop cross-sections close to the previous
+    # one, because the direction between two close centres is inaccurate.
     kept = [0]
     for k in range(1, len(points) - 1):
         if np.linalg.norm(points[k] - points[kept[-1]]) > 0.5 * ADVANCE * radii[k]:
@@ -248,7 +256,11 @@ def _next_section(
 
 
 def _slope(points: list[np.ndarray], last: np.ndarray, apart: float, tangent: np.ndarray) -> np.ndarray:
-    """Return the unit direction at point `last`, from a parabola through it and two points spaced by `apart` [m]."""
+    """Return the unit direction at point `last`, from the parabola through it and two earlier points.
+
+    The points of the parabola are at least `apart` [m] from each other. With fewer earlier points, the direction comes
+    from the chord or is `tangent`.
+    """
     chosen = [last]
     for point in reversed(points):
         if np.linalg.norm(point - chosen[-1]) >= apart:
@@ -276,7 +288,10 @@ def _length(points: list[np.ndarray]) -> float:
 def _check_open(
     queries: SurfaceQueries, end: np.ndarray, outward: np.ndarray, radius: float, field: str, name: str, *words: str
 ) -> None:
-    """Refuse a bore that continues beyond one of its ends, where most rays must not meet any wall."""
+    """Refuse a bore that continues beyond one of its ends.
+
+    Beyond the end, at most half of the rays perpendicular to the axis may meet a wall.
+    """
     normal, side = _across(outward)
     places = end + radius * np.array(END_CHECK_DISTANCES)[:, None] * outward
     missed = queries.around(places, normal[[0, 0]], side[[0, 0]], AROUND, FARTHEST_WALL * radius) < 0
@@ -294,7 +309,10 @@ def _across(tangent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _section(
     queries: SurfaceQueries, point: np.ndarray, tangent: np.ndarray, radius: float
 ) -> tuple[np.ndarray, float] | None:
-    """Return centre and radius [m] of the section perpendicular to `tangent` at a point, or None if it is open."""
+    """Return centre and radius [m] of the cross-section perpendicular to `tangent` at a point.
+
+    The result is None if the cross-section is open, because at least one ray from the point meets no wall.
+    """
     normal, side = _across(tangent)
     ways = fan(normal, side, AROUND)[0]
     area = np.zeros(AROUND)
@@ -307,7 +325,7 @@ def _section(
         following = np.roll(corners, -1, axis=0)
         area = 0.5 * np.linalg.norm(np.cross(corners - point, following - point), axis=1)
         if not area.sum() > 0:
-            return None  # The area is zero if all surfaces that the rays meet pass through the point itself.
+            return None  # The area is zero only if every ray meets a surface at the point itself.
         middle = (area[:, None] * (corners + following + point) / 3).sum(axis=0) / area.sum()
         moved = np.linalg.norm(middle - point)
         point = middle
@@ -323,7 +341,10 @@ def _longest(
     attempt: Callable[..., Curve], points: np.ndarray, tangents: np.ndarray, here: int, position: np.ndarray,
     tangent: np.ndarray, allowed: float,
 ) -> tuple[Curve, int]:  # fmt: skip
-    """Return the longest curve that `attempt` fits from point `here` on, and the index of the last point on it."""
+    """Fit curves with `attempt` from the point with index `here` to later points, and return the longest.
+
+    The second result is the index of the last point on the curve. If no curve fits, the first result is None.
+    """
     best, reached = None, here
     step, last = 1, len(points) - 1
     while step > 0 and reached < last:
@@ -343,13 +364,17 @@ def _straight(
     points: np.ndarray, tangents: np.ndarray, here: int, stop: int, position: np.ndarray, tangent: np.ndarray,
     allowed: float,
 ) -> Curve:  # fmt: skip
-    """Return the line from `position` along `tangent` if it passes the next points closely enough, else None."""
+    """Return the line from `position` along `tangent` to the point with index `stop`.
+
+    The result is None if the line passes too far from the points up to `stop`, or if the tangents at these points
+    deviate too much from the line.
+    """
     offset = points[here + 1 : stop + 1] - position
     along = offset @ tangent
     beside = np.linalg.norm(offset - along[:, None] * tangent, axis=1)
     turned = np.linalg.norm(np.cross(tangents[here + 1 : stop + 1], tangent), axis=1)
-    # The tangent at the last point also depends on the next piece, which may bend. This tangent is therefore ignored,
-    # except at the end of the whole curve.
+    # The tangent at the last point also depends on the points beyond it, and the curve may bend there. The tangent at
+    # the last point is therefore ignored, except at the end of the whole curve.
     inner = turned if stop == len(points) - 1 else turned[:-1]
     if np.all(beside <= 0.5 * allowed) and np.all(inner <= STRAIGHT_TOLERANCE):
         return [Line(float(along[-1]))]
@@ -360,7 +385,10 @@ def _biarc(
     points: np.ndarray, tangents: np.ndarray, here: int, stop: int, position: np.ndarray, tangent: np.ndarray,
     allowed: float,
 ) -> Curve:  # fmt: skip
-    """Return two arcs from `position` to point `stop` if they pass the points between closely enough, else None."""
+    """Return two arcs from `position` to the point with index `stop`.
+
+    The result is None if the arcs pass too far from the points between.
+    """
     if stop > here + 1 and (points[stop] - position) @ (tangent + tangents[stop]) <= 0:
         return None
     curve = biarc(position, tangent, points[stop], tangents[stop])

@@ -1,4 +1,4 @@
-"""Pipeline parts whose bore is a mesh from a file: their axis, their fit to the line, and their smallest width."""
+"""Pipeline parts whose bore is a mesh from a file: their axis, their fit to the pipeline, and their smallest width."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from .mesh_bores import MeshBore
 from .meshes import load
 
 DIAMETER_TOLERANCE, ROUNDNESS_TOLERANCE = 0.02, 0.05
-"""Largest relative differences between a mesh and the line's pipe at its ends: first in the diameter of equal area,
-then in the radius in any direction."""
+"""Largest relative differences, at its two ends, between a mesh and the round pipe that the pipeline has there. The
+first number limits the diameter of equal area, the second the radius in any direction."""
 STRAIGHT_LENGTH_TOLERANCE = 0.002
 """Largest difference, in diameters, between the length of a straight mesh and the length stated for its part."""
 MEASURED = 0.01
@@ -29,11 +29,11 @@ MEASURED = 0.01
 OVERLAP = 0.005
 """Length, in diameters, by which round pipe overlaps with the end of a mesh."""
 FINE = 0.005
-"""Distance, in diameters, between neighbouring places at which a bore is measured."""
+"""Distance along the axis, in diameters, between neighbouring places at which a bore is measured."""
 STEPS = 4000
 """Largest number of places at which one bore is measured."""
 PROFILE = 0.05
-"""Distance, in diameters, between neighbouring places for which a mesh bore stores a radius."""
+"""Distance along the axis, in diameters, between neighbouring places at which the radius of a mesh bore is stored."""
 Way = tuple[float, float, float]
 Fields = tuple[str, str]
 WAYS: tuple[Way, ...] = (
@@ -55,7 +55,7 @@ def bore_of(
     diameters: tuple[float, float] | None = None,
     ways: Sequence[Way] = WAYS[:1],
 ) -> MeshBore:
-    """Measure the bore of a mesh file, which begins at the mesh's origin.
+    """Measure and return the bore of a mesh file; the bore must begin at the mesh's origin.
 
     Args:
         fields: Names of the fields that error messages show, for the file and for its scale.
@@ -71,7 +71,8 @@ def bore_of(
     """
     check_file(file, fields[0], hint="give the path of an STL, OBJ, PLY ... file")
     digest = hashlib.sha256(file.read_bytes() + repr(scale).encode()).hexdigest()[:12]
-    # The measurement begins with a check of the mesh's size, because in a wrong unit the bore cannot be followed.
+    # The measurement begins with a comparison of the mesh's extent with the part's length, because the bore cannot be
+    # followed if the file's unit of length is wrong.
     found = _measured(fields, file, scale, digest, length, tuple(ways))
     found = _of_length(fields, found, length)
     name = str(file)
@@ -88,7 +89,10 @@ def bore_of(
 
 
 def _of_length(fields: Fields, bore: MeshBore, length: float | None) -> MeshBore:
-    """Return the bore with the stated `length` [m] of its part; refuse a bore of a different length."""
+    """Return the bore of a pipeline part after comparing its length with the `length` [m] stated for the part.
+
+    A bore of a different length is refused. If the bore is straight, the result has exactly the stated length.
+    """
     if length is None:
         return bore
     found, straight = bore.axis.length, _is_straight(bore.axis)
@@ -114,7 +118,8 @@ def _measured(
 ) -> MeshBore:
     """Find the axis of a mesh file and measure its bore.
 
-    The `digest` of the file's content is part of the cache key, so that a changed file of the same name is read again.
+    Results are cached. The `digest` of the file's content is part of the cache key, so that a changed file of the same
+    name is read again.
     """
     mesh, name = load(file, fields[0], scale), str(file)
     extent = float(mesh.extents.max())
@@ -171,7 +176,10 @@ def directions_at(axis: Axis, s: float) -> np.ndarray:
 
 
 def rotated_pieces(pieces: Sequence[Line | Arc], directions: np.ndarray) -> tuple[Line | Arc, ...]:
-    """Return the pieces of an axis rotated by the rows of `directions`, shape (3, 3)."""
+    """Return the pieces of an axis after a rotation from mesh to world coordinates.
+
+    The rows of `directions`, shape (3, 3), are the directions of the mesh's x, y and z axes in world coordinates.
+    """
     return tuple(
         replace(piece, towards=tuple((np.array(piece.towards) @ directions).tolist()))
         if isinstance(piece, Arc)
@@ -182,7 +190,7 @@ def rotated_pieces(pieces: Sequence[Line | Arc], directions: np.ndarray) -> tupl
 
 @dataclass(frozen=True)
 class Insert:
-    """Position of a mesh bore along an axis."""
+    """Mesh bore that replaces the round pipe along a piece of an axis."""
 
     mesh: MeshBore
     begin: float

@@ -142,7 +142,10 @@ class Bore:
 
     @classmethod
     def of(cls, reach: np.ndarray) -> Bore:
-        """Return the size of a bore from distances of the wall [m]; every ray must have met the wall."""
+        """Return the size of a bore, calculated from the distances `reach` between its axis and its wall [m].
+
+        Every ray must have met the wall.
+        """
         return cls(float(reach.min()), float(reach.max()), float(np.pi * np.mean(reach**2)))
 
     def is_round(self, radius: float) -> bool:
@@ -153,7 +156,10 @@ class Bore:
 
 
 def _stations(radius: float, end: float, begin: float = 0.0) -> np.ndarray:
-    """Return the arc lengths at which a pipe is measured [m]; they lie inside its ends, which may be capped."""
+    """Return the arc lengths at which a pipe is measured [m].
+
+    The first and the last keep a small distance from the ends of the pipe, because the ends may be capped.
+    """
     inset = min(0.02 * radius, 0.25 * (end - begin))
     return np.linspace(begin + inset, end - inset, max(8, int((end - begin) / radius)))
 
@@ -169,7 +175,10 @@ def bore_probes(mesh: Any, axis: Axis, radius: float, end: float, around: int = 
 
 
 def enclosed(wall: PipeWall | MeshWall, axis: Axis, points: np.ndarray) -> np.ndarray:
-    """Return which of `points` (n, 3) [m] lie inside a pipe's wall, as seen from the pipe's axis, shape (n,)."""
+    """Return which of `points` (n, 3) [m] lie inside a pipe, as booleans of shape (n,).
+
+    A point lies inside if no wall lies between the point and the pipe's axis.
+    """
     nearest = axis.nearest(points)
     apart = np.linalg.norm(points - nearest, axis=1)
     if isinstance(wall, PipeWall):

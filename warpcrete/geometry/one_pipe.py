@@ -1,4 +1,4 @@
-"""Pipelines simulated as one pipe: parameters that follow from the line's file or mesh, and limits of its shape."""
+"""Pipelines that are simulated as one pipe: scene parameters from a pipeline file or mesh, and limits of the shape."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ def parameters_from_line(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def parameters_from_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) -> dict[str, Any]:
-    """Return the parameters that the mesh `wall` of a scene implies: `unit`, and the inlet's `diameter` [m].
+    """Return the parameters that follow from the mesh `wall` of a scene: `unit` and the inlet's `diameter` [m].
 
-    The result is empty without a mesh, or if the parameters name a unit other than `mesh`. At its origin the mesh may
-    lead in one of the directions `ways`.
+    The result is empty without a mesh, or if the parameters name a unit other than `mesh`. `ways` are the directions in
+    which the bore may begin at the mesh's origin.
     """
     wall, unit = values.get("wall"), values.get("unit", "mesh")
     if wall is None or unit != "mesh" or values.get("line") is not None:
@@ -49,7 +49,7 @@ def parameters_from_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) 
         return {"unit": unit}
     scale = values.get("wall_scale", 1.0)
     if not isinstance(wall, (str, Path)) or not isinstance(scale, (int, float)) or not 0 < scale < math.inf:
-        return {"unit": unit}  # An error is ignored here, because the checks of the scene's parameters report it later.
+        return {"unit": unit}  # Leave wrong values to the checks of the scene's parameters, which report them later.
     return {
         "unit": unit,
         "diameter": float(f"{bore_of(('wall', 'wall_scale'), Path(wall), scale, ways=ways).ends[0]:.6g}"),
@@ -57,7 +57,7 @@ def parameters_from_mesh(values: Mapping[str, Any], ways: Sequence[Way] = WAYS) 
 
 
 def ends(line: PipeLine) -> np.ndarray:
-    """Return the arc lengths at which the parts of a line begin, and that of the line's end [m], shape (parts + 1,)."""
+    """Return the arc lengths [m] of the start of each part and of the end of a pipeline, shape (parts + 1,)."""
     return np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
 
 

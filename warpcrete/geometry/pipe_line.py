@@ -22,7 +22,7 @@ class Part:
     """One part of a pipeline: a straight pipe, bend, reducer, hose, valve or the bore of a mesh."""
 
     number: int
-    """Number of the part in its line, counted from 1."""
+    """Number of the part in its pipeline, counted from 1."""
     kind: str
     diameter: float
     """Inner diameter at the start of the part [m]."""
@@ -100,7 +100,7 @@ class PipeLine:
     """Volume flow [m3/s]."""
     concrete: str | None = None
     largest_stone: float | None = None
-    """Diameter of the concrete's largest stone [m]."""
+    """Diameter of the largest stone in the concrete [m]."""
     source: str = ""
     recorded: float | None = None
     """Pressure recorded at the pump [Pa]."""
@@ -114,7 +114,7 @@ class PipeLine:
 
     @property
     def rise(self) -> float:
-        """Height of the line's end above its start [m]."""
+        """Height of the pipeline's end above its start [m]."""
         return sum(part.rise for part in self.parts)
 
     @property
@@ -139,7 +139,7 @@ class PipeLine:
         return Bores(tuple(places), tuple(radii))
 
     def remarks(self) -> list[str]:
-        """Return warnings about the line for its user, such as stones that may block a narrow part."""
+        """Return warnings for the user about the pipeline, for example about stones that may block a narrow part."""
         found = []
         narrow = min(part.narrow for part in self.parts)
         if self.largest_stone and narrow < BLOCKING_RATIO * self.largest_stone:

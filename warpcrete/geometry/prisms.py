@@ -12,7 +12,7 @@ if TYPE_CHECKING:  # Do not import trimesh at run time, because that takes half 
     import trimesh
 
 SIDES = 48
-"""Number of sides of round solids."""
+"""Number of sides of the regular polygon that approximates the circular cross-section of a solid."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Solid:
     sides: np.ndarray
     """Faces between the two rings, two for each pair of neighbouring corners of a ring, shape (2 n, 3)."""
     ends: np.ndarray
-    """Faces of the two ends, shape (2 n, 3)."""
+    """Triangles that close the two ends of the solid, shape (2 n, 3)."""
 
     @property
     def faces(self) -> np.ndarray:
@@ -63,7 +63,8 @@ def truncated_cone(base: float, top: float, height: float, sides: int = SIDES) -
 def prism(corners: Sequence[tuple[float, float]], breadth: float, middle: tuple[float, float]) -> Solid:
     """Return a prism from a cross-section in x and z [m], extruded from y = -breadth/2 to y = breadth/2.
 
-    Every point of the cross-section must be visible from the point `middle`, about which its ends are triangulated.
+    The two ends are divided into triangles that meet at the point `middle`. Every point of the cross-section must
+    therefore be visible from this point.
     """
     ends = [np.insert(np.array(corners, dtype=float), 1, y, axis=1) for y in (-breadth / 2, breadth / 2)]
     return _between(*ends, np.array([[middle[0], y, middle[1]] for y in (-breadth / 2, breadth / 2)]))
@@ -76,7 +77,10 @@ def rectangle(corner: Sequence[float], one: Sequence[float], other: Sequence[flo
 
 
 def _between(first: np.ndarray, last: np.ndarray, middles: np.ndarray) -> Solid:
-    """Return the solid between two rings with the same sense of rotation, each closed by triangles about its centre."""
+    """Return the solid between two rings of corners that run in the same sense.
+
+    Each end is closed by triangles between the ring and its centre in `middles`.
+    """
     n = len(first)
     vertices = np.concatenate([first, last, middles])
     k = np.arange(n)

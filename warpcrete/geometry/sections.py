@@ -52,7 +52,7 @@ def _edges(polygon: Sequence[Sequence[float]]) -> np.ndarray:
 
 
 def _levels(edges: np.ndarray) -> np.ndarray:
-    """Return the heights y of all corners of some edges and of all crossings between them [m]."""
+    """Return the heights y [m] of all corners of the given polygon edges, and of all crossings between the edges."""
     found = list(edges[..., 1].ravel())
     for (a, b), (c, d) in combinations(edges, 2):
         one, two = b - a, d - c
@@ -66,7 +66,10 @@ def _levels(edges: np.ndarray) -> np.ndarray:
 
 
 def _crossings(edges: np.ndarray, y: float) -> np.ndarray:
-    """Return the x coordinates [m] at which edges cross the height `y` [m], in increasing order."""
+    """Return the x coordinates [m] at which polygon edges cross the horizontal line at height `y` [m].
+
+    The coordinates are in increasing order.
+    """
     (x0, y0), (x1, y1) = edges[:, 0].T, edges[:, 1].T
     met = (y0 <= y) != (y1 <= y)
     part = (y - y0[met]) / (y1[met] - y0[met])

@@ -32,7 +32,8 @@ class Surfaces:
         ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1).astype(np.int64)
         far = np.roll(faces, -2, axis=1).ravel()
         edges, edge, uses = np.unique(ends @ [len(vertices), 1], return_inverse=True, return_counts=True)
-        order = np.argsort(edge, kind="stable")  # Indices of half-edges (3 * face + side), sorted by edge.
+        # Indices 3 * face + side of the sides of all faces, sorted so that the sides of one edge are neighbours.
+        order = np.argsort(edge, kind="stable")
         begin = np.concatenate([[0], np.cumsum(uses)[:-1]])
         across = np.full((len(faces), 6), int(BORDER), dtype=np.int64)
         one, two = order[begin[uses == 2]], order[begin[uses == 2] + 1]
@@ -60,15 +61,16 @@ class Surfaces:
         return np.concatenate([np.empty((0, 3)), *self._corners])
 
     def faces(self) -> np.ndarray:
-        """Return the corner indices of each face, shape (faces, 3)."""
+        """Return the corner indices of the faces of all meshes, shape (faces, 3)."""
         return np.concatenate([np.empty((0, 3), np.int32), *self._faces]).astype(np.int32)
 
     def across(self) -> np.ndarray:
-        """Return the neighbours across the three edges of each face, shape (faces, 6).
+        """Return the neighbours of each face across its three edges, shape (faces, 6).
 
-        The first three entries are the corners opposite to the edges in the neighbouring faces; the last three are the
-        indices of these faces. At an edge without a neighbour the corner is `BORDER`. At an edge shared by three or
-        more faces, the corner is ``SHARED - row``, where `row` is the edge's row in `ring`.
+        Each edge joins the face to a neighbouring face. The first three numbers of a face are the corners of the
+        neighbouring faces that lie opposite to the three edges; the last three are the indices of these faces. If an
+        edge has no neighbour, its corner is replaced by the code `BORDER`. If three or more faces share an edge, its
+        corner is replaced by the code ``SHARED - k``, where k is the number of the edge's list in :meth:`ring`.
         """
         across = np.concatenate([np.empty((0, 6), np.int64), *self._across])
         return np.where(across <= int(SHARED), across - self._corner_count, across).astype(np.int32)
@@ -78,15 +80,18 @@ class Surfaces:
         return np.concatenate([np.empty(0, np.int32), *self._owner]).astype(np.int32)
 
     def ring(self) -> np.ndarray:
-        """Return adjacency rows of all corners, then of all edges shared by three or more faces, concatenated.
+        """Return an array of the adjacency lists of all corners, then of all edges shared by three or more faces.
 
-        A row begins with the lowest index, within the mesh, of the faces next to the corner or edge. In the row of a
-        corner, the other ends of its edges follow; in the row of an edge, the opposite corners of its faces follow.
+        Each list begins with the lowest index, within the mesh, of the faces next to the corner or edge. In the list of
+        a corner, the other ends of its edges follow. In the list of an edge, the opposite corners of its faces follow.
         """
         return np.concatenate([np.empty(0, np.int32), *self._rows()]).astype(np.int32)
 
     def ring_start(self) -> np.ndarray:
-        """Return the index of the first entry of each row of `ring`, and the total length, shape (rows + 1,)."""
+        """Return the index in `ring` at which each adjacency list begins, followed by the length of `ring`.
+
+        The shape of the result is (lists + 1,).
+        """
         return np.concatenate([[0], np.cumsum([len(row) for row in self._rows()])]).astype(np.int32)
 
     def _rows(self) -> list[np.ndarray]:
@@ -94,7 +99,10 @@ class Surfaces:
 
 
 def _rings(count: int, faces: np.ndarray, edges: np.ndarray, first_corner: int) -> list[np.ndarray]:
-    """Return the adjacency row of each of `count` corners: the lowest face index, then the edges' other ends."""
+    """Return an adjacency list for each of `count` corners.
+
+    A list begins with the lowest index of the faces at the corner. The other ends of the corner's edges follow.
+    """
     lowest = np.full(count, len(faces))
     np.minimum.at(lowest, faces.ravel(), np.repeat(np.arange(len(faces)), 3))
     here = np.concatenate([np.arange(count), edges.ravel()])

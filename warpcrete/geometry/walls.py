@@ -47,7 +47,7 @@ class Stops:
 
 @dataclass(frozen=True, kw_only=True)
 class Prescribed:
-    """Motion of a wall with a prescribed speed, which no force changes.
+    """Motion of a wall with a prescribed speed, whatever forces act on the wall.
 
     The speed rises linearly from rest over `ramp_time` and is constant afterwards. With `stops`, the speed first falls
     and rises again for the given number of strokes, with pauses at rest; then it stays constant.
@@ -74,7 +74,7 @@ class Prescribed:
                    "shorten the ramp")  # fmt: skip
 
     def fill(self, row: Any) -> None:
-        """Write the motion into a wall's row of a device table."""
+        """Write the parameters of the motion into `row`, the entry of the wall in a table on the device."""
         row.motion = int(PRESCRIBED)
         if self.stops is not None:
             row.stops, row.stroke_time, row.pause = self.stops.count, self.stops.stroke_time, self.stops.pause
@@ -84,7 +84,10 @@ class Prescribed:
 
 @dataclass(frozen=True, kw_only=True)
 class Driven:
-    """Motion along one direction under a force, against the wall's inertia and damping (a loaded plate, a servo)."""
+    """Motion of a wall in one direction, driven by a force against the wall's inertia and damping.
+
+    Examples are a loaded plate and a servo drive.
+    """
 
     direction: tuple[float, float, float]
     force: float
@@ -106,7 +109,7 @@ class Driven:
         between("start_time", self.start_time, 0, np.inf, "s")
 
     def fill(self, row: Any) -> None:
-        """Write the motion into a wall's row of a device table."""
+        """Write the parameters of the motion into `row`, the entry of the wall in a table on the device."""
         row.motion = int(DRIVEN)
         row.velocity = self.direction
         row.mass, row.drive_force, row.drive_damping = self.mass, self.force, self.damping
@@ -116,7 +119,8 @@ class Driven:
 Motion = Prescribed | Driven
 
 AddAxis = Callable[[Axis], tuple[int, int]]
-"""Function that adds a pipe's axis to the device's table of segments and returns the range of the axis in the table."""
+"""Function that adds a pipe's axis to the table of axis pieces on the device. It returns the range of table entries
+that the axis occupies."""
 
 
 class _Wall:
@@ -127,7 +131,7 @@ class _Wall:
 
     @property
     def origin(self) -> np.ndarray:
-        """Origin of the wall's frame at the start [m], shape (3,)."""
+        """Origin of the wall's frame at the start of the simulation [m], shape (3,)."""
         return np.zeros(3)
 
     @property
@@ -136,7 +140,10 @@ class _Wall:
         return self.origin[None]
 
     def top_speed(self) -> float:
-        """Return the largest speed [m/s] of a prescribed motion at the reference points; 0 without such motion."""
+        """Return the largest speed [m/s] that a prescribed motion gives to the points `reference_points`.
+
+        The speed is 0 if the wall has no such motion.
+        """
         motion = self.motion
         if not isinstance(motion, Prescribed):
             return 0.0
@@ -144,7 +151,7 @@ class _Wall:
         return float(np.linalg.norm(motion.velocity)) + lever * float(np.linalg.norm(motion.spin))
 
     def fill(self, row: Any, add_axis: AddAxis) -> None:
-        """Write shape and motion into the wall's row of a device table."""
+        """Write the wall's shape and motion into `row`, the entry of the wall in a table on the device."""
         row.motion = int(FIXED)
         if self.motion is not None:
             self.motion.fill(row)
@@ -251,7 +258,8 @@ class MeshWall(_Wall):
 
     name: str
     vertices: np.ndarray
-    """Corners of the mesh [m] in the wall's frame, which initially coincides with the world's, shape (v, 3)."""
+    """Corners of the mesh in the wall's frame [m], shape (v, 3). The wall's frame initially coincides with the frame of
+    the world."""
     faces: np.ndarray
     """Corner indices of each triangle, shape (f, 3)."""
     material: str = "wall"

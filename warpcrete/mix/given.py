@@ -27,8 +27,13 @@ from .points import PUMPED, read_points
 T = TypeVar("T")
 
 UNITS = {"yield_stress": "Pa", "viscosity": "Pa s"}
+CONCRETE_UNITS = {**UNITS, "flow_index": "1", "quadratic_viscosity": "Pa s2"}
+LAYER_UNITS = {"yield_stress": "Pa", "viscosity": "Pa s/m", "flow_index": "1", "quadratic_viscosity": "Pa s2/m2"}
+"""Measured constants of concrete and slip layer, with their SI units; the last two belong to other laws than
+Bingham's."""
 SLIPPED = {"speed": "m/s", "stress": "Pa"}
-SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity"}
+SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity", "flow_index": "slip_flow_index",
+        "quadratic_viscosity": "slip_quadratic_viscosity"}  # fmt: skip
 """Names of a slip layer's constants in the table of limits."""
 SHEARED = {"rate": "1/s", "stress": "Pa"}
 """Columns of points measured with a viscometer, with their SI units."""
@@ -251,7 +256,7 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
         sieve=_entry(given, "sieve", _sieve),
         sizes=_entry(given, "sizes", _sizes),
         shape=_entry(given, "shape", _shape),
-        concrete=_entry(given, "concrete", lambda found: _constants("concrete", found, UNITS)) or Measured(),
+        concrete=_entry(given, "concrete", lambda found: _constants("concrete", found, CONCRETE_UNITS)) or Measured(),
         mortar=mortar,
         viscometer_points=_entry(given, "viscometer", lambda found: _pairs("viscometer", found, SHEARED, folder)),
         slump=_number(given, "slump"),
@@ -521,8 +526,8 @@ def _layer(given: Any, folder: Path) -> Layer:
     source = given.get("from", "tribometer")
     one_of("mix layer: from", source, ("tribometer", "pipe"))
     own = {key: value for key, value in given.items() if key != "from"}
-    constants = _constants("layer", own, {"yield_stress": "Pa", "viscosity": "Pa s/m"})
-    if len(constants.values) < 2:
+    constants = _constants("layer", own, LAYER_UNITS)
+    if not set(UNITS) <= set(constants.values):
         refuse(
             "mix layer",
             dict(given),

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from ..theory.fits import StraightLine, straight_line
+from ..theory.laws import BINGHAM
 from ..theory.pipe import Concrete, Line, measured_layer
 from .figures import Figure, line_uncertainty, of_line
 from .given import MixEntries
@@ -101,6 +102,7 @@ def layers(given: MixEntries, concrete: Concrete, viscosity: Figure) -> Iterator
         given.sand_and_stone is not None
         and given.sand_and_stone < 0.95 * AGGREGATE_DENSEST
         and not viscosity.way.startswith((ASSUMPTION, ESTIMATE))
+        and concrete.bulk_law.name == BINGHAM
     ):
         ends = [film_layer(x, given.sand_and_stone) for x in (viscosity.value, viscosity.low, viscosity.high)]
         yield _pair(ends[0], (ends[1] / FILM_ERROR_FACTOR, ends[2] * FILM_ERROR_FACTOR), PASTE_YIELD, concrete,

@@ -21,10 +21,15 @@ from .rheology import mortar, unknown_viscosity, viscosities, yield_stresses
 FLOW = {"density": "density", "viscosity": "viscosity", "yield_stress": "yield stress",
         "slip_viscosity": "slip viscosity", "slip_yield": "slip yield"}  # fmt: skip
 """Names of the constants of a flow; each is mapped to the name of the same property of a mix."""
+LAWS = {"flow_index": "flow index", "quadratic_viscosity": "quadratic viscosity", "slip_flow_index": "slip flow index",
+        "slip_quadratic_viscosity": "slip quadratic viscosity"}  # fmt: skip
+"""Names of the constants of other laws than Bingham's, which a mix has only if they are stated."""
 CAUSES = {"slip layer": ("slip_viscosity", "slip_yield"), "viscosity of the bulk": ("viscosity",),
           "yield stress of the bulk": ("yield_stress",), "density": ("density",)}  # fmt: skip
 """Causes of uncertainty, each with the constants of a flow that change together."""
-UNITS = {"density": "kg/m3", "viscosity": "Pa s", "yield_stress": "Pa", "slip_viscosity": "Pa s/m", "slip_yield": "Pa"}
+UNITS = {"density": "kg/m3", "viscosity": "Pa s", "yield_stress": "Pa", "slip_viscosity": "Pa s/m", "slip_yield": "Pa",
+         "flow_index": "1", "quadratic_viscosity": "Pa s2", "slip_flow_index": "1",
+         "slip_quadratic_viscosity": "Pa s2/m2"}  # fmt: skip
 COLUMNS = ("quantity", "value", "unit", "band", "from", "source")
 
 
@@ -58,8 +63,14 @@ class Mix:
 
     @property
     def concrete(self) -> Concrete:
-        """The mix as a Bingham fluid with a slip layer."""
+        """The mix as a yield stress fluid with a slip layer."""
         return Concrete(name=self.name, **self.flow)
+
+    @property
+    def _constants(self) -> dict[str, str]:
+        """Constants of the flow, each with the name of its property; those of laws only if they are stated."""
+        known = {figure.name for figure in self.figures}
+        return FLOW | {key: name for key, name in LAWS.items() if name in known}
 
     @property
     def variants(self) -> dict[str, tuple[Concrete, Concrete]]:
@@ -78,7 +89,7 @@ class Mix:
     @property
     def flow(self) -> dict[str, float]:
         """Constants for the section `flow` of a concrete's file."""
-        return {key: self[name].value for key, name in FLOW.items()}
+        return {key: self[name].value for key, name in self._constants.items()}
 
     @property
     def elements(self) -> dict[str, Any]:
@@ -157,7 +168,7 @@ def mix_in(found: NamedConcrete) -> Mix | None:
     """
     if found.mix is None:
         return None
-    stated = known_only("flow", found.mix.flow, FLOW, found.name)
+    stated = known_only("flow", found.mix.flow, {**FLOW, **LAWS}, found.name)
     return mix_of(found.mix.values, found.mix.folder, found.name, found.source, stated)
 
 
@@ -177,9 +188,18 @@ def mix_of(
         "density": around("density", told.density, DENSITY_TOLERANCE if told.summed else 0.01, "kg/m3", way, "as given")
     }
     bulk |= {_named(key, value).name: _named(key, value) for key, value in (stated or {}).items()}
+    laws = _laws(told, bulk)
+    thickens = {key: laws[name].value for key, name in LAWS.items() if name in laws}
+    bends = any(key in thickens for key in ("flow_index", "quadratic_viscosity"))
     remarks = []
     for wanted, candidates in (("yield stress", yield_stresses(told)), ("viscosity", viscosities(told))):
         tells = list(candidates) if wanted not in bulk else []
+        if wanted == "viscosity" and bends:
+            # Slump flow and straight lines through a viscometer's points give the viscosity of a Bingham fluid.
+            tells = [each for each in tells if each.way == "concrete"]
+            if not tells and wanted not in bulk:
+                refuse("mix viscosity", None, "must be stated beside a flow index or a quadratic viscosity",
+                       "add it to the same section")  # fmt: skip
         if tells:
             bulk[wanted], more = reconciled(tells)
             remarks += more
@@ -189,24 +209,38 @@ def mix_of(
     bulk.setdefault("viscosity", unknown_viscosity(told))
     fluid = Concrete(
         name=name, density=bulk["density"].value, viscosity=bulk["viscosity"].value,
-        yield_stress=bulk["yield stress"].value, slip_viscosity=1.0, slip_yield=0.0,
+        yield_stress=bulk["yield stress"].value, slip_viscosity=1.0, slip_yield=0.0, **thickens,
     )  # fmt: skip
     estimates = list(layers(told, fluid, bulk["viscosity"]))
     slip = {figure.name: figure for figure in estimates[0]} | bulk
-    figures = [slip[each] for each in FLOW.values()]
+    figures = [*(slip[each] for each in FLOW.values()), *laws.values()]
     if told.sieve is None and told.sizes is None:
         remarks.append("the mix has no sieve curve: elements have the sizes of the scene, by default 5 to 20 mm")
     return Mix(name, source, told, (*figures, *mortar(told, fluid, bulk)), tuple(remarks))
 
 
+def _laws(told: MixEntries, bulk: Mapping[str, Figure]) -> dict[str, Figure]:
+    """Return the stated constants of other laws than Bingham's, in the order of :data:`LAWS`."""
+    found = {}
+    slip = told.layer.constants.values if told.layer.constants is not None else {}
+    for key, name in LAWS.items():
+        part, own = ("layer", slip) if key.startswith("slip_") else ("concrete", told.concrete.values)
+        entry = key.removeprefix("slip_")
+        if name in bulk:
+            found[name] = bulk[name]
+        elif entry in own:
+            found[name] = Figure(name, own[entry], own[entry], own[entry], UNITS[key], part, "as given")
+    return found
+
+
 def _named(key: str, value: Any) -> Figure:
     """Return a constant that a section `flow` states as a property without uncertainty."""
     value = amount(f"concrete flow {key}", value, UNITS[key])
-    if key in ("yield_stress", "slip_yield"):
+    if key in ("yield_stress", "slip_yield", "quadratic_viscosity", "slip_quadratic_viscosity"):
         between(f"concrete flow {key}", value, 0, math.inf, UNITS[key])
     else:
         positive(f"concrete flow {key}", value, UNITS[key])
-    return Figure(FLOW[key], value, value, value, UNITS[key], "flow", "as given")
+    return Figure({**FLOW, **LAWS}[key], value, value, value, UNITS[key], "flow", "as given")
 
 
 def completed(name: str) -> NamedConcrete:

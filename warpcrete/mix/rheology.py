@@ -19,7 +19,7 @@ from ..theory.inverse import (
     yield_of_slump_measured,
 )
 from ..theory.pipe import Concrete
-from ..theory.suspension import SUSPENSIONS, thickening
+from ..theory.suspension import SUSPENSIONS, power_thickening, thickening
 from .figures import Figure, around, line_uncertainty, of_line
 from .given import PACKING, Measured, MixEntries
 from .layer import ESTIMATE, FILM, FILM_ERROR_FACTOR, PASTE_DENSEST, THICKENER_FACTOR, aggregate_factor, paste_layer
@@ -117,7 +117,11 @@ def mortar(given: MixEntries, concrete: Concrete, bulk: dict[str, Figure]) -> li
     for name, key, unit, place in (("viscosity", "viscosity", "Pa s", 0), ("yield stress", "yield_stress", "Pa", 1)):
         own = _mortar(given, key, unit)
         if own is None:
-            whole, (value, least, most) = bulk[name], (f[place] for f in _factors(given.share))
+            index = concrete.flow_index if place == 0 else 1.0
+            whole, (value, least, most) = (
+                bulk[name],
+                (power_thickening(f[place], given.share, index) for f in _factors(given.share)),
+            )
             own = Figure("", whole.value / value, whole.low / most, whole.high / least, unit,
                          f"{name} of the concrete, share {given.share:.3g} of aggregate",
                          "Krieger & Dougherty 1959; Chateau, Ovarlez & Trung 2008")  # fmt: skip

@@ -19,12 +19,12 @@ from ..core.run.run_loop import Run
 from ..core.units import number
 from ..theory.pipe import MIXES, Concrete, Line, Steady, after_rest, flow_of_pressure, steady, steady_of_stress
 from ..theory.suspension import SUSPENSIONS, mortar_of
-from .mixes import CONSTANTS, concrete_of, file_aggregates, file_constants
+from .mixes import CONSTANTS, LAW_DEFAULTS, concrete_of, file_aggregates, file_constants
 from .scene import ENDS, Aggregates, FlowSettings, FluidScene
 
 SHEARED: dict[str, Any] = {
     "concrete": "own", "viscosity": 30.0, "yield_stress": 40.0, "slip_viscosity": 1000.0, "slip_yield": 20.0,
-    "density": 2350.0,
+    "density": 2350.0, **dict.fromkeys(LAW_DEFAULTS),
 }  # fmt: skip
 """Parameters of a self-compacting concrete that is strongly sheared.
 
@@ -50,21 +50,43 @@ class ConcreteParameters:
 
     concrete: Annotated[
         str,
-        "Concrete: no1, no2, no3 (Xu et al. 2021), the path of a .yaml file, or own with all five constants below",
+        "Concrete: no1, no2, no3 (Xu et al. 2021), the path of a .yaml file, or own with the next five constants",
         Alias("mix"),
         FileIf(is_file),
     ] = "no1"
     density: Annotated[
         float | None,
-        "Density [kg/m3]; the density and the next four parameters replace the constants of the named concrete",
+        "Density [kg/m3]; the density and the next eight parameters replace the constants of the named concrete",
         Above(),
     ] = None
-    viscosity: Annotated[float | None, "Plastic viscosity [Pa s]", Above()] = None
+    viscosity: Annotated[
+        float | None, "Plastic viscosity [Pa s], or consistency k in Pa s^n with a flow_index n", Above()
+    ] = None
     yield_stress: Annotated[float | None, "Yield stress [Pa]", Within(0)] = None
     slip_viscosity: Annotated[
         float | None, "Viscosity of the slip layer divided by its thickness [Pa s/m]", Above()
     ] = None
     slip_yield: Annotated[float | None, "Yield stress of the slip layer [Pa]", Within(0)] = None
+    flow_index: Annotated[
+        float | None,
+        "Flow index n of the Herschel-Bulkley law: stress = yield + k rate^n; default: 1, Bingham",
+        Above(),
+    ] = None
+    quadratic_viscosity: Annotated[
+        float | None,
+        "Coefficient c of the modified Bingham law [Pa s2]: stress = yield + viscosity rate + c rate^2; default: 0",
+        Within(0, hint="use flow_index below 1 for a concrete that thins"),
+    ] = None
+    slip_flow_index: Annotated[
+        float | None,
+        "Flow index n of the slip layer: stress = slip yield + slip viscosity x (slip velocity)^n; default: 1",
+        Above(),
+    ] = None
+    slip_quadratic_viscosity: Annotated[
+        float | None,
+        "Coefficient c of the slip layer [Pa s2/m2], whose stress gets a term c x (slip velocity)^2; default: 0",
+        Within(0, hint="use slip_flow_index below 1 for a layer that thins"),
+    ] = None
     slip_thickness: Annotated[
         float, "Thickness of the slip layer, which reduces the radius of the concrete [m]", Within(0)
     ] = 0.0
@@ -310,7 +332,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
 def plug_restart_state(scene: FluidScene) -> Steady:
     """Return the state just after a rest, when the whole cross section slips as a plug on an intact slip layer."""
     concrete = after_rest(scene.concrete, scene.rest, scene.thixotropy)
-    stress = concrete.slip_yield + concrete.slip_viscosity * scene.velocity
+    stress = float(concrete.layer_law.stress(scene.velocity))
     return steady_of_stress(replace(concrete, yield_stress=max(stress, concrete.yield_stress)), scene.line, stress,
                             scene.form)  # fmt: skip
 

@@ -18,6 +18,8 @@ from ..core.device.footprint import footprint
 from ..core.errors import InstabilityError, SceneError
 from ..core.run.forecast import Forecast, Probe, median_time, timed
 from ..core.run.run import Run
+from ..theory.laws import BINGHAM
+from ..theory.pipe import Concrete
 from .run import FlowRun
 from .scene import FluidScene
 from .simulation import FluidSimulation
@@ -167,10 +169,20 @@ def _features(simulation: FluidSimulation) -> dict[str, str]:
         "phases": "one" if scene.aggregates is None else "two: rigid grains in mortar",
         "yield stress": f"{concrete.yield_stress:g} Pa, regularised" if concrete.yield_stress else "left out",
         "slip layer": f"{concrete.slip_viscosity:g} Pa s/m and {concrete.slip_yield:g} Pa",
+        **law_features(concrete),
         "scheme": _scheme_text(scene),
         "solves": _solver_text(flow),
         "threads": "one thread per particle" if flow.parallel else f"{flow.threads}",
     }
+
+
+def law_features(concrete: Concrete) -> dict[str, str]:
+    """Return the names of the flow laws of bulk and slip layer that are not Bingham's, by feature."""
+    laws = {"flow law": concrete.bulk_law, "law of the slip layer": concrete.layer_law}
+    return {
+        name: f"{law.name}, n = {law.index:g}" if law.index != 1 else f"{law.name}, c = {law.quadratic:g} Pa s2"
+        for name, law in laws.items() if law.name != BINGHAM
+    }  # fmt: skip
 
 
 def _solver_text(flow: Any) -> str:

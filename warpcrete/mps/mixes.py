@@ -14,22 +14,28 @@ from ..mix.mix import UNITS as FLOW_UNITS
 from ..mix.mix import completed, mix_named
 from ..theory.pipe import SLIP_VISCOSITY_BY_THICKNESS, Concrete
 
-CONSTANTS = ("density", "viscosity", "yield_stress", "slip_viscosity", "slip_yield")
-"""Names of the constants of a concrete; a value given as a parameter replaces the named concrete's value."""
+BINGHAM_CONSTANTS = ("density", "viscosity", "yield_stress", "slip_viscosity", "slip_yield")
+"""Names of the constants that every concrete has."""
+LAW_DEFAULTS = {
+    "flow_index": 1.0, "quadratic_viscosity": 0.0, "slip_flow_index": 1.0, "slip_quadratic_viscosity": 0.0,
+}  # fmt: skip
+"""Constants of other laws than Bingham's, with the values that stand for Bingham's law."""
+CONSTANTS = (*BINGHAM_CONSTANTS, *LAW_DEFAULTS)
+"""Names of all constants of a concrete; a value given as a parameter replaces the named concrete's value."""
 AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mortar_yield")
 """Names of the parameters of the coarse aggregate in a two-phase flow."""
 
 
 def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | None) -> Concrete:
-    """Return a concrete by name or from a file, or `own` with all five :data:`CONSTANTS`.
+    """Return a concrete by name or from a file, or `own` with all :data:`BINGHAM_CONSTANTS`.
 
     Given constants replace those of the named concrete. For a concrete in Table 3 of Xu, Li & Jiang 2021, the slip
     viscosity is taken from that table if the slip layer has a thickness [m] and no slip viscosity is given. Raises
     :class:`SceneError` if constants are missing, or if the table does not list the thickness.
     """
     given = {key: value for key, value in constants.items() if value is not None}
-    named = {} if len(given) == len(CONSTANTS) else _flow_of(name)
-    missing = sorted(set(CONSTANTS) - set(given) - set(named))
+    named = {} if _is_complete(name, given) else _flow_of(name)
+    missing = sorted(set(BINGHAM_CONSTANTS) - set(given) - set(named))
     if missing:
         refuse(
             "concrete",
@@ -52,6 +58,18 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
     return Concrete(name=name_of(name), **{**named, **given})
 
 
+def _is_complete(name: str, given: Mapping[str, Any]) -> bool:
+    """Return whether the given constants leave nothing to take from the concrete of this name.
+
+    Run records of earlier versions hold the constants of Bingham's law only, and the file that they came from may be
+    gone.
+    """
+    known = [each for each in CONSTANTS if given.get(each) is not None]
+    return len(known) == len(CONSTANTS) or (
+        set(BINGHAM_CONSTANTS) <= set(known) and is_file(name) and not os.path.isfile(name)
+    )
+
+
 def flowing() -> list[str]:
     """Return the names of the shipped concretes that have flow constants."""
     return [name for name in shipped() if completed(name).flow]
@@ -60,13 +78,14 @@ def flowing() -> list[str]:
 def file_constants(values: Mapping[str, Any]) -> dict[str, float]:
     """Return the constants of the concrete file that a scene's parameters name.
 
-    The result is empty if the concrete is not a file, or if all constants are given already.
+    The result is empty if the concrete is not a file, or if all constants are given already. Constants of laws that the
+    file does not state are those of Bingham's law.
     """
     name = values.get("concrete")
     name = str(name) if isinstance(name, os.PathLike) else name
-    if not isinstance(name, str) or not is_file(name) or all(values.get(each) is not None for each in CONSTANTS):
+    if not isinstance(name, str) or not is_file(name) or _is_complete(name, values):
         return {}
-    return _flow_of(name)
+    return LAW_DEFAULTS | _flow_of(name)
 
 
 def file_aggregates(values: Mapping[str, Any]) -> dict[str, float]:
@@ -93,5 +112,5 @@ def _flow_of(name: str) -> dict[str, float]:
         one_of("concrete", name, (*flowing(), "own"))
     found = known_only("flow", completed(name).flow, CONSTANTS, name)
     if not found:
-        refuse("concrete", name, "must have a section 'flow'", f"add it with {', '.join(CONSTANTS)}")
+        refuse("concrete", name, "must have a section 'flow'", f"add it with {', '.join(BINGHAM_CONSTANTS)}")
     return {key: amount(f"concrete flow {key}", value, FLOW_UNITS[key]) for key, value in found.items()}

@@ -1,4 +1,4 @@
-"""Scenes of the moving particle method: concrete as a Bingham fluid that a piston drives up a pipe.
+"""Scenes of the moving particle method: concrete as a yield stress fluid that a piston drives up a pipe.
 
 In two dimensions the pipe is a channel between planes 2 R apart, in three a round tube (Xu, Li & Jiang 2021, section
 3.3).
@@ -34,7 +34,7 @@ class Aggregates:
     fraction: float
     """Volume fraction of the coarse aggregate."""
     mortar: Concrete
-    """Density and Bingham constants of the mortar between aggregates; its slip layer equals the concrete's."""
+    """Density and flow law of the mortar between aggregates; its slip layer equals the concrete's."""
     density: float = 2630.0
     """Density of the aggregate [kg/m3]."""
     sizes: tuple[tuple[float, float, float], ...] = ((5e-3, 10e-3, 0.3), (10e-3, 15e-3, 0.4), (15e-3, 20e-3, 0.3))
@@ -102,7 +102,7 @@ class FlowSettings(Declared):
     time_step: Annotated[float, "Longest time step; every time step if step_error is 0 [s]", Above()] = 5e-4
     step_error: Annotated[float, STEP_ERROR, Within(0, 0.5)] = 0.0
     gravity: Annotated[float, "Gravity against the flow [m/s2]; 0 for a level pipe", Within(0, 1e4)] = 9.81
-    regularisation: Annotated[float, "Parameter beta of the regularised Bingham law [s] (Eq. 14)", Above()] = 100.0
+    regularisation: Annotated[float, "Parameter beta of the regularised flow law [s] (Eq. 14)", Above()] = 100.0
     tolerance: Annotated[
         float,
         "Tolerance of the pressure solve: residual over the residual at its start, or over the one that the "

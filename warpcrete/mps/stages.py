@@ -110,7 +110,7 @@ class StepPart:
     # The following methods return the stages of a step, in the order of the step.
 
     def geometry(self) -> list[Any]:
-        kernel = geometry_kernel(*self.kind, self.two_phase)
+        kernel = geometry_kernel(*self.kind, self.two_phase, self.scene.concrete.bulk_law.name)
         return self.over_rows(kernel, **struct_arguments(kernel, particle=self.p.particles))
 
     def wall_scale(self) -> list[Any]:
@@ -128,7 +128,7 @@ class StepPart:
         ]
 
     def momentum(self) -> list[Any]:
-        return self.over_rows(momentum_kernel(*self.kind, self.two_phase))
+        return self.over_rows(momentum_kernel(*self.kind, self.two_phase, self.scene.concrete.layer_law.name))
 
     def bodies(self) -> list[Any]:
         """Return the stage that prepares the rigid grains for the velocity solve."""

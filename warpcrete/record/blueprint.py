@@ -18,7 +18,8 @@ SLIM = 0.25
 column.
 """
 CHAINS, CUT = "scene/network", "scene/cut"
-"""Paths of force chains and cut walls in the recording; the view of the whole scene hides these entities."""
+"""Paths, in the recording, of the force chains and of the walls that are cut open. The view of the whole scene hides
+these entities."""
 PAINT_LEGEND = "legend_of_walls"
 
 
@@ -57,7 +58,7 @@ def _arranged(display: Display, views: list[Any]) -> Any:
 
 
 def _scenes(display: Display, network: bool) -> list[Any]:
-    """Return the spatial views: the whole scene, the cut, and the force chains."""
+    """Return the three-dimensional views: the whole scene, the scene cut open by a plane, and the force chains."""
     noun = display.noun
     whole = ["+ scene/**", f"- {CHAINS}/**", f"- {CUT}/**"]
     found = [_view(display, f"{noun.capitalize()} by {display.colouring}", whole)]
@@ -65,8 +66,8 @@ def _scenes(display: Display, network: bool) -> list[Any]:
     if kept is not None:
         import rerun as rr
 
-        # Bodies that start in front of the cutting plane get the radius 0 in this view. The view therefore needs no
-        # second copy of the bodies' positions in the recording.
+        # In this view, bodies that are in front of the cutting plane at the start have the radius 0, which hides them.
+        # The view therefore needs no second copy of the bodies' positions in the recording.
         hidden = {f"scene/{noun}": [rr.Points3D.from_fields(radii=np.where(kept, display.radii(), 0.0))]}
         contents = ["+ scene/**", f"- {CHAINS}/**", *(f"- scene/walls/{wall.name}" for wall in cut_walls(display))]
         found.append(_view(display, "Cut through the middle", contents, hidden))

@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from ..core.run.checks import Check
-from ..core.run.run_loop import Recorder, Run, Simulation
+from ..core.run.run_loop import Recorder, Run
+from ..core.run.simulation_protocol import RecordedSimulation
 
 
 class CheckRecorder(Recorder):
@@ -17,8 +18,8 @@ class CheckRecorder(Recorder):
     def __init__(self, check: Check) -> None:
         self.check = check
 
-    def finish(self, simulation: Simulation, run: Run) -> None:
-        """Add the results of the scene's checks to a run that reached its end."""
+    def finish(self, simulation: RecordedSimulation, run: Run) -> None:
+        """Add the results of the scene's checks to the result of a run, if the run reached its end."""
         if run.finished:
             found = self.check(run)
             run.result["checks"] = {

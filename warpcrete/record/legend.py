@@ -15,7 +15,7 @@ SIZE, DENSITY = (9.0, 0.55), 100
 
 
 def legend_title(display: Display) -> str:
-    """Return the title of the legend: the quantity with its unit or the categories that the colours show."""
+    """Return the title of the legend: the coloured quantity with its unit, or the names of the coloured categories."""
     scale = display.scale()
     return capitalised(scale[0] if scale is not None else ", ".join(display.categories()))
 

@@ -1,4 +1,4 @@
-"""Reading of runs from their folders."""
+"""Functions that read saved runs from their run folders."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ..core.run.run import Run, Table
 from ..scenes import modules
 
 TABLES = ("stations",)
-"""Names of the tables that a run folder may hold in addition to its series."""
+"""Names, without suffix, of further table files that a run folder may hold in addition to series.csv."""
 
 
 def load(folder: Path | str) -> Run:
@@ -88,7 +88,7 @@ def repeatable_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any],
     """
     record = read_record(path)
     _check_unchanged(path, record)
-    # Check the scene's input files before the scene is read, which may import one of them as a Python module.
+    # Check the scene's input files first, because reading the scene may import one of the files as a Python module.
     check_files(path, record.get("files", {}))
     return saved_scene(path, known)
 

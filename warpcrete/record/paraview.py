@@ -16,7 +16,8 @@ import numpy as np
 from ..core.device.recorder_thread import RecorderThread
 from ..core.errors import WarpcreteError
 from ..core.run.files import atomic_file, cannot_write
-from ..core.run.run_loop import Recorder, Run, Simulation
+from ..core.run.run_loop import Recorder, Run
+from ..core.run.simulation_protocol import RecordedSimulation
 from ..geometry.rotation import rotate
 
 KINDS = ("Vertices", "Lines", "Polygons", "Strips")
@@ -27,10 +28,10 @@ VERSION = (2, 0)
 class ParaViewRecorder(Recorder):
     """Recorder of `bodies.vtkhdf`, `walls.vtkhdf` and, if bodies touch each other, `contacts.vtkhdf` in `folder`.
 
-    Bodies are points with `radius`, `colour` and the fields of the display; a clump is shown by its spheres. In
-    ParaView, use Glyph, Sphere, scaled by `radius`, or Point Gaussian. Frames are kept in memory until a checkpoint.
-    Then they are appended to a copy of each file, which replaces the file, so that no file is ever incomplete. Raises
-    :class:`WarpcreteError` if h5py is not installed.
+    Bodies are points with `radius`, `colour` and the fields of the display; a clump appears as its spheres. ParaView
+    shows the bodies as spheres with the filter Glyph (type Sphere, scaled by `radius`) or as Point Gaussian. Frames are
+    kept in memory until a checkpoint. Then they are appended to a copy of each file, and the copy replaces the file, so
+    that no file is ever incomplete. Raises :class:`WarpcreteError` if h5py is not installed.
     """
 
     expendable = True
@@ -44,8 +45,8 @@ class ParaViewRecorder(Recorder):
         self._frames = 0
         self._files: dict[str, Poly] = {}
 
-    def start(self, simulation: Simulation) -> None:
-        """Prepare the files, the walls, and the display, which provides the data to be drawn."""
+    def start(self, simulation: RecordedSimulation) -> None:
+        """Prepare the files and the walls. The display prepared here provides the data of all later frames."""
         self._display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._walls = self._display.walls()
         self._open()
@@ -59,8 +60,8 @@ class ParaViewRecorder(Recorder):
         if self._display.has_network:
             self._files["contacts"] = Poly(self.folder / "contacts.vtkhdf", "Lines")
 
-    def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
-        """Remove the frames after the checkpoint, and frames that are not in all files."""
+    def resume(self, simulation: RecordedSimulation, state: dict[str, Any]) -> None:
+        """Shorten the files to the frames that all files contain, at most those written before the checkpoint."""
         self._display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._walls = self._display.walls()
         self._open()
@@ -71,8 +72,8 @@ class ParaViewRecorder(Recorder):
         for file in self._files.values():
             file.shorten(self._frames)
 
-    def frame(self, simulation: Simulation) -> None:
-        """Draw the current state as one step of each file."""
+    def frame(self, simulation: RecordedSimulation) -> None:
+        """Append the current state of bodies, walls and contacts to the files, as a new time step."""
         self._display.draw(self._later, self._draw)
 
     def _draw(self, time: float, steps: int) -> None:
@@ -109,16 +110,16 @@ class ParaViewRecorder(Recorder):
             count += len(wall.vertices)
         self._files["walls"].add(time, np.concatenate(points), np.concatenate(faces), {"wall": np.concatenate(of)})
 
-    def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
+    def checkpoint(self, simulation: RecordedSimulation) -> dict[str, Any]:
         """Return the number of frames so far, after the background jobs have ended."""
         self._later.wait()
         return {"frames": self._frames}
 
-    def write(self, simulation: Simulation) -> None:
+    def write(self, simulation: RecordedSimulation) -> None:
         """Write the frames that are kept in memory."""
         self._write()
 
-    def finish(self, simulation: Simulation, run: Run) -> None:
+    def finish(self, simulation: RecordedSimulation, run: Run) -> None:
         """Write the frames that are still in memory when the run has ended."""
         if self._files:
             try:
@@ -132,7 +133,7 @@ class ParaViewRecorder(Recorder):
 
 
 class Poly:
-    """VTKHDF file of PolyData in time steps; each step is a partition of the data."""
+    """VTKHDF file of PolyData in time steps; the data of each step is one partition in terms of the format."""
 
     def __init__(self, path: Path, kind: str) -> None:
         self.path, self.kind = path, kind
@@ -164,7 +165,7 @@ class Poly:
         self._pending_frames = []
 
     def _begin(self, file: Any) -> Any:
-        """Create the empty, extendable datasets of the format, and return their group."""
+        """Create the empty, extendable datasets of the VTKHDF format, and return their group."""
         root = file.create_group("VTKHDF")
         root.attrs["Version"] = np.array(VERSION, np.int64)
         root.attrs.create("Type", np.bytes_("PolyData"))

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..core.run.files import atomic_file
-from ..core.run.run_loop import Recorder, Run, Simulation
+from ..core.run.run_loop import Recorder, Run
+from ..core.run.simulation_protocol import RecordedSimulation
 from ..methods import method_of
 
 
@@ -17,8 +18,8 @@ class PictureRecorder(Recorder):
     def __init__(self, folder: Path, *, colouring: str | None = None) -> None:
         self.folder, self.colouring = folder, colouring
 
-    def finish(self, simulation: Simulation, run: Run) -> None:
-        """Draw the pictures for which the run has data."""
+    def finish(self, simulation: RecordedSimulation, run: Run) -> None:
+        """Draw the pictures of the finished run as PNG files, except those for which the run has no data."""
         method = method_of(simulation.scene)
         figures = {method.picture: method.draw(simulation, run, self.colouring), **method.more_pictures(run)}
         for name, figure in figures.items():

@@ -19,7 +19,7 @@ from .usd import UsdRecorder
 
 @dataclass(frozen=True)
 class DrawSettings:
-    """Settings for drawing a run."""
+    """Settings for drawing a run: colours, contact network, and viewer."""
 
     colouring: str | None = None
     """Quantity that the colours show; None selects a suitable one for the method."""
@@ -35,7 +35,7 @@ class RecorderKind:
     """Optional recorder, with its name, default and help text."""
 
     name: str
-    """Name of the command-line option, and of the setting stored for a resumed run."""
+    """Name of the recorder. The command-line option and the setting stored for a resumed run have the same name."""
     default: bool
     """True if `warpcrete run` uses the recorder by default; studies use none by default."""
     help: str

@@ -20,7 +20,8 @@ from ..core.drawing.display import Display, Profile
 from ..core.drawing.paint import COLOUR_STEPS, Paint
 from ..core.errors import RunFolderError, refuse
 from ..core.run.files import cannot_write, space_error
-from ..core.run.run_loop import Recorder, Run, Simulation
+from ..core.run.run_loop import Recorder, Run
+from ..core.run.simulation_protocol import RecordedSimulation
 from ..core.run.viewer import LOOPBACK, has_screen, screen_viewer
 from .blueprint import CHAINS, CUT, PAINT_LEGEND, blueprint, cut_walls
 from .joining import join
@@ -97,17 +98,18 @@ class RerunRecorder(Recorder):
                     "for example rerun+http://127.0.0.1:9876/proxy",
                 )
 
-    def start(self, simulation: Simulation) -> None:
+    def start(self, simulation: RecordedSimulation) -> None:
         """Open the file and the viewer, and send the layout of the views and all data that does not change."""
         if self.path is not None:
-            for path in self._parts_from(0):  # Delete parts of a run that stopped before its first checkpoint.
+            # Delete the part files of an earlier run that stopped before its first checkpoint.
+            for path in self._parts_from(0):
                 path.unlink(missing_ok=True)
         display, self._later = simulation.display(self.colouring), RecorderThread.for_simulation(simulation)
         self._open(display, str(uuid.uuid4()), 0, self._blueprint(simulation, display))
         self._describe(display)
         self._log_zeros(display, simulation.stepper.time, simulation.stepper.steps)
 
-    def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
+    def resume(self, simulation: RecordedSimulation, state: dict[str, Any]) -> None:
         """Delete the parts of the recording that were written after the checkpoint, and open the next part."""
         if self.path is not None:
             if not self.path.is_file():
@@ -128,21 +130,21 @@ class RerunRecorder(Recorder):
         if self.live:
             self._describe(display)
 
-    def checkpoint(self, simulation: Simulation) -> dict[str, Any]:
+    def checkpoint(self, simulation: RecordedSimulation) -> dict[str, Any]:
         """Return the data with which a resumed run continues the recording in its next part."""
         self._later.wait()
         following = self._parts + (self.path is not None)
         return {"recording_id": self._id, "parts": following, "places": self._places}
 
-    def write(self, simulation: Simulation) -> None:
+    def write(self, simulation: RecordedSimulation) -> None:
         """Close the current part of the recording and open the next part."""
         if self.path is not None:
             self._flush()
             self._parts += 1
             self._open_sinks()
 
-    def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
-        """Record the values of all curves at one sample of the run."""
+    def sample(self, simulation: RecordedSimulation, row: dict[str, float]) -> None:
+        """Record the current values of all curves, such as pressures, that the viewer plots over time."""
         assert self._display is not None
         time, steps = simulation.stepper.time, simulation.stepper.steps
         values = {
@@ -157,11 +159,12 @@ class RerunRecorder(Recorder):
 
         self._later.submit(log)
 
-    def frame(self, simulation: Simulation) -> None:
+    def frame(self, simulation: RecordedSimulation) -> None:
         """Record bodies, moving walls and, if selected, the lines between bodies."""
         assert self._display is not None
         self._display.draw(self._later, self._draw)
-        if self._legend_due:  # Draw the legend after the first frame, because it takes ten times as long as a frame.
+        # Draw the legend after the first frame, because drawing a legend takes ten times as long as drawing a frame.
+        if self._legend_due:
             self._legend_due = False
             self._later.submit(self._log_legend)
 
@@ -187,7 +190,10 @@ class RerunRecorder(Recorder):
             self._draw_profile(profile)
 
     def _draw_paint(self, display: Display) -> None:
-        """Record the values of painted walls, as coordinates in a texture that holds all colours."""
+        """Record the colours of painted walls.
+
+        The value at each vertex becomes a coordinate in a texture that holds all colours.
+        """
         paint = display.paint()
         if paint is None:
             return
@@ -251,7 +257,7 @@ class RerunRecorder(Recorder):
             self._tensors[len(values)] = like = TensorDataBatch(values).as_arrow_array()
         return with_values(like, values)
 
-    def finish(self, simulation: Simulation, run: Run) -> None:
+    def finish(self, simulation: RecordedSimulation, run: Run) -> None:
         """Flush the recording and close it."""
         if self._recording is not None:
             watched = bool(self.live)
@@ -266,13 +272,13 @@ class RerunRecorder(Recorder):
             if not self._disconnect(CLOSE_TIMEOUT if watched and not self.live else PATIENCE):
                 raise self._recording_error(RuntimeError("the writer thread did not finish in time"))
 
-    def tidy(self, simulation: Simulation, run: Run) -> None:
-        """Join the parts of the recording into one file."""
+    def tidy(self, simulation: RecordedSimulation, run: Run) -> None:
+        """Join the part files of the recording into one file."""
         if self.path is not None and self._parts > 0:
             join([self._part(number) for number in range(self._parts + 1)], self.path)
 
     def _describe(self, display: Display) -> None:
-        """Record all data that does not change."""
+        """Record all data that does not change during the run."""
         rr = self._rr
         self._log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self._log(f"scene/{display.noun}", rr.Points3D.from_fields(radii=display.radii()), static=True)
@@ -313,11 +319,11 @@ class RerunRecorder(Recorder):
         self._log(path, pose, static=static)
 
     def _set_time(self, time: float, steps: int) -> None:
-        """Set the time and the step for the data that this thread records next."""
+        """Set the simulated time and the number of steps under which this thread records further data."""
         self._recording.set_time("time", duration=time)
         self._recording.set_time("step", sequence=steps)
 
-    def _blueprint(self, simulation: Simulation, display: Display) -> Any:
+    def _blueprint(self, simulation: RecordedSimulation, display: Display) -> Any:
         network = self.network and display.has_network
         with_legend = display.scale() is not None or bool(display.categories())
         return blueprint(display, network=network, legend=with_legend, duration=simulation.expected_duration)
@@ -394,7 +400,8 @@ class RerunRecorder(Recorder):
                 trouble = error
                 # If Rerun's writer has crashed, `flush` fails at once, so pause before the next attempt.
                 time.sleep(0.05)
-            # After a full disk, the writer may never answer; a slow writer can be recognised by the growing file.
+            # If the disk was full at some time, the writer may never answer. If the writer is only slow, the file still
+            # grows.
             if self.path is not None:
                 before, size = size, self._part(self._parts).stat().st_size
                 if size != before:

@@ -14,11 +14,12 @@ from ..core.run.files import atomic_file, cannot_write, read_json, write_json
 from ..core.run.folders import FolderLock, make_folder
 from ..core.run.provenance import provenance
 from ..core.run.run import Table
-from ..core.run.run_loop import Recorder, Run, Simulation
+from ..core.run.run_loop import Recorder, Run
+from ..core.run.simulation_protocol import RecordedSimulation
 from .loading import is_finished
 
 
-def scene_record(simulation: Simulation, command: dict[str, Any] | None = None) -> dict[str, Any]:
+def scene_record(simulation: RecordedSimulation, command: dict[str, Any] | None = None) -> dict[str, Any]:
     """Return the contents of scene.json: the name and arguments of the scene function, and the settings of the run.
 
     If a scene differs from what its function builds, because it was modified afterwards or built by hand, the fields in
@@ -61,8 +62,11 @@ class TableRecorder(Recorder):
     def _series(self) -> Path:
         return self.folder / "series.csv"
 
-    def claim(self, simulation: Simulation) -> None:
-        """Create the folder with scene.json, or take over the folder of an interrupted run, and lock the folder."""
+    def claim(self, simulation: RecordedSimulation) -> None:
+        """Create the run folder or take over the folder of an interrupted run, and lock the folder.
+
+        A new folder receives scene.json.
+        """
         if self._folder_hold is not None:
             return
         record = scene_record(simulation, self.command)
@@ -84,15 +88,15 @@ class TableRecorder(Recorder):
             self._is_new = True
         write_json(path, record)
 
-    def abandon(self, simulation: Simulation) -> None:
-        """Remove the folder if it is new and holds no checkpoint."""
+    def abandon(self, simulation: RecordedSimulation) -> None:
+        """Remove the folder if this recorder created it and it holds no checkpoint."""
         if self._folder_hold is not None and self._is_new and not (self.folder / "checkpoint.npz").exists():
             with suppress(OSError):
                 (self.folder / "scene.json").unlink(missing_ok=True)
             self._folder_hold.remove()
         self.close(simulation)
 
-    def start(self, simulation: Simulation) -> None:
+    def start(self, simulation: RecordedSimulation) -> None:
         """Open series.csv in the folder created by `claim`."""
         self.claim(simulation)
         self._file = self._opened("w")
@@ -103,7 +107,7 @@ class TableRecorder(Recorder):
         except OSError as error:
             raise cannot_write(self._series, error) from error
 
-    def resume(self, simulation: Simulation, state: dict[str, Any]) -> None:
+    def resume(self, simulation: RecordedSimulation, state: dict[str, Any]) -> None:
         """Rewrite series.csv with the rows up to the checkpoint, and open the file for further rows."""
         self.claim(simulation)
         with atomic_file(self._series) as partial:
@@ -115,8 +119,11 @@ class TableRecorder(Recorder):
         if self._writer is not None:
             self._writer = csv.writer(self._file)
 
-    def sample(self, simulation: Simulation, row: dict[str, float]) -> None:
-        """Append a row to series.csv; the header states the unit of each column."""
+    def sample(self, simulation: RecordedSimulation, row: dict[str, float]) -> None:
+        """Append the sampled values to series.csv as a new row.
+
+        The header of the file states the unit of each column.
+        """
         assert self._file is not None
         try:
             self._write(simulation, row)
@@ -124,17 +131,17 @@ class TableRecorder(Recorder):
         except OSError as error:
             raise cannot_write(self._series, error) from error
 
-    def _write(self, simulation: Simulation, row: dict[str, float]) -> None:
+    def _write(self, simulation: RecordedSimulation, row: dict[str, float]) -> None:
         if self._writer is None:
             self._writer = csv.writer(self._file)
             self._writer.writerow([f"{name} [{simulation.unit(name)}]" for name in row])
         self._writer.writerow([f"{value:.9g}" for value in row.values()])
 
-    def write(self, simulation: Simulation) -> None:
+    def write(self, simulation: RecordedSimulation) -> None:
         """Write result.json of an unfinished run; the rows of series.csv are already on disk."""
         write_json(self.folder / "result.json", simulation.result(False).result)
 
-    def finish(self, simulation: Simulation, run: Run) -> None:
+    def finish(self, simulation: RecordedSimulation, run: Run) -> None:
         """Write result.json and the tables, and close series.csv."""
         if self._file is None:
             return
@@ -149,7 +156,7 @@ class TableRecorder(Recorder):
         for name, table in run.tables.items():
             _write_table(self.folder / f"{name}.csv", table)
 
-    def close(self, simulation: Simulation) -> None:
+    def close(self, simulation: RecordedSimulation) -> None:
         """Release the lock on the folder."""
         if self._folder_hold is not None:
             self._folder_hold.release()

@@ -17,13 +17,14 @@ LOOKS = "/Run/Looks"
 CLEAR, PAINT = 0.14, 0.6
 """Minimum opacity of glass, and opacity of walls that show a quantity such as wear by colours."""
 SUN, SKY = 0.6, 0.5
-"""Intensities of the sun, which the size of its disc does not change, and of the sky, which shines from all sides."""
+"""Intensities of the sun and of the sky. The intensity of the sun does not depend on the size of its disc, and the sky
+shines from all sides."""
 SUN_ANGLE = 4.0
 """Angular size of the sun's disc [degrees], which softens the edges of shadows."""
 
 
 def linear(colours: np.ndarray) -> np.ndarray:
-    """Return sRGB bytes as linear colours from 0 to 1, which USD requires (IEC 61966-2-1)."""
+    """Return sRGB bytes as the linear colours from 0 to 1 that USD requires (IEC 61966-2-1)."""
     c = np.asarray(colours, float) / 255
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
@@ -84,7 +85,7 @@ def _by_display_colour(stage: Any, surface: Any, name: str) -> None:
 
 
 def wall_look(stage: Any, wall: DrawnWall, name: str, painted: bool = False) -> tuple[Any, Any, float]:
-    """Return the material of a wall, its linear colour and its opacity.
+    """Return the material, the linear colour and the opacity with which a wall is drawn.
 
     Transparent walls look like glass and moving walls like metal. A `painted` wall takes its colours from
     `displayColor`.
@@ -133,14 +134,17 @@ class Colours:
 
     def __init__(self, primvar: Any) -> None:
         self._primvar = primvar
-        known = primvar.Get()  # If the recording of a file is continued, start with the colour table of that file.
+        known = primvar.Get()  # If an existing USD file is continued, start with the table of colours in that file.
         self._table = np.zeros((0, 3), np.float32) if known is None else np.array(known, np.float32)
         self._numbers: dict[bytes, int] = {row.tobytes(): number for number, row in enumerate(self._table)}
-        # Indices in the table of the colours used so far; the keys are packed RGB bytes.
+        # Index of each colour used so far in the table of colours. The keys are the packed RGB bytes of the colours.
         self._known: dict[int, int] = {}
 
     def set(self, colours: np.ndarray, code: Any) -> None:
-        """Set the colours of all bodies, RGB bytes (n, 3), at a time code."""
+        """Set the colours of all bodies at a USD time code.
+
+        The colours are RGB bytes, shape (n, 3).
+        """
         from pxr import Vt
 
         packed = colours.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32)
@@ -161,9 +165,10 @@ class Colours:
 
 
 class Painted:
-    """Colours over time of a wall that shows a quantity such as wear, as indices into a table of colours.
+    """Colours over time of a wall that shows a quantity such as wear. The file stores indices into a table of colours.
 
-    The table is common to all frames; its entries belong to the discrete values to which :class:`.Paint` rounds.
+    The table is the same for all frames. Each of its entries belongs to one of the discrete values to which
+    :class:`.Paint` rounds.
     """
 
     def __init__(self, mesh: Any) -> None:
@@ -174,7 +179,7 @@ class Painted:
         self._paint: Paint | None = None
 
     def set(self, values: np.ndarray, paint: Paint, code: Any) -> None:
-        """Set the values of the vertices, shape (v,), in the paint's unit, at a time code."""
+        """Colour the wall at a USD time code by the `values` at its vertices, shape (v,), in the unit of `paint`."""
         from pxr import Vt
 
         if paint != self._paint:

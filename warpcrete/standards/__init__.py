@@ -1,6 +1,7 @@
 """Standard tests of fresh concrete that both simulation methods share, one file for each vessel.
 
-A scene builds the vessel for its method. A test that only one scene uses can be defined in the scene's own file.
+A scene builds the vessel for its method. A test whose scenes are all in one file is defined there, as in
+`scenes/lcpc.py`.
 """
 
 from .funnel import FUNNEL

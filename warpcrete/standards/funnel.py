@@ -9,7 +9,10 @@ from ..theory.vessels import funnel_time
 from .standard_test import ClosedForm, Outcome, Outflow, Sizes, Specimen, StandardTest
 
 LIGHT = 0.5
-"""Covered fraction of the outlet below which light counts as seen through the funnel, which ends the test."""
+"""Fraction of the outlet that is covered by concrete, seen from above, below which the test ends.
+
+The funnel then counts as empty, because light can be seen through it.
+"""
 
 
 def _measure(concrete: Specimen, size: Sizes) -> dict[str, float]:
@@ -25,7 +28,8 @@ def _time_of_ducts(k: Outcome) -> float | None:
     size, concrete = k.size, k.concrete
     halves = (size["outlet_width"] / 2, size["top_width"] / 2)
     time = funnel_time(halves, (size["outlet_height"], _height(size)), size["breadth"], concrete.viscosity,
-                       concrete.yield_stress, concrete.density, k.gravity)  # fmt: skip
+                       concrete.yield_stress, concrete.density, k.gravity, flow_index=concrete.flow_index,
+                       quadratic_viscosity=concrete.quadratic_viscosity)  # fmt: skip
     return time if math.isfinite(time) else None
 
 

@@ -44,7 +44,10 @@ def _spread_of_long_heap(k: Outcome) -> float | None:
 
 
 def _heap(k: Outcome) -> tuple[float, float] | None:
-    """Return radius and depth of a heap that resists stretching [m]; None unless the heap is wider than high."""
+    """Return radius and central depth [m] of a wide heap that resists stretching, according to theory.
+
+    The result is None without yield stress, or if the radius would not exceed the depth.
+    """
     if k.concrete.yield_stress == 0:
         return None
     reach, depth = heap_at_rest(k.whole, k.concrete.yield_stress, k.concrete.density, k.gravity)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,12 +17,12 @@ from ..core.units import number
 
 RESTED = 1.0
 """Simulated time [s] that concrete must stay slow before it counts as being at rest."""
-FORMATS = {"m": (1e3, " mm", 1, 0), "s": (1.0, " s", 2, 2), "1": (1.0, "", 2, 2)}
+FORMATS = {"m": (1e3, " mm", 1, 0), "s": (1.0, " s", 2, 2), "Pa": (1.0, " Pa", 1, 1), "1": (1.0, "", 2, 2)}
 """For each SI unit: factor and unit in the report, decimals of a result, and decimals of its closed forms."""
 Sizes = Mapping[str, float]
 """Dimensions of a vessel by name [m]."""
 Row = Mapping[str, float]
-"""Row of the time series, by column."""
+"""One row of the time series: values by column name."""
 
 
 @dataclass(frozen=True)
@@ -29,17 +30,23 @@ class Specimen:
     """Concrete in a vessel at one moment, as a simulation method measures it; all lengths are in metres."""
 
     top: Callable[[float], float]
-    """Function of a radius: height of the surface within this radius of the axis."""
+    """Function that takes a radius [m] and returns the mean height of the surface within it, about the axis."""
     spread: Callable[[], float]
-    """Diameter of a heap."""
+    """Function that returns the diameter of a heap [m]."""
     height_around: Callable[[float, float], float]
-    """Function of two radii about the axis: mean height of the surface between them."""
+    """Function that takes two radii [m] and returns the mean height of the surface between them, about the axis."""
     depth: Callable[[float, float, float], float]
-    """Function of two places along a box and the box's width: depth of the concrete between the places."""
+    """Function that returns the depth of the concrete [m] between two positions along a box.
+
+    Its arguments are the two positions and the width of the box [m].
+    """
     front: Callable[[], float]
-    """Distance that the concrete reaches along a box."""
+    """Function that returns the distance [m] that the concrete has reached along a box."""
     screen: Callable[[float, float], float]
-    """Function of an outlet's width and breadth: covered fraction of the outlet, seen from above."""
+    """Function that returns the fraction of an outlet that concrete covers, seen from above.
+
+    Its arguments are the width and the breadth of the outlet [m].
+    """
     inside: float
     """Fraction of the concrete that is still in the vessel."""
 
@@ -55,13 +62,15 @@ class Outcome:
     fill_height: float | None = None
     """Height of settled concrete in a mould before it is lifted [m]; None if concrete fills the mould exactly."""
     concrete: Any = None
-    """Bingham fluid, a :class:`warpcrete.theory.pipe.Concrete`, for the closed forms."""
+    """Yield stress fluid, a :class:`warpcrete.theory.pipe.Concrete`, for the closed forms; None if it is unknown."""
+    density: float = 0.0
+    """Density of the concrete in the full vessel [kg/m3]."""
     gravity: float = 9.81
     whole: float = 0.0
     """Volume of all concrete [m3]."""
 
     def last(self, name: str) -> float:
-        """Return the last value of a column."""
+        """Return the last value of the column `name` of the time series."""
         return float(self.series[name][-1])
 
     def when(self, name: str, value: float, falls: bool = False) -> float | None:
@@ -74,25 +83,32 @@ class Outcome:
 
 @dataclass(frozen=True)
 class ClosedForm:
-    """Closed form that predicts a quantity of a test for a Bingham fluid."""
+    """Closed form that predicts a quantity of a test for a yield stress fluid."""
 
     quantity: str
     suffix: str
-    """Ending of the result's name, after the name of the quantity and an underscore."""
+    """Suffix of the result's name, which is the name of the quantity, an underscore and this suffix."""
     label: str
     """Name of the closed form in the report."""
     of: Callable[[Any], float | None]
-    """Function that computes the value from an :class:`Outcome`; it returns None where the form does not hold."""
-    is_estimate: bool = True
-    """True if calibrations may start from this value.
+    """Function that computes the value of the closed form from an :class:`Outcome`.
 
-    Of several such forms of a quantity, the last one that holds has priority.
+    It returns None where the closed form does not hold.
+    """
+    is_estimate: bool = True
+    """True if calibrations may use this closed form for their first estimate.
+
+    If several closed forms of a quantity are marked in this way, the last one that holds is used.
     """
 
     @property
     def name(self) -> str:
-        """Name of the value in results."""
+        """Name of the closed form's value in the results of a run."""
         return f"{self.quantity}_{self.suffix}"
+
+    def value(self, known: Outcome) -> float | None:
+        """Return the predicted value; None where the form does not hold, or for a concrete that is no Bingham fluid."""
+        return None if known.concrete is None else self.of(known)
 
 
 @dataclass(frozen=True)
@@ -100,13 +116,13 @@ class Outflow:
     """End condition of a test in which concrete flows out of a vessel whose outlet is at height 0."""
 
     column: str
-    """Column of the series that falls during the test."""
+    """Name of the column of the time series whose value falls during the test."""
     below: float
-    """Value of the column below which the test is over."""
+    """The test is over as soon as the value in the column `column` falls below this number."""
     time: str
     """Name of the quantity that is the duration of the test."""
     finding: str
-    """Name of the check that a finished run must pass."""
+    """Name of the check that is passed if the concrete has flowed out by the end of the run."""
     height: Callable[[Sizes], float]
     """Function that computes the height of the vessel [m] from its dimensions."""
 
@@ -121,7 +137,10 @@ class StandardTest:
     columns: Mapping[str, str]
     """Units of the measured columns of the series, by name."""
     measure: Callable[[Specimen, Sizes], dict[str, float]]
-    """Function that measures the columns of one row from a :class:`Specimen` and the vessel's dimensions."""
+    """Function that returns the values of one sample by column name.
+
+    Its arguments are a :class:`Specimen` and the vessel's dimensions.
+    """
     quantities: tuple[Quantity, ...]
     """Results, each computed from an :class:`Outcome`."""
     forms: tuple[ClosedForm, ...] = ()
@@ -130,15 +149,15 @@ class StandardTest:
     on_plate: bool = False
     """True if the concrete spreads on a plate, whose edge it must not reach."""
     in_space: bool = False
-    """True if a flow must be simulated in space, because its closed forms need the depth of the vessel."""
+    """True if a flow must be simulated in three dimensions, because the closed forms need the width of the vessel."""
     curves: Mapping[str, str] | None = None
-    """Labels of the columns that the picture of a run shows over time; by default, spread and height."""
+    """Labels of the columns of the series that the figure of a run shows over time; by default, spread and height."""
 
     def __post_init__(self) -> None:
         TESTS[self.name] = self
 
     def __reduce__(self) -> Any:
-        return _by_name, (self.name,)
+        return _by_name, (self.name, self.measure.__module__)
 
     def check_dimensions(self, given: Sizes) -> None:
         """Raise :class:`warpcrete.SceneError` if a dimension that the test needs is missing."""
@@ -154,20 +173,26 @@ class StandardTest:
         return self.outflow is not None and row[self.outflow.column] < self.outflow.below
 
     def with_forms(self) -> Iterator[Quantity]:
-        """Yield the quantities, each followed by its closed forms, which the report shows beside it."""
+        """Yield each quantity of the test, followed by the closed forms that predict it.
+
+        The report shows the values of the closed forms next to the measured quantity.
+        """
         for each in self.quantities:
             forms = [form for form in self.forms if form.quantity == each.name]
             yield replace(each, words=_beside(each, forms)) if forms else each
             for form in forms:
-                yield Quantity(form.name, each.unit, form.of)
+                yield Quantity(form.name, each.unit, form.value)
 
     def estimates(self, known: Outcome) -> dict[str, float]:
         """Return the quantities that closed forms predict, by name."""
-        found = ((form.quantity, form.of(known)) for form in self.forms if form.is_estimate)
+        found = ((form.quantity, form.value(known)) for form in self.forms if form.is_estimate)
         return {name: float(value) for name, value in found if value is not None}
 
     def judge(self, run: Run) -> dict[str, tuple[bool, str]]:
-        """Return the check that the test has come to its end: by name, whether it passed, and what it found."""
+        """Return the check that the test has come to its end: that the concrete is at rest or has flowed out.
+
+        The dictionary has one entry: the name of the check, and a tuple (True if passed, text with the measured value).
+        """
         result = run.result
         if self.outflow is None:
             speed = 1e3 * number(result["rest_speed"])
@@ -181,16 +206,19 @@ TESTS: dict[str, StandardTest] = {}
 """All tests by name. A test is added when it is created, so a scene's file may define its own."""
 
 
-def _by_name(name: str) -> StandardTest:
+def _by_name(name: str, module: str) -> StandardTest:
+    if name not in TESTS:  # Another process has not imported the scene's file that defines the test.
+        importlib.import_module(module)
     return TESTS[name]
 
 
 def quantities_of_tests(
     of: Callable[[StandardTest], Iterable[Quantity]], outcome: Callable[[Any], Outcome | None]
 ) -> list[Quantity]:
-    """Return the quantities that `of` yields for each test; each is None in runs of other tests.
+    """Return the results of all standard tests as quantities; a quantity is None in runs of tests that lack it.
 
-    `outcome` takes a method's data about a run and returns what its test needs, or None if there is no test.
+    `of` yields the quantities of one test. `outcome` takes a method's data about a run and returns what the run's test
+    needs, or None if the run is no test.
     """
     found: dict[str, dict[StandardTest, Quantity]] = {}
     for test in TESTS.values():

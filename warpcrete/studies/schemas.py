@@ -65,7 +65,7 @@ def concrete_schema() -> Schema:
         **{name: TEXT | {"description": TEXT_DESCRIPTIONS[name]} for name in TEXTS},
         "elements": _object({name: field_schema(fields[name]) for name in known}, "parameters of discrete elements"),
         "flow": _object({name: field_schema(field) for name, field in constants.items()},
-                        "constants of a Bingham fluid with a slip layer"),
+                        "constants of a yield stress fluid with a slip layer"),
         "mix": _mix_section(),
     }  # fmt: skip
     needed = [{"required": [key]} for key in (*SECTIONS, "mix", "base")]
@@ -221,7 +221,10 @@ def _part(kind: str) -> Schema:
 def _mix_section() -> Schema:
     """Return the schema of the section `mix`."""
     amounts = {name: quantity(each.unit, each.help) for name, each in mixes.NUMBERS.items()}
-    constants = {name: quantity(unit, name.replace("_", " ")) for name, unit in mixes.UNITS.items()}
+    constants, of_concrete, of_layer = (
+        {name: quantity(unit, name.replace("_", " ")) for name, unit in units.items()}
+        for units in (mixes.UNITS, mixes.CONCRETE_UNITS, mixes.LAYER_UNITS)
+    )
     off = {"uncertainty": quantity("1", "uncertainty of the values, as '15 %'")}
     passing = quantity("1", "fraction of the mass that passes")
     texts = [{"type": "string", "pattern": text_pattern(unit)} for unit in ("kg/m3", "m3/m3", "kg", "m3")]
@@ -233,12 +236,12 @@ def _mix_section() -> Schema:
                   "propertyNames": {"pattern": text_pattern("m")}},
         "sizes": {"type": "array", "items": quantity("m", "diameter"), "minItems": 2, "maxItems": 2},
         "shape": {"anyOf": [{"enum": list(mixes.SHAPES)}, {"type": "number", "minimum": 1, "maximum": 20}]},
-        "concrete": _object(constants | off),
+        "concrete": _object(of_concrete | off),
         "mortar": _object(constants | off | {"density": quantity("kg/m3", "density")}),
         "viscometer": _points(mixes.SHEARED),
         "thickener": {"type": "boolean"},
         "layer": {"anyOf": [
-            _object({**constants, "viscosity": quantity("Pa s/m", "viscosity divided by thickness"), **off,
+            _object({**of_layer, "viscosity": quantity("Pa s/m", "viscosity divided by thickness"), **off,
                      "from": {"enum": ["tribometer", "pipe"], "description": "origin of the constants"}}, "",
                     ["yield_stress", "viscosity"]),
             _object({"points": _points(PUMPED), **{name: quantity("m", f"{name} of the pipe")

@@ -1,4 +1,4 @@
-"""Steady flow of a Bingham fluid with a slip layer through a pipe: pressure, flow rate and velocity profile.
+"""Steady flow of a yield stress fluid with a slip layer through a pipe: pressure, flow rate and velocity profile.
 
 The theory comes in three forms. Each form combines a flow law with a balance of forces:
 
@@ -10,7 +10,8 @@ The theory comes in three forms. Each form combines a flow law with a balance of
   with the force balance of the channel. This form agrees with neither of the others and only serves comparison with the
   paper's figures.
 
-The slip layer obeys tau = tau_L0 + eta_L V_L (Eq. 8). The bulk concrete fills the radius less the layer's thickness.
+The bulk is a Bingham fluid by default, and the slip layer obeys tau = tau_L0 + eta_L V_L (Eq. 8). Both may follow one
+of the other laws of :mod:`.laws` instead. The bulk concrete fills the radius less the layer's thickness.
 """
 
 from __future__ import annotations
@@ -27,18 +28,21 @@ from ..core.errors import SceneError, between, one_of, refuse
 from ..core.inputs.concretes import concrete
 from ..core.inputs.parameters import Above, Declared, Within
 from .fits import StraightLine, straight_line
+from .laws import BINGHAM, FlowLaw
 
 FORMS = ("pipe", "plane", "paper")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Concrete(Declared):
-    """Bingham fluid with a slip layer at the wall."""
+    """Yield stress fluid with a slip layer at the wall; both obey Bingham's law unless more constants are given."""
 
     name: str = "concrete"
     density: Annotated[float, "Density [kg/m3]", Above()]
     viscosity: Annotated[
-        float, "Plastic viscosity mu_b [Pa s]", Above(hint=("without viscosity the velocity has no profile"))
+        float,
+        "Plastic viscosity mu_b [Pa s], or consistency k [Pa s^n] with a flow index",
+        Above(hint=("without viscosity the velocity has no profile")),
     ]
     yield_stress: Annotated[float, "Yield stress tau_b [Pa]", Within(0)]
     slip_viscosity: Annotated[
@@ -47,6 +51,40 @@ class Concrete(Declared):
         Above(hint="give a very large value for a wall without slip"),
     ]
     slip_yield: Annotated[float, "Yield stress tau_L0 of the slip layer [Pa]", Within(0)]
+    flow_index: Annotated[
+        float, "Flow index n of the Herschel-Bulkley law tau_b + k g^n; above 1 the concrete thickens", Above()
+    ] = 1.0
+    quadratic_viscosity: Annotated[
+        float,
+        "Coefficient c of the modified Bingham law tau_b + mu_b g + c g^2 [Pa s2]",
+        Within(0, hint="use flow_index below 1 for a concrete that thins"),
+    ] = 0.0
+    slip_flow_index: Annotated[float, "Flow index n of the slip layer, whose stress is tau_L0 + eta_L V^n", Above()] = (
+        1.0
+    )
+    slip_quadratic_viscosity: Annotated[
+        float,
+        "Coefficient c of the slip layer [Pa s2/m2], whose stress is tau_L0 + eta_L V + c V^2",
+        Within(0, hint="use slip_flow_index below 1 for a layer that thins"),
+    ] = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for part in ("", "slip_"):
+            index, square = f"{part}flow_index", f"{part}quadratic_viscosity"
+            if getattr(self, index) != 1 and getattr(self, square) > 0:
+                refuse(index, getattr(self, index), f"cannot be combined with {square}, because they belong to "
+                       "different laws", "leave out one of the two")  # fmt: skip
+
+    @property
+    def bulk_law(self) -> FlowLaw:
+        """Law of the bulk, with shear rates in [1/s]."""
+        return FlowLaw(self.yield_stress, self.viscosity, self.flow_index, self.quadratic_viscosity)
+
+    @property
+    def layer_law(self) -> FlowLaw:
+        """Law of the slip layer, with slip velocities [m/s] in place of shear rates."""
+        return FlowLaw(self.slip_yield, self.slip_viscosity, self.slip_flow_index, self.slip_quadratic_viscosity)
 
 
 CONCRETES = {name: Concrete(name=name, **concrete(name).flow) for name in ("no1", "no2", "no3")}
@@ -105,11 +143,14 @@ class Steady:
 def _bulk(concrete: Concrete, line: Line, stress, form: str):
     """Return the mean velocity that shear of the bulk adds to the slip velocity [m/s], averaged over the section.
 
-    `stress` is the shear stress tau at the wall [Pa], a number or an array. With x = yield stress / tau the velocity is
-    R tau / (4 mu_b) (1 - 4 x / 3 + x^4 / 3) in a pipe and R tau / (3 mu_b) (1 - 3 x / 2 + x^3 / 2) in a channel.
+    `stress` is the shear stress tau at the wall [Pa], a number or an array. With x = yield stress / tau the velocity of
+    a Bingham fluid is R tau / (4 mu_b) (1 - 4 x / 3 + x^4 / 3) in a pipe and R tau / (3 mu_b) (1 - 3 x / 2 + x^3 / 2)
+    in a channel. :meth:`~.laws.FlowLaw.mean_velocity` serves the other laws.
     """
     inner = line.radius - line.slip_thickness
     own = np.asarray(stress, float) * inner / line.radius
+    if (law := concrete.bulk_law).name != BINGHAM:
+        return (inner / line.radius) ** (1 if form == "plane" else 2) * law.mean_velocity(own, inner, form)
     with np.errstate(divide="ignore"):
         x = np.where(own > concrete.yield_stress, concrete.yield_stress / np.where(own > 0, own, 1.0), 1.0)
     # If the yield stress nearly equals the wall stress (x = 1), the expanded polynomials of x subtract nearly equal
@@ -130,7 +171,7 @@ def steady_of_stress(concrete: Concrete, line: Line, stress: float, form: str = 
     """Return the steady state at a wall `stress` [Pa]; up to `least_stress` nothing moves."""
     one_of("form", form, FORMS)
     between("stress", stress, 0, np.inf, "[Pa]")
-    slip = max(stress - concrete.slip_yield, 0.0) / concrete.slip_viscosity
+    slip = float(concrete.layer_law.rate(stress))
     bulk = float(_bulk(concrete, line, stress, form))
     ways = 2 if form == "pipe" else 1
     pressure = concrete.density * line.gravity * line.rise * line.length + ways * stress * line.length / line.radius
@@ -267,8 +308,8 @@ def flow_of_pressure(concrete: Concrete, line: Line, pressure: float, form: str 
 def velocity(concrete: Concrete, line: Line, state: Steady, radius: Sequence[float] | np.ndarray) -> np.ndarray:
     """Return the velocity [m/s] at distances `radius` [m] from the axis or middle plane.
 
-    Pipe and channel share this parabola, because in both the shear stress grows linearly from the middle. Raises
-    :class:`SceneError` for places outside the bulk.
+    Pipe and channel share this profile, a parabola with Bingham's law, because in both the shear stress grows linearly
+    from the middle. Raises :class:`SceneError` for places outside the bulk.
     """
     r = np.abs(np.asarray(radius, float))
     inner = line.radius - line.slip_thickness
@@ -276,6 +317,10 @@ def velocity(concrete: Concrete, line: Line, state: Steady, radius: Sequence[flo
         refuse("radius", float(r.max()), f"must be at most {inner:g} m, the radius of the bulk")
     sheared = np.maximum(r, state.plug_radius)
     gradient = state.wall_stress / line.radius
+    if (law := concrete.bulk_law).name != BINGHAM:
+        # The velocity above that at the wall is the integral of the shear rate over the stress, over its gradient.
+        at_wall, at_place = law.integrals(gradient * inner)[0], law.integrals(gradient * sheared)[0]
+        return state.slip_velocity + np.where(state.plug_radius < inner, (at_wall - at_place) / (gradient or 1.0), 0.0)
     gained = gradient * (inner**2 - sheared**2) / 2 - concrete.yield_stress * (inner - sheared)
     return state.slip_velocity + np.where(state.plug_radius < inner, gained, 0.0) / concrete.viscosity
 
@@ -291,8 +336,11 @@ def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:
 
     While the wall bears less than the bulk's yield stress, the concrete slips as a plug. Above that it slips and
     shears; the x^4 term of the Buckingham-Reiner law, with x = yield stress / wall stress, is left out (Kaplan, de
-    Larrard & Sedran 2005).
+    Larrard & Sedran 2005). Raises :class:`SceneError` for other laws than Bingham's.
     """
+    for law, name in ((concrete.bulk_law, "flow_index"), (concrete.layer_law, "slip_flow_index")):
+        if law.name != BINGHAM:
+            refuse(name, law.index, f"cannot be used with Kaplan's model, which has no {law.name} law", "use steady")
     between("flow", flow, 0, np.inf, "[m3/s]")
     mean, radius = flow / (np.pi * line.radius**2), line.radius
     slip = mean
@@ -318,9 +366,10 @@ def slip_constants(
     """Return eta_L [Pa s/m] and tau_L0 [Pa], fitted to flows [m3/s] and pressures [Pa] of a round pipe (Xu, Eq. 12).
 
     The part of each flow that shear of the bulk contributes is subtracted; a straight line of wall stress over slip
-    velocity is fitted to the rest. `concrete` supplies viscosity, yield stress and density, `line` the layer's
-    thickness. The paper's Table 3 follows in this way from the constants of zero thickness. Raises :class:`SceneError`
-    for fewer than two different flows.
+    velocity is fitted to the rest. If the layer has a flow index n or a coefficient c, it is kept: the line is that of
+    the stress over V^n, or of the stress less c V^2 over V. `concrete` supplies viscosity, yield stress and density,
+    `line` the layer's thickness. The paper's Table 3 follows in this way from the constants of zero thickness. Raises
+    :class:`SceneError` for fewer than two different flows.
     """
     found = _slip_line(concrete, line, flows, pressures)
     return found.slope, found.offset
@@ -350,18 +399,29 @@ def _slip_line(concrete: Concrete, line: Line, flows: Sequence[float], pressures
     if not (np.all(np.isfinite(q)) and np.all(np.isfinite(p))):
         refuse("pressures", p.tolist(), "must be finite numbers")
     stress = (p - concrete.density * line.gravity * line.rise * line.length) * line.radius / (2 * line.length)
-    return straight_line(q / (np.pi * line.radius**2) - _bulk(concrete, line, stress, "pipe"), stress)
+    slip = q / (np.pi * line.radius**2) - _bulk(concrete, line, stress, "pipe")
+    bent = np.sign(slip) * np.abs(slip) ** concrete.slip_flow_index if concrete.slip_flow_index != 1 else slip
+    return straight_line(bent, stress - concrete.slip_quadratic_viscosity * slip * np.abs(slip))
+
+
+def _law_text(law: FlowLaw) -> str:
+    """Return the constants that a law has besides those of Bingham's law, for a table."""
+    if law.index != 1:
+        return f", flow index {law.index:g}"
+    return f", quadratic {law.quadratic:g}" if law.quadratic else ""
 
 
 def table(concrete: Concrete, line: Line, flows: Sequence[float] = (), pressures: Sequence[float] = ()) -> str:
     """Return a text table of pressure and slip velocity at `flows` [m3/s], or of the flow at `pressures` [Pa].
 
-    Each form of the theory has a row; at given flows Kaplan's model has one more. If the pressure is too low for flow
-    in one form, the row of this form says so. Raises :class:`SceneError` if nothing flows in any form.
+    Each form of the theory has a row; at given flows Kaplan's model, which knows Bingham's law only, has one more. If
+    the pressure is too low for flow in one form, the row of this form says so. Raises :class:`SceneError` if nothing
+    flows in any form.
     """
     lines = [
         f"{concrete.name}: density {concrete.density:g} kg/m3, viscosity {concrete.viscosity:g} Pa s, yield stress "
-        f"{concrete.yield_stress:g} Pa; slip layer {concrete.slip_viscosity:g} Pa s/m, {concrete.slip_yield:g} Pa",
+        f"{concrete.yield_stress:g} Pa{_law_text(concrete.bulk_law)}; slip layer {concrete.slip_viscosity:g} Pa s/m, "
+        f"{concrete.slip_yield:g} Pa{_law_text(concrete.layer_law)}",
         f"{'form':8s}{'flow [m3/s]':>14s}{'pressure [Pa]':>15s}{'wall stress [Pa]':>18s}{'slip [m/s]':>12s}"
         f"{'plug radius [m]':>17s}",
     ]
@@ -374,7 +434,8 @@ def table(concrete: Concrete, line: Line, flows: Sequence[float] = (), pressures
 
     for flow in flows:
         lines += [line_of(steady(concrete, line, flow, form)) for form in FORMS]
-        lines.append(line_of(kaplan(concrete, line, flow)))
+        if concrete.bulk_law.name == concrete.layer_law.name == BINGHAM:
+            lines.append(line_of(kaplan(concrete, line, flow)))
     for pressure in pressures:
         standing = []
         for form in FORMS:

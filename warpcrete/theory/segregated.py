@@ -1,7 +1,7 @@
 """Steady pipe flow of concrete whose share of aggregate differs between the axis and the wall.
 
-The concrete is a Bingham fluid of two zones, the inner and the outer half of the radius. Each zone has the viscosity
-and yield stress of the concrete with the zone's own share of aggregate
+The concrete is a yield stress fluid of two zones, the inner and the outer half of the radius. Each zone has the
+viscosity and yield stress of the concrete with the zone's own share of aggregate
 (:func:`~warpcrete.theory.suspension.thickening`); the slip layer is unchanged. Shear stress and velocity are continuous
 between the zones, so their contributions to the flow add up in closed form.
 """
@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..core.errors import between, refuse
+from .laws import BINGHAM
 from .pipe import Concrete, Line, Steady
-from .suspension import SUSPENSIONS, thickening
+from .suspension import SUSPENSIONS, power_thickening, thickening
 
 STEPS = 200
 """Maximum number of bisections, which end earlier when no floating-point number lies between the bounds."""
@@ -61,15 +62,19 @@ class Segregated:
         found = []
         for share in self.shares:
             thick = thickening(share, *SUSPENSIONS["spheres"])
-            found.append(replace(self.concrete, viscosity=self.concrete.viscosity * thick[0] / even[0],
-                                 yield_stress=self.concrete.yield_stress * thick[1] / even[1]))  # fmt: skip
+            own = self.concrete
+            factors = (thick[0], share), (even[0], self.fraction)
+            linear, square = ([power_thickening(*each, n) for each in factors] for n in (own.flow_index, 2.0))
+            found.append(replace(own, viscosity=own.viscosity * linear[0] / linear[1],
+                                 yield_stress=own.yield_stress * thick[1] / even[1],
+                                 quadratic_viscosity=own.quadratic_viscosity * square[0] / square[1]))  # fmt: skip
         return found[0], found[1]
 
     def of_stress(self, stress: float) -> Steady:
         """Return the steady state at a wall `stress` [Pa]."""
         between("stress", stress, 0, np.inf, "[Pa]")
         concrete, line = self.concrete, self.line
-        slip = max(stress - concrete.slip_yield, 0.0) / concrete.slip_viscosity
+        slip = float(concrete.layer_law.rate(stress))
         edge, flow, plug = line.radius - line.slip_thickness, np.pi * line.radius**2 * slip, line.radius
         border = min(0.5 * line.radius, edge)
         for zone, low, high in zip(self.zones, (0.0, border), (border, edge), strict=True):
@@ -77,8 +82,13 @@ class Segregated:
             if begin < high:
                 # The flow by shear is the integral of pi r^2 times the shear rate. The shear rate is
                 # (stress r / R - yield stress) / viscosity.
-                rise = stress / line.radius * (high**4 - begin**4) / 4 - zone.yield_stress * (high**3 - begin**3) / 3
-                flow += np.pi / zone.viscosity * rise
+                if (law := zone.bulk_law).name == BINGHAM:
+                    rise = stress / line.radius * (high**4 - begin**4) / 4
+                    rise -= zone.yield_stress * (high**3 - begin**3) / 3
+                    flow += np.pi / zone.viscosity * rise
+                else:
+                    slope = stress / line.radius
+                    flow += np.pi * float(law.stream(slope * high, slope * begin)) / slope**3
                 plug = min(plug, begin)
         weight = concrete.density * line.gravity * line.rise * line.length
         pressure = weight + 2 * stress * line.length / line.radius

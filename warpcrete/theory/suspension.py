@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..core.errors import between, one_of
@@ -23,6 +25,18 @@ def thickening(fraction: float, intrinsic: float, densest: float) -> tuple[float
     return factor, float(np.sqrt((1 - fraction) * factor))
 
 
+def power_thickening(factor: float, fraction: float, index: float) -> float:
+    """Return the factor by which a volume `fraction` of aggregate raises the consistency k of a term k g^n.
+
+    `factor` is the viscosity factor f of :func:`thickening` and `index` is n. The mortar between the aggregates is
+    sheared sqrt(f / (1 - fraction)) times as fast as the whole, so that the factor is
+    sqrt(f^(n + 1) (1 - fraction)^(1 - n)) (Chateau, Ovarlez & Trung 2008). It is f for n = 1.
+    """
+    if index == 1.0:
+        return factor
+    return float(np.sqrt(factor ** (index + 1) * (1 - fraction) ** (1 - index)))
+
+
 def mortar_of(concrete: Concrete, fraction: float, density: float, inclusions: str = "spheres") -> Concrete:
     """Return the mortar that becomes `concrete` when a volume `fraction` of coarse aggregate is added.
 
@@ -32,11 +46,11 @@ def mortar_of(concrete: Concrete, fraction: float, density: float, inclusions: s
     """
     one_of("inclusions", inclusions, SUSPENSIONS)
     viscosity, yield_stress = thickening(fraction, *SUSPENSIONS[inclusions])
-    return Concrete(
+    return replace(
+        concrete,
         name=f"mortar of {concrete.name}",
         density=(concrete.density - fraction * density) / (1 - fraction),
-        viscosity=concrete.viscosity / viscosity,
+        viscosity=concrete.viscosity / power_thickening(viscosity, fraction, concrete.flow_index),
         yield_stress=concrete.yield_stress / yield_stress,
-        slip_viscosity=concrete.slip_viscosity,
-        slip_yield=concrete.slip_yield,
+        quadratic_viscosity=concrete.quadratic_viscosity / power_thickening(viscosity, fraction, 2.0),
     )

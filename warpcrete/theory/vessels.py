@@ -1,4 +1,4 @@
-"""Closed forms and estimates of standard tests: slump, spread, L-box, V-funnel.
+"""Closed forms and estimates of standard tests: slump, spread, L-box, LCPC box, V-funnel.
 
 A long heap comes to rest where the yield stress on the plate balances the outward pressure of its slope (Roussel &
 Coussot 2005). The next order of shallow-layer theory adds the heap's resistance to stretching, which stops the heap
@@ -13,12 +13,16 @@ pressure over the square root of 3 reaches the yield stress.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from .laws import BINGHAM, FlowLaw
+
 LAYERS = 4000
 """Number of slices in sums over the height of a cone or the radius of a heap."""
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
+"""Nodes from -1 to 1 and weights of Gauss-Legendre integration."""
 SLICES, SLICES_FUNNEL, SPEEDS = 400, 60, 120
 """Slices of a box along its length, slices of a funnel along its height, and outlet speeds tried for each level."""
 
@@ -141,6 +145,33 @@ def box_at_rest(
     return filled(far, length)[1], far, length
 
 
+def box_slope(near: float, width: float) -> tuple[float, float]:
+    """Return two integrals over the depth of concrete at rest in a long box, from 0 at its front to `near` [m].
+
+    With the constant A = 2 tau / (rho g b) of a box of `width` b [m], the first integral [m] is A times the length that
+    the concrete covers, and the second one [m2] is A / b times its volume (Roussel 2007). Both follow from the equation
+    of :func:`box_at_rest`.
+    """
+    bent = 0.5 * width * math.log1p(2 * near / width)
+    return near - bent, 0.5 * near * near - 0.5 * width * (near - bent)
+
+
+def box_yield_stress(reach: float, volume: float, width: float, density: float, gravity: float = 9.81) -> float:
+    """Return the yield stress [Pa] of concrete at rest that covers the length `reach` [m] of a box, short of its end.
+
+    This inverts :func:`box_at_rest`; the `volume` is in m3, and the concrete sticks to floor and sides (Roussel 2007).
+    """
+    mean = volume / (width * reach)
+
+    def too_deep(near: float) -> float:
+        reach_a, volume_a = box_slope(near, width)
+        return volume_a / reach_a - mean
+
+    # The mean depth is between a half and two thirds of the depth at the near end.
+    near = root(too_deep, 1.5 * mean, 2 * mean)
+    return 0.5 * density * gravity * width * box_slope(near, width)[0] / reach
+
+
 def root(function: Callable[[float], float], low: float, high: float) -> float:
     """Return the zero of an increasing function between `low` and `high`, found by bisection."""
     for _ in range(60):
@@ -162,33 +193,50 @@ def duct_constants(aspect: float) -> tuple[float, float]:
 
 def duct_stress(
     speed: np.ndarray, wide: np.ndarray, deep: float, viscosity: float, yield_stress: float,
-    layer: tuple[float, float] | None = None,
+    layer: Sequence[float] | None = None, flow_index: float = 1.0, quadratic_viscosity: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return the mean wall stress [Pa] of rectangular ducts at mean speeds [m/s], and their hydraulic radii [m].
 
-    `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side of all ducts. Bingham's law
-    in the form of Kozicki, Chou & Tiu, which is exact in slots and pipes, reads
-    2 v / R = tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a + b))), with q = tau0 / tau. With a slip `layer`,
-    given by its viscosity divided by its thickness [Pa s/m] and its yield stress [Pa], the slip velocity is added.
+    `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side of all ducts. The form of
+    Kozicki, Chou & Tiu, which is exact in slots and pipes, reads 2 v / R = tau^(-b/a) / a times the integral of
+    s^(b/a - 1) g(s) ds up to tau, with the shear rate g. For Bingham's law it is
+    tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a + b))), with q = tau0 / tau. With a slip `layer`, given by its
+    viscosity divided by its thickness [Pa s/m], its yield stress [Pa], and for other laws its flow index and its
+    quadratic coefficient, the slip velocity is added.
     """
+    law = FlowLaw(yield_stress, viscosity, flow_index, quadratic_viscosity)
     radius = wide * deep / (2 * (wide + deep))
     a, b = np.array([duct_constants(min(w, deep) / max(w, deep)) for w in wide]).T
-    goal = 2 * speed * viscosity / radius
-    least = yield_stress if layer is None else min(yield_stress, layer[1])
-    low, high = np.full_like(radius, least), 3 * yield_stress + 3 * (a + b) * goal
+    goal, slip = 2 * speed / radius, None if layer is None else FlowLaw(layer[1], layer[0], *layer[2:])
+    least = yield_stress if slip is None else min(yield_stress, slip.yield_stress)
+    low, high = np.full_like(radius, least), 3 * law.stress((b + a / flow_index) * goal)
+    while np.any(_duct_rate(high, a, b, law) < goal):
+        high *= 2
     for _ in range(60):
         stress = 0.5 * (low + high)
-        q = np.minimum(yield_stress / stress, 1.0)
-        slip = 0.0 if layer is None else np.maximum(stress - layer[1], 0.0) / layer[0]
-        bulk = stress * (1 / (a + b) - q / b + a / (b * (a + b)) * q ** (1 + b / a))
-        less = bulk < goal - 2 * viscosity * slip / radius
+        less = _duct_rate(stress, a, b, law) < goal - (0.0 if slip is None else 2 * slip.rate(stress) / radius)
         low, high = np.where(less, stress, low), np.where(less, high, stress)
     return 0.5 * (low + high), radius
 
 
+def _duct_rate(stress: np.ndarray, a: np.ndarray, b: np.ndarray, law: FlowLaw) -> np.ndarray:
+    """Return twice the mean speed over the hydraulic radius [1/s] at a mean wall `stress` [Pa], by `duct_stress`."""
+    if law.name == BINGHAM:
+        q = np.minimum(law.yield_stress / stress, 1.0)
+        return stress * (1 / (a + b) - q / b + a / (b * (a + b)) * q ** (1 + b / a)) / law.viscosity
+    # The substitution excess = x^3 of its largest value makes the integrand smooth where the shear rate begins.
+    x = 0.5 * (NODES + 1)
+    over = np.maximum(stress - law.yield_stress, 0.0)[:, None]
+    at = law.yield_stress + over * x**3
+    relative = (at / stress[:, None]) ** (b / a - 1)[:, None]
+    sum = np.sum(relative * law.rate(at) * over * 1.5 * x**2 * WEIGHTS, axis=1)
+    return sum / (a * stress)
+
+
 def funnel_time(
     half_widths: tuple[float, float], heights: tuple[float, float], depth: float, viscosity: float, yield_stress: float,
-    density: float, gravity: float = 9.81, layer: tuple[float, float] | None = None,
+    density: float, gravity: float = 9.81, layer: Sequence[float] | None = None, flow_index: float = 1.0,
+    quadratic_viscosity: float = 0.0,
 ) -> float:  # fmt: skip
     """Estimate the time in which a V-funnel empties [s]; infinite if the yield stress holds the concrete back.
 
@@ -209,7 +257,8 @@ def funnel_time(
     # and each level of the concrete.
     left = []
     for speed in speeds:
-        stress, radius = duct_stress(speed * outlet / area, wide, depth, viscosity, yield_stress, layer)
+        stress, radius = duct_stress(speed * outlet / area, wide, depth, viscosity, yield_stress, layer, flow_index,
+                                     quadratic_viscosity)  # fmt: skip
         taken = np.cumsum(stress / radius) * step + 0.5 * density * speed**2
         left.append(density * gravity * step * np.arange(1, SLICES_FUNNEL + 1) - taken)
     time = 0.0

@@ -27,7 +27,10 @@ def cases() -> list[Case]:
 def run_cases(
     chosen: list[Case], device: str, precision: str, *, slow: bool = True
 ) -> Iterator[tuple[Case, list[Row]]]:
-    """Run cases one after the other; a case that raises an error yields a single row, which fails."""
+    """Run verification cases one after the other, and yield each case with the rows of its results.
+
+    If a case raises an error, its only row is one that counts as failed and states the error.
+    """
     for case in chosen:
         if slow or not case.slow:
             try:
@@ -38,7 +41,7 @@ def run_cases(
 
 
 def table(results: list[tuple[Case, list[Row]]]) -> str:
-    """Return a Markdown table of all rows."""
+    """Return a Markdown table with one line for each computed quantity."""
     lines = [
         "| case | quantity | computed | expected | error | tolerance | | source of the expected value |",
         "|---|---|---|---|---|---|---|---|",
@@ -57,7 +60,10 @@ def table(results: list[tuple[Case, list[Row]]]) -> str:
 
 
 def summary(results: list[tuple[Case, list[Row]]]) -> str:
-    """Return a Markdown table with one line per case, which shows the row whose error is closest to its tolerance."""
+    """Return a Markdown table with one line per case.
+
+    Each line shows the result of the case whose error is closest to its tolerance.
+    """
     lines = [
         "| case | figures | largest error | its tolerance | source of the expected values |",
         "|---|---|---|---|---|",

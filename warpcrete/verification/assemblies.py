@@ -154,7 +154,8 @@ def janssen(device, precision) -> list[Row]:
     top = float(np.sort(run.bodies.position[:, 2])[-30:].mean())
     bottom = float(np.sort(run.bodies.position[:, 2])[:30].mean())
     filled = top - bottom
-    # K is the mean stress on the wall over the mean vertical stress, which follows from Janssen's profile.
+    # K is the mean stress on the wall over the mean vertical stress. The mean vertical stress follows from Janssen's
+    # profile.
     wall = normal / (2 * math.pi * radius * filled)
     area = math.pi * radius**2
     mean_vertical = _mean_vertical(weight, floor, area)

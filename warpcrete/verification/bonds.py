@@ -145,7 +145,8 @@ def breakage(device, precision) -> list[Row]:
         step = {"tension": normal * speed, "shear": shear * speed, "bending": bending * rate,
                 "torsion": twisting * rate, "shear under tension": shear * speed}[label]  # fmt: skip
         if label == "shear under tension":
-            # The shear strength c - sigma tan(phi) decreases and tau increases, both in proportion to the travel.
+            # Both stresses change in proportion to the displacement: the shear strength c - sigma tan(phi) decreases,
+            # and the shear stress tau increases.
             slope = 0.3 * normal / shear * math.tan(math.radians(angle))
             expected = cohesion * area / (1 + slope)
         dt = 5e-4 * expected / step
@@ -158,8 +159,9 @@ def breakage(device, precision) -> list[Row]:
             if stepper.state.spheres.broken.numpy().sum(0)[flag]:
                 break
             last = abs(float(stepper.state.pairs.load.numpy()[0, place]))
-        # The load grows by 5e-4 of its final value per step, which limits the accuracy. In double precision, loads
-        # other than shear reach the strength exactly at the end of a step, and the error is smaller.
+        # The load grows by 5e-4 of its final value per step, and this step limits the accuracy of the measured load. In
+        # double precision, loads other than shear reach the bond's strength exactly at the end of a step, so their
+        # error is smaller.
         sheared = label.startswith("shear") or precision == "float32"
         rows.append(
             Row(

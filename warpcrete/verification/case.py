@@ -32,7 +32,10 @@ class Row:
 
     @property
     def error(self) -> float:
-        """Return the error |ours - expected| of the computed value `ours`, over `scale` or else over |expected|."""
+        """Return the relative error |ours - expected| of the computed value `ours`.
+
+        The difference is divided by `scale` if it is given, otherwise by |expected|.
+        """
         if self.at_least and self.ours >= self.expected:
             return 0.0
         return abs(self.ours - self.expected) / (abs(self.expected) if self.scale is None else self.scale)
@@ -45,17 +48,17 @@ class Row:
 
 @dataclass(frozen=True)
 class Case:
-    """A verification case, which computes a set of rows."""
+    """A verification case. Its function `run` computes quantities and compares each one with its expected value."""
 
     name: str
     source: str
     """Source of the expected values."""
     run: Callable[[str, str], list[Row]]
-    """Function of (device, precision) that runs the case and returns its rows."""
+    """Function of (device, precision) that runs the case and returns its results, one for each computed quantity."""
     group: str
     slow: bool = False
     curves: dict[str, Any] = field(default_factory=dict)
-    """Curves for the figure, filled in by `run`."""
+    """Curves for the figure; calling `run` fills them in."""
 
 
 def start(scene: Scene, device: str, precision: str) -> Stepper:

@@ -58,8 +58,8 @@ def oscillator(device, precision) -> list[Row]:
                 worst = max(worst, abs(overlap - exact))
             errors.append(worst / rest)
         OSCILLATOR.curves[f"damping ratio {beta:g}"] = (end / np.array([100, 200, 400]) * omega, np.array(errors))
-        # Single precision resolves the height to 1e-9 m, which is 6e-5 of the rest overlap. With the finest step this
-        # rounding error is visible.
+        # Single precision resolves the height to 1e-9 m, or 6e-5 of the overlap at rest. This rounding error is visible
+        # with the finest time step.
         floor = 4e-4 if precision == "float32" else 0.0
         allowed = {0.0: 6e-4, 0.3: 5e-3}[beta] + floor
         rows.append(

@@ -60,7 +60,11 @@ class Outcome:
 def cup(*, modulus=1e6, ratio=2.0, density=2500.0, velocity=0.3, gravity=9.81, restitution=0.5, friction=0.3,
         load=1e3, dt_fraction=0.8, bonds: Bonds | None = None, hydration: Hydration | None = None, count=80,
         origin=(0.0, 0.0, 0.0), **changes) -> Scene:  # fmt: skip
-    """Return the scene of a cup of spheres; `ratio` is large over small size, `load` the pressure of the plate [Pa]."""
+    """Return the scene of a cup that holds spheres of two sizes under a loaded plate.
+
+    `ratio` is the size of the large spheres over that of the small spheres, and `load` is the pressure of the plate
+    [Pa].
+    """
     random = np.random.default_rng(0)
     large = 0.012
     layer = 1.04 * large
@@ -179,7 +183,7 @@ def scenes(large: bool = False) -> Iterator[tuple[str, Callable[[], Scene], int]
 
 
 def _moved(scene: Scene, count: int) -> Scene:
-    """Return the scene with its first `count` bodies all moved to the position of the body that comes after them."""
+    """Return the scene with its first `count` bodies all moved to the position of the body after them."""
     bodies = scene.bodies[0]
     places = bodies.positions.copy()
     places[:count] = places[min(count, len(places) - 1)]
@@ -215,7 +219,11 @@ def matrix(device: str, precision: str, *, large: bool = False) -> list[Outcome]
 
 
 def table(outcomes: list[Outcome]) -> str:
-    """Return a Markdown table of results; the many corner cases are summarised with one line per kind of result."""
+    """Return a Markdown table of the results of all scenes.
+
+    Scenes in which every parameter is extreme (corners of the parameter space) are numerous. Their results are
+    therefore summarised, with one line for each kind of result.
+    """
     lines = ["| scene | deepest overlap | unexplained energy | outcome |", "|---|---|---|---|"]
     corners = [o for o in outcomes if o.name.startswith("corner")]
     for o in outcomes:

@@ -8,7 +8,7 @@ from .case import Case, Row
 
 
 def draw(results: list[tuple[Case, list[Row]]]):
-    """Return a Matplotlib figure of the rows and of the `curves` that the cases have stored."""
+    """Return a Matplotlib figure of the errors of all results, and of the curves that the cases have computed."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12.5, 9), layout="constrained")

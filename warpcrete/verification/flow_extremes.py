@@ -23,9 +23,9 @@ from ..theory.pipe import CONCRETES, Concrete
 FEW, STEPS, LONG = 10, 100, 2000
 SAMPLES = 20
 BALANCE, VOLUME, SPEED, CLOSEST = 0.2, 0.015, 4.0, 0.3
-"""Bounds of acceptable flows: largest unbalanced part of the piston's force after the first tenth of the steps, largest
-change of the volume, largest speed over the theoretical maximum, and smallest distance of two particles over their
-spacing."""
+"""Bounds of acceptable flows, in this order: largest unbalanced part of the piston's force after the first tenth of the
+steps, relative to the force; largest relative change of the volume; largest speed over the theoretical maximum;
+smallest distance of two particles over their initial spacing."""
 PAPER = CONCRETES["no1"]
 ACROSS = 10
 
@@ -145,9 +145,8 @@ MUST: dict[str, str] = {
         ("a concrete that shears, for 1 s", ""),
     )
 }
-"""Flows that need not run to the end, each with part of the message with which the flow must stop. If the text is
-empty, running and stopping are both acceptable.
-"""
+"""Flows that are allowed or required to stop early, each with a part of the expected error message. If that text is
+empty, running to the end and stopping are both acceptable."""
 AXES: dict[str, tuple[float, float]] = {
     "viscosity": (0.1, 1e5),
     "yield_stress": (0.0, 1e4),
@@ -157,11 +156,16 @@ AXES: dict[str, tuple[float, float]] = {
     "flow": (1e-6, 1e-1),
     "gravity": (0.0, 981.0),
 }
-"""Extreme values of each parameter; all corners of this parameter space are run, too."""
+"""Lowest and highest value of each parameter. The cases are scenes with one extreme value, and all corners of this
+parameter space."""
 
 
 def scenes() -> Iterator[Case]:
-    """Yield name, scene and number of steps of every case: single extremes, special flows, and corners of `AXES`."""
+    """Yield name, scene and number of steps of every case.
+
+    In each case, either a single parameter is extreme, or the flow is a special one, or all parameters in `AXES` are
+    extreme at once.
+    """
     for d in (2, 3):
         yield from _singles(f"{d}D: ", d)
     for corner in itertools.product(*AXES.values()):
@@ -211,7 +215,11 @@ def matrix(device: str, precision: str) -> list[FlowOutcome]:
 
 
 def table(outcomes: list[FlowOutcome]) -> str:
-    """Return a Markdown table of results; the corner cases are summarised with one line per kind of result."""
+    """Return a Markdown table of the results of all flows.
+
+    Flows in which every parameter is extreme (corners of the parameter space) are numerous. Their results are therefore
+    summarised, with one line for each kind of result.
+    """
     lines = ["| flow | unbalanced | volume | fastest over theory | nearest | outcome |", "|---|---|---|---|---|---|"]
     corners = [o for o in outcomes if o.name.startswith("corner")]
     for o in outcomes:

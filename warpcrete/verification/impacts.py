@@ -23,9 +23,9 @@ TEST_4 = np.array([
     [50, 0.845, -457.0, 29.35], [60, 0.893, -357.5, 47.79], [70, 0.932, -246.2, 64.58], [80, 0.966, -126.3, 78.70],
     [85, 0.983, -63.1, 84.52],
 ])  # fmt: skip
-# Published curves of test 5 (steel), digitised. The first column is the normalised incident angle
-# 2 v_t / (mu (1 + e) v_n). The second is a normalised rebound velocity: that of the sphere's surface, or that of its
-# rotation.
+# Published curves of test 5 (steel), digitised. The first column is the normalised incident angle 2 v_t / (mu (1 + e)
+# v_n). The second column is a normalised rebound velocity: in the first table the velocity of the sphere's surface, in
+# the second table the part of it that is due to rotation.
 TEST_5_SURFACE = np.array([
     [0.066, -0.08], [0.332, -0.28], [0.671, -0.493], [1.009, -0.747], [1.335, -1.0], [1.662, -1.267], [2.0, -1.533],
     [2.350, -1.813], [2.991, -2.44], [3.341, -2.693], [4.006, -2.787], [4.997, -2.0], [6.0, -1.013], [9.988, 3.013],
@@ -184,9 +184,9 @@ def oblique(device, precision) -> list[Row]:
             place = np.flatnonzero(which)[np.argmax(np.abs(ours - published)[which])]
             label = f"test 4: {name}, worst {where}"
             rows.append(Row(label, float(ours[place]), float(published[place]), tolerance, unit, scale))
-    # The error of each final spin is relative to the spin's expected value. An impact at 5 degrees is left out, because
-    # it causes hardly any spin. Its spin follows from the small difference between the tangential restitution and 1,
-    # and the restitution is compared above.
+    # The error of each final spin is relative to the expected spin. The impact at 5 degrees is left out, because it
+    # causes hardly any spin: the spin follows from the small difference between the tangential restitution and 1. The
+    # restitution itself is compared above.
     for which, where, tolerance in ((TEST_4[:, 0] == 10, "at 10 degrees", 0.1), (~steep, "from 15 degrees on", 0.03)):
         label = f"test 4: final angular velocity {where}"
         rows.append(_largest_error(label, turning[which], TEST_4[which, 2], tolerance, "rad/s"))
@@ -196,7 +196,7 @@ def oblique(device, precision) -> list[Row]:
     rows.append(
         _largest_error("test 4: final angular velocity by what friction takes, exact", turning, exact, 4e-3, "rad/s")
     )
-    # Above the angle of full slip there is a closed form, v_t' = v_t - mu (1 + e) v_n.
+    # Above the angle of full slip, the exact tangential velocity after the impact is v_t' = v_t - mu (1 + e) v_n.
     slip = TEST_4[:, 0] >= 50
     exact = 1 - 0.092 * 1.98 / np.tan(angle[slip])
     worst = int(np.argmax(np.abs(tangential[slip] - exact)))
@@ -233,7 +233,7 @@ def normalised(device, precision) -> list[Row]:
         exact = published[slip, 0] - 7 if name.startswith("surface") else np.full(int(slip.sum()), -5.0)
         rows.append(
             _largest_error(f"test 5: rebound {name} in full slip, rigid plane", found[1][slip], exact, 1.2e-2, "1")
-        )  # The overlap shortens the lever arm of friction, which explains the larger tolerance.
+        )  # The tolerance is larger here, because the overlap shortens the lever arm of friction.
     return rows
 
 
@@ -250,7 +250,8 @@ def spinning(device, precision) -> list[Row]:
     spins = np.stack([0 * rates, -rates, 0 * rates], 1)
     velocity, spin = spheres_on_a_plane(law, radius, 2700.0, velocities, spins, device, precision)
     impulse = friction * (1 + e) * normal
-    # The lever arm of friction ends at the plane, which lies inside the sphere by 0.05 % of the radius.
+    # The lever arm of friction reaches only to the plane. It is 0.05 % shorter than the sphere's radius, because the
+    # sphere overlaps with the plane.
     rows.append(
         _largest_error("test 6, on a plane: tangential velocity", -velocity[:, 0], np.full(3, impulse), 3e-3, "m/s")
     )

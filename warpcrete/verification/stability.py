@@ -127,7 +127,8 @@ def limits(device, precision) -> list[Row]:
         stable = curve < 2.0
         first = len(FRACTIONS) if stable.all() else int(np.argmin(stable))
         limit = FRACTIONS[first - 1] if first else 0.0
-        # The limit must be at least 1, so that the estimate is safe. A larger limit is reported but not required.
+        # Growth of energy may begin only at or above the estimated stable step, because the estimate must be safe. A
+        # larger limit is reported, but it is not an error.
         rows.append(Row(f"{label}: stable up to this fraction of the estimate", limit, 1.0, 0.0, at_least=True))
     return rows
 

@@ -24,12 +24,12 @@ START_CASES = (
     # which the flow is almost steady [s].
     (0.0, 1e6, 1e-4, 0.4), (0.0, 4e3, 1e-4, 0.4), (1.0, 1e6, 3e-6, 0.2), (10.0, 1e6, 1e-6, 0.04),
 )  # fmt: skip
-"""Flows that are compared. A step uses the mean of the previous and the present viscosity, so flows with a yield stress
-need shorter steps."""
+"""Flows that are compared with the one-dimensional solution. A time step uses the mean of the old and the new
+viscosity, so flows with a yield stress need shorter steps."""
 LONGEST = 2e-3
 """Longest time step on the grid [s]."""
 EXACT_STEP_RATIO = 5e-4
-"""Time step of the one-dimensional solution over the simulated time."""
+"""Time step of the one-dimensional solution, as a fraction of the simulated time."""
 
 
 def apparent(concrete: Concrete, regularisation: float, rate: np.ndarray) -> np.ndarray:

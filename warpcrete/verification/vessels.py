@@ -29,7 +29,7 @@ RADIUS, SPEED = 0.05, 0.19
 
 @dataclass(frozen=True)
 class _Paste:
-    """Parameters of a flow on a grid."""
+    """Concrete of a flow on a grid, with the parameters of the solver."""
 
     concrete: Concrete
     time_step: float
@@ -41,7 +41,10 @@ class _Paste:
 
 
 def _filled(room: Room, walls: list[tuple[Distance, int]], abreast: int) -> dict:
-    """Return the arguments of a layout in which concrete fills the whole room except for the walls."""
+    """Return the arguments of a layout for a `room` that is filled with concrete except for the space inside its walls.
+
+    Every full cell of the room starts with `abreast` particles along each axis.
+    """
     geometry, nearest = geometry_of(room, walls), nearest_wall(room, walls)
     places, mass = fill_cells(room, abreast, lambda points: nearest(points)[0] > 0)
     return {
@@ -77,8 +80,8 @@ def between_cylinders(
 def couette_error(flow: GridFlow, layers: tuple[float, float] = (NO_SLIP_VISCOSITY, NO_SLIP_VISCOSITY)) -> float:
     """Return the rms error of the velocity between the cylinders, over the speed of the inner wall.
 
-    The exact velocity is u = a r + b / r. Its shear stress 2 mu b / r^2 acts on each slip layer and, divided by the
-    layer's viscous constant, gives its slip velocity.
+    The exact velocity is u = a r + b / r. The shear stress 2 mu b / r^2 acts on both slip layers. Divided by the
+    viscous constant of a layer, it gives the slip velocity at this layer.
     """
     slips = [2 * PASTE.viscosity / (radius**2 * layer) for radius, layer in zip((INNER, OUTER), layers)]
     a, b = np.linalg.solve([[INNER, 1 / INNER + slips[0]], [OUTER, 1 / OUTER - slips[1]]], [TURNS * INNER, 0.0])
@@ -108,7 +111,7 @@ def cylinders(device: str, precision: str) -> list[Row]:
 
 
 def cylinders_with_layers(device: str, precision: str) -> list[Row]:
-    """Compare the flow between two cylinders with theory, where slip is at least half of the speed."""
+    """Compare the flow between two cylinders with theory, for slip above half of the inner cylinder's speed."""
     found = []
     # The measured rms errors of the velocity, over the speed of the inner wall, are 0.40 and 0.20 % on the two grids
     # for the first pair of layers, 0.37 and 0.36 % for the second, and 0.77 and 1.02 % for the third.
@@ -128,9 +131,10 @@ def cylinders_with_layers(device: str, precision: str) -> list[Row]:
 
 
 def round_pipe(device: str, precision: str, cells: int, yield_stress: float) -> GridFlow:
-    """Return the flow in a periodic round pipe, on a grid in space with `cells` cells across.
+    """Return the flow in a periodic round pipe, on a three-dimensional grid.
 
-    The grid is a tenth wider than the pipe, and the pipe's axis lies off the centre of the grid.
+    Across its width, the grid has `cells` cells. The grid is a tenth wider than the pipe, and the pipe's axis does not
+    lie in the middle of the grid.
     """
     h = 2.2 * RADIUS / cells
     room = Room((cells, cells, 2), (h,) * 3, (-1.1 * RADIUS + 0.13 * h, -1.1 * RADIUS - 0.21 * h, 0.0),
@@ -147,7 +151,8 @@ def round_pipe(device: str, precision: str, cells: int, yield_stress: float) -> 
 
 def pipe_gradient(yield_stress: float) -> float:
     """Return the pressure gradient of the round pipe according to Buckingham and Reiner [Pa/m]."""
-    # Find the wall stress by bisection, such that the mean velocity of the law equals SPEED.
+    # Find the stress at the wall by bisection, such that the mean velocity by the formula of Buckingham and Reiner
+    # equals SPEED.
     low, high = yield_stress, 1e5
     for _ in range(100):
         stress = 0.5 * (low + high)

@@ -23,6 +23,7 @@ from typing import NamedTuple
 import warp as wp
 
 from ...common.types import types
+from ..flow_laws import BINGHAM
 from ..structs import mps_types
 
 # Value of `solid` for a cell that concrete may fill; any other value is the number that identifies a wall.
@@ -66,6 +67,15 @@ class GridKind(NamedTuple):
     """True if walls may pass through cells (cut cells)."""
     thixotropic: bool = False
     """True if the concrete of a periodic pipe has gained structure at rest and flow breaks it down."""
+    law: str = BINGHAM
+    """Flow law of the concrete, a name in `flow_laws`."""
+    slip_law: str = BINGHAM
+    """Flow law of the slip layer."""
+
+    @property
+    def plain(self) -> bool:
+        """Return whether concrete and slip layer both obey Bingham's law."""
+        return self.law == self.slip_law == BINGHAM
 
     @property
     def pairs(self) -> int:
@@ -97,9 +107,11 @@ def grid_parameters_struct(scalar, dimensions: int):
         frame: scalar  # Velocity of the grid along its last axis, and mean velocity in a periodic pipe [m/s].
         gravity: t.vec  # Gravitational acceleration [m/s2].
         density: scalar  # Density of the concrete [kg/m3].
-        viscosity: scalar  # Plastic viscosity of the Bingham law [Pa s].
-        yield_stress: scalar  # Yield stress of the Bingham law [Pa].
-        regularisation: scalar  # Regularisation time beta of the Bingham law [s].
+        viscosity: scalar  # Plastic viscosity of the Bingham law [Pa s], or consistency k of another law [Pa s^n].
+        flow_index: scalar  # Flow index n; 1 except for the Herschel-Bulkley law.
+        quadratic_viscosity: scalar  # Coefficient c of the modified Bingham law [Pa s2], else 0.
+        yield_stress: scalar  # Yield stress [Pa].
+        regularisation: scalar  # Regularisation time beta of the law [s].
         volume: scalar  # Mean volume of a particle, per metre of depth or per radian in two dimensions.
         inflow: t.vec  # Velocity of particles that re-enter the grid after they have left it [m/s].
         resistance: wp.float64  # Derivative of the wall force per volume with respect to the mean velocity [kg/m3/s].
@@ -193,6 +205,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         pivot: wp.array(dtype=t.vec)  # Point about which each wall rotates [m].
         slip_viscosity: wp.array(dtype=scalar)  # Viscous constant of a wall's slip layer [Pa s/m]; < 0 if frictionless.
         slip_yield: wp.array(dtype=scalar)  # Yield stress of a wall's slip layer [Pa].
+        slip_index: wp.array(dtype=scalar)  # Flow index of a wall's slip layer.
+        slip_quadratic: wp.array(dtype=scalar)  # Coefficient of the squared velocity of a wall's slip layer [Pa s2/m2].
 
     return SimpleNamespace(Particles=Particles, Fields=Fields, Geometry=Geometry, Walls=Walls)
 

@@ -12,8 +12,8 @@ import warp as wp
 
 from ...common.control import HALTED
 from ..structs import array_structs, mps_types, row_place
-from .bingham import bingham_functions
 from .cells import DT, FORCE, LIQUID, GridKind, grid_functions, grid_parameters_struct, grid_structs
+from .other_laws import flow_functions
 from .structure import with_gain_function
 
 STIFFENING = wp.constant(2.0)
@@ -26,7 +26,7 @@ before * (now / before)^STIFFENING. With an exponent of 1 this would be `now`.""
 def relaxed_viscosity_function(scalar, of: GridKind):
     """Build `relaxed_viscosity`, which changes a viscosity from its previous value to one that suits the next step."""
     Grid = grid_parameters_struct(scalar, of.dimensions)
-    law = bingham_functions(scalar, of.dimensions)
+    law = flow_functions(scalar, of)
 
     @wp.func
     def relaxed_viscosity(g: Grid, before: scalar, now: scalar, rate: scalar) -> scalar:
@@ -67,7 +67,7 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
     Fields, Geometry = structs.Fields, structs.Geometry
     whole = mps_types(scalar, dims).whole
     f = grid_functions(scalar, of)
-    law = bingham_functions(scalar, dims)
+    law = flow_functions(scalar, of)
     relaxed_viscosity = relaxed_viscosity_function(scalar, of)
     with_gain = with_gain_function(scalar, dims)
 

@@ -5,8 +5,8 @@ import functools
 import warp as wp
 
 from ...common.control import HALTED
+from ..flow_laws import BINGHAM, law_functions
 from ..structs import mps_types
-from .bingham import bingham_functions
 from .cells import (
     INSIDE,
     LIQUID,
@@ -16,8 +16,11 @@ from .cells import (
     grid_parameters_struct,
     grid_structs,
 )
+from .other_laws import flow_functions
 from .structure import with_gain_function
 
+SLOW = wp.constant(1.0e-6)
+"""Slip velocity below which a slip layer that is not linear counts as linear [m/s]."""
 STICKY = wp.constant(20.0)
 """Maximum stiffness of a slip layer to which concrete sticks, relative to the shear stiffness of a cell of concrete."""
 
@@ -32,7 +35,7 @@ def side_kernel(scalar, of: GridKind):
     structs = grid_structs(scalar, 2)
     Fields, Walls = structs.Fields, structs.Walls
     f = grid_functions(scalar, of)
-    law = bingham_functions(scalar, 2)
+    law = flow_functions(scalar, of)
     with_gain = with_gain_function(scalar, 2)
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -81,9 +84,15 @@ def side_kernel(scalar, of: GridKind):
                             if wp.static(of.thixotropic):
                                 own = with_gain(g, mesh.gained[number])
                                 slip_yield += mesh.layer[r]
-                            stress, traction_slope, slip = law.at_wall(
-                                own, wp.abs(relative), inner, width, ring, walls.slip_viscosity[wall], slip_yield
-                            )
+                            if wp.static(of.plain):
+                                stress, traction_slope, slip = law.at_wall(
+                                    own, wp.abs(relative), inner, width, ring, walls.slip_viscosity[wall], slip_yield
+                                )
+                            else:
+                                stress, traction_slope, slip = law.at_wall(
+                                    own, wp.abs(relative), inner, width, ring, walls.slip_viscosity[wall], slip_yield,
+                                    walls.slip_index[wall], walls.slip_quadratic[wall],
+                                )  # fmt: skip
                             mesh.wall_area[r] = g.width[axis] * f.side_weight(g, at_wall)
                             mesh.traction[r] = way * stress
                             mesh.traction_slope[r] = traction_slope
@@ -106,6 +115,7 @@ def wall_kernel(scalar, of: GridKind):
     Fields, Walls, Geometry = structs.Fields, structs.Walls, structs.Geometry
     whole = mps_types(scalar, dims).whole
     f = grid_functions(scalar, of)
+    layer = law_functions(scalar, of.slip_law)
 
     @wp.func
     def aside(g: Grid, mesh: Fields, c: whole, axis: wp.int32, other: wp.int32) -> scalar:
@@ -188,7 +198,13 @@ def wall_kernel(scalar, of: GridKind):
                                 speed = wp.sqrt(square)
                                 stiff = scalar(STICKY) * larger_viscosity(mesh, own, low) / g.width[b]
                                 hold = walls.slip_yield[wall] / wp.max(speed, scalar(1.0e-12))
-                                hold += walls.slip_viscosity[wall]
+                                if wp.static(of.slip_law == BINGHAM):
+                                    hold += walls.slip_viscosity[wall]
+                                else:
+                                    hold += layer.viscosity(
+                                        walls.slip_viscosity[wall], walls.slip_index[wall], walls.slip_quadratic[wall],
+                                        speed, scalar(SLOW),
+                                    )  # fmt: skip
                                 if hold > stiff:
                                     # Concrete sticks to this wall. The stiffness of the slip layer is limited to that
                                     # of a film with a thickness of 1 / STICKY of a cell. To compensate for this film,

@@ -5,24 +5,24 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import warp as wp
 
 from ..errors import DeviceError, one_of, refuse
+from .arrays import Scalar
 
 PRECISIONS = ("float32", "float64")
-SCALARS = dict(zip(PRECISIONS, (wp.float32, wp.float64), strict=True))
+SCALARS: dict[str, Scalar] = dict(zip(PRECISIONS, (wp.float32, wp.float64), strict=True))
 MEMORY_FRACTION = 0.9
 """Fraction of the free memory that a run may use."""
 
 _every_device_parallel = False
 
 
-def parallel(device: Any) -> bool:
+def parallel(device: wp.Device) -> bool:
     """Return whether work on a device is divided as on a GPU: into one independent task per body.
 
     Otherwise, on a CPU, a few tasks loop over many bodies each. Full neighbour lists, launch sizes, graphs and the
@@ -32,7 +32,7 @@ def parallel(device: Any) -> bool:
 
 
 @contextmanager
-def divide_work_like_gpu() -> Iterator[None]:
+def divide_work_like_gpu() -> Generator[None]:
     """Make the CPU divide work as a GPU does, as far as the CPU can, while the block runs.
 
     This is slow. It lets tests run the GPU's code paths on a machine without a GPU.
@@ -46,7 +46,7 @@ def divide_work_like_gpu() -> Iterator[None]:
         _every_device_parallel, wp.config.enable_cpu_blocks = before, blocks
 
 
-def find_device(name: str | None) -> Any:
+def find_device(name: str | None) -> wp.Device:
     """Return the Warp device with a name (`cpu`, `cuda`, `cuda:0`); None selects a GPU if there is one.
 
     Raises :class:`DeviceError` if there is no such device.
@@ -85,7 +85,7 @@ def quiet_init() -> None:
         os.close(sink)
 
 
-def scalar_of(precision: str) -> Any:
+def scalar_of(precision: str) -> Scalar:
     """Return Warp's scalar type for a precision; raises :class:`SceneError` for an unknown precision."""
     one_of("precision", precision, PRECISIONS)
     return SCALARS[precision]
@@ -115,7 +115,7 @@ def checked_threads(threads: int | None) -> int:
     return threads
 
 
-def memory_free(device: Any) -> float:
+def memory_free(device: wp.Device) -> float:
     """Return the free memory of a device [B]; for a CPU, the available main memory, or infinity if unknown."""
     if device.is_cuda:
         return float(device.free_memory)

@@ -6,12 +6,11 @@ Several arrays, such as flags and clocks, are copied with one launch, which take
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
-import numpy as np
 import warp as wp
 
-from .graphs import GraphLaunch, captured
+from .arrays import DeviceArray, HostArray, copy_array, empty
+from .graphs import GraphLaunch, Recordable, captured
 from .interpreter_priority import run_is_waiting
 
 MAXIMUM_BUFFERS = 2048
@@ -25,28 +24,29 @@ class PinnedBuffers:
     graph refers to the arrays by address and does not keep them alive.
     """
 
-    def __init__(self, arrays: Sequence[wp.array], device: Any) -> None:
+    def __init__(self, arrays: Sequence[DeviceArray], device: wp.Device) -> None:
         self._device = device
-        self._memory = [wp.empty(a.shape, dtype=a.dtype, device="cpu", pinned=True) for a in arrays]
+        self._memory = [empty(a.shape, dtype=a.dtype, device="cpu", pinned=True) for a in arrays]
         self.views = [memory.numpy() for memory in self._memory]
         """Page-locked memory as NumPy arrays: the data copied from the device, or the data to copy to the device."""
         self.last_write = 0
         """Serial number of the last write that used this page-locked memory; :class:`Exchange` counts the writes."""
-        self._copied_once, self._graph = False, None
+        self._copied_once = False
+        self._graph: wp.Graph | None = None
 
-    def gather(self, arrays: Sequence[wp.array]) -> None:
+    def gather(self, arrays: Sequence[DeviceArray]) -> None:
         """Copy the arrays into this page-locked memory, in stream order.
 
         Pass the same arrays each time, because a graph of the copies is reused.
         """
         self._launch(lambda: self.copy(arrays))
 
-    def copy(self, arrays: Sequence[wp.array]) -> None:
+    def copy(self, arrays: Sequence[DeviceArray]) -> None:
         """Copy the arrays into this page-locked memory one by one; a graph capture may record these copies."""
         for memory, array in zip(self._memory, arrays):
-            wp.copy(memory, array)
+            copy_array(memory, array)
 
-    def scatter(self, arrays: Sequence[wp.array]) -> None:
+    def scatter(self, arrays: Sequence[DeviceArray]) -> None:
         """Copy this page-locked memory to the arrays, in stream order.
 
         Pass the same arrays each time, because a graph of the copies is reused.
@@ -54,7 +54,7 @@ class PinnedBuffers:
 
         def copy() -> None:
             for array, memory in zip(arrays, self._memory):
-                wp.copy(array, memory)
+                copy_array(array, memory)
 
         self._launch(copy)
 
@@ -71,7 +71,7 @@ class PinnedBuffers:
 class _Copying:
     """Stage that copies device arrays into page-locked host memory."""
 
-    def __init__(self, buffers: PinnedBuffers, arrays: Sequence[wp.array]) -> None:
+    def __init__(self, buffers: PinnedBuffers, arrays: Sequence[DeviceArray]) -> None:
         self._buffers, self._arrays = buffers, arrays
 
     def record(self) -> None:
@@ -84,13 +84,13 @@ class _Copying:
 class LaunchAndRead:
     """Launch of several stages, followed by copies to the host of the arrays that the stages write."""
 
-    def __init__(self, stages: Sequence[Any], arrays: Sequence[wp.array], device: Any) -> None:
+    def __init__(self, stages: Sequence[Recordable], arrays: Sequence[DeviceArray], device: wp.Device) -> None:
         self._device, self._arrays = device, tuple(arrays)
         self._buffers = PinnedBuffers(arrays, device) if device.is_cuda else None
         copies = [] if self._buffers is None else [_Copying(self._buffers, self._arrays)]
         self._launch = GraphLaunch([*stages, *copies], device)
 
-    def __call__(self) -> list[np.ndarray]:
+    def __call__(self) -> list[HostArray]:
         """Launch the stages and copies; return the copied arrays."""
         self._launch()
         if self._buffers is None:
@@ -103,18 +103,18 @@ class LaunchAndRead:
 class Exchange:
     """Access of the host to arrays of one device; on a GPU by asynchronous copies, on a CPU directly."""
 
-    def __init__(self, device: Any) -> None:
+    def __init__(self, device: wp.Device) -> None:
         self.device = device
-        self._buffers_by_use: dict[Any, PinnedBuffers] = {}
-        self._pending_arrays: tuple[wp.array, ...] = ()
+        self._buffers_by_use: dict[tuple[object, ...], PinnedBuffers] = {}
+        self._pending_arrays: tuple[DeviceArray, ...] = ()
         self._pending_buffers: PinnedBuffers | None = None
-        self._read_event: Any = wp.Event(device) if device.is_cuda else None
+        self._read_event: wp.Event | None = wp.Event(device) if device.is_cuda else None
         # Writes have serial numbers. `_last_write` is the number of the last write, `_last_write_before_read` that of
         # the last write before the pending read, and `_last_completed_write` that of the last write that is known to be
         # complete.
         self._last_write = self._last_write_before_read = self._last_completed_write = 0
 
-    def read(self, *arrays: wp.array) -> list[np.ndarray]:
+    def read(self, *arrays: DeviceArray) -> list[HostArray]:
         """Return copies of arrays after all work launched so far; the host waits once for all of them."""
         if not self.device.is_cuda:
             return [array.numpy().copy() for array in arrays]
@@ -123,7 +123,7 @@ class Exchange:
         self._wait()
         return [view.copy() for view in buffers.views]
 
-    def begin_read(self, *arrays: wp.array) -> None:
+    def begin_read(self, *arrays: DeviceArray) -> None:
         """Start an asynchronous read, whose values :meth:`finish_read` returns; only one may be in flight."""
         self._pending_arrays = arrays
         if self.device.is_cuda:
@@ -138,22 +138,22 @@ class Exchange:
     @property
     def read_is_done(self) -> bool:
         """True if the values of the asynchronous read have arrived."""
-        return not self.device.is_cuda or self._read_event.is_complete
+        return self._read_event is None or self._read_event.is_complete
 
-    def finish_read(self) -> list[np.ndarray]:
+    def finish_read(self) -> list[HostArray]:
         """Wait for the asynchronous read that :meth:`begin_read` started, and return copies of its arrays.
 
         On a GPU, the copies hold the values at the time of `begin_read`.
         """
         if not self.device.is_cuda:
             return [array.numpy().copy() for array in self._pending_arrays]
-        assert self._pending_buffers is not None
+        assert self._pending_buffers is not None and self._read_event is not None
         with run_is_waiting():
             wp.synchronize_event(self._read_event)
         self._last_completed_write = max(self._last_completed_write, self._last_write_before_read)
         return [view.copy() for view in self._pending_buffers.views]
 
-    def write(self, *pairs: tuple[wp.array, np.ndarray]) -> None:
+    def write(self, *pairs: tuple[DeviceArray, HostArray]) -> None:
         """Set arrays to values; the device does this after all work launched so far."""
         if not self.device.is_cuda:
             for array, values in pairs:
@@ -176,7 +176,7 @@ class Exchange:
             wp.synchronize_stream(self.device.stream)
         self._last_completed_write = self._last_write
 
-    def _buffers(self, use: str, arrays: Sequence[wp.array]) -> PinnedBuffers:
+    def _buffers(self, use: str, arrays: Sequence[DeviceArray]) -> PinnedBuffers:
         key = use, *((array.ptr, array.shape, array.dtype) for array in arrays)
         if key not in self._buffers_by_use:
             if len(self._buffers_by_use) == MAXIMUM_BUFFERS:

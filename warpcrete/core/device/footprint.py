@@ -2,42 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
+from operator import attrgetter
 
 import warp as wp
 
+from ..narrowing import is_list_or_tuple, is_mapping, is_set
+from .arrays import DeviceArray, is_struct
 
-def arrays_of(name: str, root: Any) -> Iterator[tuple[str, wp.array]]:
+
+def arrays_of(name: str, root: object) -> Iterator[tuple[str, DeviceArray]]:
     """Yield the path and the array of each Warp array whose memory an object of this package owns.
 
     The search includes the object's attributes, lists, mappings, meshes and structs. `name` is the first part of each
     path.
     """
     seen: set[int] = set()
-    waiting = [(name, root)]
+    waiting: list[tuple[str, object]] = [(name, root)]
     while waiting:
         path, value = waiting.pop()
         if id(value) in seen:
             continue
         seen.add(id(value))
-        if isinstance(value, wp.array):
+        if isinstance(value, DeviceArray):
             whole = getattr(value, "_ref", None)
             if whole is not None:  # The array is a view: continue with the array that owns the memory.
                 waiting.append((path, whole))
             elif value.ptr and getattr(value, "deleter", None) is not None:
                 yield path, value
         elif isinstance(value, wp.Mesh):  # Warp hides a mesh's search tree: count points and indices only.
-            waiting += [(path, value.points), (path, value.indices)]
-        elif isinstance(value, Mapping):
+            waiting += [(path, each) for each in attrgetter("points", "indices")(value)]
+        elif is_mapping(value):
             waiting += [(f"{path}.{key}", each) for key, each in value.items()]
-        elif isinstance(value, list | tuple | set):
+        elif is_list_or_tuple(value) or is_set(value):
             waiting += [(path, each) for each in value]
-        elif wp.types.is_struct(value) or type(value).__module__.partition(".")[0] == __name__.partition(".")[0]:
+        elif is_struct(value) or type(value).__module__.partition(".")[0] == __name__.partition(".")[0]:
             waiting += [(f"{path}.{key}", each) for key, each in getattr(value, "__dict__", {}).items()]
 
 
-def footprint(**roots: Any) -> dict[str, int]:
+def footprint(**roots: object) -> dict[str, int]:
     """Return the device memory of each object [B]; an array that several objects use counts for the first one only."""
     sizes: dict[str, int] = dict.fromkeys(roots, 0)
     counted: set[int] = set()

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import gc
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Protocol
 
 import warp as wp
 
+from .arrays import DeviceArray, copy_array
 from .interrupts import defer_interrupts
 
 _capture_lock = threading.Lock()
@@ -18,7 +19,7 @@ _capturing, _collector_was_on = 0, False
 
 
 @contextmanager
-def _garbage_collection_off() -> Iterator[None]:
+def _garbage_collection_off() -> Generator[None]:
     """Disable Python's cyclic garbage collector while a graph is captured.
 
     In a recorder thread, the collector might free arrays of a run that has ended while another thread captures a graph.
@@ -41,7 +42,7 @@ def _garbage_collection_off() -> Iterator[None]:
                 gc.enable()
 
 
-def captured(device: Any, launch: Callable[[], None]) -> Any:
+def captured(device: wp.Device, launch: Callable[[], None]) -> wp.Graph:
     """Return the graph of everything that `launch` launches, without running it.
 
     Ctrl-C is deferred until the capture has ended, because an exception inside nested captures would leave Warp in an
@@ -49,6 +50,7 @@ def captured(device: Any, launch: Callable[[], None]) -> Any:
     """
     with defer_interrupts(), _garbage_collection_off(), wp.ScopedCapture(device=device) as capture:
         launch()
+    assert capture.graph is not None
     return capture.graph
 
 
@@ -65,20 +67,20 @@ class Recordable(Protocol):
 class Copy:
     """Stage that copies one array to another array of the same length."""
 
-    def __init__(self, target: wp.array, source: wp.array) -> None:
+    def __init__(self, target: DeviceArray, source: DeviceArray) -> None:
         self.target, self.source = target, source
 
     def record(self) -> None:
         """Do nothing, because this stage needs no preparation."""
 
     def __call__(self) -> None:
-        wp.copy(self.target, self.source)
+        copy_array(self.target, self.source)
 
 
 class Zero:
     """Stage that sets an array to zero."""
 
-    def __init__(self, array: wp.array) -> None:
+    def __init__(self, array: DeviceArray) -> None:
         self.array = array
 
     def record(self) -> None:
@@ -95,9 +97,9 @@ class GraphLaunch:
     `stages` may contain any object that can be recorded and called like a :class:`.Stage`.
     """
 
-    def __init__(self, stages: Sequence[Any], device: Any) -> None:
+    def __init__(self, stages: Sequence[Recordable], device: wp.Device) -> None:
         self.stages = tuple(stages)  # Keep the stages, because they hold references to the arrays that the graph uses.
-        self._graph = None
+        self._graph: wp.Graph | None = None
         if device.is_cuda:
             for stage in self.stages:
                 stage.record()

@@ -8,7 +8,7 @@ for the device.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 
 LONGEST_YIELD = 5e-3
@@ -21,7 +21,7 @@ not block the recorders of another run."""
 
 
 @contextmanager
-def run_is_waiting() -> Iterator[None]:
+def run_is_waiting() -> Generator[None]:
     """Mark a run as waiting for its device or its recorders, while the block runs."""
     global _waiting_runs
     with _count_lock:

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from types import FrameType, TracebackType
+from typing import TypeAlias
+
+from .simulation_protocol import SimulationOnDevice
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
+Handler: TypeAlias = Callable[[int, FrameType | None], object]
 
 
-def _handled() -> list[tuple[int, Any]]:
+def _handled() -> list[tuple[signal.Signals, Handler]]:
     """Return the interrupt signals that have a handler in Python, each with its handler."""
     return [(number, handler) for number in SIGNALS if callable(handler := signal.getsignal(number))]
 
@@ -22,15 +26,15 @@ def _in_main_thread() -> bool:
 
 
 @contextmanager
-def defer_interrupts() -> Iterator[None]:
+def defer_interrupts() -> Generator[None]:
     """Defer Ctrl-C and SIGTERM until the block has ended; outside the main thread, do nothing."""
     if not _in_main_thread():
         yield
         return
-    caught: list[tuple] = []
+    caught: list[tuple[int, FrameType | None]] = []
     before = _handled()
     for number, _ in before:
-        signal.signal(number, lambda *arguments: caught.append(arguments))
+        signal.signal(number, lambda signum, frame: caught.append((signum, frame)))
     try:
         yield
     finally:
@@ -48,9 +52,9 @@ class StopAtSample:
     nothing.
     """
 
-    def __init__(self, simulations: Sequence[Any]) -> None:
+    def __init__(self, simulations: Sequence[SimulationOnDevice]) -> None:
         self.simulations, self.requested = simulations, False
-        self._previous: list[tuple[int, Any]] = []
+        self._previous: list[tuple[signal.Signals, Handler]] = []
 
     def __enter__(self) -> StopAtSample:
         if _in_main_thread():
@@ -59,7 +63,7 @@ class StopAtSample:
                 signal.signal(number, self._stop)
         return self
 
-    def _stop(self, signum: int, frame: Any) -> None:
+    def _stop(self, signum: int, frame: FrameType | None) -> None:
         writing = bool(self.simulations) and all(simulation.finishing for simulation in self.simulations)
         if self.requested and not writing:
             raise KeyboardInterrupt
@@ -69,7 +73,7 @@ class StopAtSample:
         for simulation in self.simulations:
             simulation.stop_requested = True
 
-    def __exit__(self, *unused: Any) -> None:
+    def __exit__(self, *unused: type[BaseException] | BaseException | TracebackType | None) -> None:
         if _in_main_thread():
             for number, handler in self._previous:
                 signal.signal(number, handler)

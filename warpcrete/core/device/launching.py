@@ -10,15 +10,16 @@ import math
 import time
 import weakref
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any
+from typing import Any, TypeAlias
 
 import warp as wp
 
-from ...kernels.common.barrier import GATE, barrier
+from ...kernels.common.barrier import GATE, barrier  # pyright: ignore[reportUnknownVariableType]
+from .arrays import Kernel, KernelModule, launch_kernel, load_module, zeros
 from .cores import CoreContention, thread_pinner
 from .device import default_threads, parallel
 from .graphs import GraphLaunch, captured
@@ -33,8 +34,12 @@ DEFAULT_BLOCK = 256
 BLOCK = 64
 """Threads per CUDA block of a stage. Such small blocks keep all multiprocessors busy in a small scene. A step of a
 million spheres takes 95 % of the time that it takes with blocks of 256 threads."""
-Size = int | tuple[int, ...]
+Size: TypeAlias = int | tuple[int, ...]
 """Number of tasks of a launch, as one integer or as a tuple of several dimensions."""
+
+
+Arguments: TypeAlias = dict[str, Any]
+"""Arguments of a kernel by parameter name: arrays, structs and numbers. They are unpacked into keywords."""
 
 
 def tasks_of(dim: Size) -> int:
@@ -42,12 +47,12 @@ def tasks_of(dim: Size) -> int:
     return dim if isinstance(dim, int) else math.prod(dim)
 
 
-def parameter_names(kernel: Any) -> list[str]:
+def parameter_names(kernel: Kernel) -> list[str]:
     """Return the names of a kernel's parameters, in order."""
     return [argument.label for argument in kernel.adj.args]
 
 
-def bound(kernel: Any, named: Mapping[str, Any]) -> list[Any]:
+def bound(kernel: Kernel, named: Mapping[str, object]) -> list[object]:
     """Return named arguments in the order of a kernel's parameters.
 
     Raises TypeError if an argument is missing or matches no parameter.
@@ -61,14 +66,14 @@ def bound(kernel: Any, named: Mapping[str, Any]) -> list[Any]:
     return [named[name] for name in names]
 
 
-def completed(kernel: Any, named: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
+def completed(kernel: Kernel, named: Mapping[str, object], common: Mapping[str, object]) -> dict[str, object]:
     """Return, by parameter name, the arguments `named`, and arguments from `common` for the other parameters."""
     return {**{name: common[name] for name in parameter_names(kernel) if name in common}, **named}
 
 
-def struct_arguments(kernel: Any, **structs: Any) -> dict[str, Any]:
+def struct_arguments(kernel: Kernel, **structs: object) -> Arguments:
     """Return struct members for a kernel's parameters that are named ``STRUCT_member``, by parameter name."""
-    arguments = {}
+    arguments: Arguments = {}
     for name in parameter_names(kernel):
         for prefix, struct in structs.items():
             member = name.removeprefix(f"{prefix}_")
@@ -77,10 +82,10 @@ def struct_arguments(kernel: Any, **structs: Any) -> dict[str, Any]:
     return arguments
 
 
-def launch(kernel: Any, dim: Size, device: Any, **named: Any) -> None:
+def launch(kernel: Kernel, dim: Size, device: wp.Device, **named: object) -> None:
     """Launch a kernel once, with its arguments by name."""
     if tasks_of(dim):
-        wp.launch(kernel, dim=dim, inputs=bound(kernel, named), device=device)
+        launch_kernel(kernel, dim=dim, inputs=bound(kernel, named), device=device)
 
 
 class Stage:
@@ -94,10 +99,10 @@ class Stage:
 
     def __init__(
         self,
-        kernel: Any,
+        kernel: Kernel,
         dim: Size,
-        named: Mapping[str, Any],
-        device: Any,
+        named: Mapping[str, object],
+        device: wp.Device,
         *,
         block: int | None = None,
         on_side_stream: bool = False,
@@ -108,7 +113,7 @@ class Stage:
         self.on_side_stream, self.joins_side_stream, self.every = on_side_stream, joins_side_stream, every
         self.arguments = bound(kernel, named)
         self.block = (block or BLOCK) if parallel(device) else 1
-        self._command: Any = None
+        self._command: wp.Launch | None = None
 
     @property
     def name(self) -> str:
@@ -122,14 +127,15 @@ class Stage:
     def record(self) -> None:
         """Load the kernel and record its launch, without running it."""
         if self._command is None and tasks_of(self.dim):
-            self._command = wp.launch(
+            self._command = launch_kernel(
                 self.kernel, dim=self.dim, inputs=self.arguments, device=self.device, record_cmd=True,
                 block_dim=self.block,
             )  # fmt: skip
 
-    def __call__(self, stream: Any = None) -> None:
+    def __call__(self, stream: wp.Stream | None = None) -> None:
         if tasks_of(self.dim):
             self.record()
+            assert self._command is not None
             self._command.launch(stream)
 
 
@@ -137,7 +143,7 @@ _compile_callback: ContextVar[Callable[[str, float], None] | None] = ContextVar(
 
 
 @contextmanager
-def report_compiling(tell: Callable[[str, float], None]) -> Iterator[None]:
+def report_compiling(tell: Callable[[str, float], None]) -> Generator[None]:
     """Report the progress of compiling while the block runs.
 
     The function `tell` is called with "compiling" and the fraction done, if compiling takes longer than
@@ -150,12 +156,12 @@ def report_compiling(tell: Callable[[str, float], None]) -> Iterator[None]:
         _compile_callback.reset(token)
 
 
-def load(stages: Iterable[Any], device: Any) -> None:
+def load(stages: Iterable[Stage | Kernel], device: wp.Device) -> None:
     """Compile kernels in parallel, or load them from the cache.
 
     `stages` holds stages, and also kernels that are launched without a stage.
     """
-    wanted: dict[tuple[int, int], tuple[Any, int]] = {}
+    wanted: dict[tuple[int, int], tuple[KernelModule, int]] = {}
     for stage in stages:
         # A kernel without a stage is launched with Warp's default block size.
         kernel, block = (stage.kernel, stage.block) if isinstance(stage, Stage) else (stage, DEFAULT_BLOCK)
@@ -171,7 +177,7 @@ def load(stages: Iterable[Any], device: Any) -> None:
                 module, block = left.popleft()
             except IndexError:
                 return
-            wp.load_module(module, device=device, block_dim=block)
+            load_module(module, device=device, block_dim=block)
             if (tell := _compile_callback.get()) is not None and time.monotonic() - start > COMPILE_PROGRESS_DELAY:
                 reported = True
                 tell("compiling", 1.0 - len(left) / count)
@@ -194,12 +200,12 @@ def _compilers() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(PARALLEL_COMPILATIONS)
 
 
-def _in_order(wanted: Iterable[tuple[Any, int]]) -> list[tuple[Any, int]]:
+def _in_order(wanted: Iterable[tuple[KernelModule, int]]) -> list[tuple[KernelModule, int]]:
     """Return modules with their block sizes; modules with the most kernel parameters, which compile longest, first."""
     return sorted(wanted, key=lambda each: -sum(len(kernel.adj.args) for kernel in each[0].kernels.values()))
 
 
-Step = list[list[Any]]
+Step: TypeAlias = list[list[Stage]]
 """Stages of one time step, as one list per thread."""
 
 
@@ -214,11 +220,11 @@ def merge_thread_stages(step: Step) -> Step:
 
     The single thread runs the stages of all threads up to a barrier, then those up to the next barrier.
     """
-    parts: list[list[list[Any]]] = []
+    parts: list[list[list[Stage]]] = []
     for stages in step:
-        between: list[list[Any]] = [[]]
+        between: list[list[Stage]] = [[]]
         for stage in stages:
-            if isinstance(stage, Stage) and stage.kernel is barrier:
+            if stage.kernel is barrier:
                 between.append([])
             else:
                 between[-1].append(stage)
@@ -232,13 +238,13 @@ class Launcher:
     During core contention, one thread does the work of all threads; see :mod:`.cores`.
     """
 
-    def __init__(self, threads: int, device: Any) -> None:
+    def __init__(self, threads: int, device: wp.Device) -> None:
         self.threads, self.device = threads, device
-        self._graphs: dict[tuple[int, bool, GraphLaunch | None], list[Any]] = {}
+        self._graphs: dict[tuple[int, bool, GraphLaunch | None], list[wp.Graph]] = {}
         self._periodic_launch: Callable[[], None] | None = None
         # `_steps_without_periodic` is the number of steps since the stages with `every` > 1 ran last.
         self._steps_without_periodic = 0
-        self.gate = wp.zeros(GATE, dtype=wp.int32, device=device)
+        self.gate = zeros(GATE, dtype=wp.int32, device=device)
         """Counters of the barrier at which the threads wait for one another, shape (GATE,)."""
         self.contention = CoreContention()
         self._pool = ThreadPoolExecutor(threads, initializer=thread_pinner(threads)) if threads > 1 else None
@@ -249,7 +255,8 @@ class Launcher:
         """Return the stage with which a thread waits for the other threads, or no stage if there is one thread."""
         if self.threads == 1:
             return []
-        return [Stage(barrier, 1, {"gate": self.gate, "parties": self.threads}, self.device)]
+        kernel: Kernel = barrier  # pyright: ignore[reportAssignmentType, reportUnknownVariableType]
+        return [Stage(kernel, 1, {"gate": self.gate, "parties": self.threads}, self.device)]
 
     def invalidate_graphs(self) -> None:
         """Discard all graphs, because their arrays or the division of the work among the threads have changed."""
@@ -290,7 +297,7 @@ class Launcher:
             if left and not parallel(self.device) and ended():
                 return
 
-    def _catch_up(self, stages: list[Any], sizes: list[int]) -> None:
+    def _catch_up(self, stages: list[Stage], sizes: list[int]) -> None:
         """Launch stages that run once in several steps, if graphs of these sizes are too short to contain them."""
         periodic = [stage for stage in stages if stage.every > 1]
         if not periodic:
@@ -326,7 +333,7 @@ class Launcher:
         else:
             self._together(stages)
 
-    def _together(self, calls: Sequence[Callable[[], Any]]) -> None:
+    def _together(self, calls: Sequence[Callable[[], object]]) -> None:
         if self._pool is None:
             for call in calls:
                 call()
@@ -343,10 +350,10 @@ class Launcher:
         for one in running:
             one.result()
 
-    def _capture(self, step: Step, size: int, appended: GraphLaunch | None) -> list[Any]:
+    def _capture(self, step: Step, size: int, appended: GraphLaunch | None) -> list[wp.Graph]:
         load((stage for part in step for stage in part), self.device)
 
-        def launch(part: list[Any]) -> None:
+        def launch(part: list[Stage]) -> None:
             for turn in range(size):
                 due = [stage for stage in part if stage.is_due(turn, size)]
                 if parallel(self.device) and self.device.is_cuda:
@@ -360,7 +367,7 @@ class Launcher:
         return [captured(self.device, functools.partial(launch, part)) for part in step]
 
 
-def _launch_on_side_stream(stages: list[Any], device: Any) -> None:
+def _launch_on_side_stream(stages: list[Stage], device: wp.Device) -> None:
     """Launch a GPU's stages during a graph capture, those with `on_side_stream` on a side stream.
 
     The main stream waits for the side stream before a stage with `joins_side_stream`, and at the end.

@@ -5,10 +5,10 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable
-from typing import Any
 
 from .device import default_threads, parallel
 from .interpreter_priority import run_is_waiting, yield_to_run
+from .simulation_protocol import SimulationOnDevice
 
 MAXIMUM_JOBS = 8
 """Maximum number of waiting jobs. If more are added, the run waits, so that no job is lost and memory stays bounded."""
@@ -30,7 +30,7 @@ class RecorderThread:
         self._error: BaseException | None = None
 
     @classmethod
-    def for_simulation(cls, simulation: Any) -> RecorderThread:
+    def for_simulation(cls, simulation: SimulationOnDevice) -> RecorderThread:
         """Return the queue for a simulation, with a thread of its own on a GPU or if a CPU core is free.
 
         Threads of a run that wait for one another at barriers need a core each, so the recorder thread must not

@@ -5,22 +5,21 @@ The sums use kernels of this package, so that any graph can contain them.
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from ...kernels.common.reductions import BLOCK
 from ...kernels.common.scanning import VALUES_PER_THREAD, scanning_kernels
+from .arrays import DeviceArray, zeros
 from .device import parallel
 from .launching import Stage
 
 
-def scan_stages(values: wp.array, before: wp.array) -> list[Stage]:
+def scan_stages(values: DeviceArray, before: DeviceArray) -> list[Stage]:
     """Return stages that write to `before[i]` the sum of all values in front of `values[i]`.
 
     Both arrays have shape (n,) and are on one device.
     """
-    device: Any = values.device
+    device = values.device
     count = len(values)
     kernels = scanning_kernels(not parallel(device))
     named = {"count": count, "values": values, "before": before}
@@ -29,7 +28,7 @@ def scan_stages(values: wp.array, before: wp.array) -> list[Stage]:
     # The first stage stores the sum of each block of values. The second stage adds the sums of all previous blocks to
     # the sum of the previous values in the same block.
     blocks = -(-count // (VALUES_PER_THREAD * BLOCK))
-    partial = wp.zeros(blocks, dtype=wp.float64, device=device)
+    partial = zeros(blocks, dtype=wp.float64, device=device)
     added = {"count": count, "values": values, "partial": partial}
     return [
         Stage(kernels.add_up, blocks * BLOCK, added, device, block=BLOCK),

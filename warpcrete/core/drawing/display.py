@@ -145,7 +145,7 @@ class Display(ABC):
         self.simulation = simulation
         self.colouring = self.preferred if colouring is None else colouring
         one_of("colour", self.colouring, self.colourings)
-        self._sources: dict[str, Callable[[], Any]] = {}
+        self._sources: dict[str, Callable[[], object]] = {}
         self._current_snapshot: Snapshot | None = None
         self._yield_to_run: Callable[[], None] = lambda: None
         self._complete = False
@@ -154,7 +154,7 @@ class Display(ABC):
         """Return an array of the state by its path, such as "bodies.velocity", at the time that is drawn."""
         return self.snapshot_value(path, lambda: attrgetter(path)(self.simulation.state))
 
-    def snapshot_value(self, name: str, source: Callable[[], Any]) -> Any:
+    def snapshot_value(self, name: str, source: Callable[[], object]) -> Any:
         """Return the result of calling `source`, which depends on the state at the time that is drawn.
 
         While a snapshot is drawn, the value stored under `name` in the snapshot is returned instead. All displays of a
@@ -166,7 +166,7 @@ class Display(ABC):
         self._sources[name] = source
         return on_host(source())
 
-    def derived(self, name: Hashable, work: Callable[[], Any]) -> Any:
+    def derived(self, name: Hashable, work: Callable[[], object]) -> Any:
         """Return the result of `work`, which processes values of the snapshot that is drawn.
 
         The result is stored under `name`, so that it is computed once for all displays of the simulation. Do not write

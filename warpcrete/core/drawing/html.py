@@ -9,7 +9,7 @@ from typing import Any
 from ..inputs.origin import changed_fields
 
 
-def html_table(rows: Iterable[Sequence[Any]], head: Sequence[Any] = (), caption: str = "") -> str:
+def html_table(rows: Iterable[Sequence[object]], head: Sequence[object] = (), caption: str = "") -> str:
     """Return rows of cells as an HTML table, with an optional header row and caption."""
     lines = [f'<caption style="text-align: left">{escape(caption)}</caption>'] if caption else []
     if head:

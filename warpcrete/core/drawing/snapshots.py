@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import warp as wp
 
+from ..device.arrays import DeviceArray, ones
 from ..device.exchange import PinnedBuffers
+from ..device.simulation_protocol import SimulationOnDevice
 
 COPY_TIMEOUT = 60.0
 """Maximum time that copies from a device may take to arrive before an error is raised [s]."""
@@ -20,15 +21,15 @@ POLL_INTERVAL = 1e-3
 """Time between two checks whether copies have arrived [s]; each check takes Python's interpreter lock from the run."""
 
 
-def on_host(found: Any) -> Any:
+def on_host(found: object) -> object:
     """Return a Warp array as a NumPy array of its own; return anything else unchanged."""
-    if not isinstance(found, wp.array):
+    if not isinstance(found, DeviceArray):
         return found
     # On a CPU, `numpy()` returns a view of the array, which the run continues to change.
     return found.numpy() if _is_on_gpu(found) else found.numpy().copy()
 
 
-def _is_on_gpu(array: wp.array) -> bool:
+def _is_on_gpu(array: DeviceArray) -> bool:
     return bool(wp.get_device(array.device).is_cuda)
 
 
@@ -36,17 +37,17 @@ class PinnedPool:
     """Pool of page-locked memory for asynchronous copies from a GPU; it is reused because its allocation is slow."""
 
     def __init__(self) -> None:
-        self._free: dict[tuple[str, ...], tuple[Any, deque[PinnedBuffers]]] = {}
+        self._free: dict[tuple[str, ...], tuple[Sequence[object], deque[PinnedBuffers]]] = {}
         self._outdated_queues: list[deque[PinnedBuffers]] = []
-        self._arrival_flag: wp.array | None = None
+        self._arrival_flag: DeviceArray | None = None
 
-    def arrival_flag(self, device: Any) -> wp.array:
+    def arrival_flag(self, device: wp.Device) -> DeviceArray:
         """Return a device array, shape (1,), with the value 1; its copy, made last, shows that all copies arrived."""
         if self._arrival_flag is None:
-            self._arrival_flag = wp.ones(1, dtype=wp.int32, device=device)
+            self._arrival_flag = ones(1, dtype=wp.int32, device=device)
         return self._arrival_flag
 
-    def take(self, arrays: Mapping[str, wp.array], device: Any) -> tuple[PinnedBuffers, deque[PinnedBuffers]]:
+    def take(self, arrays: Mapping[str, DeviceArray], device: wp.Device) -> tuple[PinnedBuffers, deque[PinnedBuffers]]:
         """Return page-locked memory for copies of arrays, and the queue to which this memory returns later.
 
         Memory for arrays with the same names but other sizes or addresses is discarded.
@@ -72,7 +73,7 @@ class PendingCopies:
     deleted.
     """
 
-    def __init__(self, arrays: Mapping[str, wp.array], pool: PinnedPool) -> None:
+    def __init__(self, arrays: Mapping[str, DeviceArray], pool: PinnedPool) -> None:
         device = next(iter(arrays.values())).device
         sources_and_flag = {**arrays, "": pool.arrival_flag(device)}
         self._buffers, self._return_queue = pool.take(sources_and_flag, device)
@@ -107,12 +108,12 @@ class Snapshot:
     time: float
     """Simulated time of the snapshot [s]."""
     steps: int
-    found: dict[str, Any]
+    found: dict[str, object]
     """Values by name; for a copy that is in flight, the value is the :class:`PendingCopies` object with the copy."""
-    derived: dict[Hashable, Any] = field(default_factory=dict)
+    derived: dict[Hashable, object] = field(default_factory=dict[Hashable, object])
     """Results computed from the values, by name, shared by all displays of this snapshot."""
 
-    def read(self, name: str) -> Any:
+    def read(self, name: str) -> object:
         """Return the value stored under `name`; if it is a copy in flight, wait until the copy has arrived."""
         found = self.found[name]
         return found[name] if isinstance(found, PendingCopies) else found
@@ -126,10 +127,10 @@ class _Latest:
         self.pool = PinnedPool()
 
 
-_latest: WeakKeyDictionary[Any, _Latest] = WeakKeyDictionary()
+_latest: WeakKeyDictionary[SimulationOnDevice, _Latest] = WeakKeyDictionary()
 
 
-def snapshot_of(simulation: Any, sources: Mapping[str, Callable[[], Any]]) -> Snapshot:
+def snapshot_of(simulation: SimulationOnDevice, sources: Mapping[str, Callable[[], object]]) -> Snapshot:
     """Return a snapshot of the present values of `sources`, by name.
 
     Several displays that request a name at the same step share one read.
@@ -141,7 +142,7 @@ def snapshot_of(simulation: Any, sources: Mapping[str, Callable[[], Any]]) -> Sn
     found = latest.snapshot.found
     new = {name: source() for name, source in sources.items() if name not in found}
     arrays = {name: value for name, value in new.items()
-              if isinstance(value, wp.array) and value.size and _is_on_gpu(value)}  # fmt: skip
+              if isinstance(value, DeviceArray) and value.size and _is_on_gpu(value)}  # fmt: skip
     found |= {name: on_host(value) for name, value in new.items() if name not in arrays}
     if arrays:
         found |= dict.fromkeys(arrays, PendingCopies(arrays, latest.pool))

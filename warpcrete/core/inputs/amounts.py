@@ -8,12 +8,13 @@ from __future__ import annotations
 import functools
 import math
 import re
+from collections.abc import Iterable
 from contextlib import suppress
-from typing import Any
 
 import numpy as np
 
 from ..errors import refuse, suggested
+from ..narrowing import is_number
 
 NUMBERS = (int, float, np.integer, np.floating)
 INCH, FOOT, YARD = 0.0254, 0.3048, 0.9144
@@ -58,6 +59,8 @@ UNITS = {
     "m2/N": {"m2/N": 1.0, "m²/N": 1.0, "1/Pa": 1.0},
     "Pa s": {"Pa s": 1.0, "Pa.s": 1.0, "Pa·s": 1.0, "Pas": 1.0, "mPa s": 1e-3},
     "Pa s/m": {"Pa s/m": 1.0, "Pa.s/m": 1.0, "Pa·s/m": 1.0},
+    "Pa s2": {"Pa s2": 1.0, "Pa s²": 1.0, "Pa.s2": 1.0, "Pa·s²": 1.0},
+    "Pa s2/m2": {"Pa s2/m2": 1.0, "Pa s²/m²": 1.0, "Pa.s2/m2": 1.0, "Pa·s²/m²": 1.0},
 }  # fmt: skip
 """Accepted unit names, by internal unit: `UNITS[internal][written]` is the factor that converts a value in the written
 unit to the internal unit. Gallons and fluid ounces (oz/yd3) are those of the United States."""
@@ -79,7 +82,7 @@ def _names(factors: tuple[float, ...]) -> str:
     return _alternatives(name for name, factor in UNITS["m"].items() if factor in factors)
 
 
-def _alternatives(names: Any) -> str:
+def _alternatives(names: Iterable[str]) -> str:
     """Return a pattern that matches any one of the `names`, longest names first."""
     return "|".join(_escaped(name) for name in sorted(names, key=len, reverse=True))
 
@@ -142,14 +145,14 @@ def _parsed(text: str, unit: str) -> float:
     return math.nan
 
 
-def bare_number(value: Any) -> bool:
+def bare_number(value: object) -> bool:
     """Return whether `value` is a number, or a text that holds a number without a unit."""
     if not isinstance(value, str):
         return isinstance(value, NUMBERS)
     return len(value) <= LONGEST and re.fullmatch(f"[-+]?(?:{COMMA}|{DECIMAL})", value.strip()) is not None
 
 
-def is_amount(value: Any, unit: str) -> bool:
+def is_amount(value: object, unit: str) -> bool:
     """Return whether `value` is a text with a number and a unit that :func:`amount` accepts in `unit`."""
     return (
         isinstance(value, str)
@@ -167,7 +170,7 @@ def unit_names(unit: str) -> list[str]:
     return list(factors.values())
 
 
-def amount(field: str, value: Any, unit: str) -> float:
+def amount(field: str, value: object, unit: str) -> float:
     """Return a number or a text such as "125 mm" as a number in `unit`.
 
     `unit` is a key of :data:`UNITS`, and `field` names the parameter in error messages. A number without a unit counts
@@ -181,7 +184,7 @@ def amount(field: str, value: Any, unit: str) -> float:
         number = _parsed(text, unit)
         if not math.isfinite(number):
             more = _advice(text, unit)
-    elif isinstance(value, NUMBERS) and not isinstance(value, bool):
+    elif is_number(value):
         with suppress(OverflowError):
             number = float(value)
     if not math.isfinite(number):

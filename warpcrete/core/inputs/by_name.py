@@ -14,7 +14,7 @@ import importlib
 import inspect
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
@@ -31,7 +31,7 @@ _trusted: ContextVar[bool] = ContextVar("trusted", default=False)
 
 
 @contextmanager
-def names_from_file() -> Iterator[None]:
+def names_from_file() -> Generator[None]:
     """Forbid imports of modules that a file names, while the block runs; also usable as a decorator.
 
     Modules that are loaded already stay usable. Inside :func:`trusted_files` the imports are allowed.
@@ -44,7 +44,7 @@ def names_from_file() -> Iterator[None]:
 
 
 @contextmanager
-def trusted_files() -> Iterator[None]:
+def trusted_files() -> Generator[None]:
     """Allow imports of modules that a file names, while the block runs."""
     token = _trusted.set(True)
     try:
@@ -54,7 +54,7 @@ def trusted_files() -> Iterator[None]:
 
 
 @contextmanager
-def _folder_on_path() -> Iterator[None]:
+def _folder_on_path() -> Generator[None]:
     """Add the current folder to the end of Python's module search path, while the block runs.
 
     `python -m` puts the current folder first. Here it comes last, so that a local file cannot hide an installed
@@ -81,12 +81,12 @@ class ByName(CompositeRule):
     def __hash__(self) -> int:
         return hash(tuple(self.classes.items()))
 
-    def fields(self, field: Field, value: Any) -> dict[str, Field]:
+    def fields(self, field: Field, value: object) -> dict[str, Field]:
         """Return the fields of a class as parameters by name; `value` is the class's name or an instance."""
         kind = self.class_of(field, value)
         return {} if kind is None else own_fields(field.name, kind)
 
-    def with_objects(self, field: Field, values: Mapping[str, Any]) -> dict[str, Any]:
+    def with_objects(self, field: Field, values: Mapping[str, object]) -> dict[str, object]:
         """Return parameters with an object in place of its class name and of the object's own parameters.
 
         For example, the entries `contact` and `contact_FIELD` become one entry `contact` that holds the contact law.
@@ -98,16 +98,16 @@ class ByName(CompositeRule):
             found[field.name] = _object(field.name, kind, value if isinstance(value, kind) else None, own)
         return found
 
-    def to_plain(self, field: Field, value: Any) -> tuple[dict[str, Any], bool]:
+    def to_plain(self, field: Field, value: object) -> tuple[dict[str, object], bool]:
         """Return an object's class name and field values, and whether these suffice to make an equal object.
 
         They do not suffice if the class cannot be imported by its name, or if it has fields that are not declared.
         """
         if value is None:
             return {field.name: None}, True
-        kind = type(value)
+        kind: type[Any] = type(value)
         _note_source(kind)
-        own = {}
+        own: dict[str, Any] = {}
         for key, (_, path) in _leaves(field.name, kind):
             own[key] = value
             for step in path:
@@ -124,7 +124,7 @@ class ByName(CompositeRule):
         short = {each: name for name, each in self.classes.items()}
         return short.get(kind, f"{kind.__module__}:{kind.__qualname__}")
 
-    def class_of(self, field: Field, value: Any) -> type | None:
+    def class_of(self, field: Field, value: object) -> type | None:
         """Return the class that `value` names, or the class of the object `value`; return None for the value None.
 
         Raises :class:`SceneError` if the name leads to no class of the kind that `field` requires.
@@ -132,7 +132,8 @@ class ByName(CompositeRule):
         if value is None:
             return None
         if isinstance(value, field.kind):
-            return type(value)
+            kind: type[Any] = type(value)
+            return kind
         if isinstance(value, str) and value in self.classes:
             return self.classes[value]
         words = f"must be one of {', '.join(self.classes)}, or package.module:Class for your own class"
@@ -165,7 +166,7 @@ def _imported(field: Field, value: str, module: str, name: str) -> type:
     return _checked(field, found, value)
 
 
-def _checked(field: Field, found: Any, name: str) -> type:
+def _checked(field: Field, found: object, name: str) -> type:
     kind: type = field.kind
     if not (isinstance(found, type) and issubclass(found, kind) and is_dataclass(found)):
         refuse(field.name, name, f"must be a frozen dataclass that derives from {kind.__module__}:{kind.__name__}")
@@ -203,7 +204,7 @@ def _leaves(name: str, kind: type) -> Iterator[tuple[str, tuple[Field, tuple[str
             yield f"{name}_{own}", (field, (own,))
 
 
-def _object(name: str, kind: type, given: Any, values: Mapping[str, Any]) -> Any:
+def _object(name: str, kind: type, given: Any, values: Mapping[str, object]) -> object:
     """Return an object of class `kind`: a new one, or a copy of `given` whose fields in `values` are replaced."""
     changes: dict[str, Any] = {}
     factories = {f.name for f in fields(kind) if f.default_factory is not MISSING}

@@ -4,7 +4,7 @@ A file is YAML or JSON with up to two sections of parameters, both in SI units:
 
 - `elements`: parameters of scenes with discrete elements, which `warpcrete run pipe --help` lists under aggregate,
   contacts and bonds;
-- `flow`: the five constants of a Bingham fluid with a slip layer.
+- `flow`: the five constants of a Bingham fluid with a slip layer, and those of other flow laws, if any.
 
 A section `mix` may replace both sections. It describes the concrete by amounts with units, from which
 :mod:`warpcrete.mix` derives the parameters.
@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import known_names, one_line, refuse, suggested
+from ..narrowing import is_dict
 from .text_files import errors_located_at, name_of, read_mapping
 
 SHIPPED = Path(__file__).parents[2] / "measured" / "concretes"
@@ -51,10 +52,10 @@ class NamedConcrete:
     source: str = ""
     calibrated: str = ""
     """Which parameters were fitted, and to which measurement; empty if all values are published or measured."""
-    elements: Mapping[str, Any] = field(default_factory=dict)
+    elements: Mapping[str, Any] = field(default_factory=dict[str, Any])
     """Parameters of discrete elements, in SI units; empty if unknown."""
-    flow: Mapping[str, float] = field(default_factory=dict)
-    """Constants of a Bingham fluid with a slip layer, in SI units; empty if unknown."""
+    flow: Mapping[str, float] = field(default_factory=dict[str, float])
+    """Constants of a yield stress fluid with a slip layer, in SI units; empty if unknown."""
     mix: MixSection | None = None
 
 
@@ -100,15 +101,19 @@ def _read(path: Path, depth: int) -> NamedConcrete:
             with errors_located_at(given, key):
                 refuse("concrete", str(path), f"has the unknown key {key!r}", known_names(key, KEYS))
     texts = {key: one_line(str(given[key])) for key in TEXTS if given.get(key) is not None}
-    sections = {}
+    sections: dict[str, dict[str, Any]] = {}
     for section in SECTIONS:
-        found = given.get(section) or {}
-        if not isinstance(found, Mapping):
+        found: object = given.get(section) or {}
+        if not is_dict(found):
             with errors_located_at(given, section):
                 refuse(f"concrete {section}", found, "must hold 'name: value' lines",
                        "indent them below the name of the section")  # fmt: skip
         sections[section] = dict(found)
-    mix = MixSection(given["mix"], path.parent, **sections) if "mix" in given else None
+    mix = (
+        MixSection(given["mix"], path.parent, elements=sections["elements"], flow=sections["flow"])
+        if "mix" in given
+        else None
+    )
     if "base" in texts:
         base = _base(texts.pop("base"), path, depth)
         # Values in a concrete's file take precedence over values that follow from the mix of the base concrete.
@@ -119,7 +124,9 @@ def _read(path: Path, depth: int) -> NamedConcrete:
         texts.setdefault("source", base.source)
     if mix is None and not any(sections.values()):
         refuse("concrete", str(path), "defines no properties", "add a section elements, flow or mix, or a base")
-    return NamedConcrete(**{"name": name_of(path), **texts}, **sections, mix=mix)
+    return NamedConcrete(
+        **{"name": name_of(path), **texts}, elements=sections["elements"], flow=sections["flow"], mix=mix
+    )
 
 
 def _base(name: str, path: Path, depth: int) -> NamedConcrete:

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Mapping
+from numbers import Integral
 from types import BuiltinFunctionType, FunctionType
-from typing import Any
+from typing import Protocol, SupportsFloat
 
 import numpy as np
 
+from ..narrowing import is_host_array, is_list_or_tuple, is_mapping, is_number
 
-def fingerprint(value: Any) -> str:
+
+class Digest(Protocol):
+    """Hash in progress."""
+
+    def update(self, data: bytes, /) -> None: ...
+
+
+def fingerprint(value: object) -> str:
     """Return the SHA-256 of a scene or of any part of a scene.
 
     The field `parameters` is left out, because the scene's other fields contain everything that the scene function made
@@ -22,24 +30,24 @@ def fingerprint(value: Any) -> str:
     return digest.hexdigest()
 
 
-def _feed(digest: Any, value: Any) -> None:
+def _feed(digest: Digest, value: object) -> None:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         digest.update(_name(value))
         for field in dataclasses.fields(value):
             if field.name != "parameters":
                 digest.update(field.name.encode())
                 _feed(digest, getattr(value, field.name))
-    elif isinstance(value, np.ndarray):
+    elif is_host_array(value):
         digest.update(f"{value.dtype}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
-    elif isinstance(value, Mapping):
+    elif is_mapping(value):
         for key, item in value.items():  # Keep the order: kinds of bonds are numbered by it.
             _feed(digest, key)
             _feed(digest, item)
-    elif isinstance(value, list | tuple):
+    elif is_list_or_tuple(value):
         digest.update(f"[{len(value)}".encode())
         for item in value:
             _feed(digest, item)
-    elif isinstance(value, int | float | np.integer | np.floating):
+    elif isinstance(value, bool) or is_number(value):
         digest.update(_number(value))
     elif isinstance(value, type | FunctionType | BuiltinFunctionType):
         digest.update(_named(value))
@@ -53,12 +61,12 @@ def _feed(digest: Any, value: Any) -> None:
         _feed(digest, {k: v for k, v in vars(value).items() if not k.startswith("_")})
 
 
-def _number(value: Any) -> bytes:
+def _number(value: SupportsFloat) -> bytes:
     """Return bytes that represent a number exactly.
 
     A whole number is written as a float if that is exact, because 1 and 1.0 are equal and need the same fingerprint.
     """
-    if isinstance(value, int | np.integer):
+    if isinstance(value, Integral):
         try:
             if int(float(value)) != int(value):
                 return f"i{int(value):x}".encode()
@@ -67,10 +75,10 @@ def _number(value: Any) -> bytes:
     return float(value).hex().encode()
 
 
-def _name(value: Any) -> bytes:
+def _name(value: object) -> bytes:
     """Return the full name of a value's type, because classes in different modules may share a class name."""
     return _named(type(value))
 
 
-def _named(value: Any) -> bytes:
+def _named(value: type | FunctionType | BuiltinFunctionType) -> bytes:
     return f"{value.__module__}.{value.__qualname__}".encode()

@@ -13,7 +13,7 @@ class Level:
 
     label: str
     """Name of the level in tables, such as "10 mm"."""
-    changes: Mapping[str, Any] = field(default_factory=dict)
+    changes: Mapping[str, object] = field(default_factory=dict[str, object])
     """Parameters in which this level differs from the scene as given, with their values."""
     cost: float = 1.0
     """Expected wall time, relative to the other levels of the knob. It is used only for planning, before times are
@@ -21,7 +21,7 @@ class Level:
     key: str = ""
     """Name of this level that is the same in scenes with other numbers, such as "x 0.5" where `label` is a length; by
     default, it is the label."""
-    converted: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    converted: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
     """Quantities that have another meaning at this level, by name: with (offset, factor), a value becomes offset +
     factor * (value - offset)."""
 
@@ -75,7 +75,7 @@ class Trading:
     closed_form: Callable[[Any], bool] = lambda given: False
     """Function that takes the scene's parameters and returns whether theory is exact for these parameters. If so,
     results have an entry `NAME_error` for each quantity NAME."""
-    variants: Callable[[Any], Mapping[str, Mapping[str, Any]]] = lambda given: {}
+    variants: Callable[[Any], Mapping[str, Mapping[str, object]]] = lambda given: {}
     """Function that takes the scene's parameters and returns parameters of similar scenes, by a description of the
     difference. Recommended settings are also tested on these scenes."""
     tolerance: str = ""

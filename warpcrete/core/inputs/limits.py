@@ -46,6 +46,8 @@ LIMITS = {
     "Pa/m": Limit(1e-3, 1e9, "pumped concrete loses 1 to 50 kPa/m"),
     "Pa s": Limit(1e-6, 1e9, "air has a viscosity of 2e-5 Pa s, pitch of 1e8 Pa s"),
     "Pa s/m": Limit(1e-6, 1e13, "slip layers have 100 to 10000 Pa s/m"),
+    "Pa s2": Limit(1e-9, 1e6, "1 Pa s2 adds 10 Pa s to the viscosity at 10 1/s"),
+    "Pa s2/m2": Limit(1e-6, 1e13, "1000 Pa s2/m2 adds 300 Pa s/m to a slip layer at 0.3 m/s"),
     "kg/m3": Limit(50.0, 3e4, "foams have a density of 100 kg/m3, osmium of 22600 kg/m3"),
     "m3/s": Limit(1e-12, 1.0, "the largest concrete pumps deliver 0.06 m3/s (200 m3/h)"),
     "m2/N": Limit(1e-30, 1.0, "steel has a wear coefficient of 1e-13 to 1e-12 m2/N"),
@@ -64,6 +66,9 @@ LIMITS = {
     "slip_viscosity": Limit(1e-3, 1e12, "slip layers have 100 to 10000 Pa s/m; use a large value for no slip", None,
                             "Pa s/m"),
     "slip_yield": Limit(1e-6, 1e9, "slip layers have 0 to 500 Pa", (1e-3, 1e5), "Pa"),
+    "flow_index": Limit(0.1, 4.0, "it is 1 for a Bingham fluid, below 1 if concrete thins, above 1 if it thickens",
+                        (0.3, 2.5), "1"),
+    "slip_flow_index": Limit(0.1, 4.0, "it is 1 for a linear layer, below 1 for paste that thins", (0.3, 2.5), "1"),
     "length": Limit(1e-4, 1e4, "the longest pumping lines are 2000 m", None, "m"),
     "bend_radius": Limit(1e-4, 1e4, "bends of pumping lines have radii of 0.2 to 5 m", (0.02, 50.0), "m"),
     "size_max": Limit(1e-5, 1.0, "coarse aggregate has sizes of 4 to 63 mm", (1e-4, 0.3), "m"),
@@ -93,7 +98,7 @@ def limit_of(name: str, unit: str) -> Limit | None:
     """Return the limits that belong to a quantity's name, if its unit matches, else those of the unit, or None."""
     unit = "" if unit in ("1", "m3/m3") else unit
     named = LIMITS.get(name)
-    if named is not None and named.unit and named.unit == unit:
+    if named is not None and named.unit == (unit or "1"):
         return named
     return LIMITS.get(unit)
 

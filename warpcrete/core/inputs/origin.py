@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..errors import RunFolderError, refuse
+from ..narrowing import is_host_array, is_list_or_tuple, is_mapping, is_numpy_number
 from .fingerprints import fingerprint
 
 LONGEST_LIST = 20
@@ -28,7 +27,7 @@ _files: ContextVar[dict[str, str] | None] = ContextVar("files", default=None)
 
 
 @contextmanager
-def files_read() -> Iterator[dict[str, str]]:
+def files_read() -> Generator[dict[str, str]]:
     """Collect the SHA-256 of every input file that is read inside the block, by absolute path."""
     found: dict[str, str] = {}
     token = _files.set(found)
@@ -85,7 +84,12 @@ class Arguments(dict[str, Any]):
 
     @classmethod
     def of(
-        cls, scene: Any, function: str, values: Mapping[str, Any], files: Mapping[str, str], unwritable: tuple[str, ...]
+        cls,
+        scene: object,
+        function: str,
+        values: Mapping[str, object],
+        files: Mapping[str, str],
+        unwritable: tuple[str, ...],
     ) -> Arguments:
         """Return the arguments `values` with fingerprints of `scene`, which was just made from them."""
         made = cls(values)
@@ -127,22 +131,23 @@ def check_named(scene: Any) -> None:
                "define its class in a module file, and declare all its fields")  # fmt: skip
 
 
-def readable(value: Any) -> Any:
+def readable(value: object) -> object:
     """Return a value as readable JSON: dataclasses as their fields, large arrays as shape and digest."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {f.name: readable(getattr(value, f.name)) for f in dataclasses.fields(value)}
         return {"type": f"{type(value).__module__}:{type(value).__qualname__}", **fields}
-    if isinstance(value, np.generic):
-        return value.item()
+    if is_numpy_number(value):
+        item: object = value.item()
+        return item
     if isinstance(value, str | int | float | None):
         return value
-    if isinstance(value, np.ndarray):
+    if is_host_array(value):
         if value.size <= LONGEST_LIST and value.dtype != object:
             return value.tolist()
         return f"array {value.dtype} {value.shape}, SHA-256 {fingerprint(value)[:16]}"
-    if isinstance(value, Mapping):
+    if is_mapping(value):
         return {str(key): readable(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
+    if is_list_or_tuple(value):
         if len(value) <= LONGEST_LIST:
             return [readable(item) for item in value]
         return f"{len(value)} entries, SHA-256 {fingerprint(value)[:16]}"

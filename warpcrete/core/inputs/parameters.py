@@ -20,9 +20,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
-import numpy as np
-
 from ..errors import SceneError, known_names, one_of, quoted, refuse
+from ..narrowing import is_numpy_number
 from .amounts import UNITS, amount
 from .limits import check_limit, check_whole
 from .origin import Arguments, files_read
@@ -44,7 +43,7 @@ class Above:
     lower: float = 0.0
     hint: str = ""
 
-    def check(self, name: str, value: Any, unit: str) -> None:
+    def check(self, name: str, value: float, unit: str) -> None:
         if not math.isfinite(value) or value <= self.lower:
             refuse(name, value, f"must be a finite number above {self.lower:g}{unit}", self.hint)
 
@@ -57,7 +56,7 @@ class Within:
     upper: float = math.inf
     hint: str = ""
 
-    def check(self, name: str, value: Any, unit: str) -> None:
+    def check(self, name: str, value: float, unit: str) -> None:
         if math.isfinite(value) and self.lower <= value <= self.upper:
             return
         span = f"in [{self.lower:g}, {self.upper:g}]" if math.isfinite(self.upper) else "finite"
@@ -70,9 +69,9 @@ class Within:
 class OneOf:
     """Rule that a value must be one of `choices`, which are words or numbers."""
 
-    choices: tuple[Any, ...]
+    choices: tuple[object, ...]
 
-    def check(self, name: str, value: Any, unit: str) -> None:
+    def check(self, name: str, value: object, unit: str) -> None:
         one_of(name, value, self.choices)
 
 
@@ -110,15 +109,15 @@ class CompositeRule:
     See :mod:`warpcrete.core.inputs.by_name`.
     """
 
-    def fields(self, field: Field, value: Any) -> dict[str, Field]:
+    def fields(self, field: Field, value: object) -> dict[str, Field]:
         """Return the parameters that belong to a value of `field`, by name."""
         raise NotImplementedError
 
-    def with_objects(self, field: Field, values: Mapping[str, Any]) -> dict[str, Any]:
+    def with_objects(self, field: Field, values: Mapping[str, object]) -> dict[str, object]:
         """Return parameters in which the value of `field` is built from all parameters that belong to it."""
         raise NotImplementedError
 
-    def to_plain(self, field: Field, value: Any) -> tuple[dict[str, Any], bool]:
+    def to_plain(self, field: Field, value: object) -> tuple[dict[str, object], bool]:
         """Return plain values for a value of `field`, and whether `with_objects` makes an equal value from them."""
         raise NotImplementedError
 
@@ -128,12 +127,12 @@ class Field:
     """Declared parameter, as parsed from the annotation of a dataclass field."""
 
     name: str
-    kind: Any
+    kind: type
     optional: bool
     """True if None is an allowed value."""
     help: str
-    rules: tuple[Any, ...]
-    default: Any
+    rules: tuple[object, ...]
+    default: object
     """Default value; `dataclasses.MISSING` if there is none."""
     group: str
     """First line of the docstring of the class that declares the field; it is the heading of a group in help texts."""
@@ -159,7 +158,7 @@ class Field:
         NumPy numbers become Python numbers, integers become floats if the field is a float, and texts such as "125 mm"
         become numbers in the field's unit.
         """
-        if isinstance(value, np.generic):
+        if is_numpy_number(value):
             value = value.item()
         if value is None and self.optional:
             return None
@@ -180,17 +179,17 @@ class Field:
             refuse(name, value, f"must be {words}{' or None' if self.optional else ''}")
         if isinstance(value, str) and "\0" in value:
             refuse(name, value, "contains a NUL character", "remove it")
-        if any(rule.test(value) for rule in self.of_kind(FileIf)):
+        if isinstance(value, str) and any(rule.test(value) for rule in self.of_kind(FileIf)):
             return os.path.realpath(value)
         return value
 
-    def number(self, value: Any, name: str) -> Any:
+    def number(self, value: object, name: str) -> object:
         """Return a text such as "125 mm" as a number in the field's unit; return anything else unchanged."""
         if self.kind is float and isinstance(value, str) and NUMERIC.match(value):
             return amount(name, value, self.units)
         return value
 
-    def check_limits(self, value: Any, name: str) -> None:
+    def check_limits(self, value: object, name: str) -> None:
         """Refuse a number that is impossible in any scene, and warn about an unlikely number."""
         if isinstance(value, float):
             check_limit(name, value, self.unit.strip(), self.name)
@@ -275,7 +274,7 @@ class SceneFunction(Generic[P, S]):
     The decorator :func:`scene_function` creates such functions.
     """
 
-    def __init__(self, parameters: type, build: Callable[[Any], S]) -> None:
+    def __init__(self, parameters: type[Declared], build: Callable[[Any], S]) -> None:
         self.parameters, self._build = parameters, build
         self.description = inspect.getdoc(build) or ""
         self.__doc__ = f"{self.description}\n\n{_listed(declared_fields(parameters).values())}"
@@ -293,8 +292,13 @@ class SceneFunction(Generic[P, S]):
 
     @property
     def module(self) -> types.ModuleType:
-        """Module in which the function is defined, together with the scene's checks and knobs."""
-        return sys.modules[self._build.__module__]
+        """Module that holds the function together with the scene's checks and knobs."""
+        return sys.modules[self._module_name]
+
+    @property
+    def _module_name(self) -> str:
+        """Name of the module; a function `scene_dem` in a file NAME belongs to module NAME_dem (`scenes/__init__`)."""
+        return self._build.__module__ + ("_dem" if self.__name__ == "scene_dem" else "")
 
     def __call__(self, *args: P.args, **given: P.kwargs) -> S:
         known = declared_fields(self.parameters)
@@ -333,12 +337,12 @@ class SceneFunction(Generic[P, S]):
     @property
     def name(self) -> str:
         """Name of the scene in the command."""
-        return self._build.__module__.rpartition(".")[2].replace("_", "-")
+        return self._module_name.rpartition(".")[2].replace("_", "-")
 
-    def _plain_values(self, parameters: Any) -> tuple[dict[str, Any], tuple[str, ...]]:
+    def _plain_values(self, parameters: Declared) -> tuple[dict[str, object], tuple[str, ...]]:
         """Return parameters as plain values, and the names of parameters that these values cannot reproduce."""
-        values: dict[str, Any] = {}
-        unwritable = []
+        values: dict[str, object] = {}
+        unwritable: list[str] = []
         for name, field in declared_fields(self.parameters).items():
             values[name] = getattr(parameters, name)
             for rule in field.of_kind(CompositeRule):

@@ -12,12 +12,13 @@ import json
 import os
 import re
 import stat
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
 from ..errors import RunFolderError, SceneError, refuse
+from ..narrowing import is_dict
 from .origin import note_file
 from .yaml_files import LONGEST_NUMBER, FileList, Unreadable, parsed_yaml
 
@@ -32,7 +33,7 @@ KINDS = ((stat.S_ISDIR, "a directory"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISCHR
 
 
 @contextmanager
-def errors_located_at(container: Any, key: Any) -> Iterator[None]:
+def errors_located_at(container: Any, key: Any) -> Generator[None]:
     """Add file name and line number of an entry to each :class:`SceneError` that is raised inside the block.
 
     The entry is `container[key]`, and the container is a :class:`FileMapping` or a :class:`FileList`.
@@ -79,7 +80,7 @@ def read_mapping(path: Path, field: str) -> dict[str, Any]:
     try:
         text = _text(path, MAXIMUM_SETTINGS_SIZE)
         found = parsed_json(text) if path.suffix.lower() == ".json" else parsed_yaml(text, path)
-        if not isinstance(found, dict):
+        if not is_dict(found):
             raise Unreadable(
                 f"contains {_kind_of(found)} instead of 'key: value' lines", "compare it with a shipped file"
             )
@@ -117,7 +118,7 @@ def saved_json(path: Path) -> dict[str, Any]:
         found = parsed_json(_text(path, MAXIMUM_TEXT_SIZE))
     except Unreadable as error:
         raise RunFolderError(f"'{path}': cannot be read ({error.reason})") from error
-    if not isinstance(found, dict):
+    if not is_dict(found):
         raise RunFolderError(f"'{path}': does not contain a JSON object; restore the file")
     return found
 
@@ -159,15 +160,21 @@ def _text(path: Path, most: int) -> str:
     return text
 
 
-def _kind_of(value: Any) -> str:
-    kinds = {list: "a list", FileList: "a list", str: "text", type(None): "nothing", bool: "true or false"}
+def _kind_of(value: object) -> str:
+    kinds: dict[type, str] = {
+        list: "a list",
+        FileList: "a list",
+        str: "text",
+        type(None): "nothing",
+        bool: "true or false",
+    }
     return kinds.get(type(value), "a number")
 
 
-def parsed_json(text: str) -> Any:
+def parsed_json(text: str) -> object:
     """Return the value of a JSON text; raises :class:`Unreadable` for repeated keys, NaN and syntax errors."""
 
-    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
         found = dict(pairs)
         if len(found) < len(pairs):
             keys = [key for key, _ in pairs]

@@ -1,3 +1,7 @@
+# ruamel.yaml declares hardly any types.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+# ruamel.yaml declares hardly any types.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 """Reader and writer of YAML 1.2 files: the core schema without tags, with the line number of every entry."""
 
 from __future__ import annotations
@@ -5,6 +9,7 @@ from __future__ import annotations
 import io
 import re
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +31,11 @@ LONGEST_NUMBER = 400
 INTEGER_PATTERN = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
 DECIMAL_PATTERN = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 NOT_A_NUMBER = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
-WORDS = dict.fromkeys(("", "~", "null", "Null", "NULL"), None) | dict.fromkeys(("true", "True", "TRUE"), True)
-WORDS |= dict.fromkeys(("false", "False", "FALSE"), False)
+WORDS: dict[str, bool | None] = {
+    **dict.fromkeys(("", "~", "null", "Null", "NULL"), None),
+    **dict.fromkeys(("true", "True", "TRUE"), True),
+    **dict.fromkeys(("false", "False", "FALSE"), False),
+}
 PLAIN_TAG = "plain"
 """Tag for scalars that have no quotes and no tag."""
 
@@ -68,14 +76,14 @@ class UntaggedResolver(VersionedResolver):
 class DepthLimitedScanner(Scanner):
     """YAML scanner that refuses deep nesting, because its time would grow with the square of the depth."""
 
-    def fetch_flow_collection_start(self, *arguments: Any, **named: Any) -> None:
+    def fetch_flow_collection_start(self, *arguments: object, **named: object) -> None:
         """Begin a list or mapping in brackets; raises :class:`Unreadable` if it is nested too deeply."""
         if len(self.flow_context) >= MAXIMUM_DEPTH:
             raise Unreadable("is nested too deeply", "write plain lists and mappings")
         super().fetch_flow_collection_start(*arguments, **named)
 
 
-def parsed_yaml(text: str, path: Path) -> Any:
+def parsed_yaml(text: str, path: Path) -> object:
     """Return the value of a YAML text: mappings, lists, texts, finite numbers, true, false or None.
 
     Keys are always texts. Mappings and lists store `path`, the path of the file. Raises :class:`Unreadable` for any
@@ -178,7 +186,7 @@ class _Values:
         return value
 
 
-def yaml_text(data: dict[str, Any]) -> str:
+def yaml_text(data: Mapping[str, object]) -> str:
     """Return a mapping as YAML text, with its keys in their order."""
     writer = YAML(typ="safe", pure=True)
     writer.default_flow_style = False

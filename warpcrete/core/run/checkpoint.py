@@ -7,21 +7,24 @@ import json
 import os
 import warnings
 import zipfile
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from ..errors import RunFolderError
 from ..inputs.fingerprints import fingerprint
+from ..narrowing import is_dict, is_host_array, is_numpy_number
 from .files import cannot_write, partial_of
 from .provenance import processor, versions
 
 FORMAT = 7
 
 
-def write_partial(path: Path, scene: Any, device: Any, precision: str, contents: dict[str, Any]) -> None:
+def write_partial(path: Path, scene: object, device: wp.Device, precision: str, contents: Mapping[str, object]) -> None:
     """Write a checkpoint of a run of `scene` to a partial file next to `path`; :func:`commit` puts it in place.
 
     `contents` holds numbers, texts, arrays and dictionaries of these. The file is a NumPy archive (npz) with a SHA-256
@@ -70,7 +73,7 @@ def discard(path: Path) -> None:
         partial_of(path).unlink(missing_ok=True)
 
 
-def read(path: Path, scene: Any, device: Any, precision: str) -> dict[str, Any]:
+def read(path: Path, scene: object, device: wp.Device, precision: str) -> dict[str, Any]:
     """Return the contents of a checkpoint of the same scene, kind of device, precision and package versions.
 
     Raises :class:`RunFolderError` with the reason if the file is missing, damaged or belongs to another run. A
@@ -124,7 +127,7 @@ def remove(path: Path) -> None:
     discard(path)
 
 
-def _kind(device: Any) -> str:
+def _kind(device: wp.Device) -> str:
     return "cuda" if device.is_cuda else "cpu"
 
 
@@ -140,21 +143,23 @@ def _digest(arrays: dict[str, np.ndarray]) -> bytes:
     return digest.digest()
 
 
-def _flatten(value: Any, name: str, arrays: dict[str, np.ndarray]) -> Any:
+def _flatten(value: object, name: str, arrays: dict[str, np.ndarray]) -> object:
     """Return `value` as JSON data; move arrays to `arrays` and leave a reference by name in their place."""
-    if isinstance(value, np.ndarray):
+    if is_host_array(value):
         arrays[name] = value
         return {"array": name}
-    if isinstance(value, dict):
+    if is_dict(value):
         return {"items": {key: _flatten(item, f"{name}/{key}", arrays) for key, item in value.items()}}
-    if isinstance(value, np.generic):
-        return value.item()
+    if is_numpy_number(value):
+        item: object = value.item()
+        return item
     return value
 
 
-def _unflatten(value: Any, arrays: dict[str, np.ndarray]) -> Any:
-    if isinstance(value, dict):
-        if "array" in value:
-            return arrays[value["array"]]
-        return {key: _unflatten(item, arrays) for key, item in value["items"].items()}
-    return value
+def _unflatten(value: Any, arrays: dict[str, np.ndarray]) -> object:
+    if not is_dict(value):
+        return value
+    stored: dict[str, Any] = value
+    if "array" in stored:
+        return arrays[stored["array"]]
+    return {key: _unflatten(item, arrays) for key, item in stored["items"].items()}

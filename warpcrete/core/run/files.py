@@ -6,7 +6,7 @@ import errno
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn
@@ -15,6 +15,7 @@ import numpy as np
 
 from ..errors import DiskFullError, RunFolderError, quoted
 from ..inputs.text_files import saved_json
+from ..narrowing import is_dict, is_list_or_tuple
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Error numbers of a disk, a quota or a process limit that leaves no space for a file."""
@@ -27,7 +28,7 @@ SPACE_MARGIN = 1 << 20
 
 
 @contextmanager
-def atomic_file(path: Path) -> Iterator[Path]:
+def atomic_file(path: Path) -> Generator[Path]:
     """Yield a temporary path next to `path`, whose file replaces `path` at the end of the block.
 
     If the block fails, the temporary file is removed. An error of the operating system becomes a
@@ -84,7 +85,7 @@ def space_error(folder: Path, needed: int = 0) -> OSError | None:
     return None
 
 
-def write_json(path: Path, data: Any) -> None:
+def write_json(path: Path, data: object) -> None:
     """Write JSON to a file; a reader never sees half a file.
 
     NaN and infinity become null.
@@ -93,11 +94,11 @@ def write_json(path: Path, data: Any) -> None:
         partial.write_text(json.dumps(_finite(data), indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def _finite(data: Any) -> Any:
+def _finite(data: object) -> object:
     # JSON has no NaN and no infinity, so a value that was not measured becomes null.
-    if isinstance(data, dict):
+    if is_dict(data):
         return {key: _finite(value) for key, value in data.items()}
-    if isinstance(data, list | tuple):
+    if is_list_or_tuple(data):
         return [_finite(value) for value in data]
     if isinstance(data, float) and not np.isfinite(data):
         return None
@@ -133,9 +134,9 @@ def read_record(path: Path) -> dict[str, Any]:
     record = read_json(path)
     cases = record.get("cases")
     nullable = NULLABLE_ENTRIES - NEVER_NULL.get(path.name, set())
-    within = [record, record.get("command"), *(cases if isinstance(cases, list) else [])]
+    within: list[object] = [record, record.get("command"), *(cases if is_list_or_tuple(cases) else [])]
     for place, part in enumerate(within):
-        if not isinstance(part, dict):
+        if not is_dict(part):
             if place == 1 and "command" not in record:
                 continue
             _refuse_entry(path, "command" if place == 1 else "cases", part)
@@ -146,7 +147,7 @@ def read_record(path: Path) -> dict[str, Any]:
     return record
 
 
-def _refuse_entry(path: Path, name: str, value: Any) -> NoReturn:
+def _refuse_entry(path: Path, name: str, value: object) -> NoReturn:
     raise RunFolderError(f"'{path}': is damaged: its entry {name!r} is {quoted(value)}; restore the file, or "
                          "start again in a new folder")  # fmt: skip
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -103,7 +103,7 @@ def _is_at(file: int, path: Path) -> bool:
 
 
 @contextmanager
-def locked_folder(folder: Path, record: str) -> Iterator[None]:
+def locked_folder(folder: Path, record: str) -> Generator[None]:
     """Lock an existing folder while the block runs, then clean up what killed processes left in the folders inside it.
 
     Raises :class:`RunFolderError` if the folder does not contain the file `record`, or if another process holds the
@@ -142,7 +142,7 @@ def make_folder(folder: Path) -> FolderLock:
 
 
 @contextmanager
-def new_folder(folder: Path) -> Iterator[None]:
+def new_folder(folder: Path) -> Generator[None]:
     """Create and lock a new folder while the block runs; remove the created folders that stay empty."""
     hold = make_folder(folder)
     try:

@@ -36,7 +36,7 @@ class Forecast:
     steps: float
     parts: Mapping[str, float]
     """Wall time of each part of the run [s], without recordings."""
-    frame: Mapping[str, float] = field(default_factory=dict)
+    frame: Mapping[str, float] = field(default_factory=dict[str, float])
     """Wall time of one frame of each recording [s], if it was measured."""
     duration: float = 0.0
     """Simulated time of the run [s]."""
@@ -53,7 +53,7 @@ class Forecast:
         return sum(self.memory.values())
 
 
-def timed(call: Callable[[], Found], device: Any) -> tuple[Found, float]:
+def timed(call: Callable[[], Found], device: wp.Device) -> tuple[Found, float]:
     """Return the result of a call and its wall time [s], including the device work that it launched."""
     wp.synchronize_device(device)
     begun = time.perf_counter()
@@ -62,7 +62,7 @@ def timed(call: Callable[[], Found], device: Any) -> tuple[Found, float]:
     return found, time.perf_counter() - begun
 
 
-def median_time(call: Callable[[], Any], device: Any, repeats: int = 3) -> float:
+def median_time(call: Callable[[], object], device: wp.Device, repeats: int = 3) -> float:
     """Return the median wall time of a call [s]; a first call, which may load kernels, is not counted."""
     call()
     return sorted(timed(call, device)[1] for _ in range(repeats))[(repeats - 1) // 2]

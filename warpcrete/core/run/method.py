@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from ..drawing.display import Display
-from ..units import number, quantity, shown
+from ..units import Quantified, number, quantity, shown
 from .forecast import Forecast, Probe
 from .run_loop import Run, Simulation
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Progress = Callable[[str, float], None]
 """Callback for progress, which is called with the name of a phase and the fraction done."""
@@ -42,12 +46,12 @@ class Quantity:
         return self.name.removesuffix("_pressure").replace("_", " ")
 
 
-def results_of(quantities: Sequence[Quantity], known: Any) -> dict[str, Any]:
+def results_of(quantities: Sequence[Quantity], known: object) -> dict[str, float | Quantified]:
     """Return entries of result.json: quantities with a unit as `{"value", "unit"}`, pure numbers as such.
 
     `known` is the method's data about a run, which is passed to the function `of` of each quantity.
     """
-    found: dict[str, Any] = {}
+    found: dict[str, float | Quantified] = {}
     for each in quantities:
         value = each.of(known)
         if value is not None:
@@ -93,20 +97,20 @@ class Method:
     display: type[Display]
     picture: str
     """File name of the picture in a run folder."""
-    draw: Callable[[Any, Run, str], Any]
+    draw: Callable[[Any, Run, str], Figure | None]
     """Function that takes (simulation, run, colouring) and returns a Matplotlib figure, or None if there is nothing to
     draw."""
-    show: Callable[[Run], Any]
+    show: Callable[[Run], Figure | None]
     """Function that takes a run and returns a Matplotlib figure for notebooks."""
     report: Callable[[Run], Iterator[tuple[str, str]]]
     """Function that takes a run and yields label and text of each line that the command prints after the quantities."""
-    forecast: Callable[[Any, Any, str, int | None, Probe], Forecast]
+    forecast: Callable[[Any, wp.Device, str, int | None, Probe], Forecast]
     """Function that takes (scene, device, precision, threads, probe) and returns the expected cost of a run. `probe`
     measures times of a prepared simulation."""
     run_many: Callable[[Sequence[Any], Sequence[Path | None], Progress], list[Run | BaseException]]
     """Function that runs several simulations on one device, each from its checkpoint if it has one. It returns a run or
     an error for each simulation."""
-    more_pictures: Callable[[Run], Mapping[str, Any]] = lambda run: {}
+    more_pictures: Callable[[Run], Mapping[str, Figure | None]] = lambda run: {}
     """Function that takes a run and returns further Matplotlib figures for its folder, by file name; a figure is None
     if there is nothing to draw."""
     expected: Callable[[Any], Mapping[str, float]] = lambda scene: {}
@@ -129,7 +133,7 @@ class Method:
 
 
 def run_in_turn(
-    simulations: Sequence[Any], checkpoints: Sequence[Path | None], progress: Progress
+    simulations: Sequence[Simulation], checkpoints: Sequence[Path | None], progress: Progress
 ) -> list[Run | BaseException]:
     """Run simulations one after the other, each from its checkpoint if it has one.
 

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import TYPE_CHECKING, NoReturn
+
+if TYPE_CHECKING:
+    from tqdm.auto import tqdm
 
 
 class ProgressBar:
     """Callback for `Simulation(progress=...)` that shows a tqdm bar with remaining time, pressure and speed."""
 
     def __init__(self) -> None:
-        self._bar: Any = None
+        self._bar: tqdm[NoReturn] | None = None
         self._phase = ""
 
-    def __call__(self, phase: str, fraction: float, figures: dict[str, Any]) -> None:
+    def __call__(self, phase: str, fraction: float, figures: dict[str, float]) -> None:
         """Show the fraction of a phase that is done, and current figures such as the pressure."""
         from tqdm.auto import tqdm
 
@@ -26,13 +29,14 @@ class ProgressBar:
         if fraction < 1.0 and time.monotonic() - self._shown < 0.2:
             return
         self._shown = time.monotonic()
+        assert self._bar is not None
         self._bar.n = min(fraction, 1.0)
-        shown = {}
+        shown: dict[str, str] = {}
         if "pressure" in figures:
             shown["pressure"] = f"{figures['pressure'] / 1e3:.1f} kPa"
         if "steps_per_s" in figures:
             shown["steps/s"] = f"{figures['steps_per_s']:.0f}"
-        self._bar.set_postfix(shown, refresh=False)
+        self._bar.set_postfix(shown, refresh=False)  # pyright: ignore[reportUnknownMemberType]
         self._bar.refresh()
 
     def close(self) -> None:

@@ -7,7 +7,6 @@ import hashlib
 import platform
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -15,7 +14,7 @@ import warp as wp
 from .version import version_of
 
 
-def provenance(device: Any, precision: str, seed: int) -> dict[str, Any]:
+def provenance(device: wp.Device, precision: str, seed: int) -> dict[str, object]:
     """Return the versions, the device and the settings on which the results of a run depend."""
     return {
         **versions(),
@@ -23,7 +22,7 @@ def provenance(device: Any, precision: str, seed: int) -> dict[str, Any]:
         "python": platform.python_version(),
         "machine": platform.machine(),
         "device": str(device),
-        "device_name": device.name,
+        "device_name": device.name,  # pyright: ignore[reportUnknownMemberType]
         "processor": processor(),
         "compiler_flags": None if device.is_cuda else wp.config.cpu_compiler_flags,
         "precision": precision,

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
-if TYPE_CHECKING:
-    from .run import Run
+from .run import Run
+from .simulation_protocol import RecordedSimulation
 
 
 class Recorder:
@@ -19,16 +19,16 @@ class Recorder:
     """True if a failure of this recorder only causes a warning, after which the run goes on without the recorder. A
     full disk ends the run in any case: the run can be resumed when there is space, and then no data is missing."""
 
-    def claim(self, simulation: Any) -> None:
+    def claim(self, simulation: RecordedSimulation) -> None:
         """Take exclusive resources, such as the run folder, before any work is done."""
 
-    def abandon(self, simulation: Any) -> None:
+    def abandon(self, simulation: RecordedSimulation) -> None:
         """Release the exclusive resources that `claim` took, because the run never began."""
 
-    def start(self, simulation: Any) -> None:
+    def start(self, simulation: RecordedSimulation) -> None:
         """Prepare to record a run that is about to begin."""
 
-    def resume(self, simulation: Any, state: dict[str, Any]) -> None:
+    def resume(self, simulation: RecordedSimulation, state: dict[str, Any]) -> None:
         """Prepare to record a run that goes on from a checkpoint; called instead of `start`.
 
         `state` is what the method `checkpoint` returned for this checkpoint. Everything that was recorded after the
@@ -36,30 +36,30 @@ class Recorder:
         """
         self.start(simulation)
 
-    def sample(self, simulation: Any, row: dict[str, float]) -> None:
+    def sample(self, simulation: RecordedSimulation, row: dict[str, float]) -> None:
         """Record a row of the series, which has a value for each column."""
 
-    def frame(self, simulation: Any) -> None:
+    def frame(self, simulation: RecordedSimulation) -> None:
         """Record a frame, which is a picture of the state at this time."""
 
-    def checkpoint(self, simulation: Any) -> dict[str, Any]:
+    def checkpoint(self, simulation: RecordedSimulation) -> dict[str, Any]:
         """Return the data that `resume` needs to go on recording from this time.
 
         The method `write` is called next. The checkpoint takes effect when all recorders have written their data.
         """
         return {}
 
-    def write(self, simulation: Any) -> None:
+    def write(self, simulation: RecordedSimulation) -> None:
         """Write to disk everything that is recorded so far, at a checkpoint."""
 
-    def finish(self, simulation: Any, run: Run) -> None:
+    def finish(self, simulation: RecordedSimulation, run: Run) -> None:
         """Write everything to disk, because the run has ended.
 
         The last recorder finishes first; expendable recorders finish after all others.
         """
 
-    def tidy(self, simulation: Any, run: Run) -> None:
+    def tidy(self, simulation: RecordedSimulation, run: Run) -> None:
         """Remove or join the files that only a resumed run would need; called when the run is complete."""
 
-    def close(self, simulation: Any) -> None:
+    def close(self, simulation: RecordedSimulation) -> None:
         """Release all resources, however the run ended."""

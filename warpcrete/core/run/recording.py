@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from typing import Any
 
 from ..errors import DiskFullError
 from .files import is_full
 from .recorder import Recorder
 from .run import Run
+from .simulation_protocol import RecordedSimulation
 
 
 class Recording:
     """Group of a run's recorders, which are called one after the other, expendable recorders last."""
 
-    def __init__(self, simulation: Any, recorders: Sequence[Recorder]) -> None:
+    def __init__(self, simulation: RecordedSimulation, recorders: Sequence[Recorder]) -> None:
         self.simulation = simulation
         self.recorders = sorted(recorders, key=lambda recorder: recorder.expendable)
         self.active: list[Recorder] = []
         """Recorders that have started and have not failed, in the order in which they are called."""
         self.failures: list[Exception] = []
         """Errors of recorders because of which the run could not write its data to disk or end properly."""
-        self._states: dict[str, Any] = {}  # data from each recorder's last checkpoint, by its class name
+        self._states: dict[str, object] = {}  # data from each recorder's last checkpoint, by its class name
 
-    def begin(self, states: dict[str, Any]) -> None:
+    def begin(self, states: Mapping[str, object]) -> None:
         """Start every recorder, or resume it if `states` has its state from a checkpoint."""
         self._states = dict(states)
         for recorder in self.recorders:
@@ -36,12 +36,12 @@ class Recording:
             else:
                 self._call(recorder, "resume", state)
 
-    def call(self, method: str, *arguments: Any) -> None:
+    def call(self, method: str, *arguments: object) -> None:
         """Call a method of every recorder; drop an expendable recorder that fails, with a warning."""
         for recorder in list(self.active):
             self._call(recorder, method, *arguments)
 
-    def states(self) -> dict[str, Any]:
+    def states(self) -> dict[str, object]:
         """Return, by class name of each recorder, the data that the recorder needs to go on from this time.
 
         A recorder that was dropped keeps its data from an earlier checkpoint.
@@ -50,7 +50,7 @@ class Recording:
             self._states[class_name_of(recorder)] = self._call(recorder, "checkpoint")
         return {kind: state for kind, state in self._states.items() if state is not None}
 
-    def _call(self, recorder: Recorder, method: str, *arguments: Any) -> Any:
+    def _call(self, recorder: Recorder, method: str, *arguments: object) -> object:
         try:
             return getattr(recorder, method)(self.simulation, *arguments)
         except Exception as error:

@@ -7,14 +7,21 @@ import subprocess
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..drawing.html import html_table
 from ..errors import RunFolderError, WarpcreteError, refuse
+from ..narrowing import is_dict
 from ..units import number, shown
 from .viewer import LOOPBACK, Viewer, has_screen, screen_viewer, web_viewer
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 DEFAULT_PLOT_COLUMNS = ("pressure", "spread", "front", "inside")
 """Names of columns in order of preference: by default, a plot shows the first of them that the series contains."""
@@ -43,7 +50,7 @@ class Run:
     interrupted: bool = False
     """True if an interruption (Ctrl-C) ended the run at once, before it reached the next sample."""
     folder: Path | None = None
-    tables: dict[str, Table] = field(default_factory=dict)
+    tables: dict[str, Table] = field(default_factory=dict[str, Table])
     """Tables of quantities over a coordinate other than time, by file name."""
 
     def __repr__(self) -> str:
@@ -71,9 +78,9 @@ class Run:
         return list(self._numbers())
 
     def _numbers(self) -> dict[str, float]:
-        found = {}
+        found: dict[str, float] = {}
         for name, entry in self.result.items():
-            if isinstance(entry, dict):
+            if is_dict(entry):
                 entry = entry["value"] if set(entry) == {"value", "unit"} else None
             if isinstance(entry, int | float) and not isinstance(entry, bool):
                 found[name] = number(entry)
@@ -87,7 +94,7 @@ class Run:
         """
         return dataframe(self.series, self.units, "time")
 
-    def plot(self, *columns: str, against: str = "time") -> Any:
+    def plot(self, *columns: str, against: str = "time") -> Figure:
         """Return a Matplotlib figure of columns of the series over another column; columns of one unit share an axis.
 
         By default, the figure shows the pressure, the spread, the position of the front or the remaining concrete,
@@ -118,7 +125,9 @@ class Run:
                 axes.legend(frameon=False, fontsize=9)
             axes.spines[["top", "right"]].set_visible(False)
         every[-1].set_xlabel(f"{_column_title(against)} [{along}]")
-        figure.suptitle(f"{self.scene.name}: {', '.join(map(_column_title, columns))}", fontsize=10)
+        figure.suptitle(  # pyright: ignore[reportUnknownMemberType]
+            f"{self.scene.name}: {', '.join(map(_column_title, columns))}", fontsize=10
+        )
         return figure
 
     def view(self, web: bool = False, bind: str = LOOPBACK) -> subprocess.Popen[bytes]:
@@ -140,27 +149,27 @@ class Run:
 
     def _repr_html_(self) -> str:
         """Return the quantities as an HTML table for notebooks."""
-        rows = []
+        rows: list[tuple[str, object]] = []
         for name, entry in self.result.items():
-            if isinstance(entry, dict) and set(entry) == {"value", "unit"} and isinstance(entry["value"], float):
+            if is_dict(entry) and set(entry) == {"value", "unit"} and isinstance(entry["value"], float):
                 rows.append((name, f"{entry['value']:.6g} {entry['unit']}"))
             elif isinstance(entry, bool | int | float | str):
                 rows.append((name, f"{entry:.6g}" if isinstance(entry, float) else entry))
         return html_table(rows)
 
 
-def dataframe(columns: Mapping[str, Any], units: Mapping[str, str], index: str) -> Any:
+def dataframe(columns: Mapping[str, np.ndarray], units: Mapping[str, str], index: str) -> Any:
     """Return columns as a pandas DataFrame, with the column `index` as its index if there is such a column.
 
     The units of the columns are in `attrs["units"]`. Raises :class:`WarpcreteError` if pandas is not installed.
     """
     try:
-        import pandas
+        import pandas  # pyright: ignore[reportMissingTypeStubs]
     except ImportError:
         raise WarpcreteError(
             "run.table needs pandas; run pip install 'warpcrete[notebook]', or use the arrays in run.series"
         ) from None
-    found = pandas.DataFrame(dict(columns))
+    found: Any = pandas.DataFrame(dict(columns))
     if index in found:
         found = found.set_index(index)
     found.attrs["units"] = dict(units)

@@ -12,12 +12,13 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypedDict, TypeVar
 
 import numpy as np
 
 from ..device.device import checked_threads, find_device, scalar_of
 from ..device.launching import report_compiling
+from ..device.simulation_protocol import Stepped
 from ..drawing.display import Display
 from ..errors import RunFolderError, SceneError, WarpcreteError, between, refuse
 from . import checkpoint
@@ -28,7 +29,7 @@ from .recorder import Recorder
 from .recording import Recording, disk_full_error
 from .run import Run
 
-Progress = Callable[[str, float, dict[str, Any]], None]
+Progress = Callable[[str, float, dict[str, float]], None]
 """Callback for progress. Its arguments are the phase (`packing`, `settling` or `running`, and `compiling` between these
 if it takes a while), the fraction done and a few current figures."""
 
@@ -44,6 +45,21 @@ Coroutine = Generator[Any, None, Any]
 """Generator for a run, or for a part of it. Each `yield` requests the time up to which the run must be stepped, and the
 generator goes on when the state has reached this time. The caller can therefore take the steps of many runs together.
 """
+
+
+class RunRecord(TypedDict):
+    """Part of a checkpoint about the run, as opposed to the state."""
+
+    recorders: dict[str, object]
+    """Data of each recorder, by its class name."""
+    samples: int
+    """Number of rows in the series, not counting the row at t = 0."""
+    next_frame: float
+    """Simulated time of the next frame [s]."""
+    spent: dict[str, float]
+    """Wall time of each phase [s]."""
+    over: bool
+    """True if the last step has been taken."""
 
 
 S = TypeVar("S", bound="Simulation")
@@ -70,12 +86,12 @@ class Simulation:
     """Type of the scenes that a subclass simulates."""
     kinds: ClassVar[list[type[Simulation]]] = []
     """Subclasses, one for each simulation method."""
-    stepper: Any
+    stepper: Stepped
     """Object with `time` [s], `steps`, and a method `advance(until)` that steps the state to a time [s]."""
     shares_cores = False
     """True if other runs use the cores that the threads of this run leave free."""
 
-    def __init_subclass__(cls, **settings: Any) -> None:
+    def __init_subclass__(cls, **settings: object) -> None:
         super().__init_subclass__(**settings)
         if "scene_type" in cls.__dict__:
             missing = [name for name in vars(Simulation) if getattr(getattr(cls, name), "__isabstractmethod__", False)]
@@ -83,7 +99,7 @@ class Simulation:
                 raise TypeError(f"{cls.__name__} lacks {', '.join(missing)}")
             Simulation.kinds.append(cls)
 
-    def __new__(cls: type[S], scene: Any, **settings: Any) -> S:
+    def __new__(cls: type[S], scene: object, **settings: object) -> S:
         kind: Any = cls
         if cls is Simulation:
             kind = next((kind for kind in Simulation.kinds if isinstance(scene, kind.scene_type)), cls)
@@ -98,7 +114,7 @@ class Simulation:
             refuse("scene", type(scene).__name__, f"must be a {' or a '.join(t.__name__ for t in known)}", hint)
         return super().__new__(kind)
 
-    def __init__(
+    def __init__(  # pyright: ignore[reportInconsistentConstructor]  # The scene's type selects the subclass.
         self,
         scene: Any,
         *,
@@ -138,7 +154,7 @@ class Simulation:
         # wall time that a resumed run had taken before the checkpoint was written [s]
         self._time_before_resume = 0.0
         self._samples_taken = 0  # number of rows in the series, not counting the row at t = 0
-        self._resumed: dict[str, Any] | None = None
+        self._resumed: RunRecord | None = None
         self.frames = Frames(frame_interval, self.expected_duration, self.frame_step)
         self.set_up()
 
@@ -243,13 +259,14 @@ class Simulation:
     def _write_state(self, path: Path) -> None:
         """Write the state to a partial file next to the checkpoint at `path`."""
         contents = self.state_dict()
-        contents["run"] = {
+        run: RunRecord = {
             "recorders": self._recording.states() if self._has_run else {},
             "samples": self._samples_taken,
             "next_frame": self.frames.next,
             "spent": self._wall_times | {"running": self._running()},
             "over": self.at_end,
         }
+        contents["run"] = run
         checkpoint.write_partial(path, self.scene, self.device, self.precision, contents)
 
     def _commit_state(self, path: Path) -> None:
@@ -268,7 +285,8 @@ class Simulation:
     def read_checkpoint(self, path: Path) -> dict[str, Any]:
         """Return the `state_dict` in a checkpoint; restore the clocks and the counters of samples and frames."""
         contents = checkpoint.read(path, self.scene, self.device, self.precision)
-        self._resumed = run = contents["run"]
+        run: RunRecord = contents["run"]
+        self._resumed = run
         self._samples_taken, self.frames.next = run["samples"], run["next_frame"]
         self._wall_times = run["spent"]
         self._time_before_resume = self._wall_times["running"]
@@ -340,7 +358,7 @@ class Simulation:
             try:
                 if not self.rows:  # Save the state at t = 0 first, because its packing and settling took a long time.
                     self._checkpoint()
-                self._recording.begin((self._resumed or {}).get("recorders", {}))
+                self._recording.begin({} if self._resumed is None else self._resumed["recorders"])
                 finished = yield from self._loop()
             except KeyboardInterrupt:
                 interrupted = True
@@ -453,7 +471,7 @@ class Simulation:
     def _running(self) -> float:
         return self._time_before_resume + (wall_clock.perf_counter() - self._started if self._has_run else 0.0)
 
-    def tell(self, phase: str, fraction: float, **figures: Any) -> None:
+    def tell(self, phase: str, fraction: float, **figures: float) -> None:
         """Report progress to the callback."""
         self._progress(phase, fraction, figures)
 

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import rerun_cli
+import rerun_cli  # pyright: ignore[reportMissingTypeStubs]
 
 from ..errors import RunFolderError, refuse
 from .processes import killed_with_parent

@@ -9,14 +9,14 @@ and a scene gives bitwise identical results alone and in a batch. A finished sce
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import warp as wp
 
+from ...core.device.arrays import DeviceArray, Kernel, zeros
 from ...core.device.device import parallel
 from ...core.device.exchange import Exchange
 from ...core.device.graphs import GraphLaunch
@@ -37,9 +37,9 @@ from ...kernels.dem.probes import WALL_COLUMNS, wall_probe
 from .batch_arrays import JointArrays
 from .launch_planner import DEVICE_CHECK_INTERVAL, NEVER, LaunchPlanner
 from .model import Model
-from .rest import Structure
 from .state import State
 from .subcycling import Subcycles
+from .wall_layer import Structure
 
 SPHERES_PER_THREAD = 500
 """Minimum number of spheres for each CPU thread; with fewer, waiting at barriers costs more than a thread gains.
@@ -49,7 +49,7 @@ In a small pipe, two threads took 0.67 to 1.0 of one thread's time for 1000 sphe
 """
 
 
-def batch_key(model: Model) -> tuple:
+def batch_key(model: Model) -> tuple[object, ...]:
     """Return a key of the scene features that kernels depend on; models with equal keys can share a batch."""
     worn = len(model.walls) if model.features.wear else 0
     return model.features, model.analytic_walls, worn, model.scalar, str(model.device)
@@ -94,7 +94,7 @@ class Batch(JointArrays):
         self._walls: np.ndarray | None = None
         self._wall_launch: GraphLaunch | None = None
         self._flags_pending = self._row_pending = False
-        self._step: list[list[Any]] | None = None
+        self._step: Step | None = None
         self._rebuild: GraphLaunch | None = None
         self._between_pieces: GraphLaunch | None = None
         self._sync: Stage | None = None
@@ -122,8 +122,8 @@ class Batch(JointArrays):
             self.invalidate_graphs()
 
     def stage(
-        self, kernel: Any, dim: Size, *, on_side_stream: bool = False, joins_side_stream: bool = False, every: int = 1,
-        block: int | None = None, **named: Any,
+        self, kernel: Kernel, dim: Size, *, on_side_stream: bool = False, joins_side_stream: bool = False,
+        every: int = 1, block: int | None = None, **named: object,
     ) -> Stage:  # fmt: skip
         """Return a recorded launch of `kernel` over `dim` tasks.
 
@@ -151,7 +151,7 @@ class Batch(JointArrays):
         self._sync = None
         self._wall_launch = None
 
-    def use_step(self, step: list[list[Any]], rebuild: GraphLaunch | None, between_pieces: GraphLaunch | None) -> None:
+    def use_step(self, step: Step, rebuild: GraphLaunch | None, between_pieces: GraphLaunch | None) -> None:
         """Set the kernel launches of one step, one list for each CPU thread; they stay valid while `has_step` is True.
 
         A GPU launches steps in pieces. After each piece it launches `between_pieces`, which rebuilds neighbour lists
@@ -221,7 +221,7 @@ class Batch(JointArrays):
             (self._walls,) = self.exchange.read(self.wall_values())
         return self.own_walls(s, self._walls)
 
-    def wall_values(self) -> wp.array:
+    def wall_values(self) -> DeviceArray:
         """Write the values of all walls to `wall_array` on the device; they are valid until the next call."""
         if self._wall_launch is None:
             self._wall_launch = GraphLaunch([self.wall_stage()], self.device)
@@ -229,9 +229,9 @@ class Batch(JointArrays):
         return self.wall_array
 
     @cached_property
-    def wall_array(self) -> wp.array:
+    def wall_array(self) -> DeviceArray:
         """Device array for forces, travel and other values of all walls, shape (walls, WALL_COLUMNS)."""
-        return wp.zeros((self.wall_count, WALL_COLUMNS), dtype=wp.float64, device=self.device)
+        return zeros((self.wall_count, WALL_COLUMNS), dtype=wp.float64, device=self.device)
 
     def wall_stage(self) -> Stage:
         """Return the launch that writes forces, travel and other values of all walls to `wall_array`."""
@@ -244,7 +244,7 @@ class Batch(JointArrays):
         return values[first : first + int(self.rows["wall_count"][s])]
 
     @contextmanager
-    def changing(self) -> Iterator[None]:
+    def changing(self) -> Generator[None]:
         """Let the code inside change flags, clocks or walls on the device, by launches or by writing to arrays.
 
         The host's pending changes are sent first. Afterwards the host's copies are discarded, also after an exception.

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import warp as wp
 
+from ...core.device.arrays import DeviceArray, HostArray, Struct, copy_array, declared, empty, zeros
 from ...core.device.device import parallel
 from ...core.errors import CapacityError
 from ...geometry.surfaces import Surfaces
@@ -19,7 +20,8 @@ from ...kernels.dem.structs import array_structs, scene_struct
 from .launch_planner import NEVER
 from .links import copy_links, make_even, make_links
 from .model import Model
-from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields
+from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields, struct_of
+from .struct_types import Bodies, Candidates, Pairs, Scenes, Slots, Spheres, Walls
 
 MAXIMUM_ENTRIES = 2**31 - 2**20  # Maximum length of a neighbour list: its indices are 32-bit integers.
 FULL = 0.9
@@ -33,46 +35,46 @@ time.
 class JointArrays:
     """Device arrays of a batch of scenes with the same features; arrays of all scenes are joined end to end."""
 
-    flags: wp.array
+    flags: DeviceArray
     """Control flags of all scenes, such as halted, failed and stale lists, shape (scenes, FLAGS)."""
-    scenes: Any
+    scenes: Scenes
     """Clocks and parameters of all scenes, a struct of arrays that `kernels/dem/structs.py` defines."""
-    bodies: Any
-    spheres: Any
-    slots: Any
-    pairs: Any
-    candidates: Any
-    walls: Any
-    corners: wp.array
+    bodies: Bodies
+    spheres: Spheres
+    slots: Slots
+    pairs: Pairs
+    candidates: Candidates
+    walls: Walls
+    corners: DeviceArray
     """Corners of all meshes, each in its wall's frame [m], shape (corners,)."""
-    faces: wp.array
+    faces: DeviceArray
     """Indices of the three corners of each triangle of all meshes, shape (faces, 3)."""
-    across: wp.array
+    across: DeviceArray
     """Neighbouring triangles across the three edges of each triangle, as in :class:`Surfaces`, shape (faces, 6)."""
-    ring_start: wp.array
+    ring_start: DeviceArray
     """Start of each row of the adjacency table `ring`, and the end of the last row, shape (rows + 1,).
 
     There is a row for each mesh corner, followed by a row for each edge shared by three or more triangles.
     """
-    ring: wp.array
+    ring: DeviceArray
     """Adjacency rows, concatenated: the lowest index of a triangle at a corner or edge, then the corners around it."""
-    face_wall: wp.array
+    face_wall: DeviceArray
     """Index of the wall to which each triangle belongs, shape (faces,)."""
-    pair_parameters: wp.array
+    pair_parameters: DeviceArray
     """Parameters of the contact laws between bodies, as in :class:`Model`, for all scenes end to end."""
-    wall_parameters: wp.array
+    wall_parameters: DeviceArray
     """Parameters of the contact laws of bodies with walls, for all scenes end to end."""
-    bond_parameters: wp.array
+    bond_parameters: DeviceArray
     """Parameters of each kind of bonds, such as hydrated ones, for all scenes end to end."""
-    segments: wp.array
+    segments: DeviceArray
     """Straight and curved segments of the axes of pipes and drives, for all scenes end to end."""
-    drive_axis: wp.array
+    drive_axis: DeviceArray
     """First and end index in `segments` of the axis along which each body group is driven, shape (groups, 2)."""
-    drive_force: wp.array
+    drive_force: DeviceArray
     """Driving force along the axis on each body of every body group [N], shape (groups,)."""
     rows: np.ndarray
     """Host copy of `scenes.row`, the parameters of all scenes."""
-    slot_scene: wp.array
+    slot_scene: DeviceArray
     """Scene index of each entry of `pairs.start`, the starts of the neighbour list rows, shape (spheres + scenes,)."""
 
     def __init__(self, models: list[Model], states: list[State], threads: int) -> None:
@@ -101,7 +103,7 @@ class JointArrays:
         self.links = make_links(self)
 
     @property
-    def kernel_arrays(self) -> dict[str, Any]:
+    def kernel_arrays(self) -> dict[str, object]:
         """Arrays and structs of all scenes, by the names of the kernel parameters that receive them."""
         return {
             "flags": self.flags,
@@ -135,7 +137,7 @@ class JointArrays:
     def _join_states(self) -> None:
         """Join the arrays of all states, replace the originals by slices, and allocate the arrays of the batch."""
         for struct in STRUCTS:
-            setattr(self, struct, getattr(self.structs, struct.capitalize())())
+            setattr(self, struct, struct_of(self.structs, struct)())
         for struct, names in state_fields(self.structs).items():
             for name in names:
                 joint = self._join([getattr(state, struct) for state in self.states], name)
@@ -143,34 +145,37 @@ class JointArrays:
         self.flags = self._join(self.states, "flags")
         n = self.sphere_count
         counts = [s.sphere_count for s in self.states]
-        vec4 = self.structs.Spheres.vars["clear"].type.dtype
+        vec4 = struct_of(self.structs, "spheres").vars["clear"].type.dtype
         self.spheres.scene = self._numbers(counts)
-        self.spheres.clear = wp.zeros(n if self.features.analytic else 0, dtype=vec4, device=self.device)
+        self.spheres.clear = zeros(n if self.features.analytic else 0, dtype=vec4, device=self.device)
         self.bodies.scene = self._numbers([s.body_count for s in self.states])
         self.slot_scene = self._numbers([n + 1 for n in counts])
 
-    def _join(self, parts: list[Any], name: str) -> wp.array:
+    def _join(self, parts: Sequence[object], name: str) -> DeviceArray:
         """Join the arrays `name` of each scene's struct in `parts`, and replace them by slices of the joint array."""
-        arrays = [getattr(part, name) for part in parts]
+        arrays: list[DeviceArray] = [getattr(part, name) for part in parts]
         if len(arrays) == 1:
             return arrays[0]
-        joint = wp.empty((sum(len(a) for a in arrays), *arrays[0].shape[1:]), dtype=arrays[0].dtype, device=self.device)
+        joint = empty((sum(len(a) for a in arrays), *arrays[0].shape[1:]), dtype=arrays[0].dtype, device=self.device)
         first = 0
         for part, array in zip(parts, arrays):
             if array.size:  # Without walls an array may have 0 columns; Warp cannot copy it.
                 view = joint[first : first + len(array)]
-                wp.copy(view, array)
+                copy_array(view, array)
                 setattr(part, name, view)
             first += len(array)
         return joint
 
     def _join_models(self) -> None:
         models = self.models
-        self._settings: list[dict[str, Any]] = [{} for _ in models]
-        self.rows = np.zeros(self.count, dtype=scene_struct(self.scalar).numpy_dtype())
+        self._settings: list[dict[str, float]] = [{} for _ in models]
+        row = declared(scene_struct(self.scalar))
+        self.rows = np.zeros(self.count, dtype=row.numpy_dtype())
         segments = [m.segments.numpy() for m in models]
         first_segment = np.concatenate([[0], np.cumsum([len(s) for s in segments])])
-        tables, drives, surfaces = [], [], Surfaces()
+        tables: list[HostArray] = []
+        drives: list[HostArray] = []
+        surfaces = Surfaces()
         first = dict.fromkeys(("bodies", "spheres", "walls", "laws", "bonds", "groups"), 0)
         for s, (model, state) in enumerate(zip(models, self.states)):
             for name, value in first.items():
@@ -198,11 +203,11 @@ class JointArrays:
         for name in ("pair_parameters", "wall_parameters", "bond_parameters", "drive_force", "segments"):
             setattr(self, name, self._concatenate([getattr(model, name) for model in models]))
         self.drive_axis = self._array(np.concatenate(drives), wp.int32)
-        self.scenes.row = self._array(self.rows, scene_struct(self.scalar))
+        self.scenes.row = self._array(self.rows, row)
         self.walls.scene = self._numbers([len(m.walls) for m in models])
         self.walls.table = self._array(np.concatenate(tables), models[0].wall_table.dtype)
         self.walls.rest_position = self._concatenate([m.rest_position for m in models])
-        self.walls.step_force = wp.zeros((self.threads, self.wall_count, 6), dtype=wp.int64, device=self.device)
+        self.walls.step_force = zeros((self.threads, self.wall_count, 6), dtype=wp.int64, device=self.device)
         self.corners = self._array(surfaces.corners(), types(self.scalar).vec3)
         self.faces = self._array(surfaces.faces(), wp.int32, 2)
         self.across = self._array(surfaces.across(), wp.int32, 2)
@@ -224,27 +229,27 @@ class JointArrays:
         row["until"][s], row["interval"][s] = np.inf, NEVER
         row["wall_stiffness"][s] = np.pi * model.stress_scale * state.largest_radius
 
-    def _concatenate(self, arrays: list[wp.array]) -> wp.array:
+    def _concatenate(self, arrays: list[DeviceArray]) -> DeviceArray:
         """Return constant arrays joined end to end; a single array is returned uncopied, because nothing changes it."""
         if len(arrays) == 1:
             return arrays[0]
-        joint = wp.empty(sum(len(a) for a in arrays), dtype=arrays[0].dtype, device=self.device)
+        joint = empty(sum(len(a) for a in arrays), dtype=arrays[0].dtype, device=self.device)
         first = 0
         for array in arrays:
             if len(array):
-                wp.copy(joint[first : first + len(array)], array)
+                copy_array(joint[first : first + len(array)], array)
                 first += len(array)
         return joint
 
-    def _array(self, values: Any, dtype: Any, dimensions: int = 1) -> wp.array:
+    def _array(self, values: HostArray, dtype: type | Struct, dimensions: int = 1) -> DeviceArray:
         if len(values) == 0:
-            return wp.zeros((0,) * dimensions, dtype=dtype, device=self.device)
-        return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
+            return zeros((0,) * dimensions, dtype=dtype, device=self.device)
+        return DeviceArray(np.ascontiguousarray(values), dtype=dtype, device=self.device)
 
-    def _numbers(self, counts: list[int]) -> wp.array:
+    def _numbers(self, counts: list[int]) -> DeviceArray:
         return self._array(np.repeat(np.arange(self.count), counts), wp.int32)
 
-    def set(self, s: int, **numbers: Any) -> None:
+    def set(self, s: int, **numbers: float) -> None:
         """Change parameters of scene `s` on host and device, given by the field names of the struct `SceneRow`."""
         if numbers.items() <= self._settings[s].items():  # steppers often set values that have not changed
             return
@@ -316,12 +321,12 @@ class JointArrays:
                 "are possible; use fewer spheres"
             )
         for name in names:
-            before = getattr(getattr(self, struct), name)
-            after = wp.zeros(int(new[-1]), dtype=before.dtype, device=self.device)
+            before: DeviceArray = getattr(getattr(self, struct), name)
+            after = zeros(int(new[-1]), dtype=before.dtype, device=self.device)
             for s, state in enumerate(self.states):
                 kept = int(old[s + 1] - old[s])
                 if kept:
-                    wp.copy(after, before, int(new[s]), int(old[s]), kept)
+                    copy_array(after, before, int(new[s]), int(old[s]), kept)
                 view = after
                 if self.count > 1:
                     empty = new[s] == new[s + 1]  # Warp cannot slice an empty array

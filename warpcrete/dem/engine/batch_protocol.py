@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
+import warp as wp
 
+from ...core.device.arrays import DeviceArray, Kernel, Scalar
 from ...core.device.launching import Size, Stage
 from .model import Features, Model
 from .state import State
+from .struct_types import Pairs
 
 
 class BatchArrays(Protocol):
@@ -18,9 +21,9 @@ class BatchArrays(Protocol):
     states: list[State]
     features: Features
     """Features (contact laws, clumps, bonds and others) that all scenes of the batch have in common."""
-    scalar: Any
+    scalar: Scalar
     """Scalar type of the kernels, `wp.float32` or `wp.float64`."""
-    device: Any
+    device: wp.Device
     """Warp device of all arrays."""
     parallel: bool
     """True if the kernels for GPUs are used, with one thread for each sphere or body."""
@@ -32,7 +35,11 @@ class BatchArrays(Protocol):
     sphere_count: int
     capacity: np.ndarray
     """Allocated number of entries of each scene's pair arrays, shape (scenes,)."""
-    pairs: Any
+    rows: np.ndarray
+    """Host copy of the parameters of all scenes."""
+    wall_parameters: DeviceArray
+    """Parameters of the contact laws of bodies with walls, for all scenes end to end."""
+    pairs: Pairs
     """Neighbour lists of all scenes, a struct `Pairs`."""
 
 
@@ -40,8 +47,8 @@ class SceneBatch(BatchArrays, Protocol):
     """Protocol of a batch for modules that also launch its kernels."""
 
     def stage(
-        self, kernel: Any, dim: Size, *, on_side_stream: bool = False, joins_side_stream: bool = False, every: int = 1,
-        block: int | None = None, **named: Any,
+        self, kernel: Kernel, dim: Size, *, on_side_stream: bool = False, joins_side_stream: bool = False,
+        every: int = 1, block: int | None = None, **named: object,
     ) -> Stage:  # fmt: skip
         """Return a recorded launch of `kernel` over `dim` tasks; `named` gives arguments by parameter name."""
         ...

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import warp as wp
 
+from ...core.device.arrays import DeviceArray, HostArray, copy_array, zeros
 from ...core.device.launching import Stage
 from ...core.device.scan import scan_stages
 from ...kernels.common.types import types
 from ...kernels.dem.grid import grid_kernels, grid_struct
 from .batch import Batch
+from .struct_types import Grid
 
 SAMPLED_SPHERES = 4_000
 """Approximate number of spheres sampled to estimate the extent of a scene."""
@@ -33,18 +33,18 @@ class Cells:
     cubic grid distant parts of a long pipe would wrap onto the same cells and slow down the search.
     """
 
-    shift: wp.array
+    shift: DeviceArray
     """Displacement that moves each scene's positions into its block of cells [m], shape (scenes,)."""
-    grid: Any
+    grid: Grid
     """Device arrays of the cell grid, a struct `Grid`."""
     made: int
     """Number of times the grid was allocated; when it changes, launches recorded earlier refer to replaced arrays."""
 
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
-        self.shift = wp.zeros(batch.count, dtype=types(batch.scalar).vec3, device=batch.device)
+        self.shift = zeros(batch.count, dtype=types(batch.scalar).vec3, device=batch.device)
         self._bounds = np.zeros((batch.count, 2, 3))
-        self._fitted = np.zeros(batch.count, dtype=bool)
+        self._fitted: HostArray = np.zeros(batch.count, dtype=bool)
         self._full = np.array([state.sphere_count > 0 for state in batch.states])
         self._mean_radius = np.array([state.mean_radius for state in batch.states])
         """Mean radius of each scene's spheres at full size [m], shape (scenes,)."""
@@ -55,11 +55,11 @@ class Cells:
 
     def _make(self) -> None:
         device, n, cells = self.batch.device, self.batch.sphere_count, int(self._dims.prod())
-        grid = grid_struct(self.batch.scalar)()
+        grid: Grid = grid_struct(self.batch.scalar)()
         grid.dims = wp.vec3i(*self._dims.tolist())
-        grid.per_width = wp.array([1 / self._width if self._width else 1.0], dtype=self.batch.scalar, device=device)
+        grid.per_width = DeviceArray([1 / self._width if self._width else 1.0], dtype=self.batch.scalar, device=device)
         for name, size in (("held", cells + 1), ("start", cells + 1), ("cell", n), ("rank", n), ("point", n)):
-            setattr(grid, name, wp.zeros(size, dtype=wp.int32, device=device))
+            setattr(grid, name, zeros(size, dtype=wp.int32, device=device))
         self.grid = grid
         self.made += 1
 
@@ -78,7 +78,7 @@ class Cells:
         due = (due | ~self._fitted) & self._full
         if not due.any():
             return
-        for s in np.flatnonzero(due):
+        for s in np.flatnonzero(due).tolist():
             self._bounds[s] = self._extent(s, width)
         self._fitted |= due
         low, high = np.floor(self._bounds / width).astype(int).transpose(1, 0, 2)
@@ -109,7 +109,7 @@ class Cells:
         stride = max(1, state.sphere_count // SAMPLED_SPHERES)
         some = state.spheres.position[::stride]
         sampled = state.scratch("sampled", some.shape, some.dtype)
-        wp.copy(sampled, some)
+        copy_array(sampled, some)
         (places,) = self.batch.exchange.read(sampled)
         places = places[:, :3].astype(float)
         places = places[np.isfinite(places).all(axis=1)]
@@ -125,7 +125,7 @@ class Cells:
             self._width = width
             self.grid.per_width.fill_(self.batch.scalar(1 / width))
 
-    def stages(self, centre: wp.array) -> list[Stage]:
+    def stages(self, centre: DeviceArray) -> list[Stage]:
         """Return the launches that sort the points `centre` into cells; `grid.held` must contain zeros before."""
         b, kernels = self.batch, grid_kernels(self.batch.scalar)
         return [

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
+from ...core.device.arrays import capture_if, zeros
 from ...core.device.launching import Stage
 from ...kernels.dem.rebuilding import rebuilding_kernels
 from .batch import Batch
@@ -25,7 +26,7 @@ class DeviceRebuild:
         b = lists.batch
         self.lists = lists
         self._rebuild = lists.device_rebuild()
-        self._rebuild_requested, self._lists_fit = (wp.zeros(1, dtype=wp.int32, device=b.device) for _ in range(2))
+        self._rebuild_requested, self._lists_fit = (zeros(1, dtype=wp.int32, device=b.device) for _ in range(2))
         kernels = rebuilding_kernels(b.scalar)
         self.needs_rebuild = b.stage(kernels.needs_rebuild, 1, requested=self._rebuild_requested)
         self.fit = b.stage(
@@ -55,12 +56,12 @@ class DeviceRebuild:
 
     def __call__(self) -> None:
         self.needs_rebuild()
-        wp.capture_if(self._rebuild_requested, self._search)
+        capture_if(self._rebuild_requested, self._search)
 
     def _search(self) -> None:
         self._rebuild.launch_singly("bodies", "count")
         self.fit()
-        wp.capture_if(self._lists_fit, self._complete)
+        capture_if(self._lists_fit, self._complete)
 
     def _complete(self) -> None:
         self._rebuild.launch_singly("starts", "near")

@@ -44,4 +44,4 @@ def _wall_passed(model: Model, state: State, spheres: np.ndarray, radius: np.nda
         return ""
     walls, overlap = (getattr(state.slots, name).numpy()[spheres] for name in ("wall", "overlap"))
     sphere, slot = np.nonzero((walls >= 0) & (overlap > radius[:, None]))
-    return model.walls[walls[sphere[0], slot[0]]].name if len(sphere) else ""
+    return model.walls[int(walls[sphere[0], slot[0]])].name if len(sphere) else ""

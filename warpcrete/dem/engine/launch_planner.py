@@ -141,7 +141,8 @@ class LaunchPlanner:
         running = [s for s in range(self.scenes) if slots[s][int(HALTED)] == 0]
         if not running:
             return []
-        left, estimates = [], []
+        left: list[float] = []
+        estimates: list[int] = []
         for s in running:
             slot, (time, dt) = slots[s], (clocks[s][int(TIME)], clocks[s][int(DT)])
             by_time = (untils[s] - time) / dt - CLOSE if dt > 0 else math.inf

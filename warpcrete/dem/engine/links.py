@@ -6,27 +6,26 @@ force is computed once and then read by both spheres.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import warp as wp
 
+from ...core.device.arrays import DeviceArray, copy_array, declared, zeros
 from ...kernels.dem.linking import EXTRA_MASKS
 from ...kernels.dem.links import result_rows
 from ...kernels.dem.structs import links_struct
 from .batch_protocol import BatchArrays
 from .model import Features
 from .state import State, pair_bytes
+from .struct_types import Links
 
 
 def make_even(states: list[State]) -> None:
     """Make the length of all pair arrays even: a link belongs to two list entries, one for each sphere of the pair."""
     for state in states:
         for name in pair_bytes(state.model):
-            array = getattr(state.pairs, name)
+            array: DeviceArray = getattr(state.pairs, name)
             if len(array) % 2:
-                even = wp.zeros(len(array) + 1, dtype=array.dtype, device=array.device)
-                wp.copy(even, array)
+                even = zeros(len(array) + 1, dtype=array.dtype, device=array.device)
+                copy_array(even, array)
                 setattr(state.pairs, name, even)
 
 
@@ -35,9 +34,9 @@ def rows_of(features: Features) -> int:
     return result_rows(features.bonds, features.pair_law.rolls, features.dissipation)
 
 
-def make_links(batch: BatchArrays) -> Any:
+def make_links(batch: BatchArrays) -> Links:
     """Allocate empty links for all listed pairs of a batch; on a CPU, which uses no links, the arrays have length 0."""
-    struct = links_struct(batch.scalar)
+    struct = declared(links_struct(batch.scalar))
     lists = int(batch.capacity.sum()) if batch.parallel else 0
     few = {
         "near_count": 2,
@@ -48,9 +47,9 @@ def make_links(batch: BatchArrays) -> Any:
     few["later_touching"] = int(EXTRA_MASKS) * batch.sphere_count
     sizes = {"result": rows_of(batch.features) * lists // 2, "end": lists}
     sizes |= few if batch.parallel else dict.fromkeys(few, 0)
-    links = struct()
+    links: Links = struct()
     for name, variable in struct.vars.items():
-        made = wp.zeros(sizes.get(name, lists // 2), dtype=variable.type.dtype, device=batch.device)
+        made = zeros(sizes.get(name, lists // 2), dtype=variable.type.dtype, device=batch.device)
         setattr(links, name, made)
     if batch.parallel:
         links.link.fill_(-1)
@@ -64,14 +63,15 @@ def make_links(batch: BatchArrays) -> Any:
     return links
 
 
-def copy_links(before: Any, old: np.ndarray, links: Any, capacity: np.ndarray) -> None:
+def copy_links(before: Links, old: np.ndarray, links: Links, capacity: np.ndarray) -> None:
     """Copy the links of each scene into enlarged arrays.
 
     `old` and `capacity` are the numbers of list entries of each scene before and after, shape (scenes,).
     """
-    wp.copy(links.later_touching, before.later_touching)
+    copy_array(links.later_touching, before.later_touching)
     first, behind = (np.append(0, np.cumsum(each // 2)) for each in (capacity, old))
     for name, entries in (("link", 1), ("state", 1), ("end", 2)):  # Name and number of elements per link of each array.
-        target, source = getattr(links, name), getattr(before, name)
+        target: DeviceArray = getattr(links, name)
+        source: DeviceArray = getattr(before, name)
         for s in np.flatnonzero(old):
-            wp.copy(target, source, entries * int(first[s]), entries * int(behind[s]), entries * int(old[s]) // 2)
+            copy_array(target, source, entries * int(first[s]), entries * int(behind[s]), entries * int(old[s]) // 2)

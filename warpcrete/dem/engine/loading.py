@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from ...core.device.launching import load
+from ...core.device.arrays import Kernel
+from ...core.device.launching import Stage, load
 from ...kernels.dem import probes
 from ...kernels.dem.bonding import bond_kernels
 from ...kernels.dem.motion import sync_kernel
@@ -28,10 +27,10 @@ def load_kernels(lists: NeighborLists, estimate: StableStep) -> None:
         load([*steps, *lists.kernels(), *estimate.kernels(), *others], batch.device)
 
 
-def _others(batch: Batch) -> list[Any]:
+def _others(batch: Batch) -> list[Stage | Kernel]:
     """Return the kernels that measure samples, create bonds, and copy the motion of spheres to their bodies."""
     f, scalar = batch.features, batch.scalar
-    found = [
+    found: list[Stage | Kernel] = [
         probes.body_probe(scalar),
         probes.wall_probe(scalar),
         probes.contact_probe(scalar, f.pair_law, f.wall_law, f.half_list, f.history, f.bonds),

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields
 
 import numpy as np
-import warp as wp
 
+from ...core.device.arrays import bytes_of
 from ...core.device.device import MEMORY_FRACTION, memory_free
 from ...core.errors import CapacityError
 from ...kernels.dem.linking import EXTRA_MASKS
@@ -28,20 +28,18 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
 
     `table` must contain at least one body.
     """
-    one = BodyTable(
-        *(getattr(table, name)[:1] for name in ("position", "orientation", "velocity", "spin", "size", "template")),
-        table.density[:1], table.material[:1], table.group[:1], table.templates,
-    )  # fmt: skip
-    one = replace(one, template=np.zeros(1, int), templates=(min(table.templates, key=lambda t: len(t.radii)),))
+    first = {field.name: getattr(table, field.name)[:1] for field in fields(table) if field.name != "templates"}
+    first["template"] = np.zeros(1, int)
+    one = BodyTable(**first, templates=(min(table.templates, key=lambda t: len(t.radii)),))
     state = State(model, one)
 
     def size(*structs: str) -> int:
         arrays = [array for struct, _, array in state.arrays() if struct in structs]
-        return sum(a.size * wp.types.type_size_in_bytes(a.dtype) for a in arrays)
+        return sum(a.size * bytes_of(a.dtype) for a in arrays)
 
     listed = PAIRS_PER_SPHERE if model.features.half_list else 2 * PAIRS_PER_SPHERE
     pair = sum(pair_bytes(model).values())
-    scalar = wp.types.type_size_in_bytes(model.scalar)
+    scalar = bytes_of(model.scalar)
     # Add the neighbour list, the previous list (source of contact history), the starts of its rows, and the cell grid.
     listing = 2 * listed * pair + 8 * 4 + 3 * scalar + 24
     # Add the loads of bonds, two per bond in a half list. If bonds heal, the pair arrays above already contain loads.

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
+from ...core.device.arrays import DeviceArray, Scalar, Struct, zeros
 from ...core.device.device import parallel, scalar_of
 from ...core.errors import refuse
+from ...core.narrowing import is_dict
 from ...geometry.axis import Axis
 from ...geometry.walls import MeshWall, Prescribed, Wall
 from ...kernels.common.geometry import axis_functions
@@ -68,8 +71,8 @@ class Model:
     """Constant arrays of a scene on a device; nothing changes after construction."""
 
     scene: Scene
-    device: Any
-    scalar: Any
+    device: wp.Device
+    scalar: Scalar
     """Floating-point type of the kernels, `wp.float32` or `wp.float64`."""
     features: Features
     materials: tuple[str, ...]
@@ -81,23 +84,23 @@ class Model:
     """Walls of the scene in device order: planes and pipes first, then meshes."""
     analytic_walls: int
     """Number of planes and pipes among the walls; their contacts are computed by formulas."""
-    pair_parameters: wp.array
+    pair_parameters: DeviceArray
     """Parameters of `features.pair_law`, one row for each pair of the m materials, shape (m * m,)."""
-    wall_parameters: wp.array
+    wall_parameters: DeviceArray
     """Parameters of `features.wall_law`, one row for each pair of a body's and a wall's material, shape (m * m,)."""
-    bond_parameters: wp.array
+    bond_parameters: DeviceArray
     """Parameters of the bond kinds, shape (kinds + 1,); row 0 means no bond."""
-    wall_table: wp.array
+    wall_table: DeviceArray
     """Properties of each wall, shape (walls,); without walls it has one unused row."""
-    rest_position: wp.array
+    rest_position: DeviceArray
     """Position of each wall before it has moved [m], shape (walls,)."""
-    segments: wp.array
+    segments: DeviceArray
     """Lines and arcs of all pipe axes, shape (segments,); without axes it has one unused row."""
-    drive_axis: wp.array
+    drive_axis: DeviceArray
     """First and end index in `segments` of the axis along which each body group is driven, (groups, 2); else 0."""
-    drive_force: wp.array
+    drive_force: DeviceArray
     """Driving force along the axis on each body of every body group [N], shape (groups,)."""
-    meshes: tuple[Any, ...]
+    meshes: tuple[wp.Mesh, ...]
     """The ``wp.Mesh`` objects, kept alive because the wall table refers to them by number."""
 
     def __repr__(self) -> str:
@@ -109,7 +112,7 @@ class Model:
         return max(c.stress_scale for c in [self.scene.contact, *self.scene.contacts.values()])
 
 
-def build_model(scene: Scene, device: Any, precision: str, *, growth: bool = False) -> Model:
+def build_model(scene: Scene, device: wp.Device, precision: str, *, growth: bool = False) -> Model:
     """Build the model of a scene for a Warp `device` and a `precision` ("float32" or "float64").
 
     `growth` prepares for packing, in which sizes grow during the run. Raises :class:`SceneError` if the scene combines
@@ -119,7 +122,7 @@ def build_model(scene: Scene, device: Any, precision: str, *, growth: bool = Fal
     analytic = [wall for wall in scene.walls if not isinstance(wall, MeshWall)]
     meshes = [wall for wall in scene.walls if isinstance(wall, MeshWall)]
     walls = (*analytic, *meshes)
-    of_bodies = {b.material for b in scene.bodies} | ({scene.fill.material} if scene.fill is not None else set())
+    of_bodies = {b.material for b in scene.bodies} | ({scene.fill.material} if scene.fill is not None else set[str]())
     materials = tuple(sorted(of_bodies | {w.material for w in walls}))
     contacts = _both_ways(scene, materials)
     pair_laws = _law_table("bodies", scene, contacts, materials, of_bodies, of_bodies)
@@ -171,7 +174,7 @@ def build_model(scene: Scene, device: Any, precision: str, *, growth: bool = Fal
         wall_table=table,
         rest_position=_array([wall.origin for wall in walls], wp.vec3d, device),
         segments=axes.rows(scalar, device),
-        drive_axis=wp.array(drive_axis, dtype=wp.int32, device=device),
+        drive_axis=DeviceArray(drive_axis, dtype=wp.int32, device=device),
         drive_force=_array(drive_force, scalar, device),
         meshes=kept,
     )
@@ -198,7 +201,7 @@ class _Axes:
     """Collector of the segments (lines and arcs) of several pipe axes in one list."""
 
     def __init__(self) -> None:
-        self._segments: list[dict] = []
+        self._segments: list[dict[str, Any]] = []
 
     def add(self, axis: Axis) -> tuple[int, int]:
         """Add the segments of `axis` and return their first and end index."""
@@ -206,10 +209,10 @@ class _Axes:
         self._segments.extend(axis.parametrised())
         return first, len(self._segments)
 
-    def rows(self, scalar: Any, device: Any) -> wp.array:
+    def rows(self, scalar: Scalar, device: wp.Device) -> DeviceArray:
         """Return all axis segments as an array of structs on a device."""
         Segment = axis_functions(scalar).Segment
-        rows = []
+        rows: list[object] = []
         for s in self._segments:
             row = Segment()
             row.kind = int(s["arc"])
@@ -221,11 +224,12 @@ class _Axes:
 
 
 def _wall_rows(
-    walls: Sequence[Wall], materials: Sequence[str], axes: _Axes, scalar: Any, device: Any
-) -> tuple[wp.array, tuple[Any, ...]]:
+    walls: Sequence[Wall], materials: Sequence[str], axes: _Axes, scalar: Scalar, device: wp.Device
+) -> tuple[DeviceArray, tuple[wp.Mesh, ...]]:
     """Return the wall properties as an array on the device, and the ``wp.Mesh`` objects to which they refer."""
-    WallRow = wall_struct(scalar)
-    rows, kept = [], []
+    WallRow: Struct = wall_struct(scalar)
+    rows: list[object] = []
+    kept: list[wp.Mesh] = []
     for wall in walls:
         row = WallRow()
         row.material = materials.index(wall.material)
@@ -233,11 +237,11 @@ def _wall_rows(
         if isinstance(wall, MeshWall):
             vertices, faces, _ = wall.surface
             mesh = wp.Mesh(
-                points=wp.array(vertices.astype(np.float32), dtype=wp.vec3, device=device),
-                indices=wp.array(faces.ravel(), dtype=wp.int32, device=device),
+                points=DeviceArray(vertices.astype(np.float32), dtype=wp.vec3, device=device),
+                indices=DeviceArray(faces.ravel(), dtype=wp.int32, device=device),
             )
             kept.append(mesh)
-            row.mesh = mesh.id
+            row.mesh = mesh.id  # pyright: ignore[reportUnknownMemberType]
         rows.append(row)
     return _structs(rows, WallRow, device), tuple(kept)
 
@@ -272,7 +276,7 @@ def _bond_kinds(scene: Scene) -> tuple[Bonds, ...]:
 
 def _both_ways(scene: Scene, materials: Sequence[str]) -> dict[tuple[str, str], ContactLaw]:
     """Return the contact laws that replace the default law, by pair of materials; both orders of a pair are keys."""
-    contacts = {}
+    contacts: dict[tuple[str, str], ContactLaw] = {}
     for (a, b), contact in scene.contacts.items():
         for name in (a, b):
             if name not in materials:
@@ -308,23 +312,23 @@ def _law_table(
     return [c if type(c) is law else met[0] for c in table]
 
 
-def _law_rows(table: list[ContactLaw], scalar: Any, device: Any) -> wp.array:
+def _law_rows(table: list[ContactLaw], scalar: Scalar, device: wp.Device) -> DeviceArray:
     struct = type(table[0]).functions(scalar).Parameters
-    return wp.array([_filled(struct(), c.row()) for c in table], dtype=struct, device=device)
+    return DeviceArray([_filled(struct(), c.row()) for c in table], dtype=struct, device=device)
 
 
-def _filled(row: Any, values: dict[str, Any]) -> Any:
+def _filled(row: object, values: Mapping[str, object]) -> object:
     for name, value in values.items():
-        if isinstance(value, dict):
+        if is_dict(value):
             _filled(getattr(row, name), value)
         else:
             setattr(row, name, value)
     return row
 
 
-def _bond_rows(kinds: Sequence[Bonds], scalar: Any, device: Any) -> wp.array:
+def _bond_rows(kinds: Sequence[Bonds], scalar: Scalar, device: wp.Device) -> DeviceArray:
     Bond = bond_functions(scalar).Bond
-    rows = [Bond()]
+    rows: list[object] = [Bond()]
     for bonds in kinds:
         row = Bond()
         row.effective_modulus = bonds.effective_modulus
@@ -338,10 +342,10 @@ def _bond_rows(kinds: Sequence[Bonds], scalar: Any, device: Any) -> wp.array:
     return _structs(rows, Bond, device)
 
 
-def _array(values: Any, dtype: Any, device: Any) -> wp.array:
+def _array(values: ArrayLike, dtype: type, device: wp.Device) -> DeviceArray:
     data = np.asarray(values, dtype=float)
-    return wp.array(data, dtype=dtype, device=device) if len(data) else wp.zeros(0, dtype=dtype, device=device)
+    return DeviceArray(data, dtype=dtype, device=device) if len(data) else zeros(0, dtype=dtype, device=device)
 
 
-def _structs(rows: list[Any], dtype: Any, device: Any) -> wp.array:
-    return wp.array(rows, dtype=dtype, device=device) if rows else wp.zeros(1, dtype=dtype, device=device)
+def _structs(rows: Sequence[object], dtype: Struct, device: wp.Device) -> DeviceArray:
+    return DeviceArray(rows, dtype=dtype, device=device) if rows else zeros(1, dtype=dtype, device=device)

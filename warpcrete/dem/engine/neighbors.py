@@ -9,13 +9,13 @@ computes one chunk of the spheres; only a pair between two chunks is listed for 
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import warp as wp
 
+from ...core.device.arrays import DeviceArray, Kernel, Shape, copy_array, empty, zeros
 from ...core.device.graphs import Copy, Recordable, Zero
-from ...core.device.launching import Stage
+from ...core.device.launching import Arguments, Stage
 from ...core.device.scan import scan_stages
 from ...core.errors import CapacityError
 from ...kernels.common.control import STALE, STEPS
@@ -31,7 +31,8 @@ from .links import rows_of
 from .rebuild_phases import Chunks, Phase, Rebuild
 from .sorting import sort_bodies, sorting_kernels
 from .stages import MANY_SPHERES, near_stages, tasks
-from .state import PAIR_ARRAYS, pair_bytes
+from .state import PAIR_ARRAYS, pair_bytes, struct_of
+from .struct_types import Pairs
 
 DRIFT_LANES = 64
 """Threads per scene that sum the spheres' velocities to find their mean, the common drift."""
@@ -54,38 +55,38 @@ class NeighborLists:
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
         self._builds = np.zeros(batch.count, dtype=int)
-        self.by_device = wp.zeros(1, dtype=wp.int32, device=batch.device)
+        self.by_device = zeros(1, dtype=wp.int32, device=batch.device)
         """Number of list rebuilds that the GPU started by itself, shape (1,); 0 for batches of several scenes."""
         f, t = batch.features, types(batch.scalar)
         n, scenes = batch.sphere_count, batch.count
         self._cells = Cells(batch)
 
-        def zeros(shape: Any, dtype: Any = wp.int32) -> wp.array:
-            return wp.zeros(shape, dtype=dtype, device=batch.device)
+        def new(shape: Shape, dtype: type = wp.int32) -> DeviceArray:
+            return zeros(shape, dtype=dtype, device=batch.device)
 
-        self._centre = zeros(n, t.vec3)
-        self._count, self.scanned = zeros(n + scenes), zeros(n + scenes)
+        self._centre = new(n, t.vec3)
+        self._count, self.scanned = new(n + scenes), new(n + scenes)
         slots = n + scenes if f.meshes else 0
-        self._face_count, self.face_scanned = zeros(slots), zeros(slots)
+        self._face_count, self.face_scanned = new(slots), new(slots)
         # In half lists, each CPU thread stores the neighbours that it finds in its own section of `_found`. `_place`
         # contains the position in that section where the neighbours of each sphere begin.
         self._room = np.full(batch.threads, 8 * n // batch.threads)
-        self._found = zeros(int(self._room.sum()) if f.half_list else 0)
-        self._place = zeros(n if f.half_list else 0)
-        self._wanted = zeros(batch.threads)
+        self._found = new(int(self._room.sum()) if f.half_list else 0)
+        self._place = new(n if f.half_list else 0)
+        self._wanted = new(batch.threads)
         self._searchers = self._searchers_for(n)
-        self._finds = zeros((0, 0) if f.half_list else (KEPT, n))
-        self._boxes = zeros((batch.threads, 2), t.vec3)
+        self._finds = new((0, 0) if f.half_list else (KEPT, n))
+        self._boxes = new((batch.threads, 2), t.vec3)
         # The last element of `_total` receives the largest number of neighbours of a sphere for which `_finds`, the
         # buffer for found neighbours, was too small.
-        self._total, self._face_total = zeros(scenes + 1), zeros(scenes + 1)
-        self._identity = wp.array(np.arange(n), dtype=wp.int32, device=batch.device)
-        self._old_place, self._new_place = zeros(n), zeros(n)
-        self._lanes = zeros((scenes, DRIFT_LANES), wp.vec3d)
-        self._stretched = zeros(n if f.bonds and f.half_list else 0, batch.scalar)
+        self._total, self._face_total = new(scenes + 1), new(scenes + 1)
+        self._identity = DeviceArray(np.arange(n), dtype=wp.int32, device=batch.device)
+        self._old_place, self._new_place = new(n), new(n)
+        self._lanes = new((scenes, DRIFT_LANES), wp.vec3d)
+        self._stretched = new(n if f.bonds and f.half_list else 0, batch.scalar)
         # The previous lists, from which a rebuild copies the contact history to the new lists.
-        self._old = batch.structs.Pairs()
-        self._old.start = zeros(n + scenes)
+        self._old: Pairs = struct_of(batch.structs, "pairs")()
+        self._old.start = new(n + scenes)
         self._entries = np.array([state.pair_total for state in batch.states])
         self._kept = [name for name in pair_bytes(batch.models[0]) if name != "other" or f.history or f.bonds]
         self._recorded: dict[tuple[bool, int], Rebuild] = {}
@@ -143,7 +144,7 @@ class NeighborLists:
         # Launch the rest of the rebuild on the present arrays, which may just have been enlarged.
         self._rebuild(sort).launch("fill", "near")
         if len(self._finds) < longest <= MOST_KEPT:
-            self._finds = wp.empty((MOST_KEPT, b.sphere_count), dtype=wp.int32, device=b.device)
+            self._finds = empty((MOST_KEPT, b.sphere_count), dtype=wp.int32, device=b.device)
             self._version = ()  # All launches must be recorded again with the larger buffer.
             if b.planner.rebuilds_on_device:
                 b.invalidate_graphs()
@@ -171,7 +172,7 @@ class NeighborLists:
                     "count; use fewer or larger aggregates"
                 )
             self._room = room
-            self._found = wp.empty(int(self._room.sum()), dtype=wp.int32, device=b.device)
+            self._found = empty(int(self._room.sum()), dtype=wp.int32, device=b.device)
             self._recorded.clear()
 
     def device_rebuild(self) -> Rebuild:
@@ -203,7 +204,7 @@ class NeighborLists:
         self.batch.flags.assign(before)
         rebuild.launch_singly("near", "near")
 
-    def kernels(self) -> list[Any]:
+    def kernels(self) -> list[Stage | Kernel]:
         """Return all kernels that a rebuild launches, so that they can be compiled before the run."""
         b = self.batch
         self._keep_old(np.arange(b.count))
@@ -219,23 +220,24 @@ class NeighborLists:
         # Copy whole arrays for a single scene on a GPU, because only the device may know how many entries are used.
         whole = 4 * len(scenes) > b.count > 1 or (b.count == 1 and b.parallel)
         for name in PAIR_ARRAYS:
-            array, kept = getattr(b.pairs, name), getattr(self._old, name)
+            array: DeviceArray = getattr(b.pairs, name)
+            kept: DeviceArray | None = getattr(self._old, name)
             if name not in self._kept:  # Kernels never read this array of old lists: no copy is needed.
                 if kept is not array:
                     setattr(self._old, name, array)
                     self._recorded.clear()
                 continue
             if kept is None or len(kept) != len(array):
-                kept = wp.empty(len(array), dtype=array.dtype, device=b.device)
+                kept = empty(len(array), dtype=array.dtype, device=b.device)
                 setattr(self._old, name, kept)
                 self._recorded.clear()
             if whole:
-                wp.copy(kept, array)
+                copy_array(kept, array)
                 continue
             for s in scenes:
                 first, count = int(b.rows["pairs"][s]), int(self._entries[s])
                 if count:  # For a count of 0, `wp.copy` would copy the whole array.
-                    wp.copy(kept, array, first, first, count)
+                    copy_array(kept, array, first, first, count)
 
     def _rebuild(self, sorted_now: bool, searchers: int | None = None) -> Rebuild:
         """Return the recorded phases of a rebuild; `sorted_now` tells them that bodies have just been re-sorted.
@@ -260,7 +262,7 @@ class NeighborLists:
         b, n = self.batch, self.batch.sphere_count
         old_place = self._old_place if sorted_now else self._identity
         new_place = self._new_place if sorted_now else self._identity
-        old = {"old_pairs": self._old, "old_place": old_place}
+        old: Arguments = {"old_pairs": self._old, "old_place": old_place}
         search, fill = self._search_stages(old | {"stretched": self._stretched}, new_place, searchers)
         scan = scan_stages(self._count, self.scanned)
         count_faces, face_starts, fill_faces = self._face_stages()
@@ -299,7 +301,7 @@ class NeighborLists:
             Phase("near", near_stages(b)),
         ]  # fmt: skip
 
-    def _stretch_stages(self, old: dict[str, Any]) -> list[Recordable]:
+    def _stretch_stages(self, old: Arguments) -> list[Recordable]:
         """Return the launches that measure the longest bond of each sphere; empty unless half lists have bonds."""
         b = self.batch
         if not (b.features.bonds and b.features.half_list):
@@ -308,14 +310,14 @@ class NeighborLists:
         return [Zero(self._stretched), stretch]
 
     def _search_stages(
-        self, old: dict[str, Any], new_place: wp.array, searchers: int
+        self, old: Arguments, new_place: DeviceArray, searchers: int
     ) -> tuple[list[Recordable], list[Stage]]:
         """Return the launches that find neighbours, and on a GPU those that write the neighbours into the lists."""
         b, f, n = self.batch, self.batch.features, self.batch.sphere_count
-        grid = {"grid": self._cells.grid, "shift": self._cells.shift, "count": self._count}
+        grid: Arguments = {"grid": self._cells.grid, "shift": self._cells.shift, "count": self._count}
         if not f.half_list:
             search_kernel, fill_kernel = full_search_kernels(b.scalar, f.bonds, searchers)
-            finds = {"finds": self._finds, "new_place": new_place, **grid, **old}
+            finds: Arguments = {"finds": self._finds, "new_place": new_place, **grid, **old}
             search = b.stage(search_kernel, n * searchers, total=self._total, **finds)
             return [Zero(self._count), Zero(self._total), search], [b.stage(fill_kernel, n * searchers, **finds)]
         kernel = half_search_kernel(b.scalar, f.bonds)
@@ -329,12 +331,12 @@ class NeighborLists:
         ]  # fmt: skip
         return [Chunks(parts, b.launch_chunks)], []
 
-    def _starts(self, scanned: wp.array, start: wp.array, total: wp.array) -> Stage:
+    def _starts(self, scanned: DeviceArray, start: DeviceArray, total: DeviceArray) -> Stage:
         b = self.batch
         kernel = list_kernels(b.scalar).starts
         return b.stage(kernel, b.sphere_count + b.count, scanned=scanned, start=start, total=total)
 
-    def _transfer(self, old: dict[str, Any]) -> Recordable:
+    def _transfer(self, old: Arguments) -> Recordable:
         """Return the launch that copies contact history from the old to the new lists; on a CPU one for each thread."""
         b, f = self.batch, self.batch.features
         lanes = 1 if f.half_list else OCTANTS
@@ -377,7 +379,7 @@ class NeighborLists:
             [b.stage(fill_faces, n, count=self._face_count)],
         )
 
-    def _found_of(self, total: wp.array, what: str, entries: str) -> tuple[np.ndarray, int]:
+    def _found_of(self, total: DeviceArray, what: str, entries: str) -> tuple[np.ndarray, int]:
         """Return each scene's number of list entries, and the longest row for which the search buffer was too small.
 
         Both are read from the device array `total`; the length of that row is 0 if the buffer was large enough.

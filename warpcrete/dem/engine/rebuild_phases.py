@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import warp as wp
 
@@ -45,10 +44,10 @@ class Rebuild:
     checks whether the new lists fit the arrays.
     """
 
-    def __init__(self, phases: Sequence[Phase], device: Any) -> None:
+    def __init__(self, phases: Sequence[Phase], device: wp.Device) -> None:
         self.phases, self._device = list(phases), device
         self._places = {phase.name: place for place, phase in enumerate(self.phases)}
-        self.graphs: dict[tuple[str, str], Any] = {}
+        self.graphs: dict[tuple[str, str], wp.Graph] = {}
         """CUDA graphs of sections, by the names of their first and last phase."""
         self._launched: set[tuple[str, str]] = set()
 

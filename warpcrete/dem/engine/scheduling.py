@@ -63,7 +63,9 @@ class _Scene:
 class _Drive:
     """Driver that runs the coroutines of the scenes of one batch, launch by launch."""
 
-    def __init__(self, scenes: dict[int, tuple[SceneStepper, Coroutine]], stream: Any, *, regroups: bool) -> None:
+    def __init__(
+        self, scenes: dict[int, tuple[SceneStepper, Coroutine]], stream: wp.Stream | None, *, regroups: bool
+    ) -> None:
         self._members = {number: _Scene(*pair) for number, pair in scenes.items()}
         self._stream = stream
         self._regroup = Regrouping() if regroups else None
@@ -111,7 +113,7 @@ class _Drive:
         self.stop = stop
         self._guarded(lambda: None)
 
-    def _stream_context(self) -> AbstractContextManager:
+    def _stream_context(self) -> AbstractContextManager[object]:
         return nullcontext() if self._stream is None else wp.ScopedStream(self._stream, sync_enter=False)
 
     def _proceed(self, member: _Scene, error: BaseException | None = None) -> None:
@@ -199,7 +201,7 @@ def drive(scenes: dict[int, tuple[SceneStepper, Coroutine]]) -> dict[int, Any]:
 
 
 def drive_batches(
-    groups: Sequence[tuple[dict[int, tuple[SceneStepper, Coroutine]], Any]], *, regroups: bool = True
+    groups: Sequence[tuple[dict[int, tuple[SceneStepper, Coroutine]], wp.Stream | None]], *, regroups: bool = True
 ) -> list[dict[int, Any]]:
     """Run :func:`drive` for several batches at the same time, each on its own GPU stream (None: the default stream).
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterable
 
 import numpy as np
 import warp as wp
 
+from ...core.device.arrays import DeviceArray, Kernel, array_scan, clone, full, radix_sort_pairs, zeros
 from ...core.device.launching import launch
 from ...kernels.dem.sorting import order_kernels, permute_kernels
 from .batch import Batch
-from .state import OF_BATCH
+from .state import OF_BATCH, struct_of
 
 SORTED = {
     "bodies": ("first", *OF_BATCH["bodies"]),
@@ -23,7 +24,7 @@ Those arrays are recomputed, do not depend on the order, or contain only zeros.
 """
 
 
-def sort_bodies(batch: Batch, due: np.ndarray, old_place: wp.array, new_place: wp.array) -> None:
+def sort_bodies(batch: Batch, due: np.ndarray, old_place: DeviceArray, new_place: DeviceArray) -> None:
     """Re-sort the bodies of all scenes that `due` marks, shape (scenes,), along a Morton curve.
 
     Writes to `old_place` the former index of each sphere in the new order, and to `new_place` the inverse permutation,
@@ -31,41 +32,41 @@ def sort_bodies(batch: Batch, due: np.ndarray, old_place: wp.array, new_place: w
     """
     b, device, kernels, permute = batch, batch.device, order_kernels(batch.scalar), permute_kernels(batch.scalar)
     bodies = b.body_count
-    key = wp.zeros(2 * bodies, dtype=wp.int64, device=device)
-    order = wp.zeros(2 * bodies, dtype=wp.int32, device=device)
-    sort = wp.array(due.astype(np.int32), dtype=wp.int32, device=device)
-    lowest = wp.full((b.count, 3), 2**30, dtype=wp.int32, device=device)
+    key = zeros(2 * bodies, dtype=wp.int64, device=device)
+    order = zeros(2 * bodies, dtype=wp.int32, device=device)
+    sort = DeviceArray(due.astype(np.int32), dtype=wp.int32, device=device)
+    lowest = full((b.count, 3), 2**30, dtype=wp.int32, device=device)
     launch(kernels.corner, bodies, device, scenes=b.scenes, bodies=b.bodies, lowest=lowest)
     launch(
         kernels.keys, bodies, device, scenes=b.scenes, bodies=b.bodies, sort=sort, lowest=lowest, key=key, value=order
     )
-    wp.utils.radix_sort_pairs(key, order, bodies, end_bit=30 + int(b.count).bit_length())
+    radix_sort_pairs(key, order, bodies, end_bit=30 + int(b.count).bit_length())
     order = order[:bodies]
-    count = wp.zeros(bodies + 1, dtype=wp.int32, device=device)
-    start = wp.zeros(bodies + 1, dtype=wp.int32, device=device)
+    count = zeros(bodies + 1, dtype=wp.int32, device=device)
+    start = zeros(bodies + 1, dtype=wp.int32, device=device)
     launch(kernels.counts, bodies, device, bodies=b.bodies, order=order, count=count)
-    wp.utils.array_scan(count, start, inclusive=False)
+    array_scan(count, start, inclusive=False)
     launch(
-        kernels.place_spheres, bodies, device, scenes=b.scenes, order=order, old_first=wp.clone(b.bodies.first),
+        kernels.place_spheres, bodies, device, scenes=b.scenes, order=order, old_first=clone(b.bodies.first),
         new_start=start, bodies=b.bodies, spheres=b.spheres, old_place=old_place,
     )  # fmt: skip
     launch(kernels.invert, b.sphere_count, device, order=old_place, inverse=new_place)
     for struct in SORTED:
         for array in _moved(b, struct):
             kernel, by = permute[array.dtype, array.ndim == 2], order if struct == "bodies" else old_place
-            launch(kernel, array.shape, device, source=wp.clone(array), order=by, target=array)
+            launch(kernel, array.shape, device, source=clone(array), order=by, target=array)
     b.split()
 
 
-def sorting_kernels(batch: Batch) -> list[Any]:
+def sorting_kernels(batch: Batch) -> list[Kernel]:
     """Return all kernels that a re-sorting launches, so that they can be compiled."""
-    order = vars(order_kernels(batch.scalar)).values() if batch.body_count > 1 else ()
+    order: Iterable[Kernel] = vars(order_kernels(batch.scalar)).values() if batch.body_count > 1 else ()
     moved = {(a.dtype, a.ndim == 2) for struct in SORTED for a in _moved(batch, struct)}
     return [*order, *(permute_kernels(batch.scalar)[kind] for kind in moved)]
 
 
-def _moved(batch: Batch, struct: str) -> list[wp.array]:
+def _moved(batch: Batch, struct: str) -> list[DeviceArray]:
     """Return the arrays of a struct that must be permuted when bodies are re-sorted."""
-    names = getattr(batch.structs, struct.capitalize()).vars
-    arrays = [getattr(getattr(batch, struct), name) for name in names if name not in SORTED[struct]]
+    names = struct_of(batch.structs, struct).vars
+    arrays: list[DeviceArray] = [getattr(getattr(batch, struct), name) for name in names if name not in SORTED[struct]]
     return [array for array in arrays if array.size]

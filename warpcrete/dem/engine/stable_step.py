@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import warp as wp
 
-from ...core.device.graphs import GraphLaunch
-from ...core.device.launching import Stage
+from ...core.device.arrays import DeviceArray, Shape, declared, zeros
+from ...core.device.graphs import GraphLaunch, Recordable
+from ...core.device.launching import Arguments, Stage
 from ...geometry.walls import Driven
 from ...kernels.dem.gathering import ESTIMATE_LANES, gather_kernel
 from ...kernels.dem.stable_step import (
@@ -22,6 +22,7 @@ from ...kernels.dem.stable_step import (
 from ...kernels.dem.stiffness import estimate_struct
 from ..scene.scene import Scene
 from .batch import Batch
+from .struct_types import Estimate
 
 
 class StableStep:
@@ -34,20 +35,21 @@ class StableStep:
 
     def __init__(self, batch: Batch) -> None:
         self.batch = batch
-        variables = estimate_struct(batch.scalar).vars
+        struct = declared(estimate_struct(batch.scalar))
+        variables = struct.vars
 
-        def zeros(name: str, shape: int | tuple[int, ...]) -> wp.array:
-            return wp.zeros(shape, dtype=variables[name].type.dtype, device=batch.device)
+        def new(name: str, shape: Shape) -> DeviceArray:
+            return zeros(shape, dtype=variables[name].type.dtype, device=batch.device)
 
-        self._estimate = estimate_struct(batch.scalar)()
-        self._estimate.sums = zeros("sums", (batch.sphere_count, 4))
-        self._estimate.wall_load = zeros("wall_load", (batch.threads, batch.wall_count, 2))
-        self._estimate.smallest = zeros("smallest", (batch.threads, batch.count))
-        self._estimate.resolution_step = zeros("resolution_step", (batch.threads, batch.count))
-        self._estimate.fastest = zeros("fastest", (batch.threads, batch.count))
-        self._estimate_wanted = wp.zeros(batch.count, dtype=wp.int32, device=batch.device)
+        self._estimate: Estimate = struct()
+        self._estimate.sums = new("sums", (batch.sphere_count, 4))
+        self._estimate.wall_load = new("wall_load", (batch.threads, batch.wall_count, 2))
+        self._estimate.smallest = new("smallest", (batch.threads, batch.count))
+        self._estimate.resolution_step = new("resolution_step", (batch.threads, batch.count))
+        self._estimate.fastest = new("fastest", (batch.threads, batch.count))
+        self._estimate_wanted = zeros(batch.count, dtype=wp.int32, device=batch.device)
         self._wanted_before = np.zeros(batch.count, dtype=np.int32)
-        self._due = wp.zeros(batch.count, dtype=wp.int32, device=batch.device)
+        self._due = zeros(batch.count, dtype=wp.int32, device=batch.device)
         self._recorded: dict[int, Callable[[], None]] = {}
         self._version = -1
         self._precomputed: set[int] = set()
@@ -78,7 +80,7 @@ class StableStep:
         with self.batch.changing():
             self._launch(scenes[0])()
 
-    def by_device(self, first: Sequence[Any] = ()) -> GraphLaunch:
+    def by_device(self, first: Sequence[Recordable] = ()) -> GraphLaunch:
         """Return a launch that estimates the stable step of every scene that waits for it and lets the scene continue.
 
         It works without the host and is for GPUs only. The launches `first` precede the estimate.
@@ -119,8 +121,8 @@ class StableStep:
         The phases run one after the other; the launches of one phase may run in parallel on CPU threads.
         """
         b, f = self.batch, self.batch.features
-        own = {"due": self._due, "estimate": self._estimate}
-        begin = {"requested": self._estimate_wanted, "by_device": by_device, **own}
+        own: Arguments = {"due": self._due, "estimate": self._estimate}
+        begin: Arguments = {"requested": self._estimate_wanted, "by_device": by_device, **own}
         lanes = ESTIMATE_LANES if b.device.is_cuda else 1
         gather = gather_kernel(b.scalar, f.pair_law, f.wall_law, f.half_list, f.bonds, f.subcycling, lanes)
         reduce = reduce_kernel(b.scalar, f.pair_law, f.wall_law, f.half_list)
@@ -143,7 +145,7 @@ class StableStep:
                  for k, (first, last) in enumerate(own_bodies)],
             ]  # fmt: skip
 
-        rounds = {"subcycled": b.subcycles.arrays}
+        rounds: Arguments = {"subcycled": b.subcycles.arrays}
         settle = b.stage(step_kernel(b.scalar, f.subcycling), b.count, by_device=by_device, **own, **rounds)
         phases = [*smallest(False), [settle]]
         if f.subcycling:

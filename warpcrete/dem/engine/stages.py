@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Any
 
-from ...core.device.launching import Stage, struct_arguments
+import warp as wp
+
+from ...core.device.launching import Arguments, Stage, struct_arguments
 from ...kernels.common.types import SPAN
 from ...kernels.dem.analytic_walls import wall_kernel
 from ...kernels.dem.clock import clock_kernel
@@ -42,7 +43,7 @@ def tasks(batch: Batch, bodies: int) -> int:
     return -(-bodies // SPAN) if batch.features.half_list else bodies
 
 
-def warp_width(device: Any) -> int:
+def warp_width(device: wp.Device) -> int:
     """Return the number of threads that execute the same instructions together (a CUDA warp, or 1)."""
     return WARP if device.is_cuda else 1
 
@@ -53,7 +54,7 @@ def step_stages(batch: Batch) -> list[list[Stage]]:
         return [_full_step(batch)]
     b, f = batch, batch.features
     meet = b.barrier()
-    step = []
+    step: list[list[Stage]] = []
     chunks = zip(pairwise(b.sphere_chunks.tolist()), pairwise(b.body_chunks.tolist()))
     for part, (spheres, bodies) in enumerate(chunks):
         stages = _half_contacts(b, part, *spheres)
@@ -140,14 +141,19 @@ def _half_contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage
 def _meshes(batch: Batch, part: int, first: int, last: int, *, on_side_stream: bool = False) -> Stage:
     b, f = batch, batch.features
     kernel = mesh_kernel(b.scalar, f.wall_law, f.half_list, f.dissipation, f.wear)
-    named = {"first": first, "last": last, "part": part, **struct_arguments(kernel, wall=b.walls, slot=b.slots)}
+    named: Arguments = {
+        "first": first,
+        "last": last,
+        "part": part,
+        **struct_arguments(kernel, wall=b.walls, slot=b.slots),
+    }
     return b.stage(kernel, tasks(b, last - first), on_side_stream=on_side_stream, **named)
 
 
 def _motion(batch: Batch, first: int, last: int) -> Stage:
     """Return the launch that moves a chunk of bodies after all forces have been computed."""
     b, f = batch, batch.features
-    named: dict[str, Any] = {"first": first, "last": last}
+    named: Arguments = {"first": first, "last": last}
     rows = 0 if f.half_list else rows_of(f)
     count = tasks(b, last - first)
     if f.clumps:

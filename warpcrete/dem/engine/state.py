@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from types import SimpleNamespace
+from typing import Any, Protocol
 
 import numpy as np
 import warp as wp
 
+from ...core.device.arrays import DeviceArray, HostArray, Shape, Struct, bytes_of, clone, empty, zeros
+from ...core.device.exchange import Exchange
+from ...core.device.launching import Stage
 from ...core.errors import refuse
 from ...geometry.rotation import rotate
 from ...kernels.common.control import FLAGS, STEPS
@@ -16,6 +21,7 @@ from ...kernels.dem.pairs import ALL_TOUCHED
 from ...kernels.dem.structs import CLOCK, DT, FORCE_SCALE, STABLE, TIME, array_structs
 from ..scene.bodies import BodyTable
 from .model import Model
+from .struct_types import Bodies, Candidates, Pairs, Scenes, Slots, Spheres, Walls
 
 STRUCTS = ("scenes", "bodies", "spheres", "slots", "pairs", "candidates", "walls")
 """Names of the attributes of a state that are structs of arrays."""
@@ -35,13 +41,58 @@ NUMBERS = (
 """Names of the attributes of a state, in addition to the arrays, that a checkpoint stores."""
 
 
-def state_fields(structs: Any) -> dict[str, tuple[str, ...]]:
+def state_fields(structs: SimpleNamespace) -> dict[str, tuple[str, ...]]:
     """Return, for each struct in STRUCTS, the names of its arrays that belong to a state, not only to a batch."""
-    found = {}
+    found: dict[str, tuple[str, ...]] = {}
     for name in STRUCTS:
-        fields = getattr(structs, name.capitalize()).vars
+        fields = struct_of(structs, name).vars
         found[name] = tuple(field for field in fields if field not in OF_BATCH.get(name, ()))
     return found
+
+
+class HoldingBatch(Protocol):
+    """Batch as its states and their probes see it; they cannot name its class, because the batch imports them."""
+
+    device: wp.Device
+    exchange: Exchange
+    version: int
+    """Version of the recorded launches, incremented whenever arrays or chunks change."""
+    rows: np.ndarray
+    """Host copy of the parameters of all scenes."""
+
+    @property
+    def kernel_arrays(self) -> dict[str, object]:
+        """Arrays and structs of all scenes, by the names of the kernel parameters that receive them."""
+        ...
+
+    @cached_property
+    def wall_array(self) -> DeviceArray:
+        """Device array of the walls' values, shape (walls, WALL_COLUMNS)."""
+        ...
+
+    def wall_stage(self) -> Stage:
+        """Return the launch that writes the walls' values to `wall_array`."""
+        ...
+
+    def own_walls(self, s: int, values: np.ndarray) -> np.ndarray:
+        """Return the rows of `values` that belong to scene `s`; `values` has one row for each wall of the batch."""
+        ...
+
+    def host_flags(self) -> np.ndarray:
+        """Return the control flags of all scenes."""
+        ...
+
+    def host_clock(self) -> np.ndarray:
+        """Return the present clocks of all scenes for reading, shape (scenes, CLOCK)."""
+        ...
+
+    def reserve_loads(self, s: int, wanted: int) -> None:
+        """Enlarge the bond loads to at least `wanted` rows for scene `s`."""
+
+
+def struct_of(structs: SimpleNamespace, name: str) -> Struct:
+    """Return the type of the struct that a state has as its attribute `name`; `structs` comes from `array_structs`."""
+    return getattr(structs, name.capitalize())
 
 
 class State:
@@ -53,21 +104,21 @@ class State:
     the arrays are slices of the batch's arrays. Arrays that the scene's features do not need are empty.
     """
 
-    flags: wp.array
+    flags: DeviceArray
     """Control flags, whose meanings `kernels/common/control.py` defines, shape (1, FLAGS)."""
-    scenes: Any
+    scenes: Scenes
     """Clock and other values that exist once per scene, a struct `Scenes`."""
-    bodies: Any
+    bodies: Bodies
     """Arrays with one row for each body, a struct `Bodies`."""
-    spheres: Any
+    spheres: Spheres
     """Arrays with one row for each sphere, a struct `Spheres`."""
-    slots: Any
+    slots: Slots
     """Arrays with a place (slot) for each wall contact that a sphere can have, a struct `Slots`."""
-    pairs: Any
+    pairs: Pairs
     """Neighbour list with contact history and bonds, a struct `Pairs`."""
-    candidates: Any
+    candidates: Candidates
     """Mesh candidates, which are the triangles near each sphere, a struct `Candidates`."""
-    walls: Any
+    walls: Walls
     """Arrays with one row for each wall, a struct `Walls`."""
 
     def __init__(self, model: Model, table: BodyTable) -> None:
@@ -75,7 +126,7 @@ class State:
         self.templates = table.templates
         self.structs = array_structs(model.scalar)
         for name in STRUCTS:
-            setattr(self, name, getattr(self.structs, name.capitalize())())
+            setattr(self, name, struct_of(self.structs, name)())
         for name in sorted(set(table.material)):
             if name not in model.materials:
                 refuse("material", name, f"must be one of {', '.join(model.materials)}")
@@ -87,28 +138,27 @@ class State:
         self.total_mass = float(np.sum(table.mass))
         self.chunks = [0, self.sphere_count]
         """First sphere of every chunk (the spheres of one CPU thread), and the end of the last chunk."""
-        self.batch: Any = None
-        """Batch to which the state belongs, or None; in a batch, the arrays are slices of the batch's arrays."""
+        self._batch: HoldingBatch | None = None
         self.index = 0
         """Index of the scene in its batch."""
-        self._scratch: dict[str, wp.array] = {}
-        self._launches: tuple[int, dict[str, Any]] = -1, {}
+        self._scratch: dict[str, DeviceArray] = {}
+        self._launches: tuple[int, dict[str, Callable[[], Any]]] = -1, {}
         self._make_bodies(table, first, inertia)
         self._make_spheres(table, first, offsets)
         self._make_pairs()
         self._make_walls()
         self._make_scene()
 
-    def _fill(self, struct: str, **arrays: Any) -> None:
+    def _fill(self, struct: str, **arrays: HostArray | Shape) -> None:
         """Create arrays of a struct on the device from host data; a shape as value gives an array of zeros."""
         target = getattr(self, struct)
-        variables = getattr(self.structs, struct.capitalize()).vars
+        variables = struct_of(self.structs, struct).vars
         for name, value in arrays.items():
             dtype, device = variables[name].type.dtype, self.model.device
             if isinstance(value, int | tuple):
-                array = wp.zeros(value, dtype=dtype, device=device)
+                array = zeros(value, dtype=dtype, device=device)
             else:
-                array = wp.array(np.ascontiguousarray(value), dtype=dtype, device=device)
+                array = DeviceArray(np.ascontiguousarray(value), dtype=dtype, device=device)
             setattr(target, name, array)
 
     def _make_bodies(self, table: BodyTable, first: np.ndarray, inertia: np.ndarray) -> None:
@@ -200,38 +250,44 @@ class State:
         typical_force = self.model.stress_scale * (2 * max(self.largest_radius, 1e-12)) ** 2
         # Forces are summed as 64-bit integers: the largest sum is 2e5 typical forces, the resolution 5e-14 of one.
         clock[0, int(FORCE_SCALE)] = 2.0 ** np.floor(np.log2(2.0**44 / typical_force))
-        self._fill("scenes", clock=clock, scale=[1.0], reference_velocity=1)
-        self.flags = wp.zeros((1, FLAGS), dtype=wp.int32, device=self.model.device)
+        self._fill("scenes", clock=clock, scale=np.ones(1), reference_velocity=1)
+        self.flags = zeros((1, FLAGS), dtype=wp.int32, device=self.model.device)
 
-    def arrays(self) -> Iterator[tuple[str, str, wp.array]]:
+    def arrays(self) -> Iterator[tuple[str, str, DeviceArray]]:
         """Yield the struct name, the array name and the array itself, for all arrays of the state."""
         for struct, names in state_fields(self.structs).items():
             for name in names:
                 yield struct, name, getattr(getattr(self, struct), name)
 
-    def scratch(self, name: str, shape: tuple[int, ...], dtype: Any) -> wp.array:
+    def scratch(self, name: str, shape: tuple[int, ...], dtype: type) -> DeviceArray:
         """Return uninitialised device memory for measurements; the same name and shape give the same array again."""
         if name not in self._scratch or self._scratch[name].shape != shape:
-            self._scratch[name] = wp.empty(shape, dtype=dtype, device=self.model.device)
+            self._scratch[name] = empty(shape, dtype=dtype, device=self.model.device)
         return self._scratch[name]
 
-    def attach_to(self, batch: Any, index: int) -> None:
+    def attach_to(self, batch: HoldingBatch, index: int) -> None:
         """Record that this state is scene `index` of `batch`."""
-        self.batch, self.index = batch, index
+        self._batch, self.index = batch, index
         self._launches = -1, {}
 
     def detach(self) -> None:
         """Replace the slices of the batch's arrays by copies, so that the state can move to another batch."""
         for struct, name, array in list(self.arrays()):
-            setattr(getattr(self, struct), name, wp.clone(array))
-        self.flags = wp.clone(self.flags)
-        self.batch = None
+            setattr(getattr(self, struct), name, clone(array))
+        self.flags = clone(self.flags)
+        self._batch = None
 
-    def launches(self, version: int) -> dict[str, Any]:
+    def launches(self, version: int) -> dict[str, Callable[[], Any]]:
         """Return the recorded launches of measurements by name; a new `version` of the arrays discards all launches."""
         if self._launches[0] != version:
             self._launches = version, {}
         return self._launches[1]
+
+    @property
+    def batch(self) -> HoldingBatch:
+        """Batch to which the state belongs; the arrays are slices of the batch's arrays."""
+        assert self._batch is not None, "the state is in no batch"
+        return self._batch
 
     @property
     def pair_total(self) -> int:
@@ -246,9 +302,9 @@ class State:
     @property
     def steps(self) -> int:
         """Number of completed steps."""
-        if self.batch is None:
+        if self._batch is None:
             return int(self.flags.numpy()[0, int(STEPS)])
-        return int(self.batch.host_flags()[self.index, int(STEPS)])
+        return int(self._batch.host_flags()[self.index, int(STEPS)])
 
     @property
     def dt(self) -> float:
@@ -261,14 +317,14 @@ class State:
         return self._clock()[int(STABLE)]
 
     def _clock(self) -> list[float]:
-        if self.batch is None:
+        if self._batch is None:
             return self.scenes.clock.numpy()[0].tolist()
-        return self.batch.host_clock()[self.index].tolist()
+        return self._batch.host_clock()[self.index].tolist()
 
     @property
     def bytes(self) -> int:
         """Memory size of all arrays of the state [B]."""
-        return sum(a.size * wp.types.type_size_in_bytes(a.dtype) for _, _, a in self.arrays())
+        return sum(a.size * bytes_of(a.dtype) for _, _, a in self.arrays())
 
     def table(self) -> BodyTable:
         """Return the bodies as they are now, in the order of their permanent numbers."""
@@ -276,7 +332,7 @@ class State:
         order = np.argsort(b.id.numpy())
         group = b.group.numpy()[order]
         first = b.first.numpy()[:-1][order]
-        material = self.spheres.material.numpy()[first] if len(order) else []
+        material: list[int] = self.spheres.material.numpy()[first].tolist() if len(order) else []
         size = b.size.numpy()[order].astype(float) * float(self.scenes.scale.numpy()[0])
         return BodyTable(
             position=b.position.numpy()[order].astype(float),
@@ -302,8 +358,8 @@ def pair_bytes(model: Model) -> dict[str, int]:
     used = {"other": True, "history": f.history, "rolling": f.pair_law.rolls}
     # If bonds heal, every list entry has a load; otherwise only bonds have loads, which are counted separately.
     used |= {"bond": f.bonds, "load": f.healing}
-    variables = array_structs(model.scalar).Pairs.vars
-    return {name: wp.types.type_size_in_bytes(variables[name].type.dtype) for name in PAIR_ARRAYS if used[name]}
+    variables = struct_of(array_structs(model.scalar), "pairs").vars
+    return {name: bytes_of(variables[name].type.dtype) for name in PAIR_ARRAYS if used[name]}
 
 
 def _shapes(table: BodyTable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -6,8 +6,8 @@ import hashlib
 from typing import Any
 
 import numpy as np
-import warp as wp
 
+from ...core.device.arrays import DeviceArray, zeros
 from ..scene.bodies import BodyTable, placed_bodies
 from .bonding import bond_kinds, bond_rows
 from .model import Model
@@ -42,13 +42,13 @@ def restore_state(model: Model, stored: dict[str, Any]) -> State:
     state.flags.assign(stored["flags"])
     for struct, name, array in list(state.arrays()):
         if (struct, name) in EMPTY:
-            made = wp.zeros(state.sphere_count, dtype=array.dtype, device=model.device)
+            made = zeros(state.sphere_count, dtype=array.dtype, device=model.device)
         else:
             data = stored[struct][name]
             if data.size == 0:
-                made = wp.zeros(data.shape[: array.ndim], dtype=array.dtype, device=model.device)
+                made = zeros(data.shape[: array.ndim], dtype=array.dtype, device=model.device)
             else:
-                made = wp.array(data, dtype=array.dtype, ndim=array.ndim, device=model.device)
+                made = DeviceArray(data, dtype=array.dtype, ndim=array.ndim, device=model.device)
         setattr(getattr(state, struct), name, made)
     return state
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from .neighbors import NeighborLists
 from .scheduling import drive_one
 from .stable_step import StableStep, expected_speed
 from .state import State
-from .stepper_protocol import Steps
+from .stepper_protocol import StepperRecord, Steps
 from .subcycling import MARGIN, rounds_for
 
 # Skin of the neighbour lists divided by the mean sphere radius. On a CPU, a step of a pumping scene takes equally long
@@ -62,7 +61,7 @@ class Stepper:
         skin: float | None = None,
         sort_every: int | None = None,
         threads: int = 1,
-        resumed: dict[str, Any] | None = None,
+        resumed: StepperRecord | None = None,
         among: tuple[NeighborLists, StableStep, int] | None = None,
     ) -> None:
         """Create a stepper in the batch of `among`, or in a batch of its own.
@@ -94,7 +93,7 @@ class Stepper:
         stable_step: StableStep,
         index: int,
         *,
-        resumed: dict[str, Any] | None = None,
+        resumed: StepperRecord | None = None,
     ) -> None:
         """Become scene `index` of the batch to which `lists` belongs; continue from a `state_dict` if one is given."""
         self.lists, self.stable_step, self.index = lists, stable_step, index
@@ -126,7 +125,7 @@ class Stepper:
             self.lists.link(index)
             self.batch.planner.note_joined(index, self.steps)
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> StepperRecord:
         """Return everything that a stepper needs, in addition to the state, to continue identically."""
         return {
             "skin": self.skin,
@@ -375,7 +374,7 @@ def steppers_of(
     states: list[State],
     *,
     time_steps: list[TimeStep] | None = None,
-    resumed: list[dict[str, Any] | None] | None = None,
+    resumed: list[StepperRecord | None] | None = None,
     threads: int = 1,
 ) -> list[Stepper]:
     """Put scenes with equal :func:`batch_key` into one batch and return their steppers."""

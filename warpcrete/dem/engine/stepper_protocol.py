@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol, TypedDict
 
 import numpy as np
 
+from ...core.device.arrays import HostArray
 from ...core.run.run_loop import Coroutine, Until
 from .batch import Batch
 from .model import Model
@@ -20,6 +22,17 @@ class Steps:
     """Goal that a coroutine may yield instead of a time: a number of further steps of the current size."""
 
     count: int
+
+
+class StepperRecord(TypedDict):
+    """Data that a stepper needs, in addition to the state, to continue in the same way."""
+
+    skin: float
+    """Skin of the neighbour lists [m]."""
+    since_estimate: float
+    """Number of steps since the last estimate of the stable step; infinite if a new estimate is required."""
+    subcycles: Mapping[str, HostArray | int]
+    """Data of the sub-cycling, see :meth:`.Subcycles.state_dict`."""
 
 
 class SceneStepper(Protocol):
@@ -50,10 +63,10 @@ class SceneStepper(Protocol):
         ...
 
     def join(
-        self, lists: NeighborLists, stable_step: StableStep, index: int, *, resumed: dict[str, Any] | None = None
+        self, lists: NeighborLists, stable_step: StableStep, index: int, *, resumed: StepperRecord | None = None
     ) -> None:
         """Become scene `index` of the batch to which `lists` belongs; continue from a `state_dict` if one is given."""
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> StepperRecord:
         """Return everything that a stepper needs, in addition to the state, to continue identically."""
         ...

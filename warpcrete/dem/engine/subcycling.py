@@ -8,12 +8,14 @@ number of rounds, and the kernel launches.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from ...core.device.launching import Stage
+from ...core.device.arrays import DeviceArray, HostArray, Kernel, declared, zeros
+from ...core.device.launching import Arguments, Stage
 from ...kernels.common.types import SPAN
 from ...kernels.dem.bond_parallel import HYDRATED
 from ...kernels.dem.locating import locating_kernels
@@ -23,6 +25,7 @@ from .batch_protocol import SceneBatch
 from .bonding import bond_kinds
 from .pairs import listed_pairs
 from .state import pair_bytes
+from .struct_types import Subcycled
 
 MARGIN = 1.1
 """Factor by which the time step may grow above its first size before the chosen number of rounds limits it."""
@@ -62,7 +65,7 @@ def round_blocks(count: int, multiprocessors: int, concurrent_batches: int) -> i
 class Subcycles:
     """Sub-cycled pairs (stiff bonds) of all scenes of a batch, in the order of their spheres' permanent numbers."""
 
-    arrays: Any
+    arrays: Subcycled
     """Device arrays of sub-cycled pairs and bodies, a struct `Subcycled` of `kernels/dem/structs.py`."""
 
     def __init__(self, batch: SceneBatch) -> None:
@@ -71,7 +74,7 @@ class Subcycles:
         self._by_scene: list[dict[str, np.ndarray]] = [{} for _ in range(batch.count)]
         self._rounds = np.zeros(batch.count, dtype=np.int32)
         self._concurrent_batches = 1
-        self._gate = wp.zeros(1, dtype=wp.int32, device=batch.device)
+        self._gate = zeros(1, dtype=wp.int32, device=batch.device)
         self._join()
 
     @property
@@ -111,12 +114,12 @@ class Subcycles:
         """Return the latest estimate of the stable step of the sub-cycled pairs alone, without safety factor [s]."""
         return float(self.arrays.stable.numpy()[s])
 
-    def state_dict(self, s: int) -> dict[str, Any]:
+    def state_dict(self, s: int) -> dict[str, HostArray | int]:
         """Return the sub-cycling data of scene `s` for a checkpoint; empty if the scene has no sub-cycled pairs."""
         stored = self._values(s)
         return {**stored, "rounds": int(self._rounds[s])} if stored else {}
 
-    def load_state_dict(self, s: int, stored: dict[str, Any]) -> None:
+    def load_state_dict(self, s: int, stored: Mapping[str, Any]) -> None:
         """Restore the sub-cycling data of scene `s` from a `state_dict`."""
         if stored:
             self._rounds[s] = stored["rounds"]
@@ -155,7 +158,7 @@ class Subcycles:
         counts = np.concatenate([counts for _, counts, _ in rows])
         # For both ends of each sub-cycled pair, store the row of the body, and the end's row in the order of bodies.
         ends = np.stack([np.repeat(np.arange(len(counts)), counts)[np.argsort(ref)], np.argsort(ref)], axis=1)
-        given: dict[str, Any] = {
+        given: dict[str, HostArray] = {
             "rounds": self._rounds,
             "stable": np.zeros(b.count),
             "member": np.zeros(b.body_count if b.features.subcycling else 0),
@@ -173,20 +176,21 @@ class Subcycles:
             parts = [each[name] for each in self._by_scene if each]
             given[name] = np.concatenate(parts) if parts else np.zeros(0)
         self.pair_count, self.body_count = sum(self._pairs), sum(self._bodies)
-        self.arrays = subcycled_struct(b.scalar)()
-        for name, variable in subcycled_struct(b.scalar).vars.items():
+        struct = declared(subcycled_struct(b.scalar))
+        self.arrays = struct()
+        for name, variable in struct.vars.items():
             if name != "held":
                 dtype, count = variable.type.dtype, self.body_count if name in BODY_ARRAYS else self.pair_count
                 if len(given.get(name, ())):
-                    array = wp.array(np.ascontiguousarray(given[name]), dtype=dtype, device=b.device)
+                    array = DeviceArray(np.ascontiguousarray(given[name]), dtype=dtype, device=b.device)
                 else:
-                    array = wp.zeros(0 if name in given else count, dtype=dtype, device=b.device)
+                    array = zeros(0 if name in given else count, dtype=dtype, device=b.device)
                 setattr(self.arrays, name, array)
         for name in {*pair_bytes(b.models[0]), "load"}:
             dtype = getattr(b.pairs, name).dtype
-            setattr(self.arrays.held, name, wp.zeros(self.pair_count, dtype=dtype, device=b.device))
-        self._sphere_place = wp.zeros(b.sphere_count if self.pair_count else 0, dtype=wp.int32, device=b.device)
-        self._body_place = wp.zeros(b.body_count if self.pair_count else 0, dtype=wp.int32, device=b.device)
+            setattr(self.arrays.held, name, zeros(self.pair_count, dtype=dtype, device=b.device))
+        self._sphere_place = zeros(b.sphere_count if self.pair_count else 0, dtype=wp.int32, device=b.device)
+        self._body_place = zeros(b.body_count if self.pair_count else 0, dtype=wp.int32, device=b.device)
 
     def _rows(self, s: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the sub-cycled bodies of a scene, the number of pair ends on each, and all ends sorted by body.
@@ -228,9 +232,9 @@ class Subcycles:
     def _locating(self) -> list[Stage]:
         b = self.batch
         kernels = locating_kernels(b.scalar, b.features.half_list, b.features.history)
-        own = {"subcycled": self.arrays, "sphere_place": self._sphere_place, "body_place": self._body_place}
+        own: Arguments = {"subcycled": self.arrays, "sphere_place": self._sphere_place, "body_place": self._body_place}
 
-        def stage(kernel: Any, dim: int, *names: str) -> Stage:
+        def stage(kernel: Kernel, dim: int, *names: str) -> Stage:
             return b.stage(kernel, dim, **{name: own[name] for name in names})
 
         return [
@@ -259,7 +263,8 @@ class Subcycles:
         """Return the one GPU launch for all sub-cycling rounds of a step; all its blocks must be resident at once."""
         b, f = self.batch, self.batch.features
         count = max(self.pair_count, self.body_count)
-        blocks = round_blocks(count, b.device.sm_count, self.concurrent_batches) if b.device.is_cuda else 1
+        multiprocessors = int(b.device.sm_count)  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
+        blocks = round_blocks(count, multiprocessors, self.concurrent_batches) if b.device.is_cuda else 1
         threads = blocks * (ROUND_BLOCK if b.device.is_cuda else 1)
         kernel = rounds_kernel(b.scalar, f.pair_law, f.history, f.healing, f.dissipation)
         return b.stage(
@@ -279,7 +284,7 @@ class Subcycles:
         b, f = self.batch, self.batch.features
         return self._stage(prediction_kernel(b.scalar, f.meshes, f.half_list, f.dissipation), part, self.body_count)
 
-    def _stage(self, kernel: Any, part: int, count: int, **named: int) -> Stage:
+    def _stage(self, kernel: Kernel, part: int, count: int, **named: Any) -> Stage:
         """Return a launch of `kernel` over the share of CPU thread `part` in `count` pairs or bodies."""
         b = self.batch
         first, last = count * part // b.threads, count * (part + 1) // b.threads

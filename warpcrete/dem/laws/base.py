@@ -1,4 +1,4 @@
-"""Base class of contact laws: validated parameters, the same parameters on the device, and device functions of them."""
+"""Base class of contact laws: parameters with their limits, their copy on the device, and functions for kernels."""
 
 import functools
 import math
@@ -19,7 +19,10 @@ RESISTANCES = ("friction", "rolling_friction", "yield_stress", "viscosity", "pla
 
 @dataclass(frozen=True)
 class OnDevice:
-    """Rule for a parameter whose device counterpart has another `name` and a value that the function `of` computes."""
+    """Exception for a parameter that the device stores under another `name` or with another value.
+
+    The function `of` computes the device's value from the parameter.
+    """
 
     name: str
     of: Callable[[Any], Any] = lambda value: value
@@ -39,28 +42,32 @@ class ContactLaw(Declared, ABC):
     @classmethod
     @abstractmethod
     def device_functions(cls, scalar: Any, parameters: Any) -> dict[str, Callable]:
-        """Return the Warp functions of the law.
+        """Return the Warp functions of the law, by name.
 
-        Their arguments are `p`, the struct `parameters`, and `touch`, a `Touch` of `kernels/dem/contact_law.py`:
+        Every function takes `p`, the struct `parameters`, and `touch`, a `Touch` of `kernels/dem/contact_law.py`. Each
+        law has three functions:
 
-        - `force(p, touch, history, dt)`: force on body a [N], the contact's new history (a vector in the contact
-          plane, for springs the shear force), and the energy lost in the step [J];
-        - `stiffness(p, touch)`: k_n, k_s [N/m] and dashpots c_n, c_s [N s/m] for the estimate of the stable time step;
-          they must cover the coming steps, in which the overlap grows at the present closing speed;
-        - `energy(p, touch, history)`: elastic energy [J].
+        - `force(p, touch, history, dt)` returns the force on body a [N], the contact's new history, and the energy lost
+          in the step [J]. The history is any vector that the law needs in the next step. In laws with a shear spring it
+          is the shear force.
+        - `stiffness(p, touch)` returns the stiffnesses k_n, k_s [N/m] and the dashpots c_n, c_s [N s/m] for the
+          estimate of the stable time step. They must hold for the coming steps too, in which the overlap grows at the
+          present closing speed.
+        - `energy(p, touch, history)` returns the elastic energy [J].
 
         A law that `rolls` has two more functions:
 
-        - `moment(p, touch, turning, history, dt)`: from the spin of body b relative to a [rad/s] and a separate
-          history, the moment on a [N m], the new history (the moment of the spring), and the energy lost in the
-          step [J];
-        - `moment_energy(p, touch, history)`: elastic energy of that spring [J].
+        - `moment(p, touch, turning, history, dt)` takes the spin of body b relative to body a [rad/s] and a separate
+          history. It returns the moment on body a [N m], the new history (the moment of the rolling spring), and the
+          energy lost in the step [J].
+        - `moment_energy(p, touch, history)` returns the elastic energy of the rolling spring [J].
 
-        They are called where `touch.gap` is negative, and in a bonded pair also at positive gaps, where a law must
-        switch off its own forces. The energy must be zero at the gap 0 if there is no history.
+        The functions are called for contacts with a negative `touch.gap`. For a bonded pair they are also called at
+        positive gaps, where a law must switch off its own forces. Without a history the energy must be zero at the gap
+        0.
 
         A CPU evaluates `force` and `moment` of several contacts at once in vector lanes. This works only if no branch
-        assigns a vector or returns: a branch should choose a number, which the code then multiplies by.
+        assigns a vector or returns. A branch should choose a number instead, by which the code then multiplies.
         """
 
     @property

@@ -18,16 +18,16 @@ LAWS = ByName({
     "plastic": PlasticMortar, "rolling": RollingResistance,
 })  # fmt: skip
 OWN_LAW = Needs("contact", lambda law: law is None, "is left out (its parameters are contact_NAME)")
-"""Rule for the parameters of a scene's own law: they apply only if no other law is given as `contact`."""
+"""Condition for the parameters of the scene's own contact law: they apply only if `contact` chooses no other law."""
 OWN_WALL_LAW = Needs("wall_contact", lambda law: law is None, "is left out (its parameters are wall_contact_NAME)")
-"""Rule for the parameters of a scene's own wall law: they apply only if no law is given as `wall_contact`."""
+"""Condition for the parameters of the scene's own law on walls: they apply only if none is chosen as `wall_contact`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LawChoice:
     """Contact law.
 
-    The parameter chooses another law for all contacts than the scene's own.
+    The parameter replaces the scene's own contact law by another law, for all contacts.
     """
 
     contact: Annotated[

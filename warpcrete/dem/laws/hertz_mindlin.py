@@ -25,7 +25,11 @@ RESCALE = wp.constant(0)
 
 @dataclass(frozen=True, kw_only=True)
 class HertzMindlin(ContactLaw):
-    """Elastic spheres: F_n = 4/3 E* sqrt(R* d) d, k_s = 8 G* sqrt(R* d), Coulomb friction, constant restitution."""
+    """Elastic spheres in Hertz-Mindlin contact, with Coulomb friction and a constant coefficient of restitution.
+
+    At the overlap d the normal force is 4/3 E* sqrt(R* d) d and the shear stiffness 8 G* sqrt(R* d). Here R* is the
+    reduced radius, E* the effective modulus and G* the effective shear modulus.
+    """
 
     effective_modulus: Annotated[float, "Effective modulus E* [Pa]; 1/E* = (1 - nu1^2)/E1 + (1 - nu2^2)/E2", Above()]
     effective_shear_modulus: Annotated[
@@ -115,8 +119,9 @@ class HertzMindlin(ContactLaw):
             kept = scalar(1.0)
             released = zero
             if before > zero and overlap > zero:
-                # The shear spring loses energy because its stiffness changes with the overlap. While loading, its force
-                # stays and it gets stiffer. While unloading with `rescale`, its force falls with the stiffness.
+                # A change of the overlap changes the stiffness of the shear spring, and the spring thereby loses
+                # energy. While the overlap grows, the force stays constant and the spring becomes stiffer. While the
+                # overlap shrinks, the force falls with the stiffness if `rescale` is chosen.
                 ratio = wp.sqrt(overlap / before)
                 stored = scalar(0.5) * wp.length_sq(history) / ks
                 released = stored * (ratio - scalar(1.0))

@@ -12,8 +12,8 @@ from ...kernels.common.types import types
 from ...kernels.dem.contact_law import contact_functions
 from .base import ContactLaw, OnDevice
 
-# The bits of a dashpot mode's index select its effects: bit 0 forbids a tensile total normal force, and bit 1 drops the
-# shear dashpot while the contact slips (Zhan et al. 2019, Eq. 8).
+# The index of a dashpot mode in this tuple is a bit mask. Bit 0 forbids a tensile total normal force, and bit 1 drops
+# the shear dashpot while the contact slips (Zhan et al. 2019, Eq. 8).
 DASHPOTS = ("full", "no-tension", "slip-cut", "both")
 
 

@@ -21,7 +21,12 @@ from .linear import Contact
 
 @dataclass(frozen=True, kw_only=True)
 class LubricationLayer(ContactLaw):
-    """Linear law in the normal direction; in shear a slider with limit mu N + A tau_L0 and a drag A eta_L V."""
+    """Linear law in the normal direction, and a lubrication layer in shear.
+
+    In shear a slider has the limit mu N + A tau_L0, and a drag A eta_L V acts in addition. Here mu is the friction
+    coefficient, N the normal spring force, A the contact's area, tau_L0 and eta_L the layer's yield stress and
+    viscosity per thickness, and V the slip velocity.
+    """
 
     called = "layer"
 
@@ -75,7 +80,8 @@ class LubricationLayer(ContactLaw):
         def force(p: Parameters, touch: Touch, history: t.vec3, dt: scalar):
             zero = scalar(0.0)
             n = touch.normal
-            # Use only the normal force of the linear law; the shear force below includes the layer's yield stress.
+            # Take only the normal force from the linear law. The shear force is computed below, because its limit
+            # includes the yield stress of the lubrication layer.
             alone, unused, unused_loss = linear_force(p.contact, touch, t.vec3(), zero)
             normal_part = wp.dot(alone, n) * n
             k = linear_stiffness(p.contact, touch)
@@ -91,7 +97,8 @@ class LubricationLayer(ContactLaw):
                 drag = zero
             if touch.gap < zero:
                 drag += p.viscosity * area(touch)
-            resisting = wp.dot(alone, n) + spring  # normal force without the spring: that of the dashpot
+            # normal force of the dashpot: the total normal force without that of the spring
+            resisting = wp.dot(alone, n) + spring
             return (
                 normal_part + shear + drag * vs,
                 shear,

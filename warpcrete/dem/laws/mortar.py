@@ -2,9 +2,11 @@
 """Aggregates in a shell of Bingham mortar: a hard core in a soft shell (idea: Remond & Pizette 2014).
 
 A sphere's radius includes its shell. Where only shells overlap, the mortar transmits a weak spring force, a yield
-stress and a viscous drag. Once the cores meet, the stiff spring of the aggregates acts as well. All mortar stresses act
-on A = pi r^2 over the thickness h of the two shells: normal spring A E_m/h with drag 3 mu A/h (Trouton's ratio), shear
-yield tau_0 A and drag mu A/h.
+stress and a viscous drag. Once the cores meet, the stiff spring of the aggregates acts as well.
+
+All mortar stresses act on the area A = pi r^2, with the radius r of the smaller sphere, over the thickness h of the two
+shells. Mortar of modulus E_m, yield stress tau_0 and plastic viscosity mu has a normal spring of stiffness A E_m/h and
+a normal drag 3 mu A/h (Trouton's ratio). In shear it yields at tau_0 A and has the drag mu A/h.
 
 Mortar that resists shear also resists pull and bending. A disc of radius r between two separating spheres yields at
 sqrt(3) tau_0 (von Mises), and a bent disc yields at a moment of 4/3 r^3 times that stress. Its elastic and viscous
@@ -28,7 +30,12 @@ from .base import ContactLaw, OnDevice
 
 @dataclass(frozen=True, kw_only=True)
 class BinghamMortar(ContactLaw):
-    """Hard cores in soft mortar shells: core stiffness A E*/L, shear slider with limit mu N_core + A tau_0."""
+    """Hard cores in soft shells of Bingham mortar, with a shear slider that core friction and yield stress limit.
+
+    The cores' spring has the stiffness A E*/L and the slider the limit mu N_core + A tau_0. Here A is the contact's
+    area, E* the effective modulus, L the distance of the centres at first touch, mu the friction coefficient, N_core
+    the force of the cores' spring, and tau_0 the yield stress of the mortar.
+    """
 
     called = "mortar"
 

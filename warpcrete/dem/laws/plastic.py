@@ -25,14 +25,20 @@ from .base import ContactLaw
 from .mortar import BinghamMortar, shell_functions
 
 WALL_BENDING = 4 / math.sqrt(3) / math.pi
-"""Largest moment of contacts with a rough wall, divided by tau_0 A r: the yield moment of a mortar disc of radius r."""
+"""Largest moment of contacts with a rough wall, divided by tau_0 A r (yield stress, contact area, radius).
+
+At this moment a bent disc of mortar with the radius r yields.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlasticMortar(BinghamMortar):
-    """Mortar shells whose slider, with limit mu N_core + A tau_0, and drag mu A/h act in every direction of motion.
+    """Mortar shells with one slider and one drag for relative motion in any direction, along the normal and across it.
 
-    The history is the spring's force on the first body [N], which rotates with the pair.
+    The slider's limit is mu N_core + A tau_0 and the drag is mu_p A/h times the velocity. Here mu is the friction
+    coefficient, N_core the force of the cores' spring, A the contact's area, tau_0 and mu_p the yield stress and
+    plastic viscosity of the mortar, and h the thickness of the two shells. The history is the spring's force on the
+    first body [N], which rotates with the pair.
     """
 
     called = "plastic"
@@ -41,9 +47,8 @@ class PlasticMortar(BinghamMortar):
     bending: Annotated[float, "Largest moment of a shell over tau_0 A r; 0: spheres roll freely", Within(0)] = 0.0
 
     def gripped(self, grip: float) -> ContactLaw:
-        return replace(
-            super().gripped(grip), bending=WALL_BENDING
-        )  # without this rolling resistance, a single sphere would roll away on the wall
+        # Give the wall contacts a rolling resistance, because a single sphere would otherwise roll away along the wall.
+        return replace(super().gripped(grip), bending=WALL_BENDING)
 
     @classmethod
     def device_functions(cls, scalar: Any, parameters: Any) -> dict[str, Any]:
@@ -118,7 +123,8 @@ class PlasticMortar(BinghamMortar):
             if deep > zero:
                 cn = core_dashpot(p, touch)
             stiff = slider_stiffness(p, touch)
-            # If the spheres first touched within this step, the spring is loaded only from then on.
+            # If the spheres first touched within this step, load the slider's spring only from the moment of touching
+            # on.
             loading = dt
             if -vn * dt > overlap:
                 loading = overlap / -vn

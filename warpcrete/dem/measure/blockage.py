@@ -19,12 +19,12 @@ from .probes import pair_forces
 PARTS = 20
 """Number of parts of equal volume into which the concrete is divided along the pipe; fewer for few aggregates."""
 STONES = 5
-"""Minimum number of aggregates in each part of the concrete."""
+"""Minimum number of aggregates in each of the parts of the concrete that are checked for standing still."""
 CHECKS_PER_WINDOW = 8
-"""Number of checks for blockage while the piston travels one window.
+"""Number of checks for blockage per window.
 
-The pipe counts as blocked if a part of the concrete stands still, and the pressure rises, while the piston travels one
-window.
+The window is the travel of the piston during which a part of the concrete must stand still, and the pressure must rise,
+for the pipe to count as blocked.
 """
 STANDING_RATIO = 0.2
 """Ratio of the advance of a part of the concrete to that of the piston, below which the part counts as standing still.
@@ -36,7 +36,7 @@ compression of the concrete ahead of it.
 GRADIENT = 200e3
 """Pressure gradient that pumping never reaches [Pa/m]; 5 to 50 kPa/m are usual."""
 OPPOSITE = np.radians(150.0)
-"""Minimum angle around the axis between two wall contacts of a force chain that spans the pipe [rad]."""
+"""Minimum angle [rad] about the axis between two wall contacts of a contact network that spans the pipe."""
 QUADRATURE = 24
 """Number of directions across the axis in which the bore's radius is measured to find its area."""
 
@@ -146,10 +146,11 @@ class BlockageWatch:
 def blockage_travel(diameter: float, length: float, modulus: float) -> float:
     """Return the piston travel [m] during which a part of the concrete must stand still in a blocked pipe.
 
-    This is the compression of a column of the given `length` [m] and `modulus` [Pa] under a pressure gradient that
-    pumping never reaches, but at least length/20: the soft aggregates of Zhan (2019, 1e5 Pa) are compressed by up to
-    length/20 before their front moves. The upper limit is the pipe `diameter` [m], clipped to between length/10
-    and length/5.
+    The travel must exceed the compression of the concrete, which delays the motion of its front. It is therefore the
+    compression of a column of the given `length` [m] and `modulus` [Pa] under a pressure gradient that pumping never
+    reaches. It is at least length/20, because the soft aggregates of Zhan (2019, 1e5 Pa) are compressed by up to
+    length/20 before their front moves. It is at most the pipe `diameter` [m], where this maximum is itself limited to
+    between length/10 and length/5.
     """
     most = max(min(diameter, length / 5), length / 10)
     return min(max(length * GRADIENT * length / modulus, length / 20), most)
@@ -171,7 +172,7 @@ def least_advance(before: np.ndarray, after: np.ndarray, volume: np.ndarray, end
     parts = max(1, min(PARTS, len(inside) // STONES))
     part = (parts * rank / volume[order].sum()).astype(int)
     way, weight = (after - before)[order], volume[order]
-    edges = np.flatnonzero(np.diff(part)) + 1  # index of the first aggregate of each part, except the first part
+    edges = np.flatnonzero(np.diff(part)) + 1  # index of the first aggregate of each part, from the second part on
     return min(map(_median, np.split(way, edges), np.split(weight, edges)))
 
 
@@ -202,25 +203,25 @@ def axial_forces(model: Model, state: State, axis: Any) -> tuple[np.ndarray, np.
 
 
 def last_loaded(stations: np.ndarray, forces: np.ndarray, places: np.ndarray) -> float:
-    """Return the last station [m] at which the axial force through the cross-section is at least half of the largest.
+    """Return the last of the `stations` [m] whose cross-section carries at least half of the largest axial force.
 
-    `stations` are arc lengths [m]; `forces` [N] and `places` [m] are axial forces and arc lengths as from
-    `axial_forces`.
+    The axial force through a cross-section is the sum of the `forces` [N] of the contacts that cross it. `places` [m]
+    has the arc lengths of both ends of each contact. :func:`axial_forces` returns both arrays.
     """
     carried = np.array([forces[(places[:, 0] < s) & (places[:, 1] >= s)].sum() for s in stations])
     return float(stations[np.flatnonzero(carried >= 0.5 * carried.max())[-1]]) if len(stations) else 0.0
 
 
 def count_spanning_networks(model: Model, state: State, axis: Any, at: float, length: float, chains: np.ndarray) -> int:
-    """Count the separate networks of strong contacts that connect opposite sides of the wall.
+    """Count the separate networks of strong contacts that connect opposite sides of the wall near one cross-section.
 
-    Only bodies within half a `length` [m] of the station `at` [m] count. `chains` are the strong contacts as from
-    `axial_forces`.
+    Only bodies within half a `length` [m] of the arc length `at` [m] count. `chains` has the index pairs of the bodies
+    in strong contact, as :func:`axial_forces` returns them.
     """
     position = state.bodies.position.numpy().astype(float)
     s = axis.along(position)
     here = np.abs(s - at) < 0.5 * length
-    # Join bodies that strong contacts connect to networks, with a union-find structure.
+    # With a union-find structure, join bodies into networks: bodies in strong contact belong to the same network.
     parent = np.arange(len(position))
 
     def root(k: int) -> int:
@@ -240,7 +241,7 @@ def count_spanning_networks(model: Model, state: State, axis: Any, at: float, le
     linked = np.zeros(len(position), bool)
     linked[chains.ravel()] = True
     roots = np.array([root(int(b)) for b in body], int)
-    # Count a network as spanning if two of its wall contacts lie on opposite sides of the axis.
+    # Count a network as spanning the pipe if two of its wall contacts lie on opposite sides of the axis.
     count = 0
     for one in np.unique(roots[linked[body]]):
         mine = angle[(roots == one) & linked[body]]

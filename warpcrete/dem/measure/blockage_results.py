@@ -30,11 +30,15 @@ QUANTITIES = (
 )  # fmt: skip
 """Quantities of a blocked pipe.
 
-`blocked` is 0 or 1, so its mean over several seeds is a probability. `blockage_window` is the travel of the piston
-during which part of the concrete must stand still, and `slowest_advance` the advance of the slowest part over that of
-the piston, by volume, at the last check. The others are the blockage's position along the axis, the time of detection,
-the piston travel at which a part of the concrete stopped, the pressures at detection and at that stop, and, at the
-blockage, the solid fraction and the number of force chains that span the pipe.
+- `blocked` is 1 if the pipe was blocked and 0 if not, so its mean over several seeds is a probability.
+- `blocked_at` is the position of the blockage along the axis.
+- `blocked_time` is the time of detection.
+- `blocked_from_travel` is the piston travel at which a part of the concrete stopped.
+- `blocked_pressure` and `blocked_pressure_before` are the pressures at detection and when that part stopped.
+- `blocked_solid_fraction` is the solid fraction at the blockage.
+- `blocked_chains` is the number of networks of strong contacts that span the pipe there.
+- `blockage_window` is the travel of the piston during which part of the concrete must stand still.
+- `slowest_advance` is the advance of the slowest part over that of the piston, by volume, at the last check.
 """
 
 

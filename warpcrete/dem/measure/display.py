@@ -36,7 +36,10 @@ WEAR_PALETTE = "magma_r"
 """Colour map of wear, different from that of aggregates and pale where a wall is not worn."""
 NANOMETRES = 1e9
 WEAR_QUANTILE = 0.99
-"""Quantile of worn depth at the top of the colour scale, because single patches are worn far deeper than the rest."""
+"""Quantile of the depths of all worn patches that sets the top of the colour scale.
+
+The largest depth is unsuitable, because single patches are worn far deeper than the rest.
+"""
 BONDS = (230, 140, 30)
 OURS, MEAN = (215, 95, 30), (90, 120, 170)
 ALONG = (("along the pipe", "axial_stress", OURS), ("mean normal", "pressure", MEAN))
@@ -68,12 +71,16 @@ class ElementDisplay(Display):
         """Index of the wear patch at each vertex of a worn wall, by the wall's number."""
         self._worn_most = 0.0
         self._latest: tuple[float, np.ndarray] | None = None
-        """Simulated time of the last stress measurement in the slices of the pipe [s], and its result."""
+        """Simulated time of the last stress measurement in the slices of the pipe [s], and the measured values."""
         walls = simulation.model.walls
         self._drawn = [number for number, wall in enumerate(walls) if wall.drawn() is not None]
 
     def _limit(self) -> float:
-        """Return the top of the colour scale: a large contact force, 1.5 times steady speed, or the largest size."""
+        """Return the value at the top of the colour scale, which depends on what colours the aggregates.
+
+        For contact forces the top is a large force, for sizes the largest size, and for speeds 1.5 times the speed of
+        the piston or of the fastest driven wall.
+        """
         scene = self.simulation.scene
         self._largest = largest = float(self.simulation.state.bodies.size.numpy().max(initial=0.0))
         self._thick = MAX_LINE_RADIUS * largest
@@ -118,7 +125,7 @@ class ElementDisplay(Display):
         return np.take(packed(self._painted()), self._bodies_of_spheres())
 
     def _bodies_of_spheres(self) -> np.ndarray:
-        """Return the row index of each sphere's body, in order of the spheres' permanent numbers."""
+        """Return the index of each sphere's body in the body arrays, in order of the spheres' permanent numbers."""
         return np.take(self.read("spheres.body"), self._sphere_order())
 
     def fields(self) -> dict[str, np.ndarray]:
@@ -168,7 +175,7 @@ class ElementDisplay(Display):
         return Plot("pressure", "Pressure on the piston", (pressure,)), Plot("energy", "Energy", energies)
 
     def profiles(self) -> tuple[Profile, ...]:
-        """Return the velocity profile across the pipe, and the stresses along it if the scene has slices for them."""
+        """Return the velocity profile across the pipe, and the stresses along it if they are measured in slices."""
         scene, found = self.simulation.scene, []
         if scene.pipe is not None:
             title = "Velocity [cm/s] over radius [mm]"
@@ -181,7 +188,8 @@ class ElementDisplay(Display):
     def _stresses(self, column: str) -> tuple[np.ndarray, np.ndarray]:
         """Return the mid-points of all filled slices along the pipe [m], and the stress `column` in them [kPa]."""
         stations = self.simulation.scene.stations
-        if self._latest is None or self._latest[0] != self.time:  # measure once for all curves of a frame
+        # All curves of a frame share one measurement, so repeat it only when the simulated time has changed.
+        if self._latest is None or self._latest[0] != self.time:
             self._latest = self.time, self._present_stresses(stations)
         values = self._latest[1][:, COLUMNS.index(column)]
         full = np.isfinite(values)
@@ -213,7 +221,10 @@ class ElementDisplay(Display):
         )  # fmt: skip
 
     def _on_axis(self, axis: Axis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return arc lengths of all bodies [m], shape (n,), and axis points [m] and tangents there, shape (n, 3)."""
+        """Return, for all bodies, the arc length [m], the nearest point of the axis [m] and the tangent there.
+
+        The shapes are (n,), (n, 3) and (n, 3).
+        """
 
         def found() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             s = axis.along(self.read("bodies.position"))
@@ -232,7 +243,7 @@ class ElementDisplay(Display):
         # Find the ranks, in the order of arc length, of the first and the last body of the averaged range.
         low, high = (round(part * max(len(along) - 1, 0)) for part in STRETCH)
         ends = np.partition(along, (low, high))[[low, high]] if len(along) else np.zeros(2)
-        # Give bodies outside the range the weight 0, which is faster than selecting the bodies inside the range.
+        # Give bodies outside the averaged range the weight 0, which is faster than selecting the bodies inside it.
         apart = position - places
         distance = np.sqrt(np.einsum("ij,ij->i", apart, apart))
         speed = np.einsum("ij,ij->i", velocity[:, :3], tangent)
@@ -256,7 +267,10 @@ class ElementDisplay(Display):
         return found
 
     def _worn(self, number: int) -> Any:
-        """Return the wear record of a wall; None without wear, and for planes, whose wear is a single value."""
+        """Return the wear record of a wall; None if no wear is recorded or if the whole wall is a single patch.
+
+        Planes are single patches, so there is no distribution of wear to draw.
+        """
         sampler = getattr(self.simulation, "sampler", None)  # wear is recorded only from t = 0 on
         if sampler is None or sampler.wear is None or len(sampler.wear.walls[number].done) == 1:
             return None
@@ -327,7 +341,10 @@ class ElementDisplay(Display):
         return {"contacts": lines(touching & ~bonded), "bonds": lines(bonded)}
 
     def bounds(self) -> np.ndarray:
-        """Return the lowest and highest corner of a box around the pipe's axis or, without a pipe, all spheres [m]."""
+        """Return the lowest and the highest corner of a bounding box [m], shape (2, 3).
+
+        The box encloses the pipe's axis, or all spheres if the scene has no pipe.
+        """
         pipe = self.simulation.scene.pipe
         if pipe is not None:
             points, _ = pipe.axis.at(np.linspace(0, pipe.axis.length, 50))

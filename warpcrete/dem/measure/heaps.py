@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 FINE = 0.25
-"""Distance between the vertical rays, divided by the largest sphere radius."""
+"""Distance between the vertical rays that scan a heap from above, divided by the largest sphere radius."""
 DIRECTIONS = 36
 """Number of directions in which the spread is measured; with fewer, single aggregates change the mean."""
 
@@ -63,7 +63,7 @@ def main_body(spheres: np.ndarray) -> np.ndarray:
     keys, cell, count = np.unique(place[:, 0] * row + place[:, 1], return_inverse=True, return_counts=True)
     corners = np.stack(np.divmod(keys, row), 1).tolist()
     number = {(a, b): n for n, (a, b) in enumerate(corners)}
-    # A flood fill starts at the cell with the most spheres and visits all occupied cells connected to it.
+    # A flood fill starts at the cell with the most spheres and visits all occupied cells that are connected to it.
     first = int(np.argmax(count))
     found, waiting = {first}, [first]
     while waiting:
@@ -83,8 +83,8 @@ def spread(spheres: np.ndarray) -> float:
     point that lies above or below a sphere. `spheres` has rows of centre and radius [m], shape (n, 4), n > 0.
     """
     far = np.hypot(spheres[:, 0], spheres[:, 1]) + spheres[:, 3]
-    # The reach of the outer spheres alone is a lower bound of the heap's reach in every direction. Skip all spheres
-    # that lie nearer to the origin than the smallest of these reaches.
+    # In every direction, the heap reaches at least as far as its outer spheres alone. The spheres that lie nearer to
+    # the origin than the smallest of these distances cannot change the result, so skip them.
     least = float(_reaches(spheres[far >= 0.8 * far.max()]).min())
     return 2 * float(np.mean(_reaches(spheres[far >= least])))
 
@@ -121,6 +121,7 @@ def height_around(spheres: np.ndarray, inner: float, outer: float) -> float:
 def shadow(spheres: np.ndarray, x: float, y: float, cell: float) -> float:
     """Return the fraction of a rectangle that spheres cover in plan view.
 
-    The rectangle is centred at the origin and has the half-widths `x` and `y` [m]; rays lie `cell` [m] apart.
+    The rectangle is centred at the origin and has the half-widths `x` and `y` [m]. Vertical rays, which are `cell` [m]
+    apart, test whether a sphere lies above or below a point of the rectangle.
     """
     return float(np.mean(np.isfinite(surface(spheres, (-x, x), (-y, y), cell)[2])))

@@ -63,9 +63,12 @@ class BodySums:
     centroid: np.ndarray
     """Centroid of all bodies [m], shape (3,)."""
     drive_force: np.ndarray
-    """Sum of the forces of the axis drives, which act along a pipe's axis [N], shape (3,)."""
+    """Sum of the forces of all axis drives [N], shape (3,).
+
+    An axis drive pushes the bodies of a group along a pipe's axis.
+    """
     drive_power: float
-    """Sum of the power of the axis drives, the forces along a pipe's axis [W]."""
+    """Sum of the power of all axis drives [W]; an axis drive pushes the bodies of a group along a pipe's axis."""
     reach: float
     """Largest absolute value of any coordinate of any body [m]."""
 
@@ -106,7 +109,7 @@ COLUMNS = {"bodies": int(column.BODY_COLUMNS), "contacts": int(column.CONTACT_CO
 
 
 def _read(state: State, *what: str) -> list[np.ndarray]:
-    """Read sums from the device: one array for each name in `what`, which may be "bodies" or "contacts"."""
+    """Return the sums that the device computed, one array for each name in `what`: "bodies" or "contacts"."""
     if state.body_count == 0:
         return [np.zeros(COLUMNS[each]) for each in what]
     return state.batch.exchange.read(*(_sums(state, each, COLUMNS[each]) for each in what))
@@ -168,7 +171,7 @@ def _sums(state: State, what: str, columns: int) -> wp.array:
 
 
 def _column_sum_stages(state: State, what: str, values: wp.array, rows: int, maxima: tuple[int, ...]) -> list[Stage]:
-    """Return launches that compute the sum of every column of `values`, or the maximum for the columns `maxima`.
+    """Return the kernel launches that reduce each column of `values` to its sum or, if listed in `maxima`, its maximum.
 
     The order of the additions depends only on the number of rows, so that the sums are reproducible to the bit.
     """
@@ -183,9 +186,10 @@ def _column_sum_stages(state: State, what: str, values: wp.array, rows: int, max
 
 
 def scene_stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
-    """Return a launch of `kernel` for the scene of `state` only, with `dim` tasks.
+    """Return a launch of `kernel` with `dim` tasks for the one scene of `state`.
 
-    Kernel parameters that `named` leaves out receive the arrays of the batch, and `s` the number of the scene.
+    `named` has arguments of the kernel by name. Parameters that `named` leaves out receive the batch's arrays of the
+    same name, and the parameter `s` receives the scene's number in the batch.
     """
     batch = state.batch
     arguments = completed(kernel, named, {"s": state.index, **batch.kernel_arrays})
@@ -193,7 +197,11 @@ def scene_stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
 
 
 def launch_recorded(state: State, what: str, make: Callable[[], list[Any]]) -> None:
-    """Launch the kernels that `make` returns; it is called the first time and whenever the batch's arrays change."""
+    """Launch the kernels of the measurement `what`, recorded as one graph.
+
+    `make` returns the launches to record. It is called the first time, and again whenever the batch's arrays have
+    changed.
+    """
     recorded = state.launches(state.batch.version)
     if what not in recorded:
         recorded[what] = GraphLaunch(make(), state.batch.device)
@@ -201,9 +209,10 @@ def launch_recorded(state: State, what: str, make: Callable[[], list[Any]]) -> N
 
 
 def _contact_rows(state: State) -> tuple[wp.array, wp.array]:
-    """Return the arrays for contact measurements: a row of values per sphere, and a normal force per list entry.
+    """Return the arrays into which contacts are measured.
 
-    The rows of spheres are in the order of their permanent numbers.
+    The first has a row of values for each sphere, in order of permanent numbers. The second has a normal force for each
+    entry of the neighbour list.
     """
     values = state.scratch("contact rows", (state.sphere_count, int(column.CONTACT_COLUMNS)), wp.float64)
     return values, state.scratch("pair forces", (len(state.pairs.other),), state.model.scalar)

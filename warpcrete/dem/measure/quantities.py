@@ -36,7 +36,7 @@ NOISE = 2.0
 """Allowed rise of the pressure in the final window, in standard deviations of its noise: a noisy pressure may rise or
 fall by chance in a short window."""
 MEDIAN = 1.4826
-"""Ratio of the standard deviation to the median of absolute values, for a normal distribution with mean 0."""
+"""Ratio of the standard deviation to the median absolute deviation of a normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Known:
     blockage: BlockageWatch | None = None
     """Watch for blockages; None if the run had none."""
     log: StationLog | None = None
-    """Measurements in slices (stations) along the pipe; None without such measurements in every row."""
+    """Measurements in slices (stations) along the pipe; None if the scene does not request them in every sample."""
 
     def along(self, name: str) -> float | None:
         """Return a friction loss in the final window by its name in :func:`warpcrete.dem.measure.stations.losses`."""
@@ -74,7 +74,11 @@ class Known:
 
     @property
     def window(self) -> np.ndarray:
-        """Mask of the samples in the final window: the last part WINDOW of the travel or stroke, shape (samples,)."""
+        """Mask of the samples in the final window, shape (samples,).
+
+        The final window is the last fraction WINDOW of the travel, or of the last stroke if the piston stops between
+        strokes.
+        """
         return self.series["travel"] >= self.window_begin
 
     @property
@@ -117,12 +121,19 @@ class Known:
 
 
 def is_level(travel: np.ndarray, pressure: np.ndarray, begin: float, width: float) -> bool:
-    """Return whether a pressure is on a plateau from a travel of `begin` [m] on, compared with the `width` [m] before.
+    """Return whether a pressure stays level while the piston travels from `begin` [m] to the end.
 
-    The means after and before `begin` may differ by LEVEL times the mean after it. The least-squares line through the
-    pressures after `begin` may rise or fall by that much, or by NOISE times the noise if that is more. The mean of the
-    last quarter may differ from the mean after `begin` by the same amount as the line. The noise is the standard
-    deviation from the line, estimated from the median distance, so that a jump at the end does not count as noise.
+    All three conditions must hold:
+
+    - The mean pressure over the travel `width` [m] before `begin` differs from the mean after `begin` by at most LEVEL
+      times the latter.
+    - The least-squares line through the pressures after `begin` rises or falls by no more than a tolerance. The
+      tolerance is LEVEL times the mean, or NOISE times the noise if that is more.
+    - The mean over the last quarter of the travel after `begin` differs from the mean after `begin` by no more than the
+      same tolerance.
+
+    The noise is the standard deviation from the line. It is estimated from the median distance, so that a jump at the
+    end does not count as noise.
     """
     late, ahead = travel >= begin, (travel >= begin - width) & (travel < begin)
     if not ahead.any() or np.count_nonzero(late) < 2:
@@ -180,9 +191,10 @@ def free_energy(series: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def energy_balance(known: Known) -> float | None:
-    """Return the relative error of the energy balance: stored and dissipated energy minus work, end against start.
+    """Return the relative error of the energy balance of a run.
 
-    The error is relative to the work, the dissipation or the largest energy of motion and springs, whichever is
+    The error is the change of the stored energy plus the dissipated energy minus the work done, from the first to the
+    last sample. It is divided by the work, the dissipation or the largest energy of motion and springs, whichever is
     largest. The result is None if dissipation was not summed (`Scene.energy_balance`), and NaN if nothing ever moved.
     """
     series = known.series
@@ -308,7 +320,7 @@ QUANTITIES = (
 
 
 def quantities() -> tuple[Quantity, ...]:
-    """Return all results of discrete elements, standard tests included."""
+    """Return the definitions of all results of discrete element runs, including those of the standard tests."""
     return (*of_vessels(), *QUANTITIES)
 
 

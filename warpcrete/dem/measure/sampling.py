@@ -45,12 +45,18 @@ UNITS = {
     **SEGREGATION,
 }
 VECTOR_UNITS = {"momentum": "kg m/s", "drive": "N"}
-"""Units of the vector columns of the series, by the part of a column's name before the axis (x, y, z)."""
+"""Units of the vector columns of the series, by quantity.
+
+A column is named after the quantity and an axis, for example momentum_x.
+"""
 WALL_UNITS = {"force": "N", "moment": "N m", "impulse": "N s"}
-"""Units of the columns of walls, by the part of a column's name between the wall's name and the axis (x, y, z)."""
+"""Units of the columns of each wall, by quantity.
+
+A column is named after the wall, the quantity and an axis, for example piston_force_x.
+"""
 AXES = "xyz"
 STORED = ("kinetic_energy", "potential_energy", "elastic_energy", "bond_energy")
-"""Columns of energies that are stored and can be recovered, unlike dissipated energy."""
+"""Names of the columns of stored energies, which can be recovered, unlike dissipated energy."""
 
 
 def unit_of(column: str, walls: Sequence[Wall]) -> str:
@@ -170,7 +176,8 @@ class Sampler:
     def _forces(self, clock: np.ndarray, walls: np.ndarray, drive_power: float) -> np.ndarray:
         """Update the mean wall forces and the work of drives; return the impulses on all walls, shape (walls, 6)."""
         impulse = walls[:, int(IMPULSE) : int(IMPULSE) + 6].copy()
-        # In the leapfrog scheme, impulses sum the forces up to the middle of the last step, so means end at that time.
+        # In the leapfrog scheme the impulse on a wall sums the forces up to the middle of the last step. The mean wall
+        # forces therefore end at that time.
         half_time = float(clock[int(TIME)]) - 0.5 * float(clock[int(DT_PREVIOUS)])
         if self._impulse is None:
             self._mean = walls[:, int(FORCE) : int(FORCE) + 6].copy()

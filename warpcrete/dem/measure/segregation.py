@@ -16,11 +16,16 @@ UNITS = dict.fromkeys(
     ("aggregate_inner", "aggregate_outer", "aggregate_front", "aggregate_rear", "large_inner", "large_outer", "mixing"),
     "1",
 )
-"""Columns of the series with their unit: volume fractions of aggregate in the inner and outer half of the radius, and
-in the front and rear half of the concrete; volume share of stones above the mean size in the aggregate of the inner and
-outer half of the radius; Lacey's mixing index of large and small stones."""
+"""Columns of the segregation measurement, with their units.
+
+- `aggregate_inner`, `aggregate_outer`: volume fractions of aggregate in the inner and outer half of the radius.
+- `aggregate_front`, `aggregate_rear`: volume fractions of aggregate in the front and rear half of the concrete.
+- `large_inner`, `large_outer`: share of stones above the mean size in the aggregate volume of the inner and outer half
+  of the radius.
+- `mixing`: Lacey's mixing index of large and small stones.
+"""
 POINTS = 64
-"""Number of points in each sphere among which its volume is distributed, to divide it between inner and outer half."""
+"""Number of points that represent a sphere's volume when it is divided between inner and outer half of the radius."""
 ENDS = 0.05
 """Fraction of the aggregate left out at either end of the concrete, where the aggregate is packed less densely."""
 RINGS, STATIONS = 3, 5
@@ -44,7 +49,10 @@ def ball_points(count: int = POINTS) -> np.ndarray:
 
 
 def stones_of(state: State) -> Stones:
-    """Return the spheres of the aggregate by permanent number, each with its share in the volume of its clump."""
+    """Return centres, radii, volumes and aggregate sizes of all spheres of aggregates, ordered by permanent number.
+
+    A sphere's volume is its share of the volume of the clump to which it belongs.
+    """
     order = np.argsort(state.spheres.id.numpy())
     body = state.spheres.body.numpy()[order]
     order, body = (array[state.bodies.group.numpy()[body] == 0] for array in (order, body))
@@ -56,9 +64,10 @@ def stones_of(state: State) -> Stones:
 
 
 def measured(axis: Any, radius: float | Bores, stones: Stones) -> dict[str, float]:
-    """Return the values of the columns UNITS for stones from :func:`stones_of` in a pipe.
+    """Measure the segregation of stones in a pipe; return the values by column name.
 
-    `radius` is the radius of the pipe [m], or its radii along the axis.
+    `radius` is the radius of the pipe [m], or its radii along the axis. `stones` are the arrays that
+    :func:`stones_of` returns, and :data:`UNITS` lists the columns.
     """
     centre, reach, volume, size = stones
     # The time series may contain only finite numbers, so return zeros for an empty pipe.
@@ -121,9 +130,9 @@ def mixing(s: np.ndarray, apart: np.ndarray, large: np.ndarray) -> float:
     """Return Lacey's mixing index of large and small stones: 0 if separate, 1 if mixed at random (Lacey 1954).
 
     The index is (s0^2 - s^2) / (s0^2 - sr^2). Here s^2 is the variance of the share of `large` stones, by number, over
-    cells of rings and stretches. With the overall share p, s0^2 = p (1 - p) is the variance of separate stones, and
-    sr^2 = s0^2 / n that of a random mix with n stones per cell. `s` is the arc length [m], and `apart` the distance
-    from the axis divided by the pipe's radius.
+    cells that rings and stretches of the pipe form. If the overall share is p, completely separate stones have the
+    variance s0^2 = p (1 - p), and randomly mixed stones the variance sr^2 = s0^2 / n with n stones per cell. `s` is the
+    arc length [m], and `apart` the distance from the axis divided by the pipe's radius.
     """
     p = float(large.mean())
     if not 0 < p < 1:
@@ -136,7 +145,7 @@ def mixing(s: np.ndarray, apart: np.ndarray, large: np.ndarray) -> float:
     count = count[count > 0]
     variance = float(np.sum(count * (share - p) ** 2) / count.sum())
     apart_wholly = p * (1 - p)
-    by_chance = apart_wholly * len(count) / count.sum()  # sr^2, the mean of s0^2 / n weighted with n per cell
+    by_chance = apart_wholly * len(count) / count.sum()  # sr^2: the mean of s0^2 / n over the cells, weighted with n
     return (apart_wholly - variance) / (apart_wholly - by_chance) if apart_wholly > by_chance else 1.0
 
 
@@ -154,7 +163,11 @@ def _at(name: str, place: int) -> Callable[[Any], float | None]:
 
 
 def _outward(place: int) -> Callable[[Any], float | None]:
-    """Return a function of a run's data: outer minus inner volume fraction, divided by the mean, in row `place`."""
+    """Return a function that computes the radial segregation in one row of the time series.
+
+    The function takes the data of a run. Its result is the outer minus the inner volume fraction of aggregate, divided
+    by the mean over the cross-section. `place` is the index of the row.
+    """
 
     def found(known: Any) -> float | None:
         if "aggregate_inner" not in known.series:
@@ -183,14 +196,17 @@ QUANTITIES = (
 )
 """Segregation results of a run.
 
-They are the volume fractions of aggregate at the end; the outer minus the inner fraction, divided by the mean, at the
-end and, because stones always keep a distance from the wall, at the start; the share of large stones in the outer minus
-that in the inner half of the radius; and Lacey's mixing index.
+- `aggregate_inner`, `aggregate_outer`, `aggregate_front`, `aggregate_rear`: volume fractions of aggregate at the end.
+- `segregation`: outer minus inner volume fraction, divided by the mean, at the end.
+- `segregation_at_start`: the same at the start, where it is not zero, because stones always keep a distance from the
+  wall.
+- `size_segregation`: share of large stones in the outer half of the radius minus that in the inner half.
+- `mixing`: Lacey's mixing index.
 """
 
 
 def words(run: Any) -> str:
-    """Return a line that describes the segregation in a run, for its report."""
+    """Return the line of a run's report that states its radial segregation and its mixing index."""
     start, end, sizes = (100 * run.result[name] for name in ("segregation_at_start", "segregation", "size_segregation"))
     return (
         f"aggregate in the outer minus the inner half of the radius: {end:+.3g} % ({start:+.3g} % at the start); "

@@ -31,7 +31,10 @@ from .probes import launch_recorded, scene_stage
 RINGS = 5
 """Number of rings of equal width over which a velocity profile is averaged."""
 FRONT = 0.98
-"""Fraction of the solid volume behind the front of the concrete; beyond the front it does not fill the pipe."""
+"""Fraction of the solid volume that lies behind the point defined as the front of the concrete.
+
+Beyond this point the concrete no longer fills the cross-section.
+"""
 FARTHEST = 8
 """The front is searched for only among the farthest 1/FARTHEST of all bodies along the pipe, which saves time."""
 PLACES = ("place", "radius")
@@ -97,7 +100,8 @@ def measured(stations: Stations, model: Model, state: State, travel: float) -> n
 STRESS_RESOLUTION = 2.0**-40
 """Resolution of the integers that :func:`body_stresses` returns, as a fraction of its argument `unit`.
 
-Sums over thousands of contacts are then exact to nine digits, and 64-bit integers can represent up to a million units.
+With this resolution, sums over thousands of contacts are exact to nine digits. Values of up to a million times `unit`
+still fit into 64-bit integers.
 """
 
 
@@ -180,11 +184,15 @@ def losses(stations: Stations, table: dict[str, np.ndarray], gravity: tuple[floa
 
     For a straight pipe the losses are the pressure gradient [Pa/m] and the wall stress [Pa]. For a pipe with a bend or
     taper in its middle, both are returned for the straight stretches before and behind it. They follow from line fits
-    that leave out one radius at each end of a stretch. In addition, `middle_loss` [Pa] is the axial stress lost over
-    the middle between these lines, and `middle_ratio` is that loss divided by the loss in a straight pipe of the same
-    length. Friction rises with pressure, so the straight pipe's gradient is the logarithmic mean of 4 tau / d at both
+    that leave out one radius at each end of a stretch.
+
+    A pipe with a bend or taper has three more results. `middle_loss` [Pa] is the axial stress lost over the middle
+    between these lines. `middle_ratio` is `middle_loss` divided by the loss in a straight pipe of the same length.
+    Friction rises with pressure, so the gradient of this straight pipe is the logarithmic mean of 4 tau / d at both
     ends of the middle, which is exact if friction rises linearly with pressure. `flux_ratio` is the solid volume flux
-    downstream divided by that upstream. Results for which too few slices are full are left out.
+    downstream divided by that upstream.
+
+    A result is left out if concrete fills too few of the slices that it needs.
     """
     s = stations.places
     slope = table["bulk_density"] * (stations.axis.at(s)[1] @ np.array(gravity))
@@ -227,7 +235,7 @@ class _Straight:
     stress: np.ndarray
     shear: np.ndarray
     mean: float
-    """Mean wall stress in the stretch [Pa]."""
+    """Mean wall stress in the straight stretch [Pa]."""
     flux: float
 
 
@@ -256,7 +264,7 @@ def read_arrays(model: Model, state: State) -> StationArrays:
 
 
 class _Spheres:
-    """Spheres of a state in the order of permanent numbers; the spheres of a plug have no share in the solid volume."""
+    """Spheres of a state, in order of permanent numbers. The spheres of a plug count with a solid volume of zero."""
 
     def __init__(self, seen: StationArrays, axis: Axis) -> None:
         self.order = np.argsort(seen["spheres.id"])
@@ -282,9 +290,9 @@ class _Spheres:
         return _filled_slices(edges, travel, self.s, self.share)
 
     def in_slices(self, edges: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return, for each slice, the sums of the columns (n, k) weighted with solid volume [m3], shape (slices, k).
+        """Sum the columns (n, k) of all spheres in each slice, weighted with solid volume [m3]; shape (slices, k).
 
-        The weight is the part of a sphere's solid volume inside the slice, which planes across the axis cut out.
+        The weight is the part of a sphere's solid volume between the two planes across the axis that bound the slice.
         """
         found = np.zeros((len(edges) - 1, columns.shape[1]))
         for here, slices in _overlaps(self.s - self.radius, self.s + self.radius, edges):
@@ -350,8 +358,9 @@ def _of_contacts(
 
 
 def _spread_evenly(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Return sums in slices (m, k) of `values` (n, k), each of which is spread evenly from `begin` to `end` [m]."""
-    # A value with begin = end, such as that of a wall contact across the pipe, needs a small length for the division.
+    """Spread each of the `values` (n, k) evenly from its `begin` to its `end` [m]; return the sums in slices (m, k)."""
+    # A wall contact across the pipe has begin = end. Spread such a value over a small length, because the code divides
+    # by the length.
     width = np.maximum(np.abs(end - begin), 1e-6)
     low = 0.5 * (begin + end - width)
     found = np.zeros((len(edges) - 1, values.shape[1]))
@@ -364,9 +373,10 @@ def _spread_evenly(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges
 
 
 def _overlaps(low: np.ndarray, high: np.ndarray, edges: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield indices of spans from `low` to `high` and of the slices that they overlap, as pairs of arrays.
+    """Find the slices that each span from `low` to `high` overlaps; yield pairs of arrays: spans and slices, by index.
 
-    The first pair of arrays has the first slice of each span, the second pair its second slice, and so on.
+    The first pair of arrays has the first slice of every span, the second pair its second slice, and so on. Spans with
+    fewer slices are missing in later pairs.
     """
     first, last = (np.searchsorted(edges, end, "right") - 1 for end in (low, high))
     for step in range(int(np.max(last - first, initial=-1)) + 1):

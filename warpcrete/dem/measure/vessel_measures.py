@@ -54,7 +54,10 @@ def measured(vessel: Vessel, spheres: np.ndarray, velocity: np.ndarray) -> dict[
 
 
 def at_rest(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
-    """Return whether the main body of the heap was slow for a second since its release; False in a test of outflow."""
+    """Return whether the main body of a heap has stayed slow for one second after its release.
+
+    Returns False in tests in which the concrete flows out of a vessel.
+    """
     return vessel.test.outflow is None and is_at_rest(rows, vessel.opened, vessel.rest_speed)
 
 
@@ -64,10 +67,16 @@ def is_over(vessel: Vessel, rows: Sequence[dict[str, float]]) -> bool:
 
 
 def outcome(known: Any) -> Outcome | None:
-    """Return the data from which a standard test computes its results; None for a run that is no test."""
-    vessel, series = known.scene.vessel, known.series
-    fill = float(series["top"][0]) if "top" in series else None
-    return None if vessel is None else Outcome(vessel.test, vessel.dimensions, series, fill)
+    """Return the data of a run from which the results of its test follow; None if there is no test."""
+    vessel, series, fill = known.scene.vessel, known.series, known.scene.fill
+    if vessel is None:
+        return None
+    height = float(series["top"][0]) if "top" in series else None
+    concrete = dict(density=fill.filled_density, whole=fill.container.volume) if fill else {}
+    gravity = float(np.linalg.norm(known.scene.gravity))
+    return Outcome(
+        vessel.test, vessel.dimensions, series, height, concrete=vessel.concrete, gravity=gravity, **concrete
+    )
 
 
 def _own(test: StandardTest) -> tuple[Quantity, ...]:
@@ -76,5 +85,5 @@ def _own(test: StandardTest) -> tuple[Quantity, ...]:
 
 
 def quantities() -> list[Quantity]:
-    """Return the definitions of the results of all standard tests."""
-    return quantities_of_tests(lambda test: test.quantities, outcome) + quantities_of_tests(_own, outcome)
+    """Return the results of all standard tests, each followed by its closed forms."""
+    return quantities_of_tests(StandardTest.with_forms, outcome) + quantities_of_tests(_own, outcome)

@@ -14,7 +14,7 @@ from .probes import deepest_sphere, farthest_body, fastest_body
 from .sampling import STORED
 
 MAX_ROUNDING = (
-    1e-3  # largest rounding error of positions over the smallest radius; an overlap of 1 % is then exact to one digit
+    1e-3  # limit of the rounding error of positions over the smallest radius; overlaps of 1 % then keep one exact digit
 )
 
 
@@ -47,7 +47,10 @@ class Watch:
         return self.rounding * row["reach"] / self.state.smallest_radius if self.state.body_count else 0.0
 
     def __call__(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError`, which names time, body and cures, if a row exceeds a limit of the scene."""
+        """Raise :class:`InstabilityError` if a row of the time series exceeds a limit of the scene.
+
+        The error names the time, the body concerned and settings that may help.
+        """
         time, limits = row["time"], self.limits
         broken = [name for name, value in row.items() if not math.isfinite(value)]
         if broken:
@@ -72,7 +75,8 @@ class Watch:
                 "precision float64, or a scene nearer to the origin",
             )
         work, free = row["wall_work"] + row["drive_work"], _free(row)
-        # An attracting contact law has negative energy, which is as much a scale of the scene as a positive one.
+        # A contact law with attraction can make the elastic energy negative. Use its absolute value, because a negative
+        # energy measures the energy scale of the scene as well as a positive one.
         moving = row["kinetic_energy"] + abs(row["elastic_energy"]) + row["bond_energy"]
         self.scale = max(self.scale, moving, abs(work), self.floor)
         self.least = min(self.least, free)

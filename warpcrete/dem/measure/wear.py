@@ -1,8 +1,8 @@
 """Wear of walls: sliding and impacts on each patch of a wall since t = 0, and the depth worn according to Archard.
 
-Every step adds to sums for each sphere and wall. At a sample, these sums are credited to the patch that the sphere
-touched last and start again at zero. The totals are therefore exact, and their places on the wall are accurate to the
-distance that a sphere moves between two samples.
+Each time step adds the sliding and the impacts of every sphere on every wall to sums that belong to the sphere. When a
+sample is taken, these sums are credited to the patch that the sphere touched last, and start again at zero. The totals
+are therefore exact, and their places on the wall are accurate to the distance that a sphere moves between two samples.
 """
 
 from __future__ import annotations
@@ -25,12 +25,17 @@ PATCHES_AROUND = 24
 """Default number of wear patches around the circumference of a pipe."""
 MOST_AROUND, MOST_PATCHES = 3600, 1_000_000
 COLUMNS = ("sliding_work", "impact_loss", "load_way")
-"""Wear quantities, both of a patch and of a row of the series: work of sliding [J], energy lost in impacts [J], normal
-force times sliding distance [N m]."""
+"""Names of the wear quantities, which are recorded for each patch, and in the series for each wall as a whole.
+
+They are the work of sliding [J], the energy lost in impacts [J], and normal force times sliding distance [N m].
+"""
 UNITS = {"sliding_work": "J", "impact_loss": "J", "load_way": "N m"}
 HOUR = 3600.0
 RAY_TOLERANCE = 1e-4
-"""Relative distance by which a triangle may lie behind the first hit of a ray and still count as visible."""
+"""Tolerance of the visibility test, relative to the triangle's distance from the axis.
+
+A triangle counts as visible if it lies behind the first hit of the ray by no more than this.
+"""
 
 
 class Patches(ABC):
@@ -49,7 +54,7 @@ class Patches(ABC):
 
 
 class PlanePatch(Patches):
-    """Division of a plane wall: a single patch."""
+    """Division of a plane wall for the wear measurement: the whole plane is a single patch."""
 
     def __init__(self, wall: PlaneWall) -> None:
         self._wall = wall
@@ -64,10 +69,11 @@ class PlanePatch(Patches):
 
 
 class PipePatches(Patches):
-    """Division of a pipe wall: a grid of stations along the pipe and places around it, numbered station by station.
+    """Division of a pipe wall into patches: rings of patches (stations) follow one another along the pipe.
 
-    Angles around the axis are 0 on the outside of the pipe's bends (in their plane, away from the centre). In a
-    straight pipe they are 0 in the direction of a normal of the axis.
+    All stations have the same number of patches, and patches are numbered station by station. Angles around the axis
+    are 0 on the outside of the pipe's bends (in their plane, away from the centre). In a straight pipe they are 0 in
+    the direction of a normal of the axis.
     """
 
     def __init__(self, wall: PipeWall, side: float | None) -> None:
@@ -78,7 +84,7 @@ class PipePatches(Patches):
         self.along = (np.arange(self.stations) + 0.5) * wall.axis.length / self.stations
         """Arc length along the pipe of the middle of each station (ring of patches) [m]."""
         self.angles = 2 * np.pi * np.arange(self.around) / self.around
-        """Angle of the middle of each place around the pipe [rad]."""
+        """Angle about the axis of the middle of each of the patches in a ring around the pipe [rad]."""
         self.areas = self._areas(wall.axis.length / self.stations).ravel()
 
     def _areas(self, long: float) -> np.ndarray:
@@ -93,7 +99,8 @@ class PipePatches(Patches):
             piece = segment["piece"]
             if begin <= s <= begin + piece.length and isinstance(piece, Arc):
                 _, _, normal, _ = self.axis.frame(begin)
-                # The axis frame does not twist: a bend in the opposite direction has its outside at the opposite angle.
+                # The axis frame does not twist along the pipe, so bends to opposite sides have their outsides at
+                # opposite angles.
                 yield float(np.sign(normal[0] @ segment["outward"])) / piece.radius
             begin += piece.length
 
@@ -140,7 +147,10 @@ class MeshPatches(Patches):
         return self._origin[np.maximum(faces_at(self._cleaned, points, self._reach), 0)]
 
     def seen_from(self, axis: Axis) -> np.ndarray:
-        """Return a mask of the triangles visible from the axis, shape (f,): of a thick wall, the inner surface."""
+        """Return a mask of the triangles that are visible from the axis, shape (f,).
+
+        In a wall with a thickness these are the triangles of the inner surface.
+        """
         middle = self._cleaned.vertices[self._cleaned.faces].mean(axis=1)
         nearest = axis.nearest(middle)
         apart = np.linalg.norm(middle - nearest, axis=1)
@@ -169,9 +179,9 @@ class WornWall:
     patches: Any
     """Division of the wall: a :class:`PipePatches`, :class:`MeshPatches` or :class:`PlanePatch`."""
     done: np.ndarray
-    """Values of :data:`COLUMNS` for each patch since t = 0, shape (patches, 3)."""
+    """Sums of the wear quantities :data:`COLUMNS` over the time since t = 0, for each patch, shape (patches, 3)."""
     coefficient: float
-    """Wear coefficient k of Archard's law, divided by hardness [m2/N]."""
+    """Dimensionless wear coefficient of Archard's law, divided by the hardness of the wall [m2/N]."""
 
     def __repr__(self) -> str:
         return f"<WornWall {self.name!r}: {len(self.done)} patches, {self.done[:, 0].sum():.4g} J of sliding>"
@@ -188,7 +198,10 @@ class WornWall:
 
     @property
     def depth(self) -> np.ndarray:
-        """Worn depth k (load times sliding distance) / area [m], shape (patches,)."""
+        """Worn depth of each patch [m], shape (patches,).
+
+        It is `coefficient` times the sum of normal force times sliding distance, divided by the patch's area.
+        """
         return self.coefficient * self.done[:, 2] / self.patches.areas
 
     def mean_depth(self, chosen: np.ndarray | slice = slice(None)) -> float:

@@ -38,9 +38,11 @@ def _by_volume(wall: WornWall, known: Any) -> float | None:
 
 
 def covered(wall: WornWall, scene: Any) -> np.ndarray | slice:
-    """Return a mask of the patches in the stretch of a pipe that aggregates touched; all patches of other walls.
+    """Return the selection of patches over which the wear of a wall is averaged.
 
-    In a mesh only patches on the inside are selected, and those that were touched.
+    In a pipe or pipe-like mesh these are the patches in the stretch that aggregates touched. Patches on the outside of
+    a mesh are left out, unless an aggregate touched them. In other walls, and in walls that were never touched, all
+    patches are selected.
     """
     found = places(wall, scene)
     touched = wall.done[:, 2] > 0
@@ -63,7 +65,10 @@ def _mean(wall: WornWall, known: Any, column: int) -> float:
 
 
 def places(wall: WornWall, scene: Any) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return arc length [m] and angle [rad] of the middle of each patch of a pipe or pipe-like mesh; else None."""
+    """Return arc length [m] and angle about the axis [rad] of the middle of each patch of a pipe or pipe-like mesh.
+
+    Returns None for all other walls.
+    """
     patches = wall.patches
     if isinstance(patches, PipePatches):
         return np.repeat(patches.along, patches.around), np.tile(patches.angles, patches.stations)

@@ -86,7 +86,7 @@ def bonds_of(given: BondParameters) -> Bonds | None:
 
 
 def hydration_of(given: BondParameters) -> Hydration | None:
-    """Return the properties and the fraction of hydrated bonds, or None if no bonds hydrate."""
+    """Return the fraction of bonds that hydrate and the properties of hydrated bonds; None if no bonds hydrate."""
     if not (given.bonds and given.hydration):
         return None
     return Hydration(
@@ -207,7 +207,10 @@ def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) 
 
 
 def fill_of(given: Any, container: PipeContainer, sizes: Sizes) -> Fill:
-    """Return the filling of a container with aggregates; `given` has parameters of aggregate, contacts and plug."""
+    """Return the filling of a container with aggregates.
+
+    `given` has the parameters of the aggregates and of their contacts, and the pressure of the plug.
+    """
     return Fill(
         container=container,
         sizes=sizes,
@@ -216,7 +219,7 @@ def fill_of(given: Any, container: PipeContainer, sizes: Sizes) -> Fill:
         density=given.density,
         bulk_density=given.bulk_density,
         solid_fraction=given.solid_fraction,
-        # Below 2e-3 of the contact stiffness the pressure of a packing is not well defined.
+        # A pressure below 2e-3 of the contact stiffness does not define a packing well, so use at least this pressure.
         pressure=max(given.plug_pressure, 2e-3 * stiffness_of(given)) if given.solid_fraction is None else None,
     )
 

@@ -440,7 +440,10 @@ class PipeParameters(
 
     @property
     def stops(self) -> Stops | None:
-        """Stops of the piston, or None if it never stops; the last stroke ends with the run, at full speed."""
+        """Stops of the piston between strokes, or None if it never stops.
+
+        No stop follows the last stroke: the run ends while the piston moves at full speed.
+        """
         if self.strokes == 1 or self.pause == 0:
             return None
         return Stops(count=self.strokes - 1, stroke_time=self.each / self.velocity + self.ramp_time, pause=self.pause)
@@ -493,12 +496,13 @@ LENGTHS = (0.25, 0.5, 1.0)
 
 
 def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
-    """Yield the settings of a pumping scene that trade accuracy for computing time.
+    """Yield the settings that trade accuracy for computing time in a pumping scene.
 
-    Coarse-graining multiplies all sizes of the aggregate. The laws need no rescaling: a contact's stiffness is
-    modulus times area over length, so the stress depends only on the overlap relative to the size. The strengths of
-    bonds and lubrication layer are stresses, and dashpots are given by their critical ratio. Only the number of
-    aggregates across the pipe changes, and each impact carries more momentum.
+    One of the settings is coarse-graining, which multiplies all sizes of the aggregate by a factor. The contact laws
+    need no rescaling. A contact's stiffness is modulus times area over length, so the stress depends only on the
+    overlap relative to the size. The strengths of bonds and lubrication layer are stresses, and dashpots are given by
+    their critical ratio. Coarse-graining therefore changes only the number of aggregates across the pipe and the
+    momentum that each impact carries.
     """
     if given.time_step is None:
         yield scaled("time step", "safety", given.safety, (2.0, 1.5, 1.0, 0.5, 0.25), -1.0)
@@ -528,8 +532,8 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
             single = Level("single steps", {"hydration_rounds": 1}, 3.0)
             yield Knob("hydrated bonds", (Level("rounds", {"hydration_rounds": None}), single))
     if not given.is_bend:
-        # A shorter pipe gives less pressure: without the plug's share, it is proportional to the length if the wall
-        # stress is uniform along the pipe.
+        # The pressure without the plug's share is proportional to the length of the pipe if the wall stress is uniform
+        # along it. The levels use this to convert the pressures of a shorter pipe.
         pushed = given.plug_pressure if given.plug != "none" else 0.0
         yield Knob("length", tuple(
             Level(f"{f * given.length:.4g} m", {"length": f * given.length}, f, f"x {f:g}",

@@ -216,7 +216,10 @@ def _inserts(line: PipeLine, travel: float) -> Iterator[Insert]:
 
 
 def _meshed(given: PartElements) -> PipeLine:
-    """Return a line of a straight pipe, the bore of a mesh, and another straight pipe; the line begins level."""
+    """Return a pumping line that consists of a straight pipe, the bore of a mesh, and another straight pipe.
+
+    The first pipe is level.
+    """
     assert given.wall is not None
     if given.unit != "mesh":
         refuse("wall", given.wall, f"needs unit mesh, not {given.unit}", "leave out unit, or use a line with a bore")
@@ -246,9 +249,10 @@ def _meshed(given: PartElements) -> PipeLine:
 
 
 def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]:
-    """Return the axis of a single part, its bores, and the arc lengths between which it is not a straight pipe [m].
+    """Return the axis of a single part, its inner radii, and the ends of the stretch that is not a straight pipe.
 
-    The axis begins at the origin. The arc lengths are None for a straight pipe of one diameter.
+    The axis begins at the origin. The ends of the stretch are arc lengths [m], or None for a straight pipe of constant
+    diameter.
     """
     origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
     radius, straight = given.diameter / 2, given.straight
@@ -256,7 +260,8 @@ def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]
     if narrows:
         between("outlet_diameter", given.outlet_diameter, given.diameter / 10, 10 * given.diameter, "m",
                 "change the diameter in several steps")  # fmt: skip
-    # A taper lies in the middle of a straight unit. In a unit with a bend, a straight stretch separates bend and taper.
+    # A taper lies in the middle of a pipe without a bend. In a pipe with a bend, a straight stretch separates bend and
+    # taper.
     narrowing = straight + given.taper if narrows else 0.0
     if not given.unit.startswith("bend"):
         pieces: tuple[Line | Arc, ...] = (Line(straight + (narrowing or straight)),)
@@ -287,7 +292,7 @@ def plug_layers(given: PartElements, diameter: float) -> int:
 
 
 def part_knobs(given: PartElements) -> Iterator[Knob]:
-    """Yield the settings of a scene of a part or line that trade accuracy for computing time."""
+    """Yield the settings that trade accuracy for computing time in a scene of a part or line."""
     if given.time_step is None:
         yield scaled("time step", "safety", given.safety, (2.0, 1.5, 1.0, 0.5, 0.25), -1.0)
     yield precisions()

@@ -17,6 +17,7 @@ from ...core.run.checks import with_cures
 from ...core.run.run_loop import Run
 from ...geometry.prisms import Solid
 from ...standards import StandardTest
+from ...theory.pipe import Concrete
 from ..laws import OWN_LAW, BinghamMortar, Contact, ContactLaw, LawChoice, PlasticMortar, RollingResistance
 from ..laws.base import RESISTANCES
 from ..scene.clumps import templates
@@ -39,7 +40,10 @@ LAW_FRICTION = {"mortar": 0.0, "plastic": 0.0, "rolling": 0.5}
 With law rolling, low friction would let spheres slide instead of roll, so rolling resistance would have no effect.
 """
 CONTACTS = 6.9
-"""Mean number of neighbours whose shells touch a mortar sphere's shell in a packing; packings had 6.7 to 6.9."""
+"""Mean number of mortar spheres in a packing whose shells touch the shell of one sphere.
+
+In the packings that were examined the number was 6.7 to 6.9.
+"""
 
 WITH_BONDS = Needs("law", lambda law: law == "bonds", "is bonds")
 WITH_MORTAR = Needs("law", lambda law: law in ("mortar", "plastic"), "is mortar or plastic")
@@ -79,7 +83,7 @@ class GrainParameters:
 class LawParameters:
     """Contacts.
 
-    Contact law between grains with its parameters, and the grip of plate and mould.
+    Contact law between grains with its parameters, and how strongly plate and mould resist sliding.
     """
 
     law: Annotated[
@@ -182,9 +186,10 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
     """Parameters that all tests of fresh concrete in a vessel have in common."""
 
     HOLDING: ClassVar[dict[str, float]] = {}
-    """Default of `mould_grip` for each contact law whose default is not 0; used by tests with a funnel.
+    """Default of `mould_grip` by contact law, for tests with a funnel; the default of laws not listed is 0.
 
-    Without friction on the walls, mortar falls out of a funnel in two seconds whatever its viscosity.
+    `mould_grip` is the resistance of the walls to sliding, divided by that of the grains. Without friction on the
+    walls, mortar would fall out of a funnel in two seconds whatever its viscosity.
     """
 
     def __post_init__(self) -> None:
@@ -217,14 +222,21 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 
     @property
     def mould_grip_or_default(self) -> float:
-        """Grip of the mould, a factor on the grains' friction and yield stress; by default no more than the plate's."""
+        """Resistance of the mould to sliding, divided by that of the grains.
+
+        Both friction and yield stress are multiplied by this factor. The default depends on the contact law and is no
+        larger than the plate's factor.
+        """
         if self.mould_grip is not None:
             return self.mould_grip
         return min(self.HOLDING.get(self.law, 0.0), self.plate_grip)
 
     @property
     def is_gripped(self) -> bool:
-        """True if the contact law has parameters for friction or viscosity, which the grip of a wall can scale."""
+        """True if a wall can resist sliding more or less than grains do.
+
+        This requires that the contact law has parameters for friction, yield stress or viscosity, which can be scaled.
+        """
         law = self.grain_law()
         return law.gripped(0.5) != law
 
@@ -257,8 +269,18 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         )  # fmt: skip
 
     def vessel(self, test: StandardTest, opened: float) -> Vessel:
-        """Return the description of a test's vessel; from the time `opened` [s] on, nothing holds the concrete back."""
-        return Vessel(test=test, opened=opened, rest_speed=self.rest_speed, dimensions=test.sizes(self))
+        """Return the vessel of a test; from the time `opened` [s] on, nothing holds the concrete back."""
+        return Vessel(
+            test=test, opened=opened, rest_speed=self.rest_speed, dimensions=test.sizes(self), concrete=self.fluid()
+        )
+
+    def fluid(self) -> Concrete | None:
+        """Return the Bingham fluid that a law with shells of mortar represents, without slip; None for other laws."""
+        if self.contact is not None or self.law not in ("mortar", "plastic"):
+            return None
+        density = self.bulk_density or self.packed * self.density
+        return Concrete(density=density, viscosity=self.viscosity, yield_stress=self.yield_stress, slip_viscosity=1e8,
+                        slip_yield=0.0)  # fmt: skip
 
     def fill(self, inside: Solid) -> Fill:
         """Return the grains to be packed into the closed solid `inside`, with their sizes and solid fraction."""
@@ -297,11 +319,15 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
 
 
 def shear_means() -> tuple[float, float, float]:
-    """Return three means over contacts in all directions n, in simple shear of rate 1 with strain rate tensor D.
+    """Return three means over contacts in all directions n in a simple shear of rate 1 with the strain rate tensor D.
 
-    The first is the mean magnitude of the part of D n across n (sliding), the second the mean of its square, and the
-    third the mean square of the part along n (approach). The second and third are 1/10 and 1/15 exactly. The means are
-    computed over directions spread evenly on a Fibonacci lattice.
+    The vector D n has a part across n (sliding) and a part along n (approach). The results are:
+
+    - the mean magnitude of the part across n,
+    - the mean square of the part across n, which is 1/10 exactly,
+    - the mean square of the part along n, which is 1/15 exactly.
+
+    The means are computed over directions spread evenly on a Fibonacci lattice.
     """
     count = 20_000
     z = (2 * np.arange(count) + 1) / count - 1
@@ -315,13 +341,15 @@ def shear_means() -> tuple[float, float, float]:
 def mortar_law(given: VesselParameters) -> BinghamMortar:
     """Return a contact law whose stresses add up to the yield stress and viscosity of the concrete.
 
-    The derivation assumes that neighbours follow the mean flow of a simple shear. Each grain has Z/2 contacts with an
-    area of pi d^2/4 over a distance d, which together fill 3/4 Z phi of the volume. A contact dissipates its yield
-    stress times the sliding across its normal. Its viscosity over the shell thickness dissipates the square of the
-    sliding plus, by Trouton's ratio, three times the square of the closing speed. The sum equals the dissipation of
-    the concrete. Shells also pull and bend (:class:`BinghamMortar`), so that a heap can stand. Compared with closed
-    forms, slumps deviate by 7 to 25 % at 20 to 500 Pa, and spreads by less than 7 % at 100 to 200 Pa. At 1000 Pa a cone
-    stands whole, where the closed form gives a slump of 78 mm.
+    The derivation assumes that neighbours follow the mean flow of a simple shear. Each grain of diameter d has Z/2
+    contacts, each with an area of pi d^2/4 over a distance d. At the solid fraction phi all contacts together fill 3/4
+    Z phi of the volume. A contact dissipates its yield stress times the sliding across its normal. Its viscosity over
+    the shell thickness dissipates the square of the sliding plus, by Trouton's ratio, three times the square of the
+    closing speed. The sum over all contacts equals the dissipation of the concrete.
+
+    Shells also pull and bend (:class:`BinghamMortar`), so that a heap can stand. Compared with closed forms, slumps
+    deviate by 7 to 25 % at yield stresses of 20 to 500 Pa, and spreads by less than 7 % at 100 to 200 Pa. At 1000 Pa a
+    cone stands whole, where the closed form gives a slump of 78 mm.
     """
     slides, square, closes = shear_means()
     filled = 0.75 * CONTACTS * given.packed
@@ -338,12 +366,16 @@ def mortar_law(given: VesselParameters) -> BinghamMortar:
 
 
 def plastic_law(given: VesselParameters) -> PlasticMortar:
-    """Return the law of :class:`PlasticMortar` that corresponds to :func:`mortar_law`.
+    """Return the law of :class:`PlasticMortar` that has the yield stress and viscosity of the concrete.
 
-    In a simple shear of rate 1 its contacts dissipate the yield stress times |D n|, whose mean is pi/8, and the
-    viscosity over the shell thickness times |D n|^2, whose mean is 1/6. The shells' tension was fitted on a heap of
-    1000 Pa: with 2.5 it slumps by 120 mm and with 3.5 it stands whole, where the closed form of a tall cone gives
-    78 mm and another method 104 mm. Other yield stresses are predictions.
+    As in :func:`mortar_law`, the dissipation of all contacts in a simple shear of rate 1 equals that of the concrete.
+    With the contact's direction n and the strain rate tensor D, a contact dissipates its yield stress times |D n|,
+    whose mean is pi/8. It also dissipates its viscosity over the shell thickness times |D n|^2, whose mean is 1/6.
+
+    The tension of the shells was fitted to the slump of a cone with a yield stress of 1000 Pa. With a tension of 2.5
+    the cone slumps by 120 mm, and with 3.5 it stands whole. For comparison, the closed form of a tall cone gives 78 mm,
+    and the implicit material points of Newton 1.8 give 104 mm. At other yield stresses the slumps are predictions
+    without a fit.
     """
     filled = 0.75 * CONTACTS * given.packed
     return PlasticMortar(

@@ -1,4 +1,4 @@
-"""Description of a scene of discrete elements: bodies, clumps, sizes, containers, bonds, walls in strokes.
+"""Description of a scene of discrete elements: bodies, clumps, sizes, containers, bonds, slices and strokes.
 
 Modules here import `core`, `geometry`, `mix` and `dem.laws`; none of them allocates device arrays. Start with `scene`.
 """
@@ -8,7 +8,10 @@ from typing import Any
 
 
 def __getattr__(name: str) -> Any:
-    """Return a name of the module `scene`; until the next version, old imports from this path keep working."""
+    """Return the attribute `name` of the module `scene`, so that old imports from this package still work.
+
+    This function will be removed in the next version.
+    """
     if name.startswith("__") or name == "scene":
         raise AttributeError(name)
     return getattr(importlib.import_module(".scene", __name__), name)

@@ -80,7 +80,8 @@ def union_properties(
     volume = z0.sum() * area
     centroid = np.array([(gx * z0).sum(), (gy * z0).sum(), z1.sum()]) * area / volume
     second = np.empty((3, 3))
-    # Each line represents a prism of rectangular cross-section, whose own second moment adds step^2/12 in x and in y.
+    # Each line of the integration represents a prism of rectangular cross-section, whose own second moment of area adds
+    # step^2/12 in x and in y.
     second[0, 0] = ((gx**2 + steps[0] ** 2 / 12) * z0).sum()
     second[1, 1] = ((gy**2 + steps[1] ** 2 / 12) * z0).sum()
     second[2, 2] = z2.sum()
@@ -115,7 +116,8 @@ def clump(name: str, centres: np.ndarray, radii: np.ndarray) -> ClumpTemplate:
     if np.linalg.det(axes) < 0:
         axes = axes * [1, 1, -1]
     if np.ptp(moments) < 1e-4 * moments.mean():
-        # Moments that agree within the accuracy of the integration count as equal: then rotation is cheaper to compute.
+        # Set moments equal that agree within the accuracy of the integration: the rotation of a body with three equal
+        # moments is cheaper to compute.
         moments = np.full(3, moments.mean())
     offsets = (centres - centroid) @ axes / size
     return ClumpTemplate(name, offsets, radii / size, moments / (volume * size**2))

@@ -16,10 +16,11 @@ SIZES = ("sizes", "size_min", "size_max")
 COVERAGE = 0.8
 """Ratio of the area on which the lubrication layer acts to the area of the wall.
 
-The layer acts on pi r^2 of every wall contact. For clumps with the contacts of Zhan (2019, Table 1),
-`tests/bench/bench_layer.py` measures a ratio of 0.77 at a pressure of 2.8 kPa and 0.79 at 6.2 kPa. With 0.8, Zhan's
-pipe units A and B with the concretes no. 1 and no. 3 of Xu (2021) agree within 4 % with the closed form for plug flow.
-Single spheres roll along the layer: without friction between them the effective ratio is 0.02.
+The layer acts on the area pi r^2 of every wall contact of a sphere with the radius r. For clumps with the contacts of
+Zhan (2019, Table 1), `tests/bench/bench_layer.py` measures a ratio of 0.77 at a pressure of 2.8 kPa and 0.79 at 6.2
+kPa. With 0.8, Zhan's pipe units A and B with the concretes no. 1 and no. 3 of Xu (2021) agree within 4 % with the
+closed form for plug flow. Single spheres without friction between them roll along the layer, so that their effective
+ratio is only 0.02.
 """
 
 
@@ -37,7 +38,8 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
     found = completed(name)
     section = found.elements or _of_flow(found)
     if found.mix is not None:
-        section = {**found.elements, **_of_flow(found), **found.mix.elements}
+        layer_given = {"layer_yield", "layer_viscosity"} <= set(found.mix.elements)
+        section = {**found.elements, **_of_flow(found, layer_given), **found.mix.elements}
     sized = any(size in values or size in section for size in SIZES)
     if found.flow and not sized and (found.mix is not None or not found.elements):
         warn(f"concrete {found.name} has no sieve curve, so its aggregate gets the scene's default sizes; give a "
@@ -47,11 +49,12 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
     return known_only("elements", section, known, name)
 
 
-def _of_flow(found: NamedConcrete) -> dict[str, Any]:
+def _of_flow(found: NamedConcrete, layer_given: bool = False) -> dict[str, Any]:
     """Return the parameters of a concrete for which only flow properties are known: bulk density and slip layer.
 
     The slip layer alone acts on the walls, without friction. All other parameters keep the values of Zhan (2019, Table
-    1).
+    1). Raises :class:`SceneError` for a slip layer of another law than Bingham's, which elements do not have, unless
+    `layer_given` says that other values replace it.
     """
     flow = found.flow
     missing = [name for name in ("density", "slip_viscosity", "slip_yield") if name not in flow]
@@ -62,6 +65,10 @@ def _of_flow(found: NamedConcrete) -> dict[str, Any]:
             f"is missing in {found.name}, but discrete elements need it",
             "add it to the file's section 'flow', or give the section 'elements'",
         )
+    for name, plain in (("slip_flow_index", 1.0), ("slip_quadratic_viscosity", 0.0)):
+        if flow.get(name, plain) != plain and not layer_given:
+            refuse(f"concrete flow {name}", flow[name], "describes a slip layer that discrete elements do not have: "
+                   "theirs is linear", "give layer_yield and layer_viscosity in the section 'elements'")  # fmt: skip
     return {
         "bulk_density": flow["density"],
         "wall_friction": 0.0,

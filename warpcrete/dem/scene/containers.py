@@ -23,7 +23,7 @@ def low_discrepancy_points(count: int, random: np.random.Generator) -> np.ndarra
 
     The points are Roberts' R3 sequence, shifted by a random vector.
     """
-    root = 1.2207440846057596  # real root of x^4 = x + 1
+    root = 1.2207440846057596  # real root of x^4 = x + 1, the counterpart of the golden ratio in three dimensions
     steps = root ** -np.arange(1, 4)
     return (random.uniform(size=3) + np.arange(1, count + 1)[:, None] * steps) % 1.0
 
@@ -32,11 +32,11 @@ def low_discrepancy_points(count: int, random: np.random.Generator) -> np.ndarra
 class PipeContainer:
     """Container that is the first `length` of a pipe along its axis, closed by a plane at either end.
 
-    If the wall is not a round pipe of constant `radius`, for example a reducer or a pipe of few facets, the mesh `bore`
-    is the wall; `radius` is then the smallest radius and `area` the mean cross-sectional area. `bores` gives the radius
-    as a function of arc length where it varies, so that aggregates start evenly distributed over the volume. If the
-    cross-section is not round, `clear` gives the largest circles about the axis that lie inside, and aggregates start
-    within them.
+    If the pipe is not round with a constant `radius`, for example a reducer or a pipe of few facets, the mesh `bore` is
+    its wall. Then `radius` is the smallest radius and `area` the mean cross-sectional area. `bores` gives the radius as
+    a function of arc length where the radius varies, so that aggregates are placed evenly over the volume. If the
+    cross-section is not round, `clear` gives the radii of the largest circles about the axis that lie inside the bore.
+    Aggregates are placed within these circles.
     """
 
     axis: Axis
@@ -125,7 +125,7 @@ class MeshContainer:
         return (MeshWall(name="container", vertices=self.mesh.vertices, faces=self.mesh.faces, material=material),)  # type: ignore[attr-defined]
 
     def pilot(self) -> MeshContainer:
-        """Return the container itself, because no smaller container is similar to an arbitrary mesh."""
+        """Return the container itself for trial packings, because an arbitrary mesh has no smaller similar copy."""
         return self
 
     def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
@@ -165,6 +165,14 @@ class Fill:
     """Ratio of solid volume to container volume, from 0.01 to 0.8; an alternative to `pressure`."""
     pressure: float | None = None
     """Mean pressure of the finished packing, without gravity or friction [Pa]."""
+
+    @property
+    def filled_density(self) -> float:
+        """Density of the filled container [kg/m3], that of the grains alone if `bulk_density` is not given.
+
+        It is 0 if a pressure determines the packing, whose density is then not known in advance.
+        """
+        return self.bulk_density or self.density * (self.solid_fraction or 0.0)
 
     def __post_init__(self) -> None:
         positive("density", self.density, "kg/m3")

@@ -19,6 +19,7 @@ from ...core.inputs.parameters import Above, Declared, Within
 from ...geometry.axis import Axis
 from ...geometry.walls import Driven, MeshWall, Motion, PipeWall, PlaneWall, Prescribed, Stops, Wall
 from ...standards import StandardTest
+from ...theory.pipe import Concrete
 from ..laws import Contact, ContactLaw
 from .clumps import ClumpTemplate
 from .containers import Fill
@@ -32,7 +33,7 @@ __all__ = [
 
 
 MUCH_STIFFER = 200.0
-"""Ratio of the hydrated bonds' modulus to the largest other modulus from which sub-cycling saves computing time.
+"""Ratio of moduli above which sub-cycling saves computing time: that of hydrated bonds to the largest other modulus.
 
 At a ratio of 100, a run with sub-cycling takes as long as one in which all bonds take the same small steps.
 """
@@ -84,7 +85,7 @@ class AxisDrive:
     group: str
     axis: Axis
     force: float
-    """Sum of the force over the group [N]; negative values push against the axis' direction."""
+    """Total force on all bodies of the group [N]; a negative force acts against the direction of the axis."""
 
     def __post_init__(self) -> None:
         between("drive force", self.force, -np.inf, np.inf, "N")
@@ -258,7 +259,7 @@ class PressureProbe:
     wall: str
     """Name of a :class:`PlaneWall` of the scene."""
     area: float
-    """Area by which the force is divided [m2]."""
+    """Area by which the force is divided to obtain the pressure [m2]."""
 
     def __post_init__(self) -> None:
         positive("pressure area", self.area, "m2")
@@ -289,7 +290,10 @@ class PipeUnit:
         return self.travel / (1 + self.stops.count if self.stops is not None else 1)
 
     def begun(self, travel: float) -> float:
-        """Return the travel [m] at which the stroke at `travel` [m] began; during a stop, that of the next stroke."""
+        """Return the travel [m] at which the stroke that contains the travel `travel` [m] began.
+
+        During a stop the next stroke counts as begun.
+        """
         if self.stops is None:
             return 0.0
         return min(math.floor(travel / self.stroke + 1e-6), self.stops.count) * self.stroke
@@ -306,6 +310,8 @@ class Vessel:
     """Speed limit for rest [m/s]: all bodies of the main heap must stay below it for a second."""
     dimensions: Mapping[str, float]
     """Dimensions of the vessel by name [m], as the test lists them."""
+    concrete: Concrete | None = None
+    """Bingham fluid that the contact law represents, for closed forms; None for other laws."""
 
     def __post_init__(self) -> None:
         between("opened", self.opened, 0, np.inf, "s")
@@ -319,10 +325,12 @@ class Rest(Declared):
 
     The static yield stress grows linearly, tau_0(t) = tau_0 + A_thix t (Roussel 2006). The same stress is added to the
     tensile strength and cohesion of the scene's bonds, and to the yield stress of a lubrication layer on the walls.
-    Bonds that exist keep their loads. Contacts without a bond are bonded without load. Hydrated bonds and bonds of
-    groups do not change. A bond that breaks later stays broken, or, if bonds heal, comes back as strong as before the
-    rest. Slip wears off the layer's gain as exp(-slip / breakdown). The travel of `wall` since the rest serves as the
-    slip everywhere, as in plug flow. Nothing moves during the rest.
+    Existing bonds keep the forces that they carry, and contacts without a bond receive a bond without force. Hydrated
+    bonds and the bonds inside a group, for example the plug, do not change. A bond that breaks later stays broken. If
+    the scene lets bonds heal, it returns with the strength from before the rest.
+
+    Slip on the wall wears off what the layer gained: the gain is multiplied by exp(-slip / breakdown). As in plug flow,
+    the travel of `wall` since the rest serves as the slip of the whole layer. Nothing moves during the rest.
     """
 
     called = "rest"
@@ -346,7 +354,10 @@ class Rest(Declared):
 
     @property
     def layer_gained(self) -> float:
-        """Growth of the layer's yield stress [Pa]: `gained` divided by the share of the wall that contacts cover."""
+        """Increase of the yield stress of a wall's lubrication layer during the rest [Pa].
+
+        The increase is `gained` divided by the fraction of the wall's area on which contacts act.
+        """
         return self.gained / self.coverage
 
 
@@ -376,7 +387,7 @@ class Scene(Parametrised):
     walls: tuple[Wall, ...] = ()
     drives: tuple[AxisDrive, ...] = ()
     contacts: Mapping[tuple[str, str], ContactLaw] = field(default_factory=dict)
-    """Contact laws that replace `contact` for pairs of materials, in either order."""
+    """Contact laws for single pairs of materials, which replace `contact`; the order within a pair does not matter."""
     contact: ContactLaw = field(default_factory=Contact)
     """Contact law between bodies, and against walls unless `contacts` overrides it. A scene has one law between bodies
     and one against walls; the parameters of each may differ between pairs of materials."""

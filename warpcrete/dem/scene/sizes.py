@@ -61,7 +61,7 @@ class SieveCurve:
     openings: tuple[float, ...]
     """Sieve openings, in rising order [m]."""
     passing: tuple[float, ...]
-    """Mass fractions that pass the openings, rising from 0 at the first opening to 1 at the last."""
+    """Mass fractions that pass the sieve openings, rising from 0 at the first opening to 1 at the last."""
 
     def __post_init__(self) -> None:
         try:
@@ -97,7 +97,7 @@ class SieveCurve:
         """
         openings, part = np.array(self.openings), np.diff(self.passing)
         inverse_cubes = openings**-3
-        # Number of particles between neighbouring sieve openings, per unit of total mass, up to a constant factor.
+        # Relative numbers of particles between neighbouring sieve openings.
         number = part * (inverse_cubes[:-1] - inverse_cubes[1:]) / np.log(openings[1:] / openings[:-1])
         fraction = random.choice(len(part), size=count, p=number / number.sum())
         u = random.uniform(size=count)

@@ -38,7 +38,7 @@ class Stations:
     middle: tuple[float, float] | None = None
     """Arc lengths between which the pipe is not straight (bend or taper) [m]; None if it is straight everywhere."""
     each_row: bool = True
-    """True to measure in every row of the series, False to measure only when a recording draws the slices."""
+    """True to measure the slices in every row of the series, False to measure them only when a recording draws them."""
 
     def __post_init__(self) -> None:
         if len(self.edges) < 2 or np.any(np.diff(self.edges) <= 0):
@@ -61,7 +61,10 @@ class Stations:
         return np.array([self.bores.surface(a, b) for a, b in pairwise(self.edges)])
 
     def clear(self, low: float, high: float) -> np.ndarray:
-        """Return a mask of the slices between two arc lengths [m], a radius or more from both, shape (slices,)."""
+        """Return a mask of the slices between two arc lengths [m], shape (slices,).
+
+        Slices whose middle is within CLEAR radii of either arc length are left out.
+        """
         off = CLEAR * self.bores.at([low, high])
         return (self.places > low + off[0]) & (self.places < high - off[1])
 

@@ -13,7 +13,7 @@ from ...geometry.walls import Stops
 from .scene import PipeUnit
 
 HELD = 0.5
-"""Final fraction of a pause of the piston over which the pressure held in that pause is averaged."""
+"""Last fraction of each pause of the piston, over which the pressure held during the pause is averaged."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,10 @@ class Stroke:
 
 
 def strokes_of(pipe: PipeUnit | None, time: np.ndarray) -> list[Stroke]:
-    """Return the strokes that have begun at the samples `time` (samples,) [s]; none if the piston never stops."""
+    """Return the selections of samples for the strokes that began within the run; none if the piston never stops.
+
+    `time` has the times of the samples [s], shape (samples,).
+    """
     if pipe is None or pipe.stops is None:
         return []
     stops, found = pipe.stops, []

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...core.run.forecast import Forecast, Probe
-from ..forecast import Course, coarser_run, flow_forecast
+from ..forecast import Course, coarser_run, flow_forecast, law_features
 from .quantities import expected
 from .scene import FreeScene
 from .simulation import FreeSimulation
@@ -39,6 +39,7 @@ def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None,
             "sides of the room": "slip layer" if scene.plate_slips else "concrete sticks",
             "walls": "slip layer" if scene.walls_slip else "concrete sticks",
             "yield stress": f"{scene.concrete.yield_stress:g} Pa, regularised",
+            **law_features(scene.concrete),
         },
         probe,
         **({"governing": step} if scene.step_error else {}),

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ...core.errors import refuse
+from ...kernels.mps.flow_laws import BINGHAM
 from ...kernels.mps.grid.cells import GridKind
 from ..grid.geometry import (
     GATE,
@@ -86,8 +87,10 @@ def free_layout(scene: FreeScene) -> GridLayout:
             "move the outline, or the walls",
         )
     size = float(np.ptp(scene.extent, axis=0).min())
+    slips = scene.plate_slips or scene.walls_slip
+    slip_law = scene.concrete.layer_law.name if slips else BINGHAM
     return GridLayout(
-        kind=GridKind(axes, axial=scene.axial, cut=True),
+        kind=GridKind(axes, axial=scene.axial, cut=True, law=scene.concrete.bulk_law.name, slip_law=slip_law),
         room=room,
         solid=geometry.solid,
         fluid=places,
@@ -95,6 +98,8 @@ def free_layout(scene: FreeScene) -> GridLayout:
         particle_spacing=width[0] / per_axis,
         slip=layer if scene.plate_slips else none,
         rough=layer if scene.walls_slip else none,
+        slips=scene.plate_slips,
+        rough_slips=scene.walls_slip,
         speed=0.1 * float(np.sqrt(scene.gravity * size)),
         length=size,
         geometry=geometry,

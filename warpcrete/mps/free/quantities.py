@@ -28,8 +28,9 @@ def outcome(scene: FreeScene, series: Mapping[str, np.ndarray], volume: float) -
     """
     # Each plane of symmetry doubles the volume, because only one half is simulated.
     around = 2 * math.pi if scene.axial else 2 ** list(scene.sides.values()).count(MIRROR)
-    concrete = dict(concrete=scene.concrete, gravity=scene.gravity, whole=around * volume)
-    return Outcome(scene.test, scene.dimensions, series, **concrete) if scene.test else None
+    concrete = dict(concrete=scene.concrete, density=scene.concrete.density)
+    weight = dict(gravity=scene.gravity, whole=around * volume)
+    return Outcome(scene.test, scene.dimensions, series, **concrete, **weight) if scene.test else None
 
 
 @dataclass(frozen=True)

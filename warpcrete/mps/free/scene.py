@@ -45,7 +45,7 @@ class FreeSettings(Declared):
     gravity: Annotated[float, "Gravitational acceleration [m/s2]", Above()] = 9.81
     regularisation: Annotated[
         float,
-        "Parameter beta of the regularised Bingham law [s]; concrete below the yield stress creeps at a rate of 1/beta",
+        "Parameter beta of the regularised flow law [s]; concrete below the yield stress creeps at a rate of 1/beta",
         Above(),
     ] = 1e5
     tolerance: Annotated[

@@ -54,6 +54,10 @@ class GridLayout:
     """True if concrete fills the room at all times, so that even a room that is not periodic has no free surface."""
     rough: tuple[float, float] = (NO_SLIP_VISCOSITY, 0.0)
     """Viscosity [Pa s/m] and yield stress [Pa] of the layer on walls of number ROUGH; by default concrete sticks."""
+    slips: bool = True
+    """True if `slip` is the concrete's own slip layer, so that it obeys that layer's law; otherwise it is linear."""
+    rough_slips: bool = False
+    """True if `rough` is the concrete's own slip layer."""
     weightless: bool = False
     """True if weight is left out; without a free surface it would only add hydrostatic pressure."""
     motions: tuple[Motion, ...] = ()
@@ -160,7 +164,13 @@ def pipe_layout(scene: FluidScene) -> GridLayout:
     fluid = np.stack([left + i.ravel() * dx, k.ravel() * dz], 1)
     concrete = scene.concrete
     return GridLayout(
-        kind=GridKind(axial=axial, periodic=True, thixotropic=scene.gained > 0),
+        kind=GridKind(
+            axial=axial,
+            periodic=True,
+            thixotropic=scene.gained > 0,
+            law=concrete.bulk_law.name,
+            slip_law=concrete.layer_law.name,
+        ),
         gained=scene.gained,
         room=Room((nx, nz), (dx, dz), (left, 0.0), ((MIRROR if axial else WALL, WALL), (OPEN_SIDE, OPEN_SIDE))),
         solid=solid,

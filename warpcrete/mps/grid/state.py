@@ -101,6 +101,11 @@ class GridState:
             (layout.opened.solid if layout.opened else np.zeros(0)).ravel(), dtype=wp.int32, device=device
         )
         viscosity, yield_stress = layout.slip
+        index, quadratic = (
+            [plain, own if layout.slips else plain, plain, plain, own if layout.rough_slips else plain]
+            + [plain] * len(layout.motions)
+            for plain, own in ((1.0, scene.concrete.slip_flow_index), (0.0, scene.concrete.slip_quadratic_viscosity))
+        )
         none, moving = np.zeros(layout.axes), layout.motions
         self.walls = allocate(
             self.structs.Walls,
@@ -113,6 +118,8 @@ class GridState:
                 + [-1.0 if m.smooth else NO_SLIP_VISCOSITY for m in moving]
             ),
             slip_yield=np.array([0.0, yield_stress, 0.0, 0.0, layout.rough[1]] + [0.0] * len(moving)),
+            slip_index=np.array(index),
+            slip_quadratic=np.array(quadratic),
         )
 
     def _rows(self, name: str) -> int:
@@ -197,6 +204,8 @@ def grid_numbers(state: GridState) -> Any:
         gravity=down,
         density=concrete.density,
         viscosity=concrete.viscosity,
+        flow_index=concrete.flow_index,
+        quadratic_viscosity=concrete.quadratic_viscosity,
         yield_stress=concrete.yield_stress,
         regularisation=scene.regularisation,
         volume=layout.volume,

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from ...core.run.forecast import Forecast, Probe
-from ..forecast import Course, coarser_run, flow_forecast
+from ..forecast import Course, coarser_run, flow_forecast, law_features
 from .scene import MIN_ACROSS, PartScene
 from .simulation import PartSimulation
 
@@ -24,6 +24,7 @@ def forecast(scene: PartScene, device: Any, precision: str, threads: int | None,
             "walls": "mesh" if scene.wall is not None else "exact",
             "slip layer": f"{scene.concrete.slip_viscosity:g} Pa s/m, {scene.concrete.slip_yield:g} Pa",
             "yield stress": f"{scene.concrete.yield_stress:g} Pa, regularised",
+            **law_features(scene.concrete),
         },
         probe,
     )

@@ -135,7 +135,7 @@ def part_layout(scene: PartScene) -> GridLayout:
     depth = inlet(places)
     h = room.width[0]
     return GridLayout(
-        kind=GridKind(3, cut=True),
+        kind=GridKind(3, cut=True, law=scene.concrete.bulk_law.name, slip_law=scene.concrete.layer_law.name),
         room=room,
         solid=geometry.solid,
         fluid=places,

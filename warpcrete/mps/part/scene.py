@@ -45,7 +45,7 @@ class PartSettings(Declared):
     time_step: Annotated[float, "Longest time step; every time step if step_error is 0 [s]", Above()] = 5e-3
     step_error: Annotated[float, STEP_ERROR, Within(0, 0.5)] = 0.0
     gravity: Annotated[float, "Gravitational acceleration [m/s2]", Within(0, 1e4)] = 9.81
-    regularisation: Annotated[float, "Parameter beta of the regularised Bingham law [s]", Above()] = 100.0
+    regularisation: Annotated[float, "Parameter beta of the regularised flow law [s]", Above()] = 100.0
     tolerance: Annotated[
         float, "Tolerance of the pressure solve: residual over the residual at its start", Within(1e-12, 0.5)
     ] = 1e-3

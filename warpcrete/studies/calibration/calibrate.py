@@ -196,8 +196,9 @@ def run_round(
 ) -> bool:  # fmt: skip
     """Run all scenes for one round of trials and store their results; return False if the user interrupted the round.
 
-    `part` holds two fractions of all work: the fraction done before this round, and the fraction that this round takes.
-    Raises :class:`WarpcreteError` if runs were lost because a process died or the disk was full.
+    `part` locates the round in the progress of the whole calibration: the fraction of the work that was done before
+    this round, and the fraction that this round adds. Raises :class:`WarpcreteError` if runs were lost because a
+    process died or the disk was full.
     """
     for group in range(len(calibration.task.groups)):
         study = _run_group(
@@ -250,7 +251,7 @@ def _run_group(
 
 
 def _store_results(study: Study, trials: Sequence[Trial], targets: Sequence[Target]) -> None:
-    """Store the values, failures and failed checks of one scene's runs in `trials`."""
+    """Store the results of one scene's runs in their `trials`: target values, failures and failed checks."""
     for trial, case in zip(trials, study.cases, strict=True):
         result = study.results.get(case.name)
         if result is None:
@@ -300,7 +301,11 @@ def _update_posterior(calibration: Calibration, seed: int) -> None:
 def _next_round(
     calibration: Calibration, left: int, settings: Mapping[str, Any], modules: Mapping[str, Any]
 ) -> dict[str, Any] | None:
-    """Return the next round's parameter sets, as points of the unit cube, and seeds; return None when all is done."""
+    """Return the parameter sets of the next round, as points of the unit cube, with one seed for each set.
+
+    The entry `proof` of the result is true if the round verifies the likeliest parameters. The result is None if no
+    round is left.
+    """
     begun = settings["seed"] + len(calibration.trials)
     if calibration.posterior is not None and (calibration.settled or left <= 0):
         if settings["repeat"] == 0:
@@ -336,8 +341,8 @@ def _first_points(
 def _next_points(calibration: Calibration, count: int, seed: int) -> list[list[float]]:
     """Return the points of the next round: a quarter from Optuna, the others from the posterior.
 
-    The first point from the posterior is its maximum. Every further point is the posterior sample that is farthest from
-    all points so far, with distances scaled by the posterior's standard deviations.
+    The first of the others is the maximum of the posterior. Every further point is the posterior sample that is
+    farthest from all points so far, with distances scaled by the posterior's standard deviations.
     """
     assert calibration.posterior is not None
     random = np.random.default_rng(seed)

@@ -24,13 +24,14 @@ class Trial:
 
     number: int
     units: list[float]
-    """Positions in the parameter ranges, one number from 0 to 1 for each free parameter."""
+    """Point of the unit cube that stands for the parameter set: for each free parameter its position in the parameter's
+    range, from 0 to 1."""
     seed: int
     proof: bool = False
     """True if this run only verifies the likeliest parameters, so that its results do not enter the fit."""
     values: Outcome = field(default_factory=dict)
     failure: str = ""
-    """Reason why a fitted target has no value; empty if all fitted targets have a value."""
+    """Reason why a target that enters the fit has no value in this trial; empty if all such targets have a value."""
     suspect: list[str] = field(default_factory=list)
     """Names of the failed plausibility checks of the trial's runs."""
 
@@ -70,9 +71,9 @@ class Calibration:
         return [trial for trial in self.trials if not trial.proof]
 
     def verification_values(self, target: Target) -> list[float]:
-        """Return the values of a target in the verification runs of the current answer.
+        """Return the values of a target in those verification runs that used the current likeliest parameters.
 
-        Verification runs of earlier answers are left out.
+        Verification runs of earlier likeliest parameters are left out.
         """
         last = [trial for trial in self.trials if trial.proof and trial.units == self.trials[-1].units]
         return [trial.values[target] for trial in last if target in trial.values]

@@ -54,7 +54,10 @@ class Emulator:
         """Standard deviation of single runs about the mean over seeds."""
 
     def __call__(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the mean over seeds at points of the unit cube and its standard deviation, shapes (n,)."""
+        """Return the predicted mean over seeds at points of the unit cube, and the prediction's standard deviation.
+
+        Both results have the shape (n,).
+        """
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             mean, deviation = map(np.asarray, self.process.predict(points - 0.5, return_std=True))
@@ -68,7 +71,8 @@ class Posterior:
 
     task: Task
     emulators: dict[Target, Emulator]
-    """Emulators of all fitted targets and of held-out targets with enough values."""
+    """Emulators by target. Every fitted target has one, and every held-out target for which enough runs yielded a
+    value."""
     samples: np.ndarray
     """Samples of the posterior as points of the unit cube, shape (n, free)."""
     best: np.ndarray
@@ -169,7 +173,10 @@ def _log_success(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.nd
 
 
 def confounded_pairs(found: Posterior, close: float = 0.9) -> list[tuple[str, str, float]]:
-    """Return pairs of parameters so correlated (at least `close`) that the data determine only their combination."""
+    """Return the pairs of parameters whose correlation has a magnitude of at least `close`.
+
+    The data determine only a combination of the two parameters of such a pair.
+    """
     names = [free.name for free in found.task.free]
     matrix = found.correlations()
     return [
@@ -183,7 +190,8 @@ def confounded_pairs(found: Posterior, close: float = 0.9) -> list[tuple[str, st
 def insensitive_targets(found: Posterior, targets: Sequence[Target]) -> dict[Target, tuple[float, float]]:
     """Return the predicted range of each target that the free parameters hardly change.
 
-    The range is narrower than a fifth of the target's uncertainty, or than the scatter between seeds.
+    A target is included if its range is narrower than a fifth of the target's uncertainty, or than the scatter between
+    seeds.
     """
     spans: dict[Any, tuple[float, float]] = {target: found.span(target) for target in targets}
     return {

@@ -39,7 +39,10 @@ def _misfit(task: Task, known: list[Target], point: Any, modules: Mapping[str, A
 
 
 def _closed_form(task: Task, target: Target, point: Any, modules: Mapping[str, Any]) -> float | None:
-    """Return the closed-form prediction of a target's quantity; None if there is none or nothing would flow."""
+    """Return the closed-form prediction of a target's quantity.
+
+    The result is None if there is no closed form, or if nothing would flow.
+    """
     module = modules[target.scene]
     try:
         scene = module.scene(**task.parameters(target, task.values(point), module))

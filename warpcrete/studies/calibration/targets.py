@@ -45,7 +45,7 @@ class FreeParameter:
     """True if the parameter is a whole number."""
 
     def value(self, unit: float) -> float:
-        """Return the parameter's value at the position `unit` of its range, from 0 to 1."""
+        """Return the parameter's value at `unit`, a position in the parameter's range from 0 to 1."""
         if self.log:
             found = math.exp(math.log(self.low) + unit * (math.log(self.high) - math.log(self.low)))
         else:
@@ -76,7 +76,10 @@ class Target:
 
     @property
     def key(self) -> str:
-        """Scene and parameters as text, which is equal for all targets whose quantities come from the same run."""
+        """Text that identifies the scene and its parameters.
+
+        The text is equal for all targets whose quantities come from the same run.
+        """
         return json.dumps([self.scene, dict(self.parameters)], sort_keys=True, default=str)
 
     @property

@@ -52,7 +52,12 @@ def straight_friction(part: Part, concrete: Concrete, flow: float) -> float:
 
 def with_layer_factor(concrete: Concrete, factor: float) -> Concrete:
     """Return a copy of the concrete whose slip layer has `factor` times the resistance."""
-    return replace(concrete, slip_viscosity=factor * concrete.slip_viscosity, slip_yield=factor * concrete.slip_yield)
+    return replace(
+        concrete,
+        slip_viscosity=factor * concrete.slip_viscosity,
+        slip_yield=factor * concrete.slip_yield,
+        slip_quadratic_viscosity=factor * concrete.slip_quadratic_viscosity,
+    )
 
 
 def restart(line: PipeLine, concrete: Concrete, rest: float, thixotropy: float, flow: float = 0.0) -> float:

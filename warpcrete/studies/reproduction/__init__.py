@@ -1,4 +1,4 @@
-"""Reproduction of the results of the two source papers, with a verdict on every claim.
+"""Reproduction of the results of the two source papers, with a verdict on each of their claims.
 
 Modules here import `core`, `scenes` and the modules of `studies` itself. Start with `papers`, which lists cases and
 claims.

@@ -16,8 +16,8 @@ MIN_GROWTH = 0.03
 """Relative growth of a pressure above which it counts as growing."""
 
 Judge = Callable[[Sequence[float], Sequence[float]], tuple[bool, str]]
-"""Function of a parameter's values and the pressures [Pa]. It returns whether the paper's claim holds, and a finding.
-"""
+"""Function that judges a claim of the paper from the values of a parameter and the pressures at these values [Pa]. It
+returns whether the claim holds, and a short text on what was found."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,9 @@ class Row:
     judge: Judge
     """Function that judges whether our pressures support the claim."""
     base: Mapping[str, Any] = field(default_factory=dict)
-    """Further parameters that all runs of this variation share."""
+    """Further parameters that have the same values in all runs of this variation."""
     numbers: tuple[float, ...] = ()
-    """Numeric equivalents of `values` if these are words; otherwise empty."""
+    """Numbers that stand for the `values` of the parameter where the values are words; otherwise empty."""
     printed: Mapping[Any, float] = field(default_factory=dict)
     """Peak pressures that the text of the paper states, by parameter value [Pa]."""
 
@@ -47,18 +47,18 @@ class Row:
 
     @property
     def places(self) -> tuple[float, ...]:
-        """Values of the parameter as numbers."""
+        """Values of the varied parameter as numbers, even where `values` holds words."""
         return self.numbers or self.values
 
 
 def judge_equal(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Judge whether all pressures are nearly equal."""
+    """Return whether all pressures are nearly equal, and a short text that describes them."""
     spread = (max(pressures) - min(pressures)) / float(np.mean(pressures))
     return spread < EQUAL_SPREAD, f"they differ by {100 * spread:.1f} %"
 
 
 def judge_linear(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Judge whether the pressure grows along a straight line."""
+    """Return whether the pressure grows along a straight line, and a short text that describes the growth."""
     slope, shift = np.polyfit(values, pressures, 1)
     rest = np.asarray(pressures) - (slope * np.asarray(values) + shift)
     fit = 1 - float(rest @ rest) / max(float(np.var(pressures)) * len(pressures), 1e-300)
@@ -68,14 +68,17 @@ def judge_linear(values: Sequence[float], pressures: Sequence[float]) -> tuple[b
 
 
 def judge_growing(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Judge whether the pressure grows from each value to the next."""
+    """Return whether the pressure grows from each parameter value to the next, and a short text on the growth."""
     steps = np.diff(pressures) / pressures[0]
     growth = (pressures[-1] - pressures[0]) / pressures[0]
     return bool(np.all(steps > -EQUAL_SPREAD / 5) and growth > MIN_GROWTH), f"{100 * growth:+.0f} % from end to end"
 
 
 def judge_narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Judge whether pressures are equal from the third diameter on, but far higher in the narrowest pipe."""
+    """Return whether pressures are equal from the third diameter on but far higher in the narrowest pipe.
+
+    The second result is a short text that describes the pressures.
+    """
     level, what = judge_equal(values[2:], pressures[2:])
     growth = pressures[0] / pressures[2] - 1
     holds = level and growth > 0.5
@@ -83,14 +86,18 @@ def judge_narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[b
 
 
 def judge_late_growth(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Judge whether the first two pressures are equal and the further ones grow."""
+    """Return whether the first two pressures are nearly equal and the pressures grow from the second one on.
+
+    The second result is a short text that describes the pressures.
+    """
     level, what = judge_equal(values[:2], pressures[:2])
     grown, how = judge_growing(values[1:], pressures[1:])
     return level and grown, f"the first two values: {what}; then {how}"
 
 
 NEEDS_ALL_VALUES = (judge_narrow, judge_late_growth)
-"""Judging functions that need the pressure at every value, so that no run may be missing."""
+"""Functions that can judge a claim only from the pressures at all values of the parameter. A single missing run leaves
+the claim undecided."""
 
 ZHAN = (
     Row("diameter", "diameter", (0.100, 0.125, 0.150, 0.175, 0.200),
@@ -107,7 +114,8 @@ ZHAN = (
     Row("hydrated modulus", "hydration_modulus", (2e4, 1e6, 1e7, 1e8, 1e9), "grows with the stiffness (at 20 %)",
         judge_growing, base={"hydration": 0.2}),
 )  # fmt: skip
-"""Parameter variations in section 5 of Zhan et al. 2019, on pipe unit D (bend to vertical); peak pressures count."""
+"""Parameter variations in section 5 of Zhan et al. 2019. They are run on pipe unit D (bend to vertical) and compared by
+their peak pressures."""
 SMALLEST = {10e-3: 5e-3, 20e-3: 5e-3, 40e-3: 10e-3, 60e-3: 10e-3}
 """Smallest aggregate size [m] in each grading of Zhan et al., by the grading's largest size [m]."""
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical")
@@ -118,7 +126,8 @@ PRINTED = {"vertical": (38.93e3, 35e3), "horizontal": (15.69e3, 12e3), "bend-to-
 PRINTED_TRAVEL = {"vertical": 0.08, "horizontal": 0.10}
 """Travel of the piston at the peak pressure in the paper [m]."""
 PIPELINES = {"Burj Khalifa": (576.0, 83.0, 21.15e6, 17.1e6), "Shanghai Tower": (582.0, 150.0, 22.17e6, 23.4e6)}
-"""Vertical and horizontal length [m], predicted pressure and pressure recorded on site [Pa], by pipeline."""
+"""For each pipeline: vertical and horizontal length [m], pressure predicted in the paper and pressure recorded on site
+[Pa]."""
 
 UNITS_ROW = "units"
 """Name of the group of runs with the four pipe units."""
@@ -162,24 +171,27 @@ def zhan_case(row: Row, value: Any, quick: bool) -> dict[str, Any]:
 
 
 def column_parameters(name: str) -> dict[str, Any]:
-    """Return the parameters of a report column: one of the concretes, or the calibrated one with an open assumption."""
+    """Return the parameters of a report column.
+
+    A column stands for one of the concretes, or for the calibrated concrete with one of the open assumptions.
+    """
     return CONCRETES[name] if name in CONCRETES else {**CONCRETES["calibrated"], **OPEN_ASSUMPTIONS[name][0]}
 
 
 def rows_of(name: str) -> tuple[str, ...]:
-    """Return the names of the parameter variations that are run for a column of the report."""
+    """Return the names of the groups of runs in a column of the report: pipe units and parameter variations."""
     return OPEN_ASSUMPTIONS[name][1] if name in OPEN_ASSUMPTIONS else (UNITS_ROW, *(row.name for row in ZHAN))
 
 
 XU_CONCRETES = ("no1", "no2", "no3")
 XU_FLOWS = (500e-6, 1000e-6, 1500e-6, 2000e-6)
-"""Flow rates in Xu's study [m3/s]."""
+"""Flow rates in the study of Xu, Li & Jiang 2021 [m3/s]."""
 XU_REFERENCE = 1500e-6
 """Flow rate at which the other parameters are varied [m3/s]."""
 XU_SPACINGS = (20e-3, 10e-3, 5e-3)
-"""Particle spacings in Xu's resolution study [m]."""
+"""Particle spacings in the resolution study of Xu, Li & Jiang 2021 [m]."""
 XU_THICKNESSES = (0.0, 2e-3, 4e-3, 6e-3)
-"""Thicknesses of the slip layer in Xu's study [m]."""
+"""Thicknesses of the slip layer in the study of Xu, Li & Jiang 2021 [m]."""
 XU_PRINTED = {"pressure": 9.40e3, "slip_velocity": 0.186}
 """Pressure [Pa] and slip velocity [m/s] that Xu prints for concrete no. 1 at the reference flow. The paper's own closed
 form gives 9.43e3 Pa and 0.186 m/s.
@@ -187,7 +199,7 @@ form gives 9.43e3 Pa and 0.186 m/s.
 
 
 def xu_cases(quick: bool) -> dict[str, list[tuple[str, dict[str, Any]]]]:
-    """Return the scenes and parameters of Xu's cases by topic.
+    """Return, for each group of Xu's cases, the scenes and parameters of the cases.
 
     The paper computes flow between planes (scene `channel`); the round pipe (scene `tube`) is our addition.
     """

@@ -39,7 +39,7 @@ WHAT = {
 """Descriptions of the concretes in the report."""
 
 VARIED = {"flow": "flow", "resolution": "spacing", "slip layer": "slip_thickness"}
-"""Name of the parameter that each group of Xu's cases varies."""
+"""Name of the parameter that varies within each group of the cases of Xu, Li & Jiang 2021."""
 
 
 def write(found: Reproduction) -> None:
@@ -119,7 +119,7 @@ def _units(found: Reproduction) -> Iterator[str]:
 
 
 def _open(found: Reproduction) -> Iterator[str]:
-    """Yield the section of the report on assumptions that the paper leaves open."""
+    """Yield the report's section on the assumptions that the paper does not state."""
     names = columns_with_results(found, OPEN_ASSUMPTIONS)
     if not names:
         return
@@ -155,7 +155,10 @@ def _pair(peaks: list[float], ends: list[float]) -> str:
 
 
 def _with_scatter(values: list[float]) -> str:
-    """Return the mean over the seeds [kPa] as text, with the standard deviation if there are several."""
+    """Return the mean of the pressures of all seeds [kPa] as text, with the standard deviation for two or more seeds.
+
+    Without values the text is a dash.
+    """
     if not values:
         return "-"
     scatter = f" +- {np.std(values, ddof=1) / 1e3:.2f}" if len(values) > 1 else ""
@@ -163,7 +166,10 @@ def _with_scatter(values: list[float]) -> str:
 
 
 def _pipelines(found: Reproduction) -> Iterator[str]:
-    """Yield the table of whole pipelines by the paper's Eq. 13, from final pressures of straight units (A and B)."""
+    """Yield a table with the pressures of whole pipelines, line by line.
+
+    The pressures follow from Eq. 13 of the paper and the final pressures of the straight pipe units (A and B).
+    """
     yield "Eq. 13, pressure of a whole pipeline from one metre of vertical and one metre of horizontal pipe [MPa]:"
     yield ""
     yield "| pipeline | recorded | paper | " + " | ".join(columns_with_results(found)) + " |"
@@ -201,7 +207,10 @@ def _row(found: Reproduction, row: Row) -> Iterator[str]:
 
 
 def _verdict(errors: list[float], count: int) -> str:
-    """Return a verdict on the relative errors of the pressures in `count` planned runs."""
+    """Return a verdict in words on the pressures of `count` planned runs, whose relative `errors` are given.
+
+    The pressures hold if every error is below 3 %.
+    """
     if len(errors) < count:
         return f"Not judged: {count - len(errors)} of {count} runs are missing."
     worst = float(np.max(errors))

@@ -20,7 +20,7 @@ from .state import Reproduction, key_of, unit_case
 PAPERS = ("zhan", "xu")
 RECORD = "reproduction.json"
 KNOWN_RESULTS = "known.json"
-"""Name of the file with results from earlier reproductions."""
+"""Name of the file to which results from earlier reproductions are copied."""
 QUICK = ("literal", "calibrated")
 """Concretes in a quick reproduction."""
 HYDRATED = ("calibrated", "literal")
@@ -104,7 +104,10 @@ def _part(tell: Progress, place: int, count: int) -> Progress:
 
 
 def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the report columns and rows of Zhan et al. named in `only`; an empty list stands for all of them."""
+    """Return the columns and rows of the report on Zhan et al. that `only` names; an empty list stands for all of them.
+
+    Columns are concretes and open assumptions. Rows are the pipe units and the varied parameters.
+    """
     columns, rows = [*CONCRETES, *OPEN_ASSUMPTIONS], [UNITS_ROW, *(row.name for row in ZHAN)]
     if only and paper != "zhan":
         refuse("only", list(only), "can be used with paper zhan only", "leave it out")
@@ -130,11 +133,14 @@ def _results(folder: Path, paper: str, quick: bool) -> dict[str, Any]:
 
 
 def zhan_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
-    """Return the group, scene and parameters of each study for Zhan et al. 2019, the most expensive last."""
+    """Return the studies of those cases of Zhan et al. 2019 that have no result yet, the most expensive studies last.
+
+    A study is a group, a scene and the parameters of its cases.
+    """
     names = reproduction.columns or (QUICK if reproduction.quick else (*CONCRETES, *OPEN_ASSUMPTIONS))
     studies = [(name, _cases(reproduction, name, hydrated=False)) for name in names]
     hydrated = [name for name in HYDRATED if name in names and not reproduction.quick]
-    # If the user named columns and rows, only the rows decide whether cases with hydrated bonds are run.
+    # If the user named both columns and rows, the rows alone decide whether cases with hydrated bonds are run.
     if reproduction.columns and reproduction.rows:
         hydrated = [name for name in names if name in CONCRETES]
     studies += [(f"{name}, hydrated", _cases(reproduction, name, hydrated=True)) for name in hydrated]
@@ -159,7 +165,10 @@ def _cases(reproduction: Reproduction, name: str, hydrated: bool) -> list[dict[s
 
 
 def xu_studies(reproduction: Reproduction) -> list[tuple[str, str, list[dict[str, Any]]]]:
-    """Return the group, scene and parameters of each study for Xu, Li & Jiang 2021."""
+    """Return the studies of those cases of Xu, Li & Jiang 2021 that have no result yet.
+
+    A study is a group, a scene and the parameters of its cases.
+    """
     studies = []
     for group, cases in xu_cases(reproduction.quick).items():
         for scene in dict.fromkeys(scene for scene, _ in cases):
@@ -209,7 +218,8 @@ def _store_results(reproduction: Reproduction, group: str, study: Study) -> None
     keys = read_json(study.folder.with_suffix(".json"))
     for case in study.cases:
         named = keys[case.name]
-        for key in [named] if isinstance(named, str) else named:  # in version 0.2, a case has a single key
+        # In files of version 0.2, each case belongs to a single key, stored as a text instead of a list.
+        for key in [named] if isinstance(named, str) else named:
             if case.name in study.results:
                 reproduction.results[key] = study.results[case.name]
             elif case.name in study.failures:

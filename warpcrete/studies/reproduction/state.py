@@ -26,11 +26,12 @@ class Reproduction:
     columns: tuple[str, ...] = ()
     """Concretes and open assumptions to run; an empty tuple stands for all of them."""
     rows: tuple[str, ...] = ()
-    """Units and varied parameters to run for each column; an empty tuple stands for all of them."""
+    """Groups of runs for each column of the report: `units`, or the name of a varied parameter. An empty tuple stands
+    for all groups."""
     results: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Results of runs, by the key that :func:`key_of` forms from their parameters."""
     failures: dict[str, str] = field(default_factory=dict)
-    """Messages of the errors that ended runs, by the same keys as `results`."""
+    """Messages of the errors that ended runs, by the key that :func:`key_of` forms from the parameters of the run."""
     finished: bool = False
 
     def __repr__(self) -> str:
@@ -72,9 +73,10 @@ def pressures(found: Reproduction, row: Row, name: str) -> list[list[float]]:
 
 
 def verdict_of(found: Reproduction, row: Row, name: str) -> tuple[list[float], str]:
-    """Return the mean peak pressure [Pa] at each value of a parameter (NaN if runs failed), and a verdict in words.
+    """Return the mean peak pressure [Pa] at each value of a varied parameter, and a verdict in words.
 
-    The verdict on the paper's claim is empty if the row was not run.
+    The mean pressure is NaN where no run has a result. The verdict states whether the paper's claim about the parameter
+    holds. It is empty if no value of the parameter has a result.
     """
     means = [float(np.mean(values)) if values else math.nan for values in pressures(found, row, name)]
     there = [k for k, mean in enumerate(means) if math.isfinite(mean)]

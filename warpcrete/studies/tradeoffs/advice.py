@@ -28,21 +28,24 @@ class Advice:
     setting: str
     """Description of the recommended settings for the user."""
     promised: float
-    """Upper bound of the relative error of all measured quantities, as a fraction."""
+    """Upper bound of the relative error of each quantity in `quantities`, as a fraction."""
     quantities: tuple[str, ...]
     """Names of the measured quantities to which the promised error applies."""
     ratio: float
     """Wall time of a run with these settings, divided by that of the scene without them."""
     left_out: tuple[str, ...]
-    """Descriptions of recommended settings that this scene cannot use; the promise does not hold without them."""
+    """Descriptions of recommended settings that cannot be used in this scene. Without them, the promised error may be
+    exceeded."""
     outside: tuple[str, ...]
-    """Differences of this scene from the measured one, in words; the promise is untested for such differences."""
+    """Differences between this scene and the measured scene, in words. Where they differ, the promised error is
+    untested."""
     tried: tuple[str, ...]
     """Descriptions of other scenes on which the settings were tested."""
     machine: str
     """Processor on which the wall times were measured."""
     time: float
-    """Wall time of a run of the trade-off study's scene with these settings, on `machine` [s]; NaN if unknown."""
+    """Wall time of one run of the trade-off study's scene with the recommended settings, on the processor `machine`
+    [s]; NaN if unknown."""
 
 
 def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bool) -> Path | None:
@@ -67,7 +70,7 @@ def nearest_shipped(name: str, module: Any, given: Mapping[str, Any], on_gpu: bo
 
 
 def compact(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the part of a trade.json record that the package ships."""
+    """Return a shortened trade.json record, which holds only the entries that are shipped with the package."""
     kept = ("scene", "parameters", "quantities", "repeat", "device", "machine", "threads", "promises")
     of_points = ("setting", "origin", "time", "errors", "suspect")
     points = [{name: point[name] for name in of_points} for point in record["points"]]
@@ -135,8 +138,9 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
 
 
 def outside(measured: Mapping[str, Any], own: Mapping[str, Any], module: Any) -> list[str]:
-    """Return descriptions of the parameters that differ from those of the measured scene."""
-    # Compare converted values, because a parameter has several spellings: a pipe unit has a letter and a name.
+    """Return a description of each parameter whose value differs from that in the measured scene."""
+    # Compare values after their conversion, because one value can be stated in different ways: each pipe unit has a
+    # letter and a name.
     ours = module.scene.declared(own)
     with names_from_file():
         theirs = module.scene.declared(measured)

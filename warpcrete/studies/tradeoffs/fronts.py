@@ -15,13 +15,14 @@ STUDENT = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228
 
 @dataclass(frozen=True)
 class Error:
-    """Relative difference of a quantity's mean from its reference value."""
+    """Relative difference between the mean of a quantity over the seeds and its reference value."""
 
     quantity: str
     shift: float
     """Signed relative difference, as a fraction."""
     interval: float
-    """Half width of the 95 % confidence interval of `shift`; 0 if nothing is random, NaN if there are too few runs."""
+    """Half width of the 95 % confidence interval of `shift`. The value is 0 if the results contain no randomness, and
+    NaN if there are too few runs."""
 
     @property
     def size(self) -> float:
@@ -29,7 +30,10 @@ class Error:
 
     @property
     def bound(self) -> float:
-        """Largest error that the confidence interval allows; infinite without an interval."""
+        """Upper bound of the error's magnitude; infinite if the confidence interval is unknown.
+
+        The bound is the magnitude plus the half width of the interval.
+        """
         return self.size + (math.inf if math.isnan(self.interval) else self.interval)
 
     @property
@@ -60,7 +64,7 @@ def difference(quantity: str, values: Sequence[float], reference: Sequence[float
         return Error(quantity, shift, 0.0)
     if len(a) == 1 or len(b) == 1:
         return Error(quantity, shift, math.nan)
-    if np.array_equal(a, b):  # the reference is compared with itself
+    if np.array_equal(a, b):  # The compared setting is the reference itself.
         return Error(quantity, 0.0, student_quantile(len(b) - 1) * float(b.std(ddof=1)) / math.sqrt(len(b)) / size)
     parts = np.array([a.var(ddof=1) / len(a), b.var(ddof=1) / len(b)])
     spread = float(parts.sum())
@@ -118,5 +122,5 @@ def cheapest_within(
 
 
 def worst(errors: Sequence[Error]) -> Error | None:
-    """Return the error with the largest bound; None without errors."""
+    """Return the error whose upper bound is the largest; None without errors."""
     return max(errors, key=lambda each: each.bound, default=None)

@@ -1,4 +1,4 @@
-"""Settings tried in a trade-off study, the results of their runs, and the errors promised for them."""
+"""Settings tried in a trade-off study, the results of their runs, and the error bound promised for the best of them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ class Setting:
     """One setting of the scene and the results of its runs."""
 
     origin: str
-    """Origin of the setting: the name of the knob that it varies, or "as given", "finest", "combined" or "carried"."""
+    """Origin of the setting: the name of the knob that alone differs from the scene as given, or one of the words "as
+    given", "finest", "combined" and "carried". The word "carried" marks a setting that was repeated in a variant of the
+    scene."""
     levels: dict[str, int]
     """Level of each accuracy knob that differs from the scene as given, by the knob's name."""
     parameters: dict[str, Any]
@@ -34,19 +36,24 @@ class Setting:
     results: dict[int, dict[str, Any]] = field(default_factory=dict)
     """Contents of result.json by seed; the key is 0 if the scene has no seeds."""
     failures: dict[int, str] = field(default_factory=dict)
-    """Errors that ended runs for good, by seed."""
+    """Errors that ended runs, by seed. These runs are not repeated."""
     left_out: str = ""
     """Reason why the setting was not run; a later attempt may run it."""
     errors: list[Error] = field(default_factory=list)
     converted: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Conversions of quantities whose meaning differs at this setting; see :class:`Level`."""
+    """Conversions, by name, for quantities that mean something else at this setting than in the scene as given. A
+    conversion is a pair (offset, factor); see :class:`Level`."""
     variant: str = ""
-    """Description of how the scene differs from that of the trade-off study; empty if it does not."""
+    """Description of the variant, which is the trade-off study's scene with some parameters changed; empty for the
+    scene itself."""
     full: dict[str, Any] = field(default_factory=dict)
-    """All parameters that have an effect, including default values."""
+    """All parameters that have an effect on the scene, including those with default values."""
 
     def values(self, quantity: str, seeds: Sequence[int]) -> list[float]:
-        """Return the values of a quantity in the runs with these seeds, converted to the scene's own meaning."""
+        """Return the values of a quantity in the runs with these seeds.
+
+        A quantity that means something else at this setting is converted to its meaning in the scene as given.
+        """
         found = [number(self.results[s][quantity]) for s in seeds if self.results.get(s, {}).get(quantity) is not None]
         offset, factor = self.converted.get(quantity, (0.0, 1.0))
         return [offset + factor * (value - offset) for value in found]
@@ -65,7 +72,10 @@ class Setting:
 
     @property
     def work(self) -> float:
-        """Median of steps times spheres (or particles), a cost that depends on no machine; NaN without a run."""
+        """Median number of steps times number of spheres (or particles) of a run; NaN without a run.
+
+        This measure of cost does not depend on the machine.
+        """
         counts = [float(r["steps"]) * (r.get("spheres") or r["particles"]) for r in self.results.values()]
         return float(np.median(counts)) if counts else math.nan
 
@@ -77,7 +87,7 @@ class Setting:
 
     @property
     def worst(self) -> Error | None:
-        """Error of the quantity with the largest bound; None without errors."""
+        """Error whose upper bound is the largest among all quantities; None without errors."""
         return worst(self.errors)
 
     @property

@@ -58,7 +58,7 @@ def table(trade: Trade) -> str:
 
 
 def _beside(trade: Trade) -> str:
-    """Return a sentence about runs that were measured at the same time, or an empty text if there were none."""
+    """Return a sentence on how many runs took place at the same time, or an empty text if runs were made one by one."""
     most = trade.record.get("abreast", 1)
     if most == 1:
         return ""
@@ -169,7 +169,7 @@ def _number(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else "-"
 
 
-FLOOR = 1e-4  # smallest error in the figure, because a logarithmic axis has no zero
+FLOOR = 1e-4  # Smallest error that the figure draws; a logarithmic axis has no zero.
 MARKERS = {GIVEN: "*", REFERENCE: "P", COMBINED: "D"}
 NEAR = 0.05  # labels closer than this fraction of the figure would overlap
 
@@ -230,7 +230,10 @@ def _series(axes: Any, origin: str, mine: list[tuple[Setting, Error]], marker: s
 
 
 def _name_levels(axes: Any, trade: Trade) -> None:
-    """Label settings that vary a single knob with its level, unless labels overlap; the table lists all levels."""
+    """Write the level of the knob next to each setting that varies a single knob.
+
+    A label that would overlap another one is left out, because the table lists all levels.
+    """
     placed: list[Any] = []
     into_figure = axes.transData + axes.transAxes.inverted()
     for point in trade.measured:

@@ -1,4 +1,4 @@
-"""State of a trade-off study: settings of a scene, the results of their runs, and their costs and errors."""
+"""State of a trade-off study: its settings of the scene, the results of their runs, and their costs and errors."""
 
 from __future__ import annotations
 
@@ -38,7 +38,8 @@ class Trade:
         self.folder, self.module, self.record = folder, module, record
         self.scene_name: str = record["scene"]
         self.base: dict[str, Any] = dict(record["parameters"])
-        if module.trading.tolerance:  # let the scene's checks accept the largest wanted error
+        # The scene's own acceptance checks must tolerate the largest error that the study may aim at.
+        if module.trading.tolerance:
             self.base.setdefault(module.trading.tolerance, WANTED_ERRORS[0])
         self.repeat: int = record["repeat"]
         self.device: str = record["device"]
@@ -58,7 +59,7 @@ class Trade:
         self.budget = math.inf
         self.interrupted = False
         self.gap = StopAtSample([])
-        """Detector of a Ctrl-C between runs."""
+        """Object that notices a Ctrl-C of the user between two runs."""
         self.cluster: Cluster | None = None
         """Workers that perform the runs; None for runs in this process."""
 
@@ -98,7 +99,7 @@ class Trade:
 
     @property
     def seeds(self) -> list[int]:
-        """Random seeds of each setting's runs."""
+        """Random seeds with which every setting is run; only 0 if the scene's results do not depend on the seed."""
         return list(range(self.first_seed, self.first_seed + self.repeat)) if self.has_seeds else [0]
 
     @property
@@ -113,7 +114,7 @@ class Trade:
                 and math.isfinite(p.worst.bound)]  # fmt: skip
 
     def rounds(self, runs: int) -> int:
-        """Return the number of successive rounds in which the available workers complete a number of `runs`."""
+        """Return the number of rounds that `runs` runs take if each worker performs one run per round."""
         return math.ceil(runs / self.abreast)
 
     def label(self, point: Setting) -> str:
@@ -123,7 +124,10 @@ class Trade:
         return ", ".join(parts) or GIVEN
 
     def keys_of(self, point: Setting) -> dict[str, str]:
-        """Return the knob levels of a setting by knob name; the levels' names are valid in other scenes, too."""
+        """Return the names of a setting's knob levels, by the knob's name.
+
+        The names of the levels are valid in other scenes, too.
+        """
         chosen = {knob.name: knob.levels[point.levels[knob.name]] for knob in self.knobs if knob.name in point.levels}
         return {name: level.key or level.label for name, level in chosen.items()}
 
@@ -144,9 +148,9 @@ class Trade:
         return self.points[-1]
 
     def carried(self, point: Setting, variant: str, changes: Mapping[str, Any]) -> Setting:
-        """Apply the knob levels of a setting to a variant of the scene, and return the resulting setting.
+        """Apply the knob levels of a setting to a variant of the scene, and return the setting of the variant.
 
-        Levels are matched by their names, because their values may differ in the variant.
+        A level is found by its name, because the numbers behind the name may differ in the variant.
         """
         base = {**self.base, **changes}
         knobs = {knob.name: knob for knob in self.module.trading.knobs(self.module.scene.declared(base))}
@@ -164,7 +168,7 @@ class Trade:
         return next((point for point in self.points if point.full == full), None)
 
     def _full(self, parameters: Mapping[str, Any]) -> dict[str, Any]:
-        """Return all parameters that have an effect, including default values."""
+        """Return all parameters that have an effect on the scene, including those with default values."""
         defaults = {name: found.default for name, found in declared_fields(self.module.scene.parameters).items()}
         return self.module.scene.effective_values({**defaults, **self.module.scene.completed(parameters)})
 
@@ -174,7 +178,7 @@ class Trade:
         return any(as_given.get(key) != value for key, value in knob.levels[level].changes.items())
 
     def ratio(self, knob: Knob, level: int) -> float:
-        """Return the wall time with one knob at a level, divided by the wall time of the scene as given.
+        """Return the wall time of the scene with one knob at a level, divided by that of the scene as given.
 
         The ratio is measured if the level was run alone, and otherwise estimated.
         """
@@ -187,7 +191,10 @@ class Trade:
         return self._with(self._full(self.module.scene.effective_values({**self.base, **knob.levels[level].changes})))
 
     def level_as_given(self, knob: Knob) -> int:
-        """Return the index of a knob's level in the scene as given, or of the finest level if none matches."""
+        """Return the index of the level at which a knob agrees with the scene as given.
+
+        If no level agrees, the result is the index of the finest level.
+        """
         same = [k for k in range(len(knob.levels)) if not self._differs(knob.name, k)]
         return same[0] if same else len(knob.levels) - 1
 
@@ -207,7 +214,10 @@ class Trade:
         return self.complete(point, seeds)
 
     def run_all(self, points: Sequence[Setting], seeds: Sequence[int], tell: Tell, until: float = 1.0) -> None:
-        """Run the missing seeds of settings in order, within the fraction `until` of the budget, on all workers."""
+        """Run the missing seeds of settings in order, on all workers.
+
+        A run does not start if it is expected to exceed the fraction `until` of the budget.
+        """
         lacking = [(point, left) for point in points if (left := self._take_over(point, seeds))]
         if self.cluster is None:
             for point, (seed, *_), _ in self._due(lacking, tell, until):
@@ -292,7 +302,10 @@ class Trade:
         self._store_outcome(point, seed, outcome)
 
     def _run_on(self, cluster: Cluster, due: Iterator[tuple[Setting, list[int], float]]) -> None:
-        """Run jobs on workers, one at a time on each; `spent` counts wall time, whatever the number of workers."""
+        """Run jobs on workers, each of which performs one job at a time.
+
+        `spent` grows by the elapsed wall time, whatever the number of workers.
+        """
         before, begun, running = self.spent, time.perf_counter(), 0
         record = {"device": self.device, "threads": self.threads, "command": COMMAND, "hardware": self.hardware}
 
@@ -311,7 +324,8 @@ class Trade:
             point, seeds = job
             for seed, outcome in zip(seeds, [outcomes] if isinstance(outcomes, Exception) else outcomes):
                 self._store_outcome(point, seed, outcome)
-            # Seeds after the first failed one are ignored, so that the order of completion has no effect.
+            # Seeds after the first failed seed are ignored. Otherwise the result would depend on the order in which the
+            # runs end.
             if point.failures:
                 point.results = {s: r for s, r in point.results.items() if s < min(point.failures)}
 
@@ -335,7 +349,10 @@ class Trade:
             raise outcome
 
     def judge(self) -> None:
-        """Compute the errors of all settings against the closed form or the reference."""
+        """Compute the errors of every setting.
+
+        The expected values come from a closed form if there is one, otherwise from the reference setting.
+        """
         for point in self.points:
             point.errors = self.errors_of(point, self.seeds)
 
@@ -346,7 +363,7 @@ class Trade:
         for each in self.quantities if ran else ():
             values = point.values(each.name, seeds)
             if len(values) < ran:
-                found.append(Error(each.name, math.inf, 0.0))  # at least one run lacks the quantity
+                found.append(Error(each.name, math.inf, 0.0))  # In at least one run this quantity has no value.
             elif self.exact:
                 errors = point.values(f"{each.name}_error", seeds)
                 scatter = float(np.std(errors)) if len(errors) > 1 else 0.0
@@ -389,9 +406,10 @@ class Trade:
         return max(point.worst.bound, alone)
 
     def bound_in_variants(self, point: Setting, variants: Sequence[Setting]) -> float:
-        """Return the error bound of a setting in a scene that differs as much as the variants do.
+        """Return a bound for the errors of a setting in a further scene, which differs as much as the variants do.
 
-        It is the 95 % prediction interval of the next error, computed from the errors of the setting and its variants.
+        For each quantity, the 95 % prediction interval is computed from the errors of the setting and its variants. The
+        result is the largest bound.
         """
         found = []
         for each in self.quantities:

@@ -34,7 +34,8 @@ from .state import Tell, Trade
 
 SETTINGS = ("budget", "quantities", "knobs", "repeat", "device", "threads", "scheduler", "workers", "progress")
 FRESH_SEEDS = 3
-"""Number of fresh seeds with which a promised error is tested, in addition to the seeds on which it is based."""
+"""Number of fresh seeds with which a promised error is tested, in addition to the seeds from which the error was
+computed."""
 SINGLE_KNOBS_UNTIL, FINEST_UNTIL, COMBINED_UNTIL = 0.55, 0.8, 0.9
 """Fractions of the budget at which three phases end: single knobs, the finest setting, and combinations."""
 
@@ -135,7 +136,10 @@ def run_trade(
 def _machine(
     module: Any, parameters: Mapping[str, Any], device: str | None, threads: int | None
 ) -> tuple[str, dict[str, Any]]:
-    """Return the device on which a scene runs and its provenance; raise an error if the scene cannot run there."""
+    """Return the device on which a scene runs, and the provenance to be recorded with its results.
+
+    Raises an error if the scene cannot run on the requested device.
+    """
     scene = module.scene(**parameters)
     found = Simulation(scene, device=device, precision=scene.precision, threads=threads).device
     return str(found), provenance(found, scene.precision, int(getattr(scene, "seed", 0)))
@@ -172,7 +176,8 @@ def resume_trade(
     """
     check_scheduler(scheduler, workers)
     record = read_record(folder / "trade.json")
-    check_files(folder / "trade.json", record.get("files", {}))  # reject changed files before importing them
+    # Refuse changed files before the scene is read, which may import one as a Python module.
+    check_files(folder / "trade.json", record.get("files", {}))
     try:
         with names_from_file():
             trade = Trade(folder, module, record)
@@ -237,7 +242,7 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
             refuse("scene", trade.scene_name, f"does not run as given: {given.failure}")
         return
     needed = trade.rounds(2 * len(trade.seeds)) * given.cost
-    # If nothing was run now (`spent` is 0), the study was resumed and may need only a few further runs.
+    # If the study was resumed and nothing was run in this call, `spent` is 0. A few further runs may then be enough.
     if trade.spent > 0 and needed > trade.budget:
         refuse(
             "budget", f"{trade.budget:.3g} s", "is too short for two runs" + " for every seed" * trade.has_seeds,
@@ -286,9 +291,11 @@ def _run_reference(trade: Trade, tell: Tell) -> None:
         cost = trade.given.cost * math.prod(trade.ratio(by_name[name], k) for name, k in top.items())
         if cost * trade.rounds(len(trade.seeds)) <= max(FINEST_UNTIL * trade.budget - trade.spent, 0.0):
             break
-        if top == trade.record.get("finest"):  # keep the finest setting of an earlier call with a larger budget
+        # An earlier call had a larger budget and already ran this setting, so keep it.
+        if top == trade.record.get("finest"):
             break
-        # Compute for each knob: logarithm of the time factor saved by one coarser level, over the added error.
+        # For each knob, compute the logarithm of the factor by which the next coarser level shortens the run, divided
+        # by the error that this level adds.
         saved = {}
         for name, usable in levels.items():
             if len(usable) > 1:
@@ -302,7 +309,7 @@ def _run_reference(trade: Trade, tell: Tell) -> None:
     point = trade.point(REFERENCE, top)
     if trade.run(point, trade.seeds, tell, COMBINED_UNTIL):
         trade.record = {**trade.record, "finest": top}
-    else:  # use the scene as given as the reference
+    else:  # The finest setting did not run to its end. Use the scene as given as the reference instead.
         del trade.points[before:]
         point = trade.given
     point.origin = REFERENCE
@@ -359,7 +366,7 @@ def _test_variants(
         if not trade.complete(other, trade.seeds):
             trade.run_all(others[number : number + trade.abreast], trade.seeds, tell)
         if not other.results and not other.failure.startswith("failed"):
-            continue  # there was no time left to run this variant
+            continue  # This variant was not run, because no time was left.
         error = worst(trade.errors_of(other, trade.seeds)) if other.results else None
         found[variant if not other.suspect else f"{variant} (fails: {', '.join(other.suspect)})"] = error
         if error is not None:

@@ -16,7 +16,8 @@ from ..cluster import hardware
 from ..running import previous_outcome, run_cases, simulation_of, stop_callback
 
 MIN_RUNS_FOR_MEDIAN = 3
-"""Minimum number of runs at which the median wall time ignores a single run that also loaded kernels."""
+"""Number of runs from which on the median of their wall times is not affected by a single run that also loaded
+kernels."""
 
 
 @dataclass(frozen=True)
@@ -24,11 +25,11 @@ class WorkerJob:
     """Runs of one setting that a worker performs one after the other."""
 
     cases: list[Case]
-    """Cases of the setting, one for each seed."""
+    """Runs of the setting, one for each seed."""
     load_kernels: bool
     """True if the kernels must be loaded before the first run."""
     time_left: float
-    """Time left for the runs [s]; the first run takes place even if there is none."""
+    """Time left for the runs [s]. The first run takes place even if no time is left."""
 
 
 def run_worker_job(
@@ -36,8 +37,9 @@ def run_worker_job(
 ) -> list[Any]:
     """Run the cases until the time is used up, a case fails, or the callback `stop_requested` returns True.
 
-    Returns the outcomes of the cases so far: the contents of result.json, the exception that ended the case, or None if
-    it was stopped. Raises :class:`WarpcreteError` if the worker's processor differs from that of earlier runs.
+    Returns one outcome for each case so far: the contents of its result.json, the exception that ended the case, or
+    None if the case was stopped. Raises :class:`WarpcreteError` if the worker's processor differs from that of earlier
+    runs.
     """
     here = hardware(record["device"])
     if here != record["hardware"]:
@@ -51,7 +53,7 @@ def run_worker_job(
         elapsed = time.perf_counter() - start_time
         if found and elapsed + elapsed / len(found) > trial.time_left:
             break
-        outcome = previous_outcome(folder / case.name)  # a worker that was lost may have finished the case
+        outcome = previous_outcome(folder / case.name)  # A worker that was lost may have finished this case before.
         if outcome is None:
             outcome, load_kernels = _run(record, module, folder, case, load_kernels, stop_requested), False
         found.append(outcome)
@@ -61,7 +63,7 @@ def run_worker_job(
 
 
 def warm_up(simulation: Simulation) -> None:
-    """Load the kernels of a setting, so that the next run is not charged for loading them."""
+    """Take one step of a simulation, so that its kernels are loaded before the wall time of a run is measured."""
     simulation.prepare()
     simulation.stepper.take(1)
     simulation.release()

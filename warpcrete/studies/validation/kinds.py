@@ -17,10 +17,15 @@ KINDS = {
     "pipe": Kind("friction of straight pipe", "Pa/m"),
     "ratio": Kind("friction relative to another concrete", "1"),
     "line": Kind("friction of a whole line", "Pa"),
+    "fitting": Kind("friction of a bend relative to straight pipe", "1"),
     "layer": Kind("wall stress of the slip layer", "Pa"),
     "profile": Kind("share of the layer in the velocity", "1"),
     "slump": Kind("slump", "m"),
     "spread": Kind("spread", "m"),
     "funnel": Kind("time of the V-funnel", "s"),
 }
-"""Kinds of measurements by name."""
+"""Kinds of measured quantities by name."""
+BLOCKING = "blocking"
+"""Kind of case that says whether concrete blocked: its measured value is 1 if it did, and 0 if not."""
+UNITS = {name: kind.unit for name, kind in KINDS.items()} | {BLOCKING: "1"}
+"""SI units of the measured values, by kind of case."""

@@ -77,6 +77,17 @@ def _line(case: Case) -> list[Band]:
     return found
 
 
+def _fitting(case: Case) -> list[Band]:
+    """Predict the friction of a part divided by that of straight pipe of its length."""
+    line = line_of({"diameter": case.test["diameter"], "parts": [case.test["part"]]}, case.name, case.folder)
+    found = []
+    for q in case.flows:
+        (loss,) = run_line(line, mix_of_case(case).concrete, q, simulate=False).losses
+        low, high = (loss.at(each) / loss.straight for each in (0, 1))
+        found.append(Band(loss.friction / loss.straight, low, high))
+    return found
+
+
 def line_weight(case: Case) -> float:
     """Return the pressure due to the weight of the concrete in a case's line [Pa]."""
     line = line_of(case.lines[str(case.test["line"])], case.name, case.folder)
@@ -86,7 +97,7 @@ def line_weight(case: Case) -> float:
 def _layer(case: Case) -> list[Band]:
     """Predict the wall stress of the slip layer at one slip velocity [Pa]."""
     speed = _number(case, "speed", "m/s")
-    return [_banded(mix_of_case(case), lambda c: c.slip_yield + c.slip_viscosity * speed)]
+    return [_banded(mix_of_case(case), lambda c: float(c.layer_law.stress(speed)))]
 
 
 def _layer_share(case: Case) -> list[Band]:
@@ -145,8 +156,12 @@ def _funnel(case: Case) -> list[Band]:
     mix = mix_of_case(case)
 
     def time(concrete: Concrete, slips: bool) -> float:
-        layer = (concrete.slip_viscosity, concrete.slip_yield) if slips else None
-        return funnel_time(*FUNNEL, concrete.viscosity, concrete.yield_stress, concrete.density, layer=layer)
+        layer = (concrete.slip_viscosity, concrete.slip_yield, concrete.slip_flow_index,
+                 concrete.slip_quadratic_viscosity) if slips else None  # fmt: skip
+        law = {"flow_index": concrete.flow_index, "quadratic_viscosity": concrete.quadratic_viscosity}
+        return funnel_time(
+            *FUNNEL, concrete.viscosity, concrete.yield_stress, concrete.density, layer=layer, **law
+        )  # fmt: skip
 
     slips, sticks = (_banded(mix, lambda c, s=slips: time(c, s)) for slips in (True, False))
     value = math.sqrt(slips.value * sticks.value)
@@ -156,7 +171,14 @@ def _funnel(case: Case) -> list[Band]:
 
 
 PREDICTORS = {
-    "pipe": _pipe, "ratio": _ratio, "line": _line, "layer": _layer, "profile": _layer_share, "slump": _slump,
-    "spread": _spread, "funnel": _funnel,
-}  # fmt: skip
+    "pipe": _pipe,
+    "ratio": _ratio,
+    "line": _line,
+    "fitting": _fitting,
+    "layer": _layer,
+    "profile": _layer_share,
+    "slump": _slump,
+    "spread": _spread,
+    "funnel": _funnel,
+}
 """Functions that return a prediction with its band for each measured value of a case, by the kind of the case."""

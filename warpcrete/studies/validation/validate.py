@@ -14,10 +14,11 @@ import numpy as np
 from ...core.drawing.html import html_table
 from ...core.errors import WarpcreteError, one_line, one_of
 from ...core.run.files import atomic_file, write_json
+from .blocked import BlockingComparison, compare_blocking
 from .cases import Case, held_out_groups, shipped_cases
 from .comparison import Comparison, compare
 from .figure import draw
-from .kinds import KINDS
+from .kinds import BLOCKING, KINDS, UNITS
 from .simulated import representatives, simulate
 
 Progress = Callable[[str, float], None]
@@ -48,11 +49,13 @@ class Validation:
     """All comparisons, with their statistics, table and figure."""
 
     comparisons: list[Comparison]
+    blocking: list[BlockingComparison]
+    """Verdicts of the rules against blocking."""
     refused: dict[str, str]
     """Cases that the program refuses to predict, with the reason."""
 
     def __repr__(self) -> str:
-        return f"<Validation of {len(self.comparisons)} cases>"
+        return f"<Validation of {len(self.comparisons) + len(self.blocking)} cases>"
 
     def _repr_html_(self) -> str:
         return html_table([summary_cells(each) for each in self.summaries()], SUMMARY_COLUMNS, repr(self))
@@ -77,8 +80,17 @@ class Validation:
         """Return the statistics and the cases as Markdown."""
         lines = [*markdown(SUMMARY_COLUMNS, [summary_cells(each) for each in self.summaries()]), ""]
         lines += markdown(CASE_COLUMNS, [_case_cells(each) for each in self.comparisons])
+        lines += ["", *self.blocking_lines(), ""] if self.blocking else []
         lines += [f"- refused: {name}: {why}" for name, why in self.refused.items()]
         return "\n".join(lines)
+
+    def blocking_lines(self) -> list[str]:
+        """Return the verdicts of the rules against blocking as a Markdown table below its summary."""
+        right = sum(each.agrees for each in self.blocking)
+        rows = [(x.case.name, "yes" if x.held_out else "no", "blocked" if x.blocked else "not blocked", x.verdict,
+                 x.rules or "-", "yes" if x.agrees else "no") for x in self.blocking]  # fmt: skip
+        return [f"The rules against blocking agree with {right} of {len(rows)} observations.", "",
+                *markdown(BLOCKING_COLUMNS, rows)]  # fmt: skip
 
     def record(self) -> dict[str, Any]:
         """Return the contents of validation.json, in SI units."""
@@ -91,6 +103,11 @@ class Validation:
                  "low": x.band.low, "high": x.band.high, "causes": dict(x.band.shares), "source": x.case.source,
                  "note": x.case.note}
                 for x in self.comparisons
+            ],
+            "blocking": [
+                {"id": x.case.name, "group": x.case.group, "held_out": x.held_out, "blocked": x.blocked,
+                 "verdict": x.verdict, "rules": x.rules, "source": x.case.source, "note": x.case.note}
+                for x in self.blocking
             ],
             "refused": self.refused,
         }  # fmt: skip
@@ -123,6 +140,7 @@ SUMMARY_COLUMNS = (
     "inside",
     "median factor of band",
 )
+BLOCKING_COLUMNS = ("case", "held out", "observed", "verdict", "rules that warn", "agrees")
 CASE_COLUMNS = ("case", "kind", "held out", "unit", "measured", "predicted", "low", "high", "ratio", "inside")
 
 
@@ -138,11 +156,12 @@ def validate(
     """
     kinds = tuple(kinds)
     for kind in kinds:
-        one_of("kind", kind, KINDS)
+        one_of("kind", kind, UNITS)
     everything = list(cases) if cases is not None else shipped_cases()
     held = held_out_groups(everything)
     chosen = [case for case in everything if not kinds or case.kind in kinds]
     found: list[Comparison] = []
+    blocking: list[BlockingComparison] = []
     refused: dict[str, str] = {}
     jobs = [(case, False) for case in chosen] + [(case, True) for case in ([] if quick else representatives(chosen))]
     for place, (case, as_flow) in enumerate(jobs):
@@ -150,10 +169,13 @@ def validate(
             progress(case.name, place / len(jobs))
         held_out = (case.kind, case.group) in held
         try:
-            found.append(simulate(case, held_out, device=device) if as_flow else compare(case, held_out))
+            if case.kind == BLOCKING:
+                blocking.append(compare_blocking(case, held_out))
+            else:
+                found.append(simulate(case, held_out, device=device) if as_flow else compare(case, held_out))
         except WarpcreteError as error:
             refused[f"{case.name}{', simulated' if as_flow else ''}"] = one_line(str(error))
-    return Validation(found, refused)
+    return Validation(found, blocking, refused)
 
 
 def _summary(kind: str, chosen: str, part: Sequence[Comparison]) -> Summary:

@@ -1,0 +1,161 @@
+"""Viscous part h(g) of the flow laws tau = tau_0 + h(g), for the bulk at shear rates and for slip layers at velocities.
+
+Bingham's law has h = k g, the Herschel-Bulkley law h = k g^n, and the modified Bingham law h = k g + c g^2 (Yahia &
+Khayat 2001). Kernels are specialised for the law; k, n and c are run-time arguments.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+BINGHAM, HERSCHEL_BULKLEY, MODIFIED_BINGHAM = "bingham", "herschel-bulkley", "modified-bingham"
+"""Names of the laws, as in `warpcrete.theory.laws`."""
+
+
+@functools.cache
+def law_functions(scalar, law: str) -> SimpleNamespace:
+    """Build the functions of a law's viscous part, with the arguments k, n and c of its formula.
+
+    `stress` is h at a rate, and `viscosity` is h over the rate, smoothed at rates below `slow` so that it stays finite
+    and above 0. `tangent` is the derivative of the smoothed h. `rate` is the rate at a viscous stress `over`. The
+    following functions take this stress and its rate: `slope` is the derivative of `rate`, `bend` its second derivative
+    over the first, `integral` and `double_integral` are its integrals from 0.
+    """
+    return {BINGHAM: linear_law, HERSCHEL_BULKLEY: power_law, MODIFIED_BINGHAM: quadratic_law}[law](scalar)
+
+
+@functools.cache
+def linear_law(scalar) -> SimpleNamespace:
+    """Build the functions of h = k g."""
+
+    @wp.func
+    def stress(k: scalar, n: scalar, c: scalar, g: scalar) -> scalar:
+        return k * g
+
+    @wp.func
+    def viscosity(k: scalar, n: scalar, c: scalar, g: scalar, slow: scalar) -> scalar:
+        return k
+
+    @wp.func
+    def tangent(k: scalar, n: scalar, c: scalar, g: scalar, slow: scalar) -> scalar:
+        return k
+
+    @wp.func
+    def rate(k: scalar, n: scalar, c: scalar, over: scalar) -> scalar:
+        return over / k
+
+    @wp.func
+    def slope(k: scalar, n: scalar, c: scalar, over: scalar, g: scalar) -> scalar:
+        return scalar(1.0) / k
+
+    @wp.func
+    def bend(k: scalar, n: scalar, c: scalar, over: scalar, g: scalar) -> scalar:
+        return scalar(0.0)
+
+    @wp.func
+    def integral(k: scalar, n: scalar, c: scalar, over: scalar, g: scalar) -> scalar:
+        return scalar(0.5) * over * g
+
+    @wp.func
+    def double_integral(k: scalar, n: scalar, c: scalar, over: scalar, g: scalar) -> scalar:
+        return over * over * g / scalar(6.0)
+
+    return SimpleNamespace(
+        stress=stress, viscosity=viscosity, tangent=tangent, rate=rate, slope=slope, bend=bend, integral=integral,
+        double_integral=double_integral,
+    )  # fmt: skip
+
+
+@functools.cache
+def power_law(scalar) -> SimpleNamespace:
+    """Build the functions of h = k g^n."""
+
+    @wp.func
+    def stress(k: scalar, n: scalar, c: scalar, g: scalar) -> scalar:
+        return k * wp.pow(g, n)
+
+    @wp.func
+    def viscosity(k: scalar, n: scalar, c: scalar, g: scalar, slow: scalar) -> scalar:
+        return k * wp.pow(g * g + slow * slow, scalar(0.5) * (n - scalar(1.0)))
+
+    @wp.func
+    def tangent(k: scalar, n: scalar, c: scalar, g: scalar, slow: scalar) -> scalar:
+        square = g * g + slow * slow
+        bent = scalar(1.0) + (n - scalar(1.0)) * g * g / square
+        return k * wp.pow(square, scalar(0.5) * (n - scalar(1.0))) * bent
+
+    @wp.func
+    def rate(k: scalar, n: scalar, c: scalar, over: scalar) -> scalar:
+        return wp.pow(over / k, scalar(1.0) / n)
+
+    @wp.func
+    def slope(k: scalar, n: scalar, c: scalar, over: scalar, g: scalar) -> scalar:
+        if over > scalar(0.0):
+            return g / (n * over)
+        return scalar(0.0)
+
+    @wp.func
+    def bend(k: scalar, n: scalar, c: scalar, over: scalar, g: scalar) -> scalar:
+        return (scalar(1.0) / n - scalar(1.0)) / over
+
+    @wp.func
+    def integral(k: scalar, n: scalar, c: scalar, over: scalar, g: scalar) -> scalar:
+        return over * g * n / (n + scalar(1.0))
+
+    @wp.func
+    def double_integral(k: scalar, n: scalar, c: scalar, over: scalar, g: scalar) -> scalar:
+        return over * over * g * n * n / ((n + scalar(1.0)) * (scalar(2.0) * n + scalar(1.0)))
+
+    return SimpleNamespace(
+        stress=stress, viscosity=viscosity, tangent=tangent, rate=rate, slope=slope, bend=bend, integral=integral,
+        double_integral=double_integral,
+    )  # fmt: skip
+
+
+@functools.cache
+def quadratic_law(scalar) -> SimpleNamespace:
+    """Build the functions of h = k g + c g^2.
+
+    The integrals over the stress are polynomials of the rate, because d over = (k + 2 c g) dg.
+    """
+
+    @wp.func
+    def stress(k: scalar, n: scalar, c: scalar, g: scalar) -> scalar:
+        return g * (k + c * g)
+
+    @wp.func
+    def viscosity(k: scalar, n: scalar, c: scalar, g: scalar, slow: scalar) -> scalar:
+        return k + c * g
+
+    @wp.func
+    def tangent(k: scalar, n: scalar, c: scalar, g: scalar, slow: scalar) -> scalar:
+        return k + scalar(2.0) * c * g
+
+    @wp.func
+    def rate(k: scalar, n: scalar, c: scalar, over: scalar) -> scalar:
+        # This form of the root does not subtract nearly equal numbers.
+        return scalar(2.0) * over / (k + wp.sqrt(k * k + scalar(4.0) * c * over))
+
+    @wp.func
+    def slope(k: scalar, n: scalar, c: scalar, over: scalar, g: scalar) -> scalar:
+        return scalar(1.0) / (k + scalar(2.0) * c * g)
+
+    @wp.func
+    def bend(k: scalar, n: scalar, c: scalar, over: scalar, g: scalar) -> scalar:
+        rises = k + scalar(2.0) * c * g
+        return -scalar(2.0) * c / (rises * rises)
+
+    @wp.func
+    def integral(k: scalar, n: scalar, c: scalar, over: scalar, g: scalar) -> scalar:
+        return g * g * (scalar(0.5) * k + scalar(2.0 / 3.0) * c * g)
+
+    @wp.func
+    def double_integral(k: scalar, n: scalar, c: scalar, over: scalar, g: scalar) -> scalar:
+        a = c * g
+        return g * g * g * (k * k / scalar(6.0) + scalar(5.0 / 12.0) * k * a + scalar(4.0 / 15.0) * a * a)
+
+    return SimpleNamespace(
+        stress=stress, viscosity=viscosity, tangent=tangent, rate=rate, slope=slope, bend=bend, integral=integral,
+        double_integral=double_integral,
+    )  # fmt: skip

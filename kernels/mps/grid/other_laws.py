@@ -1,0 +1,222 @@
+"""Flow laws other than Bingham's on a grid, and slip layers that are not linear.
+
+The functions have the names and meanings of those in `bingham`, with the viscous part of the law from `flow_laws`.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from ..flow_laws import law_functions
+from .bingham import bingham_functions
+from .cells import GridKind, grid_parameters_struct
+
+MARGIN = wp.constant(4.0)
+"""Factor by which the upper bound of a wall's stress exceeds an estimate."""
+
+
+@functools.cache
+def rate_functions(scalar, dimensions: int, law: str) -> SimpleNamespace:
+    """Build the functions of a law: viscosity as a function of the rate, and rate as a function of the stress.
+
+    `apparent` is regularised. `sums` returns the rate at a nonnegative stress, from a law with a straight line below
+    the yield stress, and its first and second integral from 0 to that stress.
+    """
+    Grid = grid_parameters_struct(scalar, dimensions)
+    h = law_functions(scalar, law)
+
+    @wp.func
+    def apparent(g: Grid, rate: scalar) -> scalar:
+        """Return the apparent viscosity at a shear rate, which is stress over rate [Pa s]."""
+        flowing = h.viscosity(g.viscosity, g.flow_index, g.quadratic_viscosity, rate, scalar(1.0) / g.regularisation)
+        bent = g.regularisation * rate
+        if bent > scalar(1.0e-3):
+            return flowing + g.yield_stress * (scalar(1.0) - wp.exp(-bent)) / rate
+        # Use a series for small rates, because the fraction (1 - exp(-x)) / x loses digits there.
+        return flowing + g.yield_stress * g.regularisation * (scalar(1.0) - scalar(0.5) * bent)
+
+    @wp.func
+    def unyielded_viscosity(g: Grid) -> scalar:
+        """Return the viscosity below the yield stress [Pa s]."""
+        return g.yield_stress * g.regularisation + h.viscosity(
+            g.viscosity, g.flow_index, g.quadratic_viscosity, scalar(0.0), scalar(1.0) / g.regularisation
+        )
+
+    @wp.func
+    def sums(g: Grid, stiff: scalar, stress: scalar):
+        """Return the rate at a nonnegative stress and its two integrals; `stiff` is the unyielded viscosity."""
+        over = wp.max(stress - g.yield_stress, scalar(0.0))
+        below = wp.min(stress, g.yield_stress)
+        rate = h.rate(g.viscosity, g.flow_index, g.quadratic_viscosity, over)
+        one = h.integral(g.viscosity, g.flow_index, g.quadratic_viscosity, over, rate)
+        two = h.double_integral(g.viscosity, g.flow_index, g.quadratic_viscosity, over, rate)
+        one += (scalar(0.5) * below * below + over * g.yield_stress) / stiff
+        two += (
+            below * below * below / scalar(6.0) + over * g.yield_stress * (g.yield_stress + over) / scalar(2.0)
+        ) / stiff
+        return rate + below / stiff, one, two
+
+    @wp.func
+    def slope(g: Grid, stiff: scalar, stress: scalar) -> scalar:
+        """Return the derivative of the rate with respect to a nonnegative stress."""
+        over = stress - g.yield_stress
+        if over > scalar(0.0):
+            rate = h.rate(g.viscosity, g.flow_index, g.quadratic_viscosity, over)
+            return h.slope(g.viscosity, g.flow_index, g.quadratic_viscosity, over, rate)
+        return scalar(1.0) / stiff
+
+    return SimpleNamespace(h=h, apparent=apparent, unyielded_viscosity=unyielded_viscosity, sums=sums, slope=slope)
+
+
+@functools.cache
+def edge_function(scalar, dimensions: int, law: str):
+    """Build `apparent_at_edge`, the viscosity at a corner between two cells in which the rate varies.
+
+    The difference of the cells' mean velocities over their distance is the mean of the rate over both cells, weighted
+    by the distance from the corner. With a stress that varies linearly this mean is
+    (F(s + d) - 2 F(s) + F(s - d)) / d^2, where F is the second integral of the rate, s the stress at the corner and d
+    its change over a cell. The function solves for s.
+    """
+    Grid = grid_parameters_struct(scalar, dimensions)
+    f = rate_functions(scalar, dimensions, law)
+    h, apparent, unyielded_viscosity, sums = f.h, f.apparent, f.unyielded_viscosity, f.sums
+
+    @wp.func
+    def apparent_at_edge(g: Grid, rate: scalar, change: scalar) -> scalar:
+        """Return the viscosity at a corner at the rate of both cells; `change` is the stress's change over a cell."""
+        viscosity = apparent(g, rate)
+        stiff = unyielded_viscosity(g)
+        sheared = rate - g.yield_stress / stiff
+        over = h.stress(g.viscosity, g.flow_index, g.quadratic_viscosity, wp.max(sheared, scalar(0.0)))
+        # This is the stress at the corner if the rate hardly varies in the cells.
+        plain = g.yield_stress + over
+        if sheared <= scalar(0.0):
+            plain = rate * stiff
+            if plain + change <= g.yield_stress:
+                return viscosity
+        if change <= scalar(0.01) * plain:
+            return viscosity
+        if over >= change:
+            # The mean is nearly the rate at s plus d^2 / 12 times its second derivative.
+            bend = h.bend(g.viscosity, g.flow_index, g.quadratic_viscosity, over, sheared)
+            return viscosity * (scalar(1.0) - change * change * bend / (scalar(12.0) * plain))
+        # A plug or the middle of the pipe lies within the cells. Newton's method is kept between two bounds.
+        low = scalar(0.0)
+        high = plain + change
+        s = plain
+        goal = rate * change * change
+        for _ in range(12):
+            rate_above, one_above, two_above = sums(g, stiff, s + change)
+            rate_here, one_here, two_here = sums(g, stiff, s)
+            rate_below, one_below, two_below = sums(g, stiff, wp.abs(s - change))
+            value = two_above - scalar(2.0) * two_here + wp.sign(s - change) * two_below - goal
+            if value < scalar(0.0):
+                low = s
+            else:
+                high = s
+            growth = one_above - scalar(2.0) * one_here + one_below
+            next = s - value / wp.max(growth, scalar(1.0e-30))
+            if next <= low or next >= high:
+                next = scalar(0.5) * (low + high)
+            step = next - s
+            s = next
+            if wp.abs(step) <= scalar(1.0e-4) * s:
+                break
+        return viscosity * s / plain
+
+    return apparent_at_edge
+
+
+@functools.cache
+def wall_function(scalar, dimensions: int, law: str, slip_law: str):
+    """Build `at_wall`, the stress of a wall on the cell beside it."""
+    Grid = grid_parameters_struct(scalar, dimensions)
+    f = rate_functions(scalar, dimensions, law)
+    h, apparent, unyielded_viscosity, sums, slope = f.h, f.apparent, f.unyielded_viscosity, f.sums, f.slope
+    layer = law_functions(scalar, slip_law)
+
+    @wp.func
+    def beside_wall(g: Grid, stiff: scalar, stress: scalar, inner: scalar, width: scalar):
+        """Return the mean velocity of a wall cell minus the velocity at the wall, and this difference's derivative.
+
+        The derivative is with respect to `stress`, the stress at the wall. The stress falls linearly from there to
+        `inner` on the cell's opposite side.
+        """
+        change = stress - inner
+        rate, one, two = sums(g, stiff, stress)
+        if change > scalar(0.05) * stress:
+            rate_inner, one_inner, two_inner = sums(g, stiff, inner)
+            part = (change * one - (two - two_inner)) / (change * change)
+            return width * part, width / change * (rate - scalar(2.0) * part)
+        # If the stress hardly varies, the closed form loses digits, and Simpson's rule is accurate.
+        middle = scalar(0.5) * (stress + inner)
+        rate_middle, one_middle, two_middle = sums(g, stiff, middle)
+        mean = rate / scalar(6.0) + rate_middle / scalar(3.0)
+        return width * mean, width / scalar(6.0) * (slope(g, stiff, stress) + slope(g, stiff, middle))
+
+    @wp.func
+    def at_wall(
+        g: Grid, speed: scalar, inner: scalar, width: scalar, ring: scalar, slip_viscosity: scalar, slip_yield: scalar,
+        slip_index: scalar, slip_quadratic: scalar,
+    ):  # fmt: skip
+        """Return a wall's stress on the cell beside it, its derivative with respect to `speed`, and the slip velocity.
+
+        `speed` is the cell's mean velocity along the wall. It is the sum of the slip velocity and of the mean velocity
+        due to shear within the cell; `ring` corrects the latter for cells that are rings about an axis. Newton's method
+        is kept between two bounds, because the velocity is not a convex function of the stress.
+        """
+        stiff = unyielded_viscosity(g)
+        # In the upper bound, all of the speed is slip, or (with a margin) all of it is shear.
+        steepest = (scalar(2.0) + scalar(1.0) / g.flow_index) * speed / width
+        sheared = scalar(MARGIN) * (
+            g.yield_stress + h.stress(g.viscosity, g.flow_index, g.quadratic_viscosity, steepest)
+        )
+        high = wp.min(slip_yield + layer.stress(slip_viscosity, slip_index, slip_quadratic, speed), sheared)
+        low = scalar(0.0)
+        stress = high
+        growth = scalar(1.0)
+        slip = scalar(0.0)
+        # Concrete that thickens is stiffest at the largest rate, all other concrete at the smallest.
+        least = scalar(0.1) * width / wp.max(stiff, apparent(g, steepest))
+        for _ in range(40):
+            over = wp.max(stress - slip_yield, scalar(0.0))
+            slip = layer.rate(slip_viscosity, slip_index, slip_quadratic, over)
+            within, grows = beside_wall(g, stiff, stress, wp.min(inner, stress), width)
+            growth = wp.max(ring * grows, least)
+            if over > scalar(0.0):
+                growth += layer.slope(slip_viscosity, slip_index, slip_quadratic, over, slip)
+            value = slip + ring * within - speed
+            if value > scalar(0.0):
+                high = stress
+            elif stress >= high:
+                low = stress
+                high = scalar(MARGIN) * stress
+            else:
+                low = stress
+            next = stress - value / growth
+            if next <= low or next >= high:
+                next = scalar(0.5) * (low + high)
+            step = stress - next
+            stress = next
+            if wp.abs(step) <= scalar(1.0e-6) * stress:
+                break
+        return stress, scalar(1.0) / growth, slip
+
+    return at_wall
+
+
+@functools.cache
+def flow_functions(scalar, of: GridKind) -> SimpleNamespace:
+    """Build the functions of the flow law on a grid of this kind; `bingham_functions` describes them.
+
+    The function `at_wall` has two more arguments unless `of.plain`: index and quadratic coefficient of the slip layer.
+    """
+    if of.plain:
+        return bingham_functions(scalar, of.dimensions)
+    f = rate_functions(scalar, of.dimensions, of.law)
+    return SimpleNamespace(
+        apparent=f.apparent, unyielded_viscosity=f.unyielded_viscosity,
+        apparent_at_edge=edge_function(scalar, of.dimensions, of.law),
+        at_wall=wall_function(scalar, of.dimensions, of.law, of.slip_law),
+    )  # fmt: skip

@@ -1,0 +1,189 @@
+"""Types of Warp's arrays, structs and scalars, and Warp's array functions with these types.
+
+Warp leaves the element type and the host copy of its arrays open, so every use of them would have an unknown type. The
+names of this module are Warp's own objects when the program runs. Only type checkers and editors see the declarations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+HostArray: TypeAlias = NDArray[Any]
+"""NumPy array whose element type follows from a device array or a file; `Any` stands for that element type only."""
+Scalar: TypeAlias = type[wp.float32] | type[wp.float64]
+"""Floating-point type of kernels, `wp.float32` or `wp.float64`."""
+Shape: TypeAlias = int | tuple[int, ...]
+
+if TYPE_CHECKING:
+
+    class DeviceArray(wp.array[Any, int]):
+        """Array in the memory of a device, a ``wp.array``."""
+
+        shape: tuple[int, ...]
+        ptr: int
+        capacity: int
+        device: wp.Device
+
+        def __init__(
+            self,
+            data: ArrayLike | Sequence[object],
+            dtype: type | Struct,
+            *,
+            device: wp.Device | str | None = None,
+            ndim: int | None = None,
+        ) -> None: ...
+
+        def __len__(self) -> int: ...
+
+        def __iter__(self) -> Iterator[DeviceArray]: ...
+
+        def __getitem__(self, key: slice | int | tuple[slice | int, ...]) -> DeviceArray:
+            """Return a view of a part of the array."""
+            ...
+
+        def numpy(self, *, _suppress_bfloat16_warning: bool = False) -> HostArray:
+            """Return the values on the host: a view of the array on a CPU, a copy on a GPU."""
+            ...
+
+        def assign(self, src: ArrayLike | DeviceArray) -> None:
+            """Copy values from the host or from another array of the same shape."""
+
+        def zero_(self) -> None:
+            """Set all values to zero."""
+
+        def fill_(self, value: object) -> None:
+            """Set all elements to one value."""
+
+    def zeros(
+        shape: Shape, dtype: type | Struct, *, device: wp.Device | str | None = None, pinned: bool = False
+    ) -> DeviceArray:
+        """Return a new array filled with zeros."""
+        ...
+
+    def ones(shape: Shape, dtype: type, *, device: wp.Device | str | None = None) -> DeviceArray:
+        """Return a new array filled with ones."""
+        ...
+
+    def empty(
+        shape: Shape, dtype: type | Struct, *, device: wp.Device | str | None = None, pinned: bool = False
+    ) -> DeviceArray:
+        """Return a new array without initial values."""
+        ...
+
+    def clone(src: DeviceArray) -> DeviceArray:
+        """Return a copy of an array on the same device."""
+        ...
+
+    def copy_array(
+        dest: DeviceArray, src: DeviceArray, dest_offset: int = 0, src_offset: int = 0, count: int = 0
+    ) -> None:
+        """Copy `count` elements between two arrays; 0 copies the whole array."""
+
+    def load_module(module: KernelModule, *, device: wp.Device, block_dim: int) -> None:
+        """Compile the kernels of a module, or load them from the cache."""
+
+    def full(shape: Shape, value: float, *, dtype: type, device: wp.Device) -> DeviceArray:
+        """Return a new array whose elements have one value."""
+        ...
+
+    def launch_kernel(
+        kernel: Kernel, *, dim: Shape, inputs: Sequence[object], device: wp.Device, record_cmd: bool = False,
+        block_dim: int = 256,
+    ) -> wp.Launch | None:  # fmt: skip
+        """Launch a kernel; with `record_cmd`, return the launch without running it."""
+
+    def capture_if(condition: DeviceArray, on_true: Callable[[], None]) -> None:
+        """Let a graph run what `on_true` launches only if `condition`, shape (1,), is not 0 at that time."""
+
+    def array_scan(in_array: DeviceArray, out_array: DeviceArray, inclusive: bool) -> None:
+        """Write the prefix sums of an array to another array."""
+
+    def radix_sort_pairs(keys: DeviceArray, values: DeviceArray, count: int, *, end_bit: int) -> None:
+        """Sort the first `count` keys and their values by the lowest `end_bit` bits of the keys."""
+
+    def bytes_of(dtype: type) -> int:
+        """Return the size of one element of an array [B]."""
+        ...
+
+    def is_struct(value: object) -> bool:
+        """Return whether a value is a struct, as opposed to a number or an array."""
+        ...
+
+else:
+    DeviceArray = wp.array
+    zeros, ones, empty, full, clone, copy_array = wp.zeros, wp.ones, wp.empty, wp.full, wp.clone, wp.copy
+    launch_kernel, load_module, capture_if = wp.launch, wp.load_module, wp.capture_if
+    array_scan, radix_sort_pairs = wp.utils.array_scan, wp.utils.radix_sort_pairs
+    bytes_of, is_struct = wp.types.type_size_in_bytes, wp.types.is_struct
+
+
+class StructMember(Protocol):
+    """Member of a struct; `type` is its annotation, for example ``wp.array(dtype=...)``."""
+
+    @property
+    def type(self) -> Any: ...
+
+
+class Struct(Protocol):
+    """Type that ``wp.struct`` makes of a class; a call returns an object with empty arrays."""
+
+    @property
+    def vars(self) -> Mapping[str, StructMember]:
+        """Members by name."""
+        ...
+
+    def __call__(self) -> Any: ...
+
+    def numpy_dtype(self) -> Any:
+        """Return the element type of an array of structs on the host, as NumPy takes it."""
+        ...
+
+
+class KernelArgument(Protocol):
+    """Parameter of a kernel; `label` is its name."""
+
+    @property
+    def label(self) -> str: ...
+
+
+class KernelCode(Protocol):
+    """Code of a kernel before it is compiled."""
+
+    @property
+    def args(self) -> Sequence[KernelArgument]: ...
+
+
+class KernelFunction(Protocol):
+    """Python function from which a kernel was made."""
+
+    @property
+    def __name__(self) -> str: ...
+
+
+class Kernel(Protocol):
+    """Kernel, as ``wp.kernel`` returns it."""
+
+    @property
+    def key(self) -> str: ...
+    @property
+    def func(self) -> KernelFunction: ...
+    @property
+    def adj(self) -> KernelCode: ...
+    @property
+    def module(self) -> KernelModule: ...
+
+
+class KernelModule(Protocol):
+    """Unit of compilation, which holds one kernel or several."""
+
+    @property
+    def kernels(self) -> Mapping[str, Kernel]: ...
+
+
+def declared(struct: Struct) -> Struct:
+    """Return a struct as a :class:`Struct`, because Warp leaves the types of its members open."""
+    return struct

@@ -1,0 +1,44 @@
+"""Checks that tell a type checker the type of a collection, whose elements stay open."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, SupportsFloat, TypeGuard
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def is_mapping(value: object) -> TypeGuard[Mapping[object, object]]:
+    """Return whether a value is a mapping."""
+    return isinstance(value, Mapping)
+
+
+def is_dict(value: object) -> TypeGuard[dict[str, object]]:
+    """Return whether a value is a dictionary; those in JSON, YAML and checkpoints have texts as keys."""
+    return isinstance(value, dict)
+
+
+def is_list_or_tuple(value: object) -> TypeGuard[list[object] | tuple[object, ...]]:
+    """Return whether a value is a list or a tuple."""
+    return isinstance(value, list | tuple)
+
+
+def is_set(value: object) -> TypeGuard[set[object]]:
+    """Return whether a value is a set."""
+    return isinstance(value, set)
+
+
+def is_number(value: object) -> TypeGuard[SupportsFloat]:
+    """Return whether a value is a number of Python or NumPy; True and False are none."""
+    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+
+
+def is_host_array(value: object) -> TypeGuard[NDArray[Any]]:
+    """Return whether a value is a NumPy array."""
+    return isinstance(value, np.ndarray)
+
+
+def is_numpy_number(value: object) -> TypeGuard[np.generic[Any]]:
+    """Return whether a value is a single number, text or truth value of NumPy."""
+    return isinstance(value, np.generic)

@@ -1,0 +1,42 @@
+"""Comparison of the rules against blocking with concretes that blocked or did not block."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ...core.inputs.amounts import amount
+from ...mix.blocking import blocking_rules, worst
+from .cases import Case
+from .predictions import mix_of_case
+
+BAD = ("risky", "blocks")
+"""Verdicts of a rule that warn of blocking."""
+
+
+@dataclass(frozen=True)
+class BlockingComparison:
+    """Verdict of the rules on one concrete in one bore, and whether the concrete blocked there."""
+
+    case: Case
+    held_out: bool
+    """True if no limit of a rule may be chosen with this case in view."""
+    blocked: bool
+    """True if the concrete blocked."""
+    verdict: str
+    """Worst verdict of all rules that could be evaluated."""
+    rules: str
+    """Names of the rules that warn of blocking."""
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the rules warn of a concrete that blocked, and not of one that did not block."""
+        return (self.verdict in BAD) == self.blocked
+
+
+def compare_blocking(case: Case, held_out: bool = False) -> BlockingComparison:
+    """Judge one concrete by the rules; raises :class:`SceneError` if its mix is refused."""
+    mix = mix_of_case(case)
+    bore = amount("case test: bore", case.test.get("bore"), "m")
+    verdicts = [each for each in blocking_rules(mix.given, bore) if each.verdict != "unknown"]
+    warned = ", ".join(each.rule for each in verdicts if each.verdict in BAD)
+    return BlockingComparison(case, held_out, case.measured[0] > 0.5, worst(verdicts), warned)

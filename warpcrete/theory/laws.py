@@ -1,0 +1,114 @@
+"""Flow laws of concrete and of its slip layer: stress as a function of shear rate, its inverse, and integrals.
+
+There are three laws, each for the bulk (shear rate g [1/s]) and for the slip layer (slip velocity instead of g):
+
+- Bingham: tau = tau_0 + mu g.
+- Herschel-Bulkley: tau = tau_0 + k g^n. It thickens with the rate for n > 1 and thins for n < 1.
+- Modified Bingham: tau = tau_0 + mu g + c g^2 (Yahia & Khayat 2001). It thickens, and its viscosity at low rates is mu.
+
+The stress in a pipe or a channel grows linearly from the middle to the wall. Velocities and flows are therefore
+integrals over the stress, which have closed forms if the shear rate g at the wall is used as the variable: with the
+viscous stress h(g) = tau - tau_0 they are sums of J_j = integral of g h^j h'(g) dg from 0 to g, j = 0, 1, 2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+BINGHAM, HERSCHEL_BULKLEY, MODIFIED_BINGHAM = "bingham", "herschel-bulkley", "modified-bingham"
+"""Names of the flow laws, which also select the kernels of a simulation."""
+
+
+def law_name(index: float, quadratic: float) -> str:
+    """Return the name of the law with this flow index n and this coefficient c of the square of the rate."""
+    if index != 1.0:
+        return HERSCHEL_BULKLEY
+    return MODIFIED_BINGHAM if quadratic > 0 else BINGHAM
+
+
+@dataclass(frozen=True)
+class FlowLaw:
+    """Law of a yield stress fluid, tau = tau_0 + mu g^n + c g^2, in which n is 1 or c is 0.
+
+    All methods take numbers or arrays and return arrays.
+    """
+
+    yield_stress: float
+    """Yield stress tau_0 [Pa]."""
+    viscosity: float
+    """Plastic viscosity mu, or consistency k [Pa s^n]; of a slip layer, divided by the layer's thickness^n."""
+    index: float = 1.0
+    """Flow index n."""
+    quadratic: float = 0.0
+    """Coefficient c of the square of the rate [Pa s2]."""
+
+    @property
+    def name(self) -> str:
+        """Name of the law, such as :data:`HERSCHEL_BULKLEY`."""
+        return law_name(self.index, self.quadratic)
+
+    def stress(self, rate: Any) -> np.ndarray:
+        """Return the stress [Pa] at shear rates [1/s], or slip velocities [m/s], that are not negative."""
+        g = np.asarray(rate, float)
+        if self.name == HERSCHEL_BULKLEY:
+            return self.yield_stress + self.viscosity * g**self.index
+        return self.yield_stress + self.viscosity * g + self.quadratic * g * g
+
+    def rate(self, stress: Any) -> np.ndarray:
+        """Return the shear rate [1/s], or slip velocity [m/s], at stresses [Pa]; it is 0 up to the yield stress."""
+        return self._rate_of_excess(np.maximum(np.asarray(stress, float) - self.yield_stress, 0.0))
+
+    def _rate_of_excess(self, excess: np.ndarray) -> np.ndarray:
+        """Return the rate at which the viscous stress h(g) equals `excess` [Pa]."""
+        if self.name == HERSCHEL_BULKLEY:
+            with np.errstate(over="ignore"):
+                return (excess / self.viscosity) ** (1 / self.index)
+        if self.name == MODIFIED_BINGHAM:
+            # This form of the root of mu g + c g^2 = excess does not subtract nearly equal numbers.
+            root = np.sqrt(self.viscosity**2 + 4 * self.quadratic * excess)
+            return 2 * excess / (self.viscosity + root)
+        return excess / self.viscosity
+
+    def integrals(self, stress: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return J_0, J_1 and J_2 up to the rate at `stress`: the integrals of g h^j dh [Pa^(j + 1) / s].
+
+        J_0 is also the integral of the rate over the stress.
+        """
+        h = np.maximum(np.asarray(stress, float) - self.yield_stress, 0.0)
+        g = self._rate_of_excess(h)
+        if self.name != MODIFIED_BINGHAM:
+            n = self.index
+            with np.errstate(over="ignore"):
+                return g * h * n / (n + 1), g * h**2 * n / (2 * n + 1), g * h**3 * n / (3 * n + 1)
+        # With a = mu g and b = c g^2 the integrands are polynomials of g, all of whose terms are positive.
+        a, b = self.viscosity * g, self.quadratic * g * g
+        return (
+            g * (a / 2 + 2 * b / 3),
+            g * (a * a / 3 + 3 * a * b / 4 + 2 * b * b / 5),
+            g * (a**3 / 4 + 4 * a * a * b / 5 + 5 * a * b * b / 6 + 2 * b**3 / 7),
+        )
+
+    def mean_velocity(self, stress: Any, radius: float, form: str) -> np.ndarray:
+        """Return the velocity [m/s] that shear adds to the slip velocity, averaged over the section.
+
+        `stress` is the shear stress tau at the wall [Pa]. The mean is R / tau^3 times the integral of g s^2 ds over
+        the stresses s from 0 to tau in a pipe of `radius` R, and H / tau^2 times the integral of g s ds in a channel
+        of half-width H (`form` "plane"). With s = tau_0 + h both are sums of the integrals J_j.
+        """
+        tau = np.asarray(stress, float)
+        zero, one, two = self.integrals(tau)
+        yields = self.yield_stress
+        with np.errstate(over="ignore", invalid="ignore"):
+            safe = np.where(tau > 0, tau, 1.0)
+            if form == "plane":
+                return radius / safe**2 * (yields * zero + one)
+            return radius / safe**3 * (yields**2 * zero + 2 * yields * one + two)
+
+    def stream(self, outer: Any, inner: Any) -> np.ndarray:
+        """Return the integral of g s^2 ds from the stress `inner` to `outer` [Pa3/s], the flow of a ring of a pipe."""
+        high, low = self.integrals(outer), self.integrals(inner)
+        zero, one, two = (a - b for a, b in zip(high, low, strict=True))
+        return self.yield_stress**2 * zero + 2 * self.yield_stress * one + two
