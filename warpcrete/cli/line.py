@@ -28,7 +28,7 @@ from .option_amounts import THIXOTROPY_BAND, growth_of, option_amount
 
 ELEMENT_OPTIONS = {"shapes": "spheres", "coarse": None, "seeds": 1, "stiffer": 5.0}
 """Options that only discrete elements use, with their default values."""
-FLOW_OPTIONS = {"cells": 12, "known": None}
+FLOW_OPTIONS = {"cells": 12, "known": None, "device": None, "threads": None}
 """Options that only simulations use, with their default values."""
 
 

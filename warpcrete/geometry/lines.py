@@ -206,7 +206,11 @@ class _Course:
             listed = kind == "hose" and isinstance(said, Sequence) and not isinstance(said, str)
             said = {"points" if listed else next(iter(PARTS[kind])): said}
         for key in said:
-            one_of(f"part {number}, {kind}: key", key, PARTS[kind])
+            field = f"part {number}, {kind}: key"
+            if str(key)[:1].isdecimal():
+                refuse(field, key, f"must be one of {', '.join(PARTS[kind])}",
+                       "within braces, put an amount with a decimal comma in quotes, as in '12,5 m'")  # fmt: skip
+            one_of(field, key, PARTS[kind])
 
         def get(key: str, unit: str, default: Any = None) -> float:
             if key not in said and default is None:
