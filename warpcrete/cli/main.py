@@ -433,6 +433,9 @@ def calibrate_command(arguments: tuple[str, ...]) -> None:
 
 LINE_HELP = """Compute the pressure that a pipeline needs: `warpcrete line LINE.yaml [options]`.
 
+Without a file, a straight line and a slump suffice: `warpcrete line --slump 180mm --stone 20mm --diameter 125mm
+--length 190m --rise 20m --flow 30m3/h`.
+
 The file lists the parts of the pipeline in order. The answer comes at once, from theory and from factors of earlier
 simulations. With --simulate, each different part is simulated once as a flow; a straight pipe is simulated once and its
 pressure scaled with its length. --method dem simulates the parts with discrete elements, --method both with both
@@ -473,7 +476,13 @@ Values without a unit are in m, m3/s, Pa and degrees. The exit code is 3 if a ch
 
 
 @cli.command("line", help=LINE_HELP)
-@click.argument("line", type=str)
+@click.argument("line", type=str, required=False)
+@click.option("--diameter", help="Inner diameter of a straight line without a file, such as '125 mm'")
+@click.option("--length", help="Length of a straight line without a file, such as '190 m'")
+@click.option("--rise", help="Height of the end of a line without a file above its start  [default: 0 m]")
+@click.option("--slump", help="Slump of a concrete of which nothing else is known, such as '180 mm'")
+@click.option("--spread", help="Spread of a concrete of which nothing else is known, such as '600 mm'")
+@click.option("--stone", help="Size of the largest stone, such as '20 mm'")
 @click.option("--concrete", help="Concrete, instead of the line's: no1, no2, no3, or a file with a section 'flow'; "
               "with --method dem, zhan or another concrete of the scene 'pipe'")  # fmt: skip
 @click.option("--flow", help="Volume flow, instead of the line's, such as '30 m3/h'")
@@ -531,7 +540,7 @@ Values without a unit are in m, m3/s, Pa and degrees. The exit code is 3 if a ch
               "seeds by discrete elements, stones in their true size, and print the probability that it is blocked; "
               "meant for a GPU")  # fmt: skip
 @click.option("--quiet", is_flag=True, help="Show no progress bar")
-def line_command(line: str, **settings: Any) -> None:
+def line_command(line: str | None, **settings: Any) -> None:
     _part("line").run(line, **settings)
 
 
