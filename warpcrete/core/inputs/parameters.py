@@ -132,7 +132,7 @@ class Field:
     """True if None is an allowed value."""
     help: str
     rules: tuple[object, ...]
-    default: object
+    default: Any
     """Default value; `dataclasses.MISSING` if there is none."""
     group: str
     """First line of the docstring of the class that declares the field; it is the heading of a group in help texts."""
