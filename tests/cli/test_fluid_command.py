@@ -11,7 +11,8 @@ import pytest
 from click.testing import CliRunner
 from pumping import wait_until
 
-from warpcrete.cli.main import cli
+from warpcrete.cli.main import cli, help_text
+from warpcrete.scenes import modules
 
 COMMAND = [sys.executable, "-c", "from warpcrete.cli import main; main()"]
 
@@ -140,3 +141,14 @@ def test_a_solve_that_fails_ends_the_run_with_its_history(tmp_path):
     assert len(done.stderr.strip().splitlines()) == 1
     assert not list((tmp_path / "run").glob("*partial*"))
     assert json.loads((tmp_path / "run" / "result.json").read_text())["finished"] is False
+
+
+def test_help_of_scenes_has_no_markup_and_no_errors_of_python():
+    for module in modules().values():
+        text = help_text(module.scene.description)
+        assert ":class:" not in text and "Raises" not in text and "SceneError" not in text
+        assert text.startswith(module.scene.description[:40])
+    told = help_text(
+        "Do it.\n\nSee :func:`~warpcrete.core.units.shown`. Raises\n:class:`SceneError` for none.\n\nMore."
+    )
+    assert told == "Do it.\n\nSee shown.\n\nMore."

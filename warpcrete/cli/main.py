@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import os
+import re
 import signal
 import threading
 from pathlib import Path
@@ -153,8 +154,16 @@ def _scene_command(name: str, module: ModuleType) -> click.Command:
 
     own = options.parameter_options(field for key, field in fields.items() if key not in common)
     return options.SceneCommand(
-        name, module.scene, params=own + options.run_options(), callback=callback, help=module.scene.description
-    )
+        name, module.scene, params=own + options.run_options(), callback=callback,
+        help=help_text(module.scene.description),
+    )  # fmt: skip
+
+
+def help_text(docstring: str) -> str:
+    """Return a docstring as help of a command, without the markup of Sphinx and the errors that Python raises."""
+    kept = [part for part in docstring.split("\n\n") if not part.lstrip().startswith("Raises ")]
+    text = re.sub(r"\s*Raises\s+:class:`[^`]*`[^.]*\.", "", "\n\n".join(kept))
+    return re.sub(r":\w+:`~?\.*(?:[\w.]*\.)?(\w+)`", r"\1", text)
 
 
 def _repeat_command(path: Path) -> click.Command:
