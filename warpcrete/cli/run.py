@@ -17,6 +17,7 @@ from ..core.run.files import check_new, next_folder, read_json
 from ..core.run.method import report_of
 from ..core.run.progress import ProgressBar
 from ..core.run.run_loop import Recorder, Run
+from ..core.run.simulation_protocol import RecordedSimulation
 from ..core.units import number
 from ..methods import Simulation, method_of
 from ..record.checks import failed_checks
@@ -160,7 +161,7 @@ class PipelineRecorder(Recorder):
     def __init__(self, height: float | None, distance: float | None, other: dict[str, Any] | None) -> None:
         self.height, self.distance, self.other = height, distance, other
 
-    def finish(self, simulation: Simulation, run: Run) -> None:
+    def finish(self, simulation: RecordedSimulation, run: Run) -> None:
         """Compute the pressure of the whole pipeline from the run's pressure plateau, if the run has reached one."""
         if run.finished and (self.height is not None or self.distance is not None):
             estimate = pipeline_estimate(run, self.height or 0.0, self.distance or 0.0, self.other)

@@ -138,7 +138,7 @@ def _base(name: str, path: Path, depth: int) -> NamedConcrete:
     return _read(SHIPPED / f"{name}.yaml", depth + 1)
 
 
-def known_only(section: str, values: Mapping[str, Any], known: Collection[str], name: str) -> dict[str, Any]:
+def known_only(section: str, values: Mapping[str, object], known: Collection[str], name: str) -> dict[str, Any]:
     """Return the values of a section of the concrete `name`; refuse a value whose key is not in `known`."""
     for key in values:
         if key not in known:

@@ -140,7 +140,7 @@ class Field:
     """True if None is an allowed value."""
     help: str
     rules: tuple[object, ...]
-    default: object
+    default: Any
     """Default value; `dataclasses.MISSING` if there is none."""
     group: str
     """First line of the docstring of the class that declares the field; it is the heading of a group in help texts."""
@@ -160,7 +160,7 @@ class Field:
         """Return those rules of the field that are instances of `kind`."""
         return (rule for rule in self.rules if isinstance(rule, kind))
 
-    def converted(self, value: Any, name: str) -> Any:
+    def converted(self, value: object, name: str) -> Any:
         """Return `value` converted to the field's type; raises :class:`SceneError` if that is impossible.
 
         NumPy numbers become Python numbers, integers become floats if the field is a float, and texts such as "125 mm"
@@ -248,7 +248,7 @@ class Declared:
         return "", ()
 
     @classmethod
-    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, object]:
         """Return parameters that follow from the given ones, such as those of a concrete that is given by name."""
         return {}
 
@@ -360,7 +360,7 @@ class SceneFunction(Generic[P, S]):
                 unwritable += [] if same else [name]
         return values, tuple(unwritable)
 
-    def fields(self, given: Mapping[str, Any]) -> dict[str, Field]:
+    def fields(self, given: Mapping[str, object]) -> dict[str, Field]:
         """Return the declared fields, and the fields that belong to given values, such as those of a contact law."""
         known = dict(declared_fields(self.parameters))
         for name, field in list(known.items()):
@@ -368,7 +368,7 @@ class SceneFunction(Generic[P, S]):
                 known |= {key: each for key, each in rule.fields(field, given.get(name)).items() if key not in known}
         return known
 
-    def with_objects(self, values: Mapping[str, Any]) -> dict[str, Any]:
+    def with_objects(self, values: Mapping[str, object]) -> dict[str, Any]:
         """Return parameters in which each object is built from the parameters that belong to it.
 
         Raises :class:`SceneError` for a parameter that belongs to no object.
@@ -385,17 +385,17 @@ class SceneFunction(Generic[P, S]):
                         refuse(name, found[name], f"has no effect with {field.name} = {value!r}", hint)
         return found
 
-    def plain(self, scene: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+    def plain(self, scene: Any, given: Mapping[str, object]) -> dict[str, Any]:
         """Return the arguments that a scene was made of, without parameters that were left at their defaults."""
         names = self.completed(given)
         declared = declared_fields(self.parameters)
         return {name: value for name, value in scene.parameters.items() if name in names or name not in declared}
 
-    def declared(self, given: Mapping[str, Any]) -> Any:
+    def declared(self, given: Mapping[str, object]) -> Any:
         """Return the parameters as an instance of their dataclass: given values, values implied by them, defaults."""
         return self.parameters(**self.with_objects(self.completed(given)))
 
-    def completed(self, given: Mapping[str, Any]) -> dict[str, Any]:
+    def completed(self, given: Mapping[str, object]) -> dict[str, Any]:
         """Return parameters by name, with aliases replaced, together with parameters that follow from the given ones.
 
         For example, the name of a concrete implies its parameters. Implied parameters that have no effect are left out.
@@ -407,7 +407,7 @@ class SceneFunction(Generic[P, S]):
         meant = self._effective(implied | values)
         return values | {name: value for name, value in implied.items() if name in meant}
 
-    def effective_values(self, given: Mapping[str, Any]) -> dict[str, Any]:
+    def effective_values(self, given: Mapping[str, object]) -> dict[str, Any]:
         """Return the given parameters by name, with aliases replaced, without parameters that have no effect."""
         values = self.resolved(given)
         meant = self._effective({**self.parameters.implied(values), **values})
@@ -424,10 +424,10 @@ class SceneFunction(Generic[P, S]):
             rules = known[name].of_kind(Needs) if name in known else iter(())
             return all(rule.holds(converted) for rule in rules)
 
-        def converted(name: str) -> Any:
+        def converted(name: str) -> object:
             return held(name) if name in composite else known[name].converted(held(name), name)
 
-        def held(name: str) -> Any:
+        def held(name: str) -> object:
             return values.get(name, known[name].default)
 
         # Repeat until nothing changes, because a removed parameter may be a condition for other parameters.
@@ -435,12 +435,12 @@ class SceneFunction(Generic[P, S]):
             values = {name: value for name, value in values.items() if meant(name)}
         return values
 
-    def resolved(self, given: Mapping[str, Any]) -> dict[str, Any]:
+    def resolved(self, given: Mapping[str, object]) -> dict[str, Any]:
         """Return parameters by their own names instead of aliases, and texts such as "125 mm" as numbers."""
         return resolved(declared_fields(self.parameters), given)
 
 
-def resolved(known: Mapping[str, Field], given: Mapping[str, Any]) -> dict[str, Any]:
+def resolved(known: Mapping[str, Field], given: Mapping[str, object]) -> dict[str, Any]:
     """Return values of fields by the fields' own names instead of aliases, and texts such as "125 mm" as numbers."""
     values: dict[str, Any] = dict(given)
     for name, field in known.items():

@@ -20,6 +20,10 @@ from .viewer import LOOPBACK, Viewer, has_screen, screen_viewer, web_viewer
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame  # pyright: ignore[reportMissingTypeStubs]
+
 DEFAULT_PLOT_COLUMNS = ("pressure", "spread", "front", "inside")
 """Names of columns in order of preference: by default, a plot shows the first of them that the series contains."""
 
@@ -83,7 +87,7 @@ class Run:
                 found[name] = number(entry)
         return found
 
-    def table(self) -> Any:
+    def table(self) -> DataFrame:
         """Return the series as a pandas DataFrame in SI units, with one row per sample and `time` [s] as index.
 
         The units of the columns are in `attrs["units"]` of the DataFrame. Raises :class:`WarpcreteError` if pandas is
@@ -155,7 +159,7 @@ class Run:
         return html_table(rows)
 
 
-def dataframe(columns: Mapping[str, np.ndarray], units: Mapping[str, str], index: str) -> Any:
+def dataframe(columns: Mapping[str, np.ndarray], units: Mapping[str, str], index: str) -> DataFrame:
     """Return columns as a pandas DataFrame, with the column `index` as its index if there is such a column.
 
     The units of the columns are in `attrs["units"]`. Raises :class:`WarpcreteError` if pandas is not installed.
@@ -166,9 +170,9 @@ def dataframe(columns: Mapping[str, np.ndarray], units: Mapping[str, str], index
         raise WarpcreteError(
             "run.table needs pandas; run pip install 'warpcrete[notebook]', or use the arrays in run.series"
         ) from None
-    found: Any = pandas.DataFrame(dict(columns))
+    found = pandas.DataFrame(dict(columns))
     if index in found:
-        found = found.set_index(index)
+        found = found.set_index(index)  # pyright: ignore[reportUnknownMemberType]
     found.attrs["units"] = dict(units)
     return found
 

@@ -87,7 +87,7 @@ class Simulation:
     kinds: ClassVar[list[type[Simulation]]] = []
     """Subclasses, one for each simulation method."""
     stepper: Stepped
-    """Object with `time` [s], `steps`, and a method `advance(until)` that steps the state to a time [s]."""
+    """State on the device, with its clock."""
     shares_cores = False
     """True if other runs use the cores that the threads of this run leave free."""
 
