@@ -19,9 +19,6 @@ from .viewer import LOOPBACK, Viewer, has_screen, screen_viewer, web_viewer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from pandas import DataFrame  # pyright: ignore[reportMissingTypeStubs]
 
 DEFAULT_PLOT_COLUMNS = ("pressure", "spread", "front", "inside")
