@@ -10,7 +10,7 @@ from typing import Annotated
 
 import pytest
 from click.testing import CliRunner
-from pumping import command, small_options
+from pumping import command_process, small_options
 from test_laws import Toy
 from test_records import refused, saved
 
@@ -259,16 +259,20 @@ def test_a_run_with_the_guides_law_is_repeated_to_the_bit(tmp_path):
     guide_law(tmp_path)
     options = small_options(travel=0.01, ramp=0.008, settle=0.1, solid_fraction=0.5)
     words = ["--device", "cpu", "--threads", "2", "--no-rerun", "--no-usd", "--quiet"]
-    done = command("run", "pipe", "--contact", "sticky:Sticky", "--contact-pull", "0.002", *options, *words, "--out",
-                   "one", cwd=tmp_path)  # fmt: skip
+    done = command_process("run", "pipe", "--contact", "sticky:Sticky", "--contact-pull", "0.002", *options, *words,
+                           "--out", "one", cwd=tmp_path)  # fmt: skip
     assert done.returncode in (0, 3), done.stderr
-    again = command("--trust", "run", "one/scene.json", *words, "--out", "two", cwd=tmp_path)
+    again = command_process("--trust", "run", "one/scene.json", *words, "--out", "two", cwd=tmp_path)
     assert again.returncode == done.returncode, again.stderr
-    other = command("run", "pipe", "--contact", "sticky:Sticky", *options, *words, "--out", "three", cwd=tmp_path)
+    other = command_process(
+        "run", "pipe", "--contact", "sticky:Sticky", *options, *words, "--out", "three", cwd=tmp_path
+    )
     assert other.returncode in (0, 3), other.stderr
     one, two, three = (json.loads((tmp_path / name / "result.json").read_text()) for name in ("one", "two", "three"))
     assert one["state_hash"] == two["state_hash"] != three["state_hash"]
     assert one["momentum_balance_error"] < 0.01
-    lost = command("--trust", "run", tmp_path / "one" / "scene.json", *words, "--out", tmp_path / "four", cwd="/")
+    lost = command_process(
+        "--trust", "run", tmp_path / "one" / "scene.json", *words, "--out", tmp_path / "four", cwd="/"
+    )
     assert lost.returncode == 2 and len(lost.stderr.splitlines()) == 1
     assert "there is no module 'sticky' on Python's path" in lost.stderr and "PYTHONPATH" in lost.stderr

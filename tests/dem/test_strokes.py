@@ -1,5 +1,6 @@
 """Pistons that stop: their motion, what a rest grows, and what a run makes of it."""
 
+import functools
 import math
 
 import numpy as np
@@ -199,10 +200,14 @@ class CutAt(Recorder):
         simulation.stop_requested = row["time"] >= self.time
 
 
+@functools.cache
+def uncut(device):
+    return Simulation(scenes.pipe(rest=600.0, **STOPPING), device=device).run()
+
+
 @pytest.mark.parametrize("cut", [0.12, 0.17, 0.185])  # in the pause, just after the rest, on the way
 def test_a_run_cut_in_a_pause_or_after_a_rest_goes_on_with_the_same_bits(device, tmp_path, cut):
-    scene = scenes.pipe(rest=600.0, **STOPPING)
-    whole = Simulation(scene, device=device).run()
+    scene, whole = scenes.pipe(rest=600.0, **STOPPING), uncut(device)
     first = Simulation(scene, device=device, checkpoint_path=tmp_path / "c.npz", recorders=[CutAt(cut)])
     assert not first.run().finished
     second = Simulation(scene, device=device)

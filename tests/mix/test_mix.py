@@ -170,6 +170,17 @@ def test_points_of_tribometer_and_viscometer():
     assert (mix["slip viscosity"].low, mix["slip viscosity"].high) == pytest.approx((0.3 * 900, 2 * 900))
 
 
+@pytest.mark.parametrize(("stresses", "student"), [((100, 141, 178), 12.706), ((100, 141, 178, 220), 4.303)])
+def test_a_line_through_several_points_has_the_interval_of_student(stresses, student):
+    """The standard error of a slope times the quantile for as many degrees of freedom as there are points less two."""
+    rate, stress = np.arange(1.0, 1 + len(stresses)), np.array(stresses)
+    slope, offset = np.polyfit(rate, stress, 1)
+    variance = np.sum((stress - slope * rate - offset) ** 2) / (len(rate) - 2)
+    error = math.sqrt(variance / np.sum((rate - rate.mean()) ** 2))
+    found = mix_of({"density": 2300, "viscometer": np.transpose([rate, stress]).tolist()})["viscosity"]
+    assert found.value == pytest.approx(slope) and found.high - slope == pytest.approx(student * error, rel=2e-3)
+
+
 def test_the_viscosity_is_a_guess_if_nothing_tells_it():
     assert mix_of({"density": 2300, "slump": "100 mm"})["viscosity"].way.startswith("assumption")
 

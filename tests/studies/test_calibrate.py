@@ -16,9 +16,9 @@ from warpcrete.core.inputs.yaml_files import yaml_text
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
 from warpcrete.studies.calibration.calibrate import calibrate, resume_calibration
-from warpcrete.studies.calibration.posterior import confounded_pairs
+from warpcrete.studies.calibration.posterior import confounded_pairs, posterior
 from warpcrete.studies.calibration.report import concrete_of
-from warpcrete.studies.calibration.targets import read_task, task_of
+from warpcrete.studies.calibration.targets import FreeParameter, Target, Task, read_task, task_of
 from warpcrete.theory.pipe import CONCRETES
 
 SEARCH = importlib.import_module("warpcrete.studies.calibration.calibrate")
@@ -345,3 +345,15 @@ def test_too_few_values_are_told(tmp_path, monkeypatch):
     monkeypatch.setattr(SEARCH, "run_round", run_round)
     with pytest.raises(WarpcreteError, match="was found in only 1 of 8 runs; reason in the first run without it: stop"):
         calibrate(one_pressure(), out=tmp_path / "out", device="cpu", trials=8)
+
+
+@pytest.mark.thorough
+def test_a_posterior_is_as_wide_as_the_measurement_is_uncertain():
+    """A quantity 0.3 + 0.4 u, measured as 0.5 +- 0.02, gives u = 0.5 +- 0.05; runs that scatter add little."""
+    target = Target("slump", "spread", 0.5, 0.02, {}, False, "m")
+    task = Task(None, (FreeParameter("yield_stress", 0.0, 1.0, False, False),), (target,))
+    random = np.random.default_rng(3)
+    points = random.uniform(0, 1, (24, 1))
+    found = posterior(task, points, {target: 0.3 + 0.4 * points[:, 0] + random.normal(0, 0.004, 24)}, seed=1)
+    assert found.samples.mean() == pytest.approx(0.5, abs=0.01)  # measured 0.498
+    assert found.samples.std() == pytest.approx(0.05, rel=0.15)  # measured 0.051
