@@ -85,7 +85,9 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
     only_dem = ELEMENT_OPTIONS if settings["blocking"] is None else {"seeds": ELEMENT_OPTIONS["seeds"]}
     for name in changed(only_dem) if method == "flow" else ():
         raise click.UsageError(f"{name}: has no effect with --method flow; use --method both, or leave it out")
-    for name in () if heavy else changed(FLOW_OPTIONS):
+    needed = () if settings["blocking"] is None else ("device", "threads")
+    unused = {name: usual for name, usual in FLOW_OPTIONS.items() if name not in needed}
+    for name in () if heavy else changed(unused):
         raise click.UsageError(f"{name}: has no effect without a simulation; add --simulate, or leave it out")
     others = dict.fromkeys(("layer_factor", "rest", "pump_pressure", "pump_flow", "pump_power"))
     for name in changed({**others, "cells": 12, "practice": False}) if method == "dem" else ():
