@@ -45,9 +45,14 @@ def run(line: str, *, method: str, simulate: bool, theory: bool, out: Path | Non
     given = _with_pump(read_line(line), pump)
     name = settings["concrete"] or given.concrete
     if settings["flow"] is None and given.flow is None and settings["fit"] is None:
-        raise click.UsageError("flow: is missing; set it in the file of the line, or with --flow '30 m3/h'")
+        raise click.UsageError(
+            "flow: is missing; set 'flow' in the file of the line, or add, for example, --flow '30 m3/h'"
+        )
     if name is None:
-        raise click.UsageError("concrete: is missing; set it in the file of the line, or with --concrete no1 or a file")
+        raise click.UsageError(
+            "concrete: is missing; set 'concrete' in the file of the line, or add --concrete with a "
+            "name, such as no1, or a file"
+        )
     rate = given.flow if settings["flow"] is None else _flow(settings["flow"], given)
     mix = mix_named(str(name))
     if mix is not None and given.largest_stone is None:
@@ -81,23 +86,25 @@ def run(line: str, *, method: str, simulate: bool, theory: bool, out: Path | Non
 def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[str, Any]) -> None:
     """Refuse options that contradict each other or have no effect."""
     if theory and method != "flow":
-        raise click.UsageError("--theory: cannot be combined with --method dem or both; leave out one of them")
+        raise click.UsageError(
+            "--theory: cannot be combined with '--method dem' or '--method both'; leave out --theory or --method"
+        )
     if theory and simulate:
-        raise click.UsageError("--theory: cannot be combined with --simulate; leave out one of them")
+        raise click.UsageError("--theory: cannot be combined with --simulate; leave out --theory or --simulate")
     heavy = simulate or method != "flow"
     if settings["fit"] is not None and heavy:
-        raise click.UsageError("fit: is an answer by theory; leave out --simulate and --method")
+        raise click.UsageError("--fit: compares measurements with theory only; leave out --simulate and --method")
 
     def changed(options: Mapping[str, Any]) -> list[str]:
         return [name for name, usual in options.items() if settings[name] != usual]
 
     for name in changed(ELEMENT_OPTIONS) if method == "flow" else ():
-        raise click.UsageError(f"{name}: has no effect with --method flow; use --method both, or leave it out")
+        raise click.UsageError(f"{name}: has no effect with '--method flow'; use '--method both', or leave out {name}")
     for name in () if heavy else changed(FLOW_OPTIONS):
-        raise click.UsageError(f"{name}: has no effect without a simulation; add --simulate, or leave it out")
+        raise click.UsageError(f"{name}: has no effect without a simulation; add --simulate, or leave out {name}")
     others = dict.fromkeys(("layer_factor", "rest", "pump_pressure", "pump_flow", "pump_power"))
     for name in changed({**others, "cells": 12, "practice": False}) if method == "dem" else ():
-        raise click.UsageError(f"{name}: has no effect with --method dem; use --method both, or leave it out")
+        raise click.UsageError(f"{name}: has no effect with '--method dem'; use '--method both', or leave out {name}")
     for name in ("layer_factor", "coarse", "stiffer"):
         if settings[name] is not None:
             check_limit(name, settings[name], "")

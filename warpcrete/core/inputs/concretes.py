@@ -92,8 +92,9 @@ def _read(path: Path, depth: int) -> NamedConcrete:
         refuse(
             "concrete base",
             str(path),
-            f"is part of a chain of more than {MAXIMUM_CHAIN} bases or of a loop",
-            "shorten the chain of bases",
+            f"is part of a chain of more than {MAXIMUM_CHAIN} files, each with the next one as its 'base', or of a "
+            "loop of files",
+            "shorten the chain, or remove one 'base' of the loop",
         )
     for key in given:
         if key not in KEYS:
@@ -118,7 +119,12 @@ def _read(path: Path, depth: int) -> NamedConcrete:
         sections = {section: dict(getattr(base, section)) | sections[section] for section in SECTIONS}
         texts.setdefault("source", base.source)
     if mix is None and not any(sections.values()):
-        refuse("concrete", str(path), "defines no properties", "add a section elements, flow or mix, or a base")
+        refuse(
+            "concrete",
+            str(path),
+            "defines no properties",
+            "add a section 'elements', 'flow' or 'mix', or name another concrete, as in 'base: no1'",
+        )
     return NamedConcrete(**{"name": name_of(path), **texts}, **sections, mix=mix)
 
 

@@ -147,8 +147,8 @@ def read_record(path: Path) -> dict[str, Any]:
 
 
 def _refuse_entry(path: Path, name: str, value: Any) -> NoReturn:
-    raise RunFolderError(f"'{path}': is damaged: its entry {name!r} is {quoted(value)}; restore the file, or "
-                         "start again in a new folder")  # fmt: skip
+    raise RunFolderError(f"'{path}': is damaged: its entry {name!r} is {quoted(value)}, which has the wrong type; "
+                         "restore the file, or start again in a new folder")  # fmt: skip
 
 
 def check_new(folder: Path) -> None:
