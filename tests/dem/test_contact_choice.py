@@ -102,7 +102,7 @@ def test_vessels_grip_by_what_a_law_has():
 @pytest.mark.parametrize("given, message", [
     (dict(contact="test_laws:Toy"), "contact_push = None: is required by contact Toy: whatever the overlap"),
     (TOY | dict(contact_push="much"), "contact_push = 'much': must be a number"),
-    (TOY | dict(contact_pull=1.0), "contact_pull = 1.0: has no effect with contact = .*; its parameters are contact"),
+    (TOY | dict(contact_pull=1.0), "contact_pull = 1.0: has no effect with contact = .*; the parameters of .* are"),
     (dict(contact_push=1.0), "contact_push = 1.0: has no effect with contact = None"),
     (dict(contact="test_laws:Tou"), "contact = 'test_laws:Tou': the module 'test_laws' has no 'Tou'"),
     (dict(contact="nowhere:Toy"), "contact = 'nowhere:Toy': there is no module 'nowhere' on .* set PYTHONPATH"),
@@ -110,7 +110,7 @@ def test_vessels_grip_by_what_a_law_has():
     (dict(contact="__main__:Toy"), "move the class to a module file of its own"),
     (dict(contact="os:path"), "must be a frozen dataclass that derives from warpcrete.dem.laws.base:ContactLaw"),
     (dict(contact="warpcrete.dem.laws:ContactLaw"), "must be a frozen dataclass|does not define device_functions"),
-    (dict(contact="hertz"), "contact = 'hertz': must be one of linear, hertz-mindlin, .* or package.module:Class"),
+    (dict(contact="hertz"), "contact = 'hertz': must be one of linear, hertz-mindlin, .* or 'module:Class'"),
     (dict(contact="a b:Toy"), "must be one of linear"),
     (dict(contact=7), "contact = 7: must be one of linear, .* or an object of one of these classes"),
     (dict(contact=Toy), "must be one of linear"),
@@ -203,7 +203,7 @@ def test_a_file_that_names_a_law_does_not_import_it(tmp_path, monkeypatch):
     path = list(sys.path)
     for words in (["calibrate", targets], ["run", "run/scene.json"], ["run", "--resume", "run"]):
         assert "contact = 'evil_law:Evil': comes from a file" in refused(*words)
-    with pytest.raises(SceneError, match=r"comes from a file .* use .warpcrete --trust"):
+    with pytest.raises(SceneError, match=r"comes from a file.* use .warpcrete --trust"):
         studies.load_study(tmp_path / "run")
     assert load(tmp_path / "run").scene.parameters == parameters  # without the scene itself
     assert not (tmp_path / "ran").exists() and "evil_law" not in sys.modules

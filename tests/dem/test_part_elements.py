@@ -158,7 +158,7 @@ def test_parts_that_cannot_be_are_refused_in_one_line(changes, told):
 @pytest.mark.parametrize(
     "parts, told",
     [
-        ("[{bend: {to: up, radius: 0.2}}, {straight: 1}]", "must begin and end straight: part 1 is a bend"),
+        ("[{bend: {to: up, radius: 0.2}}, {straight: 1}]", "with a straight part, but part 1 is a bend"),
         ("[{straight: 0.2}, {bend: {to: left, radius: 0.2}}, {bend: {to: left, radius: 0.2}}, {straight: 1}]",
          "returns across the plane of its inlet"),
     ],

@@ -71,7 +71,7 @@ def test_motion_with_stops_follows_its_closed_form(start, precision):
 
 def test_stops_that_cannot_be():
     with pytest.raises(
-        SceneError, match=r"stroke_time = 0.02: must be at least two ramps of 0.013 s; shorten the ramp"
+        SceneError, match=r"stroke_time = 0.02: must be at least two ramps of 0.013 s; reduce 'ramp_time'"
     ):
         moving_scene(stops=Stops(count=1, stroke_time=0.02, pause=0.0))
     with pytest.raises(SceneError, match="pause = -1"):
@@ -268,7 +268,10 @@ def test_peaks_and_what_is_held_of_made_up_strokes():
             dict(strokes=2, rest=9.0, bonds=False, concrete="zhan-table1"),
             "rest = 9.0: has no effect, because there are",
         ),
-        (dict(unit="C", strokes=2, stroke=0.4, ramp=0.1), "stroke = 0.4: times 2 must not exceed the bend's arc"),
+        (
+            dict(unit="C", strokes=2, stroke=0.4, ramp=0.1),
+            "stroke = 0.4: times 2 strokes must not exceed the length of the bend's arc",
+        ),
         (dict(strokes=0), "strokes = 0: must"),
     ],
 )

@@ -151,7 +151,7 @@ def test_savings_by_a_trade(tmp_path):
         ("time step 1.2", pytest.approx(0.7), "error of plateau_pressure +0.3 +- 0.1 %")
     ]
     assert "some machine" in str(told) and "time step 1.2: 0.7 of the wall time; error of plateau" in str(told)
-    with pytest.raises(SceneError, match="must be a trade of the scene 'channel', but is one of 'pipe'"):
+    with pytest.raises(SceneError, match="must be a trade of the scene 'channel', but belongs to the scene 'pipe'"):
         explain(scenes.channel(spacing=0.02), device="cpu", trade=tmp_path)
     with pytest.raises(RunFolderError, match="is not a folder made by 'warpcrete trade'"):
         explain(scenes.channel(spacing=0.02), device="cpu", trade=tmp_path / "none")

@@ -64,7 +64,7 @@ def test_the_narrowest_of_a_bore_lets_stones_through_or_not(tmp_path):
         ({}, {"scale": "mm"}, r"scale = 'mm': must be a number"),
         ({}, {"scale": -1}, r"scale = -1\.0: must be a finite number above 0"),
         ({}, {"scale": 1}, r"scale = 1\.0: makes the mesh 250 m long, but the part is 0\.25 m long; check the scale"),
-        ({}, {"length": 0.3}, r"has an axis of 0\.25 m, but the part has a length of 0\.3 m; correct the"),
+        ({}, {"length": 0.3}, r"has an axis of 0\.25 m, but the part has a length of 0\.3 m; correct 'length'"),
         ({"begin": 0.1}, {}, r"has no closed cross-section at its origin in the direction \+x; move the mesh"),
         ({"aside": 0.01}, {}, r"does not begin at its origin: the middle of its first cross-section lies 0\.01"),
         ({"aside": 0.2}, {}, r"has no closed cross-section at its origin in the direction \+x"),

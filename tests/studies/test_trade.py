@@ -201,8 +201,8 @@ def test_what_a_budget_leaves_out_is_said_and_run_later(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "settings, match",
     [
-        (dict(quantities=["presure"]), "quantity = 'presure': must be among"),
-        (dict(knobs=["spacings"]), "knob = 'spacings': must be among spacing"),
+        (dict(quantities=["presure"]), "quantity = 'presure': must be one of"),
+        (dict(knobs=["spacings"]), "knob = 'spacings': must be one of spacing"),
         (dict(repeat=2), "repeat = 2: must be 1, because nothing in this scene is random"),
         (dict(repeat=0), "repeat = 0: must be 1"),
         (
