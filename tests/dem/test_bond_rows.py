@@ -128,7 +128,9 @@ def test_more_bonds_than_can_be_numbered_are_refused(start, monkeypatch):
         stepper.bond(scene.bonds, 1)
     monkeypatch.setattr(joint, "MOST_ROWS", 4)
     stepper = start(dataclasses.replace(scene, bonds=dataclasses.replace(scene.bonds, healing=True)))
-    with pytest.raises(CapacityError, match=r"^bonds = 1000: too many listed pairs may bond; one scene can hold"):
+    with pytest.raises(
+        CapacityError, match=r"^bonds = 1000: too many pairs of neighbours could form bonds; one scene can hold"
+    ):
         stepper.batch.reserve_pairs(np.array([1000]))
 
 
@@ -139,7 +141,7 @@ def test_more_kinds_of_bonds_than_can_be_told_apart_are_refused(device):
     scene = dataclasses.replace(
         scene, group_bonds=groups, bodies=tuple(dataclasses.replace(bodies, group=name) for name in groups)
     )
-    with pytest.raises(SceneError, match=r"^group_bonds = 15: must be fewer: a scene has at most 15 kinds"):
+    with pytest.raises(SceneError, match=r"^group_bonds = 15: must be fewer, because a scene has at most 15 kinds"):
         build_model(scene, find_device(device), "float32")
 
 

@@ -88,7 +88,7 @@ def test_a_hollow_stone_is_the_stone(inwards):
 def test_open_mesh_is_refused():
     box = trimesh.creation.box()
     box.update_faces(np.arange(len(box.faces)) > 0)
-    with pytest.raises(SceneError, match="open: 3 border edges"):
+    with pytest.raises(SceneError, match="is not closed: 3 of its edges"):
         clumps.from_mesh(box, 5)
 
 

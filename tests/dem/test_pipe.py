@@ -90,7 +90,7 @@ def test_pipe_from_an_stl_file(tmp_path, device):
     thick.export(tmp_path / "thick.stl")
     scenes.pipe(wall=str(tmp_path / "thick.stl"), wall_scale=0.001, **SMALL)
     with pytest.raises(
-        warpcrete.SceneError, match=r"has gaps along the axis: 15 of 15 sections are open .*0\.001 for mil"
+        warpcrete.SceneError, match=r"has gaps along the axis: 15 of 15 cross-sections are open .*0\.001 for mil"
     ):
         scenes.pipe(wall=str(tmp_path / "thick.stl"), **SMALL)
 
@@ -144,7 +144,7 @@ def test_layers_of_the_plug():
     scene = scenes.pipe(unit="C", plug_layers=4)
     one = scenes.pipe(unit="C", plug_layers=1)
     assert len(scene.bodies[0].positions) == 4 * len(one.bodies[0].positions)
-    with pytest.raises(SceneError, match="plug_layers = 2: has no effect unless plug is balls"):
+    with pytest.raises(SceneError, match="plug_layers = 2: has no effect unless 'plug' is balls"):
         scenes.pipe(plug="none", plug_layers=2)
 
 

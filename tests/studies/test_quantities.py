@@ -187,7 +187,7 @@ def test_the_other_direction_may_come_from_a_run():
     assert estimate["other_direction_from"] == "plateau of the horizontal run"
     with pytest.raises(SceneError, match="unit of pipeline_other = 'horizontal'"):
         check_pipeline(straight("horizontal").scene, other, "there")
-    with pytest.raises(RunFolderError, match="pipeline_other = 'there': is not a finished pipe run"):
+    with pytest.raises(RunFolderError, match="pipeline_other = 'there': is not a finished run of the scene pipe"):
         check_pipeline(run.scene, {"unit": "horizontal"}, "there")
     with pytest.raises(SceneError, match="unit = 'bend-to-vertical'"):
         check_pipeline(scenes.pipe(unit="D"), None, None)

@@ -137,7 +137,7 @@ class Run:
         """
         if self.folder is None:
             raise RunFolderError(
-                "the run has no folder; run 'warpcrete run SCENE --out FOLDER' to get a folder with a recording"
+                "the run has no folder; only runs with a folder can be shown: run 'warpcrete run SCENE --out FOLDER'"
             )
         opened = viewer(self.folder, web, bind)
         process = opened.start()
@@ -182,7 +182,9 @@ def viewer(run: Path, web: bool = False, bind: str = LOOPBACK) -> Viewer:
     """
     recording = run / "run.rrd" if run.is_dir() else run
     if not recording.is_file():
-        raise RunFolderError(f"'{run}': contains no run.rrd; record one with 'warpcrete run SCENE --out {run}'")
+        raise RunFolderError(
+            f"'{run}': contains no recording (run.rrd); record a new run with 'warpcrete run SCENE --out FOLDER'"
+        )
     if not web and not has_screen():
         raise RunFolderError(f"'{run}': no screen was found (DISPLAY is not set); use --web to show the recording in "
                              f"a browser, or open {recording} elsewhere with 'rerun {recording.name}'")  # fmt: skip
