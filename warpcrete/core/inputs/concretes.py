@@ -124,7 +124,12 @@ def _read(path: Path, depth: int) -> NamedConcrete:
         sections = {section: dict(getattr(base, section)) | sections[section] for section in SECTIONS}
         texts.setdefault("source", base.source)
     if mix is None and not any(sections.values()):
-        refuse("concrete", str(path), "defines no properties", "add a section elements, flow or mix, or a base")
+        refuse(
+            "concrete",
+            str(path),
+            "defines no properties",
+            "add a section 'elements', 'flow' or 'mix', or name another concrete, as in 'base: no1'",
+        )
     return NamedConcrete(
         **{"name": name_of(path), **texts}, elements=sections["elements"], flow=sections["flow"], mix=mix
     )
