@@ -132,8 +132,9 @@ def contact_kernel(
                 if block < end:
                     bits, held = close_entries(spheres, pairs, base, position_i, block, wp.min(BLOCK, end - block))
                     if wp.static(history or healing):
-                        # Pairs with a stiff bond (`held`) count as touching here: when this kernel first checks such a
-                        # pair after its bond broke, the spheres may already have separated.
+                        # Pairs with a stiff bond (`held`) count as touching here. When such a bond breaks, the kernel
+                        # checks the pair for the first time, and the spheres may already have separated. Counting them
+                        # as touching lets the kernel clear their history.
                         parted = wp.static(ALL_TOUCHED) & ~(bits | held)
                         if block == begin:
                             before = spheres.touching[i]

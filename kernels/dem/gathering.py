@@ -15,7 +15,7 @@ from .structs import array_structs
 from .warps import group_functions
 
 ESTIMATE_LANES = 4
-"""Number of GPU threads that share a sphere in the estimate; they read its list row together."""
+"""Number of GPU threads that share a sphere in the estimate of the stable step; they read its list entries together."""
 
 
 @functools.cache

@@ -34,8 +34,9 @@ def rebuilding_kernels(scalar) -> SimpleNamespace:
     ):  # fmt: skip
         """Set `fits` to 1 if the neighbours and mesh faces found by the search fit into the arrays, else to 0.
 
-        Both `scanned` arrays are running sums of row lengths; the last value is the total number of entries. An empty
-        `face_scanned` means that the scene has no meshes.
+        `scanned` and `face_scanned` are running sums of the numbers of entries per sphere; their last value is the
+        total number of entries. An empty `face_scanned` means that the scene has no meshes. `room` and `face_room` are
+        the sizes of the arrays.
         """
         wanted = scanned[scanned.shape[0] - 1]
         holds = wanted >= 0 and wanted <= room

@@ -282,7 +282,7 @@ def body_round_function(scalar):
 
 @functools.cache
 def body_kernel(scalar) -> wp.Kernel:
-    """Return the CPU kernel over bodies with stiff bonds for one round; see :func:`body_round_function`."""
+    """Return the CPU kernel over bodies with stiff bonds for one sub-cycling round; see :func:`body_round_function`."""
     Scenes = array_structs(scalar).Scenes
     Subcycled = subcycled_struct(scalar)
     body_round = body_round_function(scalar)

@@ -135,8 +135,8 @@ def advance_kernel(scalar, strokes: bool) -> wp.Kernel:
         kick = wp.float64(0.5) * (dt + previous)
         motion = walls.table[w].motion
         unit = wp.float64(1.0) / scenes.clock[s, FORCE_SCALE]
-        # All loads are issued before the first store. If loads and stores alternated, their memory latencies would add
-        # up and delay the kernels that wait for the walls.
+        # All values are read from memory before the first one is written. If reads and writes alternated, their memory
+        # latencies would add up and delay the kernels that wait for the walls.
         velocity, spin = wp.vec3d(walls.velocity_exact[w]), wp.vec3d(walls.spin[w])
         impulse, angular_impulse = wp.vec3d(walls.impulse[w]), wp.vec3d(walls.angular_impulse[w])
         work = wp.float64(walls.work[w])

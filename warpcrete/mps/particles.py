@@ -152,7 +152,7 @@ class MovingParticles(Stepping):
 
     @property
     def _list_reach(self) -> tuple[float, float]:
-        """Reach of the near neighbours and of all neighbours [m], including the skin."""
+        """Distances within which the lists contain neighbours for the operators and the density [m], with skin."""
         return (OPERATOR_REACH + SKIN) * self.state.layout.spacing, (DENSITY_REACH + SKIN) * self.state.layout.spacing
 
     def _reserve(self) -> None:

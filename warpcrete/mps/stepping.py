@@ -126,7 +126,7 @@ class Stepping(ABC):
             self.build()
 
     def _read_progress(self, flags: np.ndarray) -> None:
-        """Update step count and time from the flags."""
+        """Take the number of completed steps from the control flags, and compute the simulated time from it."""
         self.steps = int(flags[int(STEPS)])
         self.time = self.steps * self.scene.time_step
 
@@ -188,7 +188,11 @@ class _Run:
             self._resume(failure)
 
     def check_steps(self) -> None:
-        """Check the launched steps, then set the run's next goal or store the finished run or its error."""
+        """Check the completed steps.
+
+        At the goal, let the run continue until it sets its next goal or ends. Store its result when it ends, or its
+        error.
+        """
         try:
             self._flow.settle()
         except (Exception, KeyboardInterrupt) as failure:

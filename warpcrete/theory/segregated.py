@@ -32,8 +32,9 @@ class Segregated:
     fraction: float
     """Volume fraction of aggregate."""
     index: float
-    """Segregation index: share in the outer half of the radius minus share in the inner half, over the mean share.
+    """Segregation index of the aggregate.
 
+    It is the aggregate fraction in the outer half of the radius, minus that in the inner half, divided by their mean.
     Simulation runs report this index as `segregation`.
     """
 

@@ -43,7 +43,7 @@ def bin_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def allot(flags: wp.array(dtype=wp.int32), mesh: Fields):
-        """Reserve places in the list for the particles of each cell, with one task per cell."""
+        """Reserve a range of `sorted_particles` for the particles of each cell, with one task per cell."""
         if flags[HALTED] != 0:
             return
         c = wp.tid()

@@ -239,7 +239,10 @@ def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
     def deficit_of_sums(
         g: Grid, blocks: wp.int32, flags: wp.array(dtype=wp.int32), partial: wp.array(dtype=wp.float64), mesh: Fields
     ):
-        """Compute the missing mean velocity and the driving force from the partial sums, in one block."""
+        """Compute the deficit of the mean velocity and the new driving force from the partial sums.
+
+        The kernel runs in one block. The deficit is the wanted mean velocity minus the present one.
+        """
         c = wp.tid()
         sum = total(c, partial, 0, blocks)
         whole = total(c, partial, blocks, blocks)
@@ -248,7 +251,7 @@ def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def correct(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields):
-        """Add the missing mean velocity to all faces along the pipe, with one task per cell."""
+        """Add the deficit of the mean velocity to the velocity of all faces along the pipe, with one task per cell."""
         if flags[HALTED] != 0:
             return
         r = wp.tid() + (dimensions - 1) * g.slots

@@ -66,7 +66,8 @@ def course_of(simulation: FreeSimulation) -> Course:
     spacing = min(max(scene.spacing, height / COARSE_CELLS_HIGH), min(np.ptp(scene.extent, axis=0)) / 4)
     run, reached, remarks = coarser_run(simulation, "the concrete is not at rest", spacing=spacing)
     if run is not None and scene.step_error:
-        # The finer flow has the same error per step, but its concrete crosses the smaller cells in less time.
+        # The finer flow has the same error per step. However, concrete crosses its smaller cells in less time, which
+        # shortens the steps that the Courant number limits.
         passed = np.diff(run.series["time"]) * run.series["fastest"][1:] / scene.spacing
         mean = reached / float(np.maximum(np.diff(run.series["steps"]), passed).sum())
     return Course(reached, mean, remarks)

@@ -41,7 +41,7 @@ from ..stages import ABSOLUTE_PRESSURE_FACTOR, VELOCITY_ERROR
 from ..stepping import Stepping
 from .state import GridState, grid_numbers
 
-HISTORY = 256  # Maximum number of iterations of a solve whose residuals are kept.
+HISTORY = 256  # Maximum number of iterations of a solve of which the residual norms are kept.
 ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # Relative rounding error of the flow through a cell's sides.
 EXTRAPOLATED_CELLS = 3  # Number of cells beyond the concrete, in air and walls, to which velocities are extrapolated.
 # Two tolerances of the solve that moves crowded particles apart. The first is relative to the initial residual. The
@@ -139,7 +139,10 @@ class GridFlow(Stepping):
         return self.scene.step_error > 0
 
     def set_goal(self, until: float = math.inf, steps: int | None = None) -> None:
-        """Set the goal: a time `until` [s] (with equal steps, the step that ends nearest) or a number of steps."""
+        """Set the goal of the next steps: a simulated time `until` [s], or a number of `steps`.
+
+        If all time steps are equal, the flow stops at the step that ends nearest to `until`.
+        """
         super().set_goal(until, steps)
         self._goal_time = math.inf
         if steps is None and self.adaptive:
@@ -165,7 +168,7 @@ class GridFlow(Stepping):
 
     @property
     def _steps_left(self) -> int:
-        """Number of steps to the goal if no step gets shorter; surplus steps do nothing."""
+        """Number of steps to the goal if no time step gets shorter; steps beyond the goal change nothing."""
         if not self.adaptive:
             return self._goal - self.steps
         by_time = min((self._goal_time - self.time) / self.next_step, UNREACHABLE_STEPS)

@@ -78,12 +78,12 @@ class Section:
 
     @property
     def straight(self) -> bool:
-        """True for straight pipe."""
+        """True if this piece is straight pipe."""
         return self.kind == "straight"
 
     @property
     def label(self) -> str:
-        """Short description of the piece."""
+        """Short description of this piece of the pipe's axis, such as its kind."""
         return self.called or self.kind
 
 
@@ -222,7 +222,7 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def velocity(self) -> float:
-        """Mean velocity at the start [m/s]."""
+        """Mean velocity of the concrete at the start of the part [m/s]."""
         return self.flow / (np.pi * float(self.bore(0.0)) ** 2)
 
     @property
@@ -252,7 +252,7 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def sections(self) -> tuple[Section, ...]:
-        """Pieces of the part in order, straight or not."""
+        """All pieces of the part in order, from start to end: straight pipes, bends, tapers and so on."""
         if self.parts:
             return self.parts
         found, begin = [], 0.0
