@@ -20,7 +20,7 @@ from .bond_parallel import UNBONDED, bond_functions, bond_with, kind_of, load_ro
 from .pairs import bond_pull_functions, broken_function, decode, pair_functions
 from .structs import array_structs
 
-# Number of contacts that are gathered before the law is evaluated.
+# Number of contacts that are gathered in vector lanes before the contact law is evaluated for all of them.
 LANES: int = wp.constant(32)
 BOND = (
     "effective_modulus", "shear_to_normal", "tensile_strength", "cohesion", "tan_friction_angle", "radius_multiplier",

@@ -66,7 +66,7 @@ def result_functions(scalar, count: int):
 
     @wp.func
     def row_of(first: wp.int32, end: wp.int32):
-        """Return the row in `links.result` where the results of a link for one of its two spheres begin."""
+        """Return the first row of `links.result` that holds the result of a link for one of the link's two spheres."""
         if wp.static(apart):
             return count * (first + wp.where(end >= 0, end, -1 - end)) + wp.where(end >= 0, 0, 2)
         return count * (first + wp.where(end >= 0, end, -1 - end))
@@ -254,9 +254,9 @@ def contact_update_function(
 
 @functools.cache
 def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissipation: bool, mixed: bool):
-    """Return the function `evaluate`, which computes force and moments of a link and updates its history and bond.
+    """Return the function `evaluate`, which computes the force and the moments between the two spheres of a link.
 
-    `mixed` is True if the spheres have several materials.
+    It also updates the contact history and the bond. `mixed` is True if the spheres have several materials.
     """
     t = types(scalar)
     structs = array_structs(scalar)

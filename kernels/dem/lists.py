@@ -17,7 +17,10 @@ from .search import find_function
 from .structs import SINCE_BUILD, array_structs
 
 SAMPLED: int = wp.constant(16)
-"""Approximate number of spheres sampled in each part of a scene for the mean velocity."""
+"""Approximate number of spheres that are sampled in each part of a scene to estimate their mean velocity.
+
+A scene is divided into as many parts as there are partial sums.
+"""
 
 
 @functools.cache

@@ -235,7 +235,10 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
         slot_history: wp.array2d(dtype=t.vec3),
         slot_rolling: wp.array2d(dtype=t.vec3),
     ):
-        """Store the contacts of this step in the slots from `first` onwards, where the next step finds them."""
+        """Store the mesh contacts of this step, so that the next step finds their history.
+
+        Each sphere has a fixed number of slots for contacts with walls; `first` is its first slot for meshes.
+        """
         for s in range(MESH_SLOTS):
             if s < found:
                 slot_wall[i, first + s] = owners[s] - first_wall

@@ -22,7 +22,7 @@ def rebuilding_kernels(scalar) -> SimpleNamespace:
     @wp.kernel(module="unique", enable_backward=False)
     def needs_rebuild(flags: wp.array2d(dtype=wp.int32), scenes: Scenes, requested: wp.array(dtype=wp.int32)):
         every = scenes.row[0].sort_every
-        # The host sorts the bodies, so a rebuild with sorting is left to the host.
+        # Only the host can sort the bodies, so the host does the rebuilds that include sorting.
         sorts = every > 0 and flags[0, STEPS] % wp.max(every, 1) == 0
         fails = flags[0, FAILED] != 0 or flags[0, OVERFLOW] != 0
         requested[0] = wp.where(flags[0, STALE] != 0 and not fails and not sorts, 1, 0)

@@ -44,7 +44,7 @@ def scene_struct(scalar):
     class SceneRow:
         gravity: t.vec3  # acceleration of gravity [m/s2]
         local_damping: scalar  # coefficient of local damping; 0: off
-        speed_limit: scalar  # body speed above which the scene fails [m/s]
+        speed_limit: scalar  # speed limit of the bodies; the scene fails if a body is faster [m/s]
         skin: scalar  # margin of the pair lists beyond contact [m]
         mesh_skin: scalar  # margin of the sphere-triangle candidate lists [m]
         # part of the mesh skin by which spheres may move before a rebuild; meshes may move by the rest [m]
@@ -204,7 +204,9 @@ def links_struct(scalar):
 
     @wp.struct
     class Links:
-        link: wp.array(dtype=wp.vec4i)  # lower and higher sphere, entry and twin, numbered per scene; or -1: unused
+        # for each link: its lower and higher sphere, its list entry and its twin, as indices within the scene; -1:
+        # unused
+        link: wp.array(dtype=wp.vec4i)
         scene: wp.array(dtype=wp.int32)  # index of each link's scene in the batch, shape (links,)
         state: wp.array(dtype=wp.int32)  # state of each link: APART, TOUCHING, PARTED or STIFF, shape (links,)
         # bit masks of the list entries beyond the first BLOCK that touched, EXTRA_MASKS integers per sphere

@@ -40,7 +40,10 @@ def stopped(time: wp.float64, ramp: wp.float64, stroke: wp.float64, pause: wp.fl
 
 @functools.cache
 def motion_functions(scalar, strokes: bool):
-    """Return `follow` (prescribed motion) and `drive` (motion under a force), each for one wall and one step."""
+    """Return the functions `follow` and `drive`, which move one wall by one step.
+
+    `follow` moves a wall along a prescribed path, and `drive` moves a wall under a force.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls

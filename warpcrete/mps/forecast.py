@@ -149,7 +149,7 @@ def forecast(scene: FluidScene, device: Any, precision: str, threads: int | None
 
 
 def _course(simulation: FluidSimulation) -> Course:
-    """Return the course of a run until the flow is steady."""
+    """Return the expected duration and mean time step of a run that ends when the flow is steady."""
     scene = simulation.scene
     if scene.duration is not None:
         return Course(scene.duration, scene.time_step)

@@ -23,7 +23,7 @@ class FlowRun(Simulation):
 
     flow: Any
     goal: ClassVar[str] = "steady"
-    """Name under which the result of a run stores the attribute `steady`."""
+    """Key of the run's result under which the value of `steady` is stored."""
 
     def set_up(self) -> None:
         """Start with an empty time series; the particles take much memory and are therefore placed later."""
@@ -49,7 +49,7 @@ class FlowRun(Simulation):
 
     @property
     def prepared(self) -> bool:
-        """True once the particles are placed."""
+        """True if the particles have been placed."""
         return hasattr(self, "flow")
 
     @property
@@ -59,7 +59,7 @@ class FlowRun(Simulation):
 
     @property
     def state(self) -> Any:
-        """State of the flow, with its particles."""
+        """State of the flow, which includes its particles."""
         return self.flow.state
 
     def prepare(self) -> None:

@@ -96,7 +96,7 @@ class FluidSimulation(FlowRun):
         return np.inf if self.scene.ends == "periodic" else self.scene.time_step
 
     def unit(self, column: str) -> str:
-        """Return the unit of a column of the series."""
+        """Return the unit of a column of the time series."""
         return UNITS[column]
 
     def display(self, colouring: str | None = None) -> FlowDisplay:
@@ -119,7 +119,7 @@ class FluidSimulation(FlowRun):
         self._watch(row)
 
     def ended_early(self) -> bool:
-        """Return whether the flow is steady and no duration is given."""
+        """Return True if the flow is steady; always False if the scene states a duration."""
         now, part = self._rows[-1], self.scene.steadiness
         if self._structure_breaks and now["layer_gained"] > MAX_STRUCTURE_LEFT * self.scene.gained:
             return False  # The structure may break so slowly that all other quantities already look steady.

@@ -153,7 +153,7 @@ class StepPart:
         return [*self.coarse_matrix(False), *solve]
 
     def shifting(self) -> list[Any]:
-        """Return the density solve and the stage that turns its solution into shifts out of crowded regions."""
+        """Return the stages that solve for the density correction and move particles out of crowded regions."""
         tolerance, error = DENSITY_TOLERANCES
         return [
             *self.solve(self.p.shifting, DENSITY, self.p.fields.potential, tolerance, error * self.size),

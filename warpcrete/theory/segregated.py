@@ -96,7 +96,7 @@ class Segregated:
         return Steady("pipe", float(flow), pressure, stress, slip, min(plug, edge))
 
     def steady(self, flow: float) -> Steady:
-        """Return the steady state at a volume `flow` [m3/s]; its pressure is what a pump must deliver."""
+        """Return the steady state of a volume `flow` [m3/s]; its pressure is the one that a pump must deliver."""
         between("flow", flow, 0, np.inf, "[m3/s]")
         low, high = 0.0, 1.0
         while self.of_stress(high).flow <= flow:

@@ -52,7 +52,10 @@ def bin_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def sort(flags: wp.array(dtype=wp.int32), mesh: Fields):
-        """Write each particle into one of its cell's places in the list, with one task per particle."""
+        """Write the number of each particle into the range of `sorted_particles` that is reserved for its cell.
+
+        The kernel runs with one task per particle.
+        """
         if flags[HALTED] != 0:
             return
         p = wp.tid()

@@ -165,12 +165,15 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         wall_stiffness: wp.array(dtype=scalar)
         # Wall force in a cut cell at the known velocity, in the layout of `wall_stiffness`.
         wall_force: wp.array(dtype=scalar)
-        # Weight of the next face when the velocity at the wall is interpolated, in the layout of `wall_stiffness`.
+        # The velocity at a wall in a cut cell is interpolated between a face and the next face. This is the weight of
+        # the next face, in the layout of `wall_stiffness`.
         wall_weight: wp.array(dtype=scalar)
         shift: wp.array(dtype=scalar)  # Velocity that moves particles out of crowded regions [m/s], one per face.
         pressure: wp.array(dtype=scalar)  # Pressure in each cell [Pa], shape (slots,).
         increment: wp.array(dtype=scalar)  # Change of the pressure in this step [Pa], shape (slots,).
-        potential: wp.array(dtype=scalar)  # Pressure-like field that moves particles out of crowded regions [Pa].
+        # Potential whose gradient, like that of a pressure, moves particles out of crowded regions [Pa], shape
+        # (slots,).
+        potential: wp.array(dtype=scalar)
         in_cell: wp.array(dtype=scalar)  # Apparent viscosity in each cell [Pa s], shape (slots,).
         in_corner: wp.array(dtype=scalar)  # Apparent viscosity at each edge [Pa s], shape (pairs * slots,).
         stress: wp.array(dtype=scalar)  # Shear stress at corners and walls of a pipe's cells in the previous step [Pa].
@@ -192,7 +195,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # Fraction of each quarter of a cell that is free of wall. For each pair of axes, a cell is halved along both
         # axes, which gives four quarters. Shape (slots * pairs * 4,); the pair's first axis varies fastest.
         quarter_fraction: wp.array(dtype=scalar)
-        # Open volume around a cell's centre, weighted by the same function of distance as particles, shape (slots,).
+        # Volume around a cell's centre that is free of wall, weighted with the same function of distance as the
+        # particles, shape (slots,).
         weighted_volume: wp.array(dtype=scalar)
         opens: wp.array(dtype=scalar)  # Time at which the gate in a cell opens [s], shape (slots,); empty without gate.
         inlet: wp.array(dtype=t.vec)  # Positions where particles re-enter the grid [m]; may be empty.

@@ -141,8 +141,8 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
                 by = rest % 3 - 1
                 rest = rest / 3
                 o[b] = c[b] + by
-                # Along each axis, the linear weight of particles has 3/4 of its integral in the cell itself and 1/8 in
-                # each of the two neighbouring cells.
+                # A particle is shared among cells by a linear weight. Along each axis, 3/4 of the weight's integral lie
+                # in the cell itself and 1/8 in each of the two neighbouring cells.
                 part *= wp.where(by == 0, scalar(0.75), scalar(0.125))
             near = f.at(g, o)
             if mesh.solid[near] == OPEN:

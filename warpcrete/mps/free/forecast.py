@@ -23,7 +23,7 @@ DURATION_FACTOR = 1.2
 Simulations gave ratios from 1.0 to 1.3.
 """
 COARSE_CELLS_HIGH = 12
-"""Number of cells over the concrete's initial height in the coarser copy."""
+"""Number of cells over the concrete's initial height in the coarser copy of a flow, which predicts its duration."""
 
 
 def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
@@ -49,8 +49,8 @@ def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None,
 def course_of(simulation: FreeSimulation) -> Course:
     """Return the course of a run until the concrete rests or a funnel is empty."""
     scene = simulation.scene
-    # Without further knowledge, the mean time step is estimated as the time in which concrete that has fallen by its
-    # initial height crosses one cell.
+    # The mean time step is estimated from the Courant number. Concrete that has fallen by its initial height crosses
+    # one cell in this time.
     height = scene.extent[1, 1]
     swift = scene.spacing / math.sqrt(2 * scene.gravity * height)
     mean = min(scene.time_step, swift) if scene.step_error else scene.time_step

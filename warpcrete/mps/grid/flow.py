@@ -102,7 +102,10 @@ class GridFlow(Stepping):
         self._read_clock()
 
     def _step_control(self) -> Any:
-        """Return the struct `Pace` that controls the length of steps, and set the residuals at which solves stop."""
+        """Return the struct `Pace`, which controls the length of steps.
+
+        The method also stores the residual norms at which the solves stop.
+        """
         pace, scene = Pace(), self.scene
         stop_norm = DISPERSION_TOLERANCES[1]
         pace.longest, pace.error = scene.time_step, scene.step_error
@@ -197,7 +200,7 @@ class GridFlow(Stepping):
         return System(rows, matrix, self._arrays(rows), numbers)
 
     def _arrays(self, rows: int) -> Any:
-        """Return the working arrays of a solve with this number of rows."""
+        """Return the working arrays of the solve of a linear system with `rows` equations."""
         struct = array_structs(self.scalar, 2).NumberSolve
         sizes = {
             "partial": 3 * -(-rows // BLOCK),

@@ -164,7 +164,8 @@ def _quarter_fractions(corners: np.ndarray) -> np.ndarray:
     inner = tuple(range(-axes, 0))
     low, high = ends.min(inner), ends.max(inner)
     part, cut = np.where(low > 0, 1.0, 0.0), (low <= 0) & (high > 0)
-    # An almost closed quarter keeps a small open fraction, so that the face on which the wall's friction acts exists.
+    # An almost closed quarter of a cell keeps a small open fraction. Otherwise the face of this quarter would not
+    # exist, and the friction of the wall could not act on it.
     part[cut] = np.maximum(_positive_fraction(ends[cut], axes), MIN_QUARTER_FRACTION)
     found = []
     for first, second in AXIS_PAIRS[:1] if axes == 2 else AXIS_PAIRS:

@@ -150,7 +150,7 @@ class PartScene(Parametrised, PartSettings):
         begin, end = self.middle
         for length, at in ((begin, 0.0), (self.axis.length - end, self.axis.length)):
             wanted = (2 if end > begin else 1) * CLEARANCE * float(self.bore(at)) + MIN_CELLS_LEFT * self.spacing
-            # Lengths are differences of arc lengths and therefore carry rounding errors.
+            # These lengths are differences of arc lengths. The comparison therefore allows for their rounding errors.
             if length < wanted * (1 - 1e-9):
                 share = "" if end > begin else ", half of the pipe"
                 refuse("straight", length, f"is too short to measure the loss of a straight stretch{share}",
@@ -266,7 +266,10 @@ class PartScene(Parametrised, PartSettings):
         return tuple(found)
 
     def _straights(self, begin: float, end: float) -> Iterator[Section]:
-        """Yield the sections of a straight piece of the axis: straight pipe, tapers, and the bore of a mesh."""
+        """Yield the sections of a straight piece of the axis.
+
+        They are straight pipes, tapers, and the stretch where the bore of a mesh changes.
+        """
         odd = [("bore", *self.insert)] if self.insert is not None else []
         if self.wall is None:
             places, radii = self.bores.places, self.bores.radii

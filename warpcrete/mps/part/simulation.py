@@ -34,7 +34,7 @@ class PartSimulation(FlowRun):
     scene: PartScene
 
     def unit(self, column: str) -> str:
-        """Return the unit of a column of the series."""
+        """Return the unit of a column of the time series."""
         return UNITS[column]
 
     def display(self, colouring: str | None = None) -> PartDisplay:
