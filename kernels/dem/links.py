@@ -335,9 +335,9 @@ def link_kernel(
 ) -> wp.Kernel:
     """Return the kernel that computes the contact forces of all links (pairs of spheres) that touch.
 
-    The launch has `threads` threads. They first divide among them the near links, which are the links close enough to
-    touch within a few steps. In some scenes these may miss a contact. There the kernel skips the near links, and the
-    threads then divide all links of these scenes.
+    The launch has `threads` threads. They first divide the near links among them, which are the pairs close enough to
+    touch within a few steps. Scenes whose near links may miss a contact are left out there. In a second pass the
+    threads divide all links of these scenes.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs

@@ -19,7 +19,7 @@ from .structs import SINCE_BUILD, array_structs
 SAMPLED: int = wp.constant(16)
 """Approximate number of spheres that are sampled in each part of a scene to estimate their mean velocity.
 
-A scene is divided into as many parts as there are partial sums.
+The spheres of a scene are divided into parts of equal size, each of which yields one partial sum.
 """
 
 

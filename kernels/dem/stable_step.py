@@ -152,9 +152,9 @@ def floor_function(scalar, pair_law, wall_law):
         """Return the stiffness k for which a step sqrt(m / k) keeps the energy of an impact within a tolerance.
 
         The tolerance is 1 % of the impact's energy plus a quarter of the energy that it loses. `onset` is the contact's
-        stiffness at first touch. A spring of this stiffness that is loaded and unloaded within a step of length dt
-        causes an error of up to (w dt)^2 / 4 of the energy, with its angular frequency w. For a law whose stiffness
-        grows from zero, the error is less than a third of that.
+        stiffness at first touch. Let w be the angular frequency of a spring of this stiffness. If the spring is loaded
+        and unloaded within a step of length dt, the error is up to (w dt)^2 / 4 of the energy. For a law whose
+        stiffness grows from zero, the error is less than a third of that.
         """
         stiffest = wp.max(onset, scalar(0.3) * k[0])
         if stiffest <= scalar(0.0):
@@ -204,9 +204,10 @@ def floor_function(scalar, pair_law, wall_law):
 
 @functools.cache
 def reduce_kernel(scalar, pair_law, wall_law, half: bool) -> wp.Kernel:
-    """Return the kernel that finds the smallest stable step of each scene; its tasks are the bodies from `begin` on.
+    """Return the kernel that finds the smallest stable step of each scene.
 
-    With half lists it also clears `estimate.sums`, to which both spheres of a pair add.
+    It runs with one task per body, from the body `begin` on. With half lists it also clears `estimate.sums`, to which
+    both spheres of a pair add.
     """
     t = types(scalar)
     structs = array_structs(scalar)

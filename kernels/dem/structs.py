@@ -204,8 +204,7 @@ def links_struct(scalar):
 
     @wp.struct
     class Links:
-        # for each link: its lower and higher sphere, its list entry and its twin, as indices within the scene; -1:
-        # unused
+        # for each link: lower and higher sphere, list entry and twin entry, as indices in the scene; or -1: unused
         link: wp.array(dtype=wp.vec4i)
         scene: wp.array(dtype=wp.int32)  # index of each link's scene in the batch, shape (links,)
         state: wp.array(dtype=wp.int32)  # state of each link: APART, TOUCHING, PARTED or STIFF, shape (links,)

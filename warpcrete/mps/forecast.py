@@ -52,9 +52,9 @@ def flow_forecast(
 ) -> Forecast:
     """Return the forecast of a flow's run time.
 
-    `simulated` creates the simulation. From the prepared simulation, `course_of` returns the expected course of the
-    run, and `features_of` returns descriptions of the computed features. `probe` measures the wall time for one frame
-    of the recordings. `limits` and `governing` describe what limits the time step, as in :class:`Forecast`.
+    `simulated` creates the simulation. From the prepared simulation, `course_of` returns the expected duration and mean
+    time step, and `features_of` returns descriptions of the computed features. `probe` measures the wall time for one
+    frame of the recordings. `limits` and `governing` describe what limits the time step, as in :class:`Forecast`.
     """
 
     def begun() -> FlowRun:

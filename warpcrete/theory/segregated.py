@@ -34,8 +34,8 @@ class Segregated:
     index: float
     """Segregation index of the aggregate.
 
-    It is the aggregate fraction in the outer half of the radius, minus that in the inner half, divided by their mean.
-    Simulation runs report this index as `segregation`.
+    It is the aggregate fraction in the outer half of the radius, minus that in the inner half, divided by the aggregate
+    fraction of the whole concrete. Simulation runs report this index as `segregation`.
     """
 
     def __post_init__(self) -> None:

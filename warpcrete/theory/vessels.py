@@ -206,8 +206,8 @@ def duct_stress(
     `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side of all ducts. The formula of
     Kozicki, Chou & Tiu is exact in slots and pipes. It states that 2 v / R is tau^(-b/a) / a times the integral of
     s^(b/a - 1) g(s) ds up to tau, with the mean speed v, the hydraulic radius R, the wall stress tau and the shear rate
-    g. For Bingham's law the right side is tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a + b))), with q = tau0 /
-    tau.
+    g. For Bingham's law the right side is tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a + b))), with
+    q = tau0 / tau.
 
     A slip `layer` adds its slip velocity. It is given by its viscosity divided by its thickness [Pa s/m] and its yield
     stress [Pa]. Laws other than Bingham's also need its flow index and its quadratic coefficient.

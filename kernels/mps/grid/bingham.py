@@ -134,9 +134,9 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
         The derivative is with respect to `stress`, the stress at the wall. The stress falls linearly from there to
         `inner` on the cell's opposite side.
         """
-        # The stress varies linearly over the cell. Where the stress is tau, the velocity relative to the wall is u =
-        # width / change * (F1(stress) - F1(tau)), with F1 = `rate_integral`. The mean of u over the cell follows from
-        # the integral of F1, which is `double_integral`.
+        # The stress varies linearly over the cell. Where the stress is tau, the velocity relative to the wall is
+        # u = width / change * (F1(stress) - F1(tau)), with F1 = `rate_integral`. The mean of u over the cell follows
+        # from the integral of F1, which is `double_integral`.
         change = stress - inner
         if change > scalar(0.05) * stress:
             part = (change * rate_integral(g, stress) - (double_integral(g, stress) - double_integral(g, inner))) / (

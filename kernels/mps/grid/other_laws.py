@@ -219,7 +219,7 @@ def wall_function(scalar, dimensions: int, law: str, slip_law: str):
 
 @functools.cache
 def flow_functions(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the functions of the bulk's and slip layer's flow laws; :func:`bingham_functions` describes them.
+    """Build the functions of the flow laws of bulk and slip layer, which :func:`bingham_functions` describes.
 
     The function `at_wall` has two more arguments unless `of.plain`: flow index and quadratic coefficient of the slip
     layer.

@@ -116,7 +116,7 @@ def speed_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def speeds_of_sums(
         blocks: wp.int32, flags: wp.array(dtype=wp.int32), partial: wp.array(dtype=wp.float64), mesh: Fields
     ):
-        """Combine the block results of `sums` into the rms speed and the most cells crossed per second.
+        """Combine the block results of `sums` into the rms speed and the largest number of cells crossed per second.
 
         The kernel runs in one block.
         """
