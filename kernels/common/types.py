@@ -128,7 +128,8 @@ def vector_functions(scalar):
         out = wp.dot(v, n)
         u = v - out * n
         u = u + twist * wp.cross(n, u)
-        # The length has changed to |u|^2 = |v|^2 (1 - tilt) (1 + twist^2) = |v|^2 (1 - shrink).
+        # The operations above change the squared length |v|^2 to |u|^2 = |v|^2 (1 - tilt) (1 + twist^2), which equals
+        # |v|^2 (1 - shrink).
         tilt = scalar(0.0)
         if square > scalar(0.0):
             tilt = out * out / square

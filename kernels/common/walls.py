@@ -38,7 +38,7 @@ def wall_struct(scalar):
     class Wall:
         kind: wp.int32
         material: wp.int32
-        normal: t.vec3  # Unit normal of a plane, which points into the material, in the wall's frame.
+        normal: t.vec3  # Unit normal of a plane, which points into the concrete, in the wall's frame.
         radius: scalar  # Inner radius of a pipe [m].
         first: wp.int32  # Index of the first axis segment of a pipe.
         last: wp.int32  # Index after the last axis segment of a pipe.
@@ -85,7 +85,7 @@ def wall_functions(scalar):
 
     @wp.func
     def into_wall(wall: Wall, direction: t.vec3):
-        """Return the unit vector along a vector that `distance_to_wall` has returned."""
+        """Return the unit vector towards the wall from the vector that `distance_to_wall` has returned."""
         if wall.kind == PLANE:
             return direction
         # On the axis of a pipe every direction leads to the wall, so any unit vector is correct.

@@ -10,7 +10,7 @@ from ..common.types import types, vector_functions
 from .contact_law import contact_functions
 
 # State of a pair's bond: 0 without a bond, negative if the bond broke. A positive state combines the bond's kind with
-# the row of `pairs.load` that holds the bond's force and moment.
+# the index in `pairs.load` at which the bond's force and moment are stored.
 UNBONDED: int = wp.constant(0)
 BROKEN_IN_TENSION: int = wp.constant(-1)
 BROKEN_IN_SHEAR: int = wp.constant(-2)

@@ -15,7 +15,7 @@ from .structs import array_structs
 from .warps import group_functions
 
 ESTIMATE_LANES = 4
-"""Number of GPU threads that share a sphere in the estimate; they read its list row together."""
+"""Number of GPU threads that share a sphere in the estimate of the stable step; they read its list entries together."""
 
 
 @functools.cache
@@ -57,8 +57,8 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
         bond_parameters: wp.array(dtype=Bond),
         wall_parameters: wp.array(dtype=WallParameters),
         segments: wp.array(dtype=Segment),
-        # The next arguments are the scenes with an estimate due, the first sphere of the launch, the chunk's range of
-        # spheres, the index of the CPU thread, and True if only stiff pairs count.
+        # The next arguments are the flags of the scenes for which an estimate is due, the first sphere of the launch,
+        # the range of spheres of the chunk, the index of the CPU thread, and True if only pairs with stiff bonds count.
         due: wp.array(dtype=wp.int32),
         begin: wp.int32,
         first: wp.int32,

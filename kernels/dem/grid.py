@@ -47,7 +47,7 @@ def grid_functions(scalar) -> SimpleNamespace:
 
     @wp.struct
     class Region:
-        lowest: wp.vec3i  # index of the lowest cell of the block along each axis
+        lowest: wp.vec3i  # index of the lowest cell of the region along each axis
         count: wp.vec3i  # number of cells of the block along each axis
         runs: wp.int32
 

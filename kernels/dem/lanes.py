@@ -20,7 +20,7 @@ from .bond_parallel import UNBONDED, bond_functions, bond_with, kind_of, load_ro
 from .pairs import bond_pull_functions, broken_function, decode, pair_functions
 from .structs import array_structs
 
-# Number of contacts that are gathered before the law is evaluated.
+# Number of contacts that are gathered in vector lanes before the contact law is evaluated for all of them.
 LANES: int = wp.constant(32)
 BOND = (
     "effective_modulus", "shear_to_normal", "tensile_strength", "cohesion", "tan_friction_angle", "radius_multiplier",
@@ -33,8 +33,8 @@ BOND = (
 def column_functions(scalar):
     """Return functions that read and write vectors in columns, and that select a vector or zero.
 
-    `get`, `put` and their variants access the lane `lane` of the columns that start at index `at`. `where3` and
-    `where4` return the vector if a condition holds, else zero.
+    A column holds one number for each vector lane. `get`, `put` and their variants access the number of lane `lane` in
+    the columns that start at index `at`. `where3` and `where4` return the vector if a condition holds, else zero.
     """
     t = types(scalar)
     Columns, Ints = wp.array(dtype=scalar), wp.array(dtype=wp.int32)
@@ -104,7 +104,10 @@ def layout(rolls: bool, history: bool, bonds: bool) -> SimpleNamespace:
 
 @functools.cache
 def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixed: bool):
-    """Return the function `gather`, which copies the inputs of one contact (entry k of sphere i) into a lane."""
+    """Return the function `gather`, which copies the data of one contact into a vector lane.
+
+    The contact is list entry k of sphere i.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Spheres, Pairs = structs.Spheres, structs.Pairs
@@ -126,7 +129,7 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
         first_load: wp.int32, row: wp.int32, base: wp.int32, i: wp.int32, k: wp.int32, position_i: t.vec4,
         velocity_i: t.vec4, spin_i: t.vec3, columns: Columns, ints: Ints, lane: wp.int32,
     ):  # fmt: skip
-        """Copy the inputs of list entry k into the lane.
+        """Copy the data of list entry k of sphere i into one vector lane, which evaluates one contact.
 
         `row` is the first contact parameter row of the sphere's material, and `base` is the first sphere of the scene.
         """
@@ -250,7 +253,10 @@ def evaluate_function(scalar, law, history: bool, bonds: bool, dissipation: bool
 
 @functools.cache
 def scatter_function(scalar, law, history: bool, bonds: bool, dissipation: bool):
-    """Return the function `scatter`, which adds the results of the first `count` lanes to spheres and pairs."""
+    """Return the function `scatter`, which adds the contact results of the first `count` vector lanes to their spheres.
+
+    It also stores the contact history of the pairs.
+    """
     structs = array_structs(scalar)
     Spheres, Pairs = structs.Spheres, structs.Pairs
     Columns, Ints = wp.array(dtype=scalar), wp.array(dtype=wp.int32)

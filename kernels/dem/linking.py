@@ -91,7 +91,10 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
 
     @wp.func
     def twin_of(pairs: Pairs, begin: wp.int32, end: wp.int32, i: wp.int32):
-        """Find the list entry of sphere i in a row sorted by sphere index, by binary search."""
+        """Return the position of sphere i among the list entries from `begin` to `end`, found by binary search.
+
+        The entries are sorted by the index of the neighbour.
+        """
         low = begin
         high = end - 1
         while low < high:
@@ -107,9 +110,10 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
         flags: wp.array2d(dtype=wp.int32), scenes: Scenes, pairs: Pairs, scanned: wp.array(dtype=wp.int32),
         spheres: Spheres, links: Links,
     ):  # fmt: skip
-        """Create the link of each pair at the first of its two list entries, and copy bonds to the other entry.
+        """Create one link per pair, at the list entry of the sphere with the lower permanent number.
 
-        A link with contact history or a bond counts as touching until a step checks it.
+        The pair's bond is also copied to the list entry of the other sphere. A link with contact history or a bond
+        counts as touching until a step checks it.
         """
         i = wp.tid() / lanes
         s = spheres.scene[i]

@@ -66,7 +66,7 @@ def result_functions(scalar, count: int):
 
     @wp.func
     def row_of(first: wp.int32, end: wp.int32):
-        """Return the row in `links.result` where the results of a link for one of its two spheres begin."""
+        """Return the first row of `links.result` that holds the result of a link for one of the link's two spheres."""
         if wp.static(apart):
             return count * (first + wp.where(end >= 0, end, -1 - end)) + wp.where(end >= 0, 0, 2)
         return count * (first + wp.where(end >= 0, end, -1 - end))
@@ -161,7 +161,10 @@ def result_functions(scalar, count: int):
 def contact_update_function(
     scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool
 ):
-    """Return the function `update_contact`, which checks a link for contact and clears an ended contact's history."""
+    """Return the function `update_contact`, which checks if the two spheres of a link touch.
+
+    It clears the contact history when a contact has ended.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs
@@ -211,7 +214,7 @@ def contact_update_function(
         scenes: Scenes, spheres: Spheres, pairs: Pairs, links: Links, parameters: wp.array(dtype=Parameters),
         s: wp.int32, ends: wp.vec4i, position_i: t.vec4, position_j: t.vec4, state: wp.int32, kind: wp.int32,
     ) -> wp.bool:  # fmt: skip
-        """Return True if the link touches or is bonded, and update its state where that changed.
+        """Return True if the spheres of a link touch or are bonded; also store the link's state if it changed.
 
         `state` is the link's value in `links.state`; `kind` is the kind of its bond.
         """
@@ -251,9 +254,9 @@ def contact_update_function(
 
 @functools.cache
 def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissipation: bool, mixed: bool):
-    """Return the function `evaluate`, which computes force and moments of a link and updates its history and bond.
+    """Return the function `evaluate`, which computes the force and the moments between the two spheres of a link.
 
-    `mixed` is True if the spheres have several materials.
+    It also updates the contact history and the bond. `mixed` is True if the spheres have several materials.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -330,10 +333,11 @@ def link_functions(scalar, law, history: bool, bonds: bool, healing: bool, dissi
 def link_kernel(
     scalar, law, history: bool, bonds: bool, healing: bool, subcycling: bool, dissipation: bool, mixed: bool
 ) -> wp.Kernel:
-    """Return the kernel that computes the contact forces of all links whose spheres touch.
+    """Return the kernel that computes the contact forces of all links (pairs of spheres) that touch.
 
-    The launch has `threads` threads, which first divide the near links among them. Then they divide all links of those
-    scenes whose near links may miss a contact; for these scenes the near links are skipped.
+    The launch has `threads` threads. They first divide the near links among them, which are the pairs close enough to
+    touch within a few steps. Scenes whose near links may miss a contact are left out there. In a second pass the
+    threads divide all links of these scenes.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs

@@ -17,17 +17,20 @@ from .search import find_function
 from .structs import SINCE_BUILD, array_structs
 
 SAMPLED: int = wp.constant(16)
-"""Approximate number of spheres sampled in each part of a scene for the mean velocity."""
+"""Approximate number of spheres that are sampled in each part of a scene to estimate their mean velocity.
+
+The spheres of a scene are divided into parts of equal size, each of which yields one partial sum.
+"""
 
 
 @functools.cache
 def transfer_kernel(
     scalar, half: bool, history: bool, rolls: bool, bonds: bool, healing: bool, lanes: int = 1
 ) -> wp.Kernel:
-    """Return a kernel that completes the entries of a new neighbour list and copies contact history from the old list.
+    """Return a kernel that completes a new neighbour list and copies data of each pair from the old list.
 
-    It copies contact history, rolling moment and bond of each pair. A launch runs over the range of spheres of one CPU
-    thread, or over all spheres on a GPU, where `lanes` threads share the entries of a sphere.
+    These data are the contact history, the rolling moment and the bond. A launch runs over the range of spheres of one
+    CPU thread, or over all spheres on a GPU, where `lanes` threads share the entries of a sphere.
     """
     t = types(scalar)
     span = SPAN if half else 1
@@ -118,9 +121,9 @@ def transfer_kernel(
 
 @functools.cache
 def list_kernels(scalar) -> SimpleNamespace:
-    """Return the kernels that run before and after a search for neighbours.
+    """Return the kernels that run before and after a search for neighbours, in a namespace.
 
-    They are ``centres``, ``stretch``, ``starts``, ``drift`` and ``clear_stale``.
+    Its members are ``centres``, ``stretch``, ``starts``, ``drift`` and ``clear_stale``.
     """
     t = types(scalar)
     structs = array_structs(scalar)

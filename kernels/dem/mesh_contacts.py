@@ -87,8 +87,9 @@ def surface_functions(scalar) -> SimpleNamespace:
             return True
         if feature < 4:
             edge = feature - 1
-            # For each edge of a face, `across` stores the far corner of the neighbouring face in column `edge`, and the
-            # index of the neighbouring face in column `edge + 3`.
+            # `across` describes what lies beyond each edge of a face. Column `edge` holds the corner of the
+            # neighbouring face that is not on the edge, and column `edge + 3` holds the number of the neighbouring
+            # face.
             beyond = across[face, edge]
             if beyond == BORDER:
                 return True
@@ -159,10 +160,11 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
         normals: Vectors, gaps: Values, owners: Owners, found: wp.int32, w: wp.int32, n: t.vec3, gap: scalar,
         radius: scalar,
     ):  # fmt: skip
-        """Return the contacts with a new one on wall `w` added, without those that the new contact hides.
+        """Return the contacts of a sphere with meshes after a new contact on wall `w` has been added.
 
-        The list stays unchanged if another contact hides the new one. The new contact takes the place of the first
-        contact that it hides. A count above MESH_SLOTS means that there was no room for it.
+        If an existing contact hides the new one, the list of contacts stays unchanged. Otherwise the contacts that the
+        new one hides are removed, and the new one takes the place of the first of them. A count above MESH_SLOTS means
+        that there was no room for the new contact.
         """
         for s in range(found):
             if owners[s] == w and hides(normals[s], gaps[s], n, gap, radius):
@@ -233,7 +235,10 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
         slot_history: wp.array2d(dtype=t.vec3),
         slot_rolling: wp.array2d(dtype=t.vec3),
     ):
-        """Store the contacts of this step in the slots from `first` onwards, where the next step finds them."""
+        """Store the mesh contacts of this step, so that the next step finds their history.
+
+        Each sphere has a fixed number of slots for contacts with walls; `first` is its first slot for meshes.
+        """
         for s in range(MESH_SLOTS):
             if s < found:
                 slot_wall[i, first + s] = owners[s] - first_wall

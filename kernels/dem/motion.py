@@ -155,7 +155,7 @@ def motion_functions(scalar, dissipation: bool):
 
     @wp.func
     def watch_near(scenes: Scenes, links: Links, s: wp.int32, i: wp.int32, place: t.vec3, radius: scalar):
-        """Set `near_list_exceeded` if the near links may miss a contact of sphere i in the next step."""
+        """Set `near_list_exceeded` if the near links (close pairs) may miss a contact of sphere i in the next step."""
         gone = scenes.clock[s, SINCE_BUILD] + scenes.clock[s, DT] - links.near_time[s]
         drift = scalar(gone) * scenes.reference_velocity[s]
         if exceeds_skin(
@@ -196,9 +196,10 @@ def clearing_function(scalar, half: bool):
 def placing_function(scalar, growth: bool, meshes: bool, half: bool):
     """Return the function `place_sphere`, which stores a sphere's new position and checks the neighbour lists.
 
-    The function sets LATE or `near_list_exceeded` where the lists may miss a contact in the next step. It sets FAILED
-    if a sphere moves by more than its radius in one step, because the sphere may then pass through another one or a
-    wall. During growth in packing this is no failure, because spheres start small and overlap anyway.
+    The function sets LATE if the neighbour lists may miss a contact in the next step, and `near_list_exceeded` if the
+    near links (the close pairs among them) may do so. It sets FAILED if a sphere moves by more than its radius in one
+    step, because the sphere may then pass through another one or a wall. During growth in packing this is no failure,
+    because spheres start small and overlap anyway.
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -182,7 +182,7 @@ def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool
 
 @functools.cache
 def broken_function(scalar):
-    """Return the function `count_broken`, which counts a broken bond at a sphere by its failure mode."""
+    """Return the function `count_broken`, which adds a broken bond to a sphere's count of its failure mode."""
     Spheres = array_structs(scalar).Spheres
 
     @wp.func

@@ -13,7 +13,7 @@ from .contact_law import contact_functions
 from .pairs import decode
 from .structs import DT_PREVIOUS, array_structs
 
-# Columns of the sums over the contacts of each sphere.
+# Columns of the values that are summed over the contacts of each sphere.
 CONTACTS: int = wp.constant(0)  # number of pairs in contact
 OVERLAP_SUM: int = wp.constant(1)  # sum over pairs of the overlap divided by the smaller radius
 # OVERLAP_MAX is the largest overlap divided by the smaller radius.
@@ -23,8 +23,9 @@ BOND_ENERGY: int = wp.constant(4)  # elastic energy of bonds [J]
 BONDED: int = wp.constant(5)  # number of bonded pairs
 VIRIAL: int = wp.constant(6)  # sum over pairs: normal spring force times distance of centroids along the normal [N m]
 BONDED_HYDRATED: int = wp.constant(7)  # number of bonded pairs with hydrated (stiff) bonds
-# DEPTH_MAX is the largest overlap relative to its limit. Between spheres the limit is the overlap that swallows the
-# smaller sphere or halves the distance of the centres; at a wall it is the radius.
+# DEPTH_MAX is the largest value of (overlap / permitted overlap). Between two spheres, the permitted overlap is the one
+# that swallows the smaller sphere or halves the distance of the centres. At a wall, the permitted overlap is the
+# sphere's radius.
 DEPTH_MAX: int = wp.constant(8)
 BROKEN_TENSION: int = wp.constant(9)  # number of bonds broken in tension since the start
 BROKEN_SHEAR: int = wp.constant(10)  # number of bonds broken in shear since the start
@@ -52,7 +53,8 @@ TRAVEL: int = wp.constant(16)  # displacement of the wall along its path [m]
 WORK: int = wp.constant(17)  # work done by the wall on the concrete [J]
 WALL_COLUMNS = 18
 
-LANES = 256  # Number of partial sums of a column. The order of a sum depends only on the number of rows.
+# Number of partial sums of each column. It is fixed, so the order of summation depends only on the number of rows.
+LANES = 256
 
 
 @functools.cache
@@ -93,7 +95,7 @@ def column_kernels() -> tuple[wp.Kernel, wp.Kernel]:
 
 @functools.cache
 def wall_probe(scalar) -> wp.Kernel:
-    """Return the kernel over the walls of all scenes that writes one row of values for each wall."""
+    """Return the kernel over the walls of all scenes that stores impulse, force, turn, travel and work of each wall."""
     Walls = array_structs(scalar).Walls
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -164,7 +166,10 @@ def body_probe(scalar) -> wp.Kernel:
 
 @functools.cache
 def pair_probe_function(scalar, law, history: bool, bonds: bool):
-    """Return the function `measure_pair`, which returns a pair's normal force [N] and adds the pair to `sums`."""
+    """Return the function `measure_pair`, which measures one pair of spheres.
+
+    It returns the pair's normal force [N], and adds the pair's energies and other quantities to the columns of `sums`.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs

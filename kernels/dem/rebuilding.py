@@ -22,7 +22,7 @@ def rebuilding_kernels(scalar) -> SimpleNamespace:
     @wp.kernel(module="unique", enable_backward=False)
     def needs_rebuild(flags: wp.array2d(dtype=wp.int32), scenes: Scenes, requested: wp.array(dtype=wp.int32)):
         every = scenes.row[0].sort_every
-        # The host sorts the bodies, so a rebuild with sorting is left to the host.
+        # Only the host can sort the bodies, so the host does the rebuilds that include sorting.
         sorts = every > 0 and flags[0, STEPS] % wp.max(every, 1) == 0
         fails = flags[0, FAILED] != 0 or flags[0, OVERFLOW] != 0
         requested[0] = wp.where(flags[0, STALE] != 0 and not fails and not sorts, 1, 0)
@@ -34,8 +34,9 @@ def rebuilding_kernels(scalar) -> SimpleNamespace:
     ):  # fmt: skip
         """Set `fits` to 1 if the neighbours and mesh faces found by the search fit into the arrays, else to 0.
 
-        Both `scanned` arrays are running sums of row lengths; the last value is the total number of entries. An empty
-        `face_scanned` means that the scene has no meshes.
+        `scanned` and `face_scanned` are running sums of the numbers of entries per sphere; their last value is the
+        total number of entries. An empty `face_scanned` means that the scene has no meshes. `room` and `face_room` are
+        the sizes of the arrays.
         """
         wanted = scanned[scanned.shape[0] - 1]
         holds = wanted >= 0 and wanted <= room

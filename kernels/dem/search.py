@@ -1,6 +1,6 @@
 """Kernels that search a grid for neighbouring spheres.
 
-All kernels run over a whole batch. They skip scenes whose lists are still valid; those scenes keep their rows.
+All kernels run over a whole batch. They skip scenes whose neighbour lists are still valid.
 """
 
 import functools
@@ -185,7 +185,10 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
         scenes: Scenes, spheres: Spheres, old_pairs: Pairs, new_place: wp.array(dtype=wp.int32), query: Query,
         old: wp.int32,
     ) -> wp.int32:  # fmt: skip
-        """Return the other sphere of an old list entry if its bond spans a gap wider than the skin, else -1."""
+        """Return the index of the other sphere of an old list entry if the pair's bond spans a gap wider than the skin.
+
+        Otherwise return -1.
+        """
         if old_pairs.bond[old] <= 0:
             return -1
         j = new_place[query.base + decode(old_pairs.other[old])]
@@ -205,14 +208,16 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
 
 @functools.cache
 def half_search_kernel(scalar, bonds: bool) -> wp.Kernel:
-    """Return the kernel ``search`` for half lists (CPU).
+    """Return the kernel ``search`` for half lists (CPU), which runs with one task per chunk.
 
     A chunk is the range of spheres of one CPU thread. A pair inside a chunk is listed at its larger sphere; of two
     equal spheres, at that with the lower index. The search then reaches no further than a sphere's own diameter plus
     the margin. Pairs across two chunks are listed at both spheres, so a search near another chunk must reach as far as
-    the largest sphere. Each task searches one chunk, writes the rows of its spheres one after the other into the
-    chunk's part `room` of a buffer, and counts the entries. The output `wanted` is the number of entries for which the
-    chunk needs room.
+    the largest sphere.
+
+    Each task writes the list entries of its spheres, one sphere after the other, to the buffer `other`. `room` is the
+    range of entries in this buffer that the chunk may use. The output `wanted` is the number of entries that the chunk
+    needs, which may exceed this range.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -232,7 +237,10 @@ def half_search_kernel(scalar, bonds: bool) -> wp.Kernel:
 
     @wp.func
     def near_another(x: t.vec3, reach: scalar, boxes: wp.array2d(dtype=t.vec3), part: wp.int32):
-        """Return True if a neighbour within `reach` may belong to another chunk, bounded by its box in `boxes`."""
+        """Return True if a neighbour within `reach` may belong to another chunk.
+
+        `boxes` holds the bounding box of each chunk, and `part` is the index of the own chunk.
+        """
         for other in range(boxes.shape[0]):
             if other != part:
                 beyond = wp.max(wp.max(boxes[other, 0] - x, x - boxes[other, 1]), t.vec3())
@@ -323,7 +331,7 @@ def recording_functions(scalar, bonds: bool):
     def old_row(
         scenes: Scenes, old_pairs: Pairs, old_place: wp.array(dtype=wp.int32), query: Query, i: wp.int32
     ):  # fmt: skip
-        """Return the first and the end entry of a sphere's row in the old list."""
+        """Return the first and the end index of a sphere's entries in the old neighbour list."""
         row = scenes.row[query.s].pairs
         place = old_place[i] + query.s
         return row + old_pairs.start[place], row + old_pairs.start[place + 1]
@@ -333,7 +341,7 @@ def recording_functions(scalar, bonds: bool):
         count: wp.array(dtype=wp.int32), finds: wp.array2d(dtype=wp.int32), total: wp.array(dtype=wp.int32),
         query: Query, i: wp.int32, j: wp.int32,
     ):  # fmt: skip
-        """Count a neighbour, and store it in `finds` if there is room."""
+        """Count a neighbour of sphere i, and store the neighbour's index in `finds` if there is room."""
         found = wp.atomic_add(count, i + query.s, 1)
         if found < finds.shape[0]:
             finds[found, i] = j - query.base

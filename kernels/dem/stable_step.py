@@ -77,8 +77,8 @@ def begin_kernel(scalar) -> wp.Kernel:
         s = wp.tid()
         wanted = requested[s] != 0
         if by_device:
-            # A scene with stale lists waits for the rebuild, as on a CPU, because the sums depend on the order of the
-            # rows.
+            # A scene with stale neighbour lists waits until they are rebuilt, on a GPU as on a CPU. The sums depend on
+            # the order of the list entries, so an estimate with the old lists would differ.
             wanted = flags[s, HALTED] == ARRIVED and flags[s, STALE] == 0 and flags[s, FAILED] == 0
             wanted = wanted and flags[s, STEPS] - flags[s, ESTIMATED] >= scenes.row[s].interval
         due[s] = wp.where(wanted, 1, 0)
@@ -151,9 +151,10 @@ def floor_function(scalar, pair_law, wall_law):
     def resolved(k: t.vec4, onset: scalar, mass: scalar):
         """Return the stiffness k for which a step sqrt(m / k) keeps the energy of an impact within a tolerance.
 
-        The tolerance is 1 % of the impact's energy plus a quarter of the energy that it loses. A spring of stiffness
-        `onset` that starts and ends within a step causes an error of up to (w dt)^2 / 4 of the energy, with angular
-        frequency w. For a law whose stiffness grows from zero the error is less than a third of that.
+        The tolerance is 1 % of the impact's energy plus a quarter of the energy that it loses. `onset` is the contact's
+        stiffness at first touch. Let w be the angular frequency of a spring of this stiffness. If the spring is loaded
+        and unloaded within a step of length dt, the error is up to (w dt)^2 / 4 of the energy. For a law whose
+        stiffness grows from zero, the error is less than a third of that.
         """
         stiffest = wp.max(onset, scalar(0.3) * k[0])
         if stiffest <= scalar(0.0):
@@ -203,9 +204,10 @@ def floor_function(scalar, pair_law, wall_law):
 
 @functools.cache
 def reduce_kernel(scalar, pair_law, wall_law, half: bool) -> wp.Kernel:
-    """Return the kernel over bodies from `begin` on that finds the smallest stable step of each scene.
+    """Return the kernel that finds the smallest stable step of each scene.
 
-    With half lists it also clears `estimate.sums`, to which both spheres of a pair add.
+    It runs with one task per body, from the body `begin` on. With half lists it also clears `estimate.sums`, to which
+    both spheres of a pair add.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -306,7 +308,7 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool) -> wp.Kernel:
 
 @functools.cache
 def keep_kernel(scalar) -> wp.Kernel:
-    """Return the kernel over scenes that stores the latest estimate as the stable step of sub-cycled pairs."""
+    """Return the kernel over scenes that stores the latest estimate as the stable step of the sub-cycled pairs [s]."""
     Estimate, Subcycled = estimate_struct(scalar), subcycled_struct(scalar)
     least = recording_functions(scalar).least
 

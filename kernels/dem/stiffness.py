@@ -28,7 +28,8 @@ def estimate_struct(scalar):
         sums: wp.array2d(dtype=vec6)  # one row per sphere, shape (spheres, 4); all zero between estimates
         # stiffness [mN/m] and damping [mN s/m] of the contacts of each wall, shape (parts, walls, 2)
         wall_load: wp.array3d(dtype=wp.int64)
-        smallest: wp.array2d(dtype=wp.float64)  # smallest stable step of any body, shape (parts, scenes) [s]
+        # smallest stable step of any body, by CPU thread and scene, shape (parts, scenes) [s]
+        smallest: wp.array2d(dtype=wp.float64)
         resolution_step: wp.array2d(
             dtype=wp.float64
         )  # smallest step limit by impacts and speeds [s], shape (parts, scenes)
@@ -224,7 +225,8 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
         else:
             # The threads of a group first search together for the pairs that count. Then they share these pairs evenly,
             # so that all threads evaluate pairs at the same time.
-            others = lane  # Number of pairs left to other threads before this thread takes its next pair.
+            # Number of pairs that this thread still leaves to the other threads before it evaluates a pair itself.
+            others = lane
             for block in range(begin, end, BLOCK):
                 left = wp.int32(0)
                 for place in range(lane, wp.min(BLOCK, end - block), wp.static(lanes)):

@@ -29,7 +29,8 @@ CLOCK = 8
 
 # States of a link, in `links.state`.
 APART: int = wp.constant(0)  # the spheres do not touch
-TOUCHING: int = wp.constant(1)  # the spheres touch or are bonded, or a new list has taken over their contact history
+# the spheres touch or are bonded, or a link made for a new list still has contact history from the old list
+TOUCHING: int = wp.constant(1)
 PARTED: int = wp.constant(2)  # contact just ended; energy left in its springs counts as lost in the next step
 STIFF: int = wp.constant(3)  # the spheres have a stiff bond, whose forces are computed in sub-cycling rounds
 
@@ -43,7 +44,7 @@ def scene_struct(scalar):
     class SceneRow:
         gravity: t.vec3  # acceleration of gravity [m/s2]
         local_damping: scalar  # coefficient of local damping; 0: off
-        speed_limit: scalar  # body speed above which the scene fails [m/s]
+        speed_limit: scalar  # speed limit of the bodies; the scene fails if a body is faster [m/s]
         skin: scalar  # margin of the pair lists beyond contact [m]
         mesh_skin: scalar  # margin of the sphere-triangle candidate lists [m]
         # part of the mesh skin by which spheres may move before a rebuild; meshes may move by the rest [m]
@@ -59,8 +60,8 @@ def scene_struct(scalar):
         expected_speed: wp.float64  # largest speed expected before the next stable step estimate [m/s]
         wall_stiffness: wp.float64  # lower bound of the contact stiffness that a driven wall meets [N/m]
         largest_radius: scalar  # largest sphere radius, at full size [m]
-        # The following integers are the scene's first rows in the flat arrays of bodies, spheres, pairs and so on, and
-        # (`..._count`) its numbers of rows.
+        # The following integers are the scene's first indices in the flat arrays of bodies, spheres, pairs and so on.
+        # The integers named `..._count` are the numbers of entries that belong to the scene.
         bodies: wp.int32
         body_count: wp.int32
         spheres: wp.int32
@@ -203,9 +204,10 @@ def links_struct(scalar):
 
     @wp.struct
     class Links:
-        link: wp.array(dtype=wp.vec4i)  # lower and higher sphere, entry and twin, numbered per scene; or -1: unused
+        # for each link: lower and higher sphere, list entry and twin entry, as indices in the scene; or -1: unused
+        link: wp.array(dtype=wp.vec4i)
         scene: wp.array(dtype=wp.int32)  # index of each link's scene in the batch, shape (links,)
-        state: wp.array(dtype=wp.int32)  # state: APART, TOUCHING, PARTED or STIFF, shape (links,)
+        state: wp.array(dtype=wp.int32)  # state of each link: APART, TOUCHING, PARTED or STIFF, shape (links,)
         # bit masks of the list entries beyond the first BLOCK that touched, EXTRA_MASKS integers per sphere
         later_touching: wp.array(dtype=wp.int32)
         end: wp.array(dtype=wp.int32)  # for each list entry, the index p of its link in the scene; -1 - p for a twin
@@ -255,7 +257,7 @@ def subcycled_struct(scalar):
         outcome: wp.array(dtype=wp.int32)  # 1: the bond holds; negative: failure mode of a bond that broke in this step
         body_scene: wp.array(dtype=wp.int32)  # index of each body's scene in the batch, shape (bodies,)
         body_number: wp.array(dtype=wp.int32)  # permanent number of each body
-        place: wp.array(dtype=wp.int32)  # current row of each body in the batch
+        place: wp.array(dtype=wp.int32)  # current index of each body in the batch's arrays of bodies
         start: wp.array(dtype=wp.int32)  # first row of each body in `force`, and an end marker, shape (bodies + 1,)
         # twice the index of the pair, plus 1 for the pair's higher sphere, shape (2 pairs,)
         ref: wp.array(dtype=wp.int32)

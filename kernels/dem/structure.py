@@ -9,10 +9,11 @@ from .structs import array_structs
 
 @functools.cache
 def breakdown_kernel(scalar, law) -> wp.Kernel:
-    """Return a kernel, one thread a scene, that updates the yield stress of a :class:`LubricationLayer` `law`.
+    """Return a kernel, one thread per scene, that updates the yield stress of a :class:`LubricationLayer` `law`.
 
-    The yield stress that the layer gained at rest decays with the slip as exp(-slip / breakdown). Slip is the travel of
-    one wall since slip began. It is computed anew from this travel, so the kernel may run at any interval.
+    The yield stress that the layer gained at rest decays with the slip as exp(-slip / breakdown). The slip is the
+    distance that one wall has travelled since slip began. Each launch computes the yield stress from the whole slip, so
+    the kernel may run at any interval.
     """
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls

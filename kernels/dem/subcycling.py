@@ -118,7 +118,7 @@ def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: 
 
     @wp.func
     def keep(pairs: Pairs, subcycled: Subcycled, p: wp.int32, first_load: wp.int32, k: wp.int32):
-        """Copy the pair's bond, load and contact history to an entry of the neighbour list."""
+        """Copy the bond, bond forces and contact history of a stiff pair back to its entry of the neighbour list."""
         if pairs.bond[k] > 0:
             pairs.load[first_load + load_row(pairs.bond[k])] = subcycled.held.load[p]
         if subcycled.held.bond[p] <= 0:
@@ -282,7 +282,7 @@ def body_round_function(scalar):
 
 @functools.cache
 def body_kernel(scalar) -> wp.Kernel:
-    """Return the CPU kernel over bodies with stiff bonds for one round; see :func:`body_round_function`."""
+    """Return the CPU kernel over bodies with stiff bonds for one sub-cycling round; see :func:`body_round_function`."""
     Scenes = array_structs(scalar).Scenes
     Subcycled = subcycled_struct(scalar)
     body_round = body_round_function(scalar)
@@ -358,10 +358,10 @@ def rounds_kernel(scalar, law, history: bool, healing: bool, dissipation: bool) 
 
 @functools.cache
 def prediction_kernel(scalar, meshes: bool, half: bool, dissipation: bool) -> wp.Kernel:
-    """Return the kernel over bodies with stiff bonds that runs after the last round of a step.
+    """Return the kernel over bodies with stiff bonds that runs after the last sub-cycling round of a step.
 
-    It applies the last half kick, predicts the bodies' positions at the end of the step for the contact kernels, and
-    records the energy loss and broken bonds of their stiff pairs.
+    It applies the last half kick, and predicts the bodies' positions at the end of the step for the contact kernels. It
+    also records the energy losses and the broken bonds of the bodies' stiff pairs.
     """
     span = SPAN if half else 1
     structs = array_structs(scalar)

@@ -40,7 +40,10 @@ def stopped(time: wp.float64, ramp: wp.float64, stroke: wp.float64, pause: wp.fl
 
 @functools.cache
 def motion_functions(scalar, strokes: bool):
-    """Return `follow` (prescribed motion) and `drive` (motion under a force), each for one wall and one step."""
+    """Return the functions `follow` and `drive`, which move one wall by one step.
+
+    `follow` moves a wall along a prescribed path, and `drive` moves a wall under a force.
+    """
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls
@@ -135,8 +138,8 @@ def advance_kernel(scalar, strokes: bool) -> wp.Kernel:
         kick = wp.float64(0.5) * (dt + previous)
         motion = walls.table[w].motion
         unit = wp.float64(1.0) / scenes.clock[s, FORCE_SCALE]
-        # All loads are issued before the first store. If loads and stores alternated, their memory latencies would add
-        # up and delay the kernels that wait for the walls.
+        # All values are read from memory before the first one is written. If reads and writes alternated, their memory
+        # latencies would add up and delay the kernels that wait for the walls.
         velocity, spin = wp.vec3d(walls.velocity_exact[w]), wp.vec3d(walls.spin[w])
         impulse, angular_impulse = wp.vec3d(walls.impulse[w]), wp.vec3d(walls.angular_impulse[w])
         work = wp.float64(walls.work[w])

@@ -137,7 +137,7 @@ def coarse_kernels(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def sums(flow: FlowConstants, flags: wp.array(dtype=wp.int32), matrix: Matrix):
-        """Add up the results of `pairs` over the particles of a cube, which gives one entry of the coarse matrix."""
+        """Add up the results of `pairs` over the particles of a cube to obtain a coefficient of the coarse matrix."""
         if flags[HALTED] != 0:
             return
         entry = wp.tid()

@@ -33,10 +33,10 @@ OUTCOME = 4
 def solver_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
     """Build the functions that a solve applies to each row of the equations, for vector or scalar unknowns.
 
-    `inner` is the inner product of two values, `divided` the diagonal preconditioner, and `share` the preconditioner of
-    a rigid grain. `bounded` adds boundary conditions to a row of the matrix product: for velocities the `drag` along
-    the wall; scalar unknowns at the free surface are held at zero. `value` is the type of an unknown, `Solve` the
-    struct of the working arrays.
+    `inner` returns the inner product of two values, and `divided` a residual divided by the diagonal (the
+    preconditioner). `share` does the same for a rigid grain. `bounded` adds boundary conditions to a row of the matrix
+    product: for velocities the `drag` along the wall; for scalars the value zero at the free surface. The namespace
+    also holds `value`, the type of an unknown, and `Solve`, the struct of the working arrays.
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)
@@ -120,7 +120,7 @@ def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNam
 
     @wp.func
     def share(first: wp.int32, end: wp.int32, matrix: Matrix, system: Solve, z: wp.array(dtype=value)):
-        """Compute `z`, the preconditioned residual, for the particles of the grains from `first` to `end`."""
+        """Store the preconditioned residual in `z` for the particles of the grains from number `first` up to `end`."""
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
         if wp.static(rigid):

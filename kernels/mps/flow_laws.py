@@ -27,7 +27,7 @@ def law_functions(scalar, law: str) -> SimpleNamespace:
 
 @functools.cache
 def linear_law(scalar) -> SimpleNamespace:
-    """Build the functions of h = k g."""
+    """Build the functions of the linear law h = k g (stress, viscosity and so on), with the shear rate g."""
 
     @wp.func
     def stress(k: scalar, n: scalar, c: scalar, g: scalar) -> scalar:
@@ -69,7 +69,7 @@ def linear_law(scalar) -> SimpleNamespace:
 
 @functools.cache
 def power_law(scalar) -> SimpleNamespace:
-    """Build the functions of h = k g^n."""
+    """Build the functions of the power law h = k g^n (stress, viscosity and so on), with the shear rate g."""
 
     @wp.func
     def stress(k: scalar, n: scalar, c: scalar, g: scalar) -> scalar:
@@ -115,9 +115,10 @@ def power_law(scalar) -> SimpleNamespace:
 
 @functools.cache
 def quadratic_law(scalar) -> SimpleNamespace:
-    """Build the functions of h = k g + c g^2.
+    """Build the functions of the quadratic law h = k g + c g^2, with the shear rate g.
 
-    The integrals over the stress are polynomials of the rate, because d over = (k + 2 c g) dg.
+    With the stress h as variable of integration, dh = (k + 2 c g) dg. The integrals of g over the stress are therefore
+    polynomials of g.
     """
 
     @wp.func

@@ -69,10 +69,11 @@ def other_wall_law_function(scalar, dimensions: int, slip_law: str):
 
     @wp.func
     def wall_force(flow: FlowConstants, x: t.vec, v: t.vec, area: scalar, compliance: scalar, force: t.vec):
-        """Return three values: `force` plus the slip layer's force, the layer's resistance, the wall's stress [Pa].
+        """Return `force` plus the slip layer's force, the slip layer's resistance, and the wall stress [Pa].
 
-        The arguments and results are those for a linear layer. The stress at which slip and shear add up to the
-        particle's speed is found by Newton's method between two bounds.
+        Arguments and results are the same as those of the function for a slip layer that obeys Bingham's law. Slip and
+        shear must add up to the particle's speed. Newton's method finds the stress at which they do, between two
+        bounds.
         """
         n = f.outward(x)
         along = v - wp.dot(n, v) * n

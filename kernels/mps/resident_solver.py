@@ -73,9 +73,9 @@ def sum_functions(width: int) -> SimpleNamespace:
 def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNamespace:
     """Build the functions that a GPU thread applies to a row of the equations, or to a rigid grain, in a solve.
 
-    Each function returns its contributions to inner products. `begin`, `update` and `share` (for a grain) return those
-    to the inner products of the residual with the preconditioned residual and with itself. `multiply` returns that to
-    the inner product of the search direction p with A p, where A is the matrix.
+    Here r is the residual, z the preconditioned residual, p the search direction and A the matrix. `begin`, `update`
+    and `share` return the contributions of their row to the inner products of r with z and of r with itself; the row of
+    `share` is a grain. `multiply` returns the row's contribution to the inner product of p with A p.
     """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value

@@ -109,7 +109,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         compliance: wp.array(dtype=scalar)  # Velocity difference between particle and wall per wall stress [m/s/Pa].
         predicted: wp.array(dtype=scalar)  # Predicted pressure: that of the previous step, filtered [Pa], shape (n,).
         traction: wp.array(dtype=scalar)  # Shear stress of the wall beside each particle [Pa], shape (n,).
-        increment: wp.array(dtype=scalar)  # Change of the pressure in this step [Pa], shape (n,).
+        increment: wp.array(dtype=scalar)  # Change of each particle's pressure in this step [Pa], shape (n,).
         potential: wp.array(dtype=scalar)  # Potential whose gradient moves particles out of crowded regions [m2].
         extra_displacement: wp.array(dtype=t.vec)  # Displacement in this step not caused by velocity [m], shape (n,).
         position_at_build: wp.array(dtype=t.vec)  # Position when the neighbour lists were built [m], shape (n,).
@@ -126,7 +126,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         centre: wp.array(dtype=t.vec)  # Mean position of a grain's particles in this step [m], shape (grains,).
         inverse_inertia: wp.array(dtype=mat33)  # Inverse inertia of a grain about `centre` for unit masses [1/m2].
         mobility: wp.array(dtype=scalar)  # Velocity of a grain per force, for the matrix's diagonal (preconditioner).
-        spin_mobility: wp.array(dtype=mat33)  # Spin of a grain per moment, for the matrix's diagonal (preconditioner).
+        # Spin of each grain caused by a unit moment, for the matrix's diagonal (preconditioner).
+        spin_mobility: wp.array(dtype=mat33)
         step: wp.array(dtype=t.vec)  # Displacement of each grain in this step [m], shape (grains,).
         spin: wp.array(dtype=vec3)  # Angular velocity of each grain [rad/s], shape (grains,).
         turn: wp.array(dtype=t.mat)  # Rotation of each grain since the start, shape (grains,).
@@ -138,8 +139,9 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         of: wp.array(dtype=wp.int32)  # Cube of each particle, shape (n,).
         # Index of each cube's first particle in `member`, followed by the end of the last cube, shape (count + 1,).
         first: wp.array(dtype=wp.int32)
-        member: wp.array(dtype=wp.int32)  # Particles sorted by cube, shape (n,).
-        neighbour: wp.array(dtype=wp.int32)  # Cubes around each cube, -1 where there is none, shape (3^d * count,).
+        member: wp.array(dtype=wp.int32)  # Numbers of the particles, sorted by cube, shape (n,).
+        # Numbers of the cubes around each cube, -1 where there is none, shape (3^d * count,).
+        neighbour: wp.array(dtype=wp.int32)
         # Coupling of each cube with the 3^d cubes around it, shape (3^d * count,). The middle entry, which belongs to
         # the cube itself, is 1 over the diagonal instead.
         coefficient: wp.array(dtype=scalar)
@@ -170,7 +172,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
             preconditioned: wp.array(dtype=value)  # Residual divided by the diagonal, shape (n,); GPU only.
             load: wp.array(dtype=value)  # Sum of the residual in each cube of the coarse grid, shape (cubes,).
             lift: wp.array(dtype=value)  # Coarse solution in two buffers, used alternately, shape (2 cubes,).
-            change: wp.array(dtype=value)  # Last change of the coarse solution, shape (cubes,).
+            # Difference between the last two iterates of the coarse solution, shape (cubes,).
+            change: wp.array(dtype=value)
             inner: wp.array(dtype=wp.float64)  # Residual sum times coarse solution of each cube, shape (cubes,).
             partial: wp.array(dtype=wp.float64)  # Partial sums of each block or thread, for up to three different sums.
             stop_norm: wp.array(dtype=wp.float64)  # Residual norm at which the solve stops, shape (1,).
@@ -209,7 +212,10 @@ def mps_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def beyond_room(flow: FlowConstants, x: t.vec) -> scalar:
-        """Return how far `x` lies beyond the limit for particles [m], which is a quarter of a spacing from the wall."""
+        """Return how far `x` lies outside the space for particles [m].
+
+        This space ends a quarter of a spacing before the wall.
+        """
         return wp.length(across(x)) - (flow.radius - scalar(0.25) * flow.spacing)
 
     @wp.func
@@ -268,10 +274,11 @@ def mps_functions(scalar, dimensions: int) -> SimpleNamespace:
 
 
 def row_place(serial: bool):
-    """Return the function of (row, entry, rows, capacity) that locates an entry of a neighbour list in a flat array.
+    """Return the function that computes the index of a neighbour list entry in the flat array of all entries.
 
-    Each particle has one row. A CPU reads one row after the other, so the entries of a row are contiguous. Neighbouring
-    threads of a GPU read entries with the same number in neighbouring rows, so there these entries are contiguous.
+    Its arguments are (row, entry, rows, capacity); each particle has one row. A CPU reads one row after the other, so
+    the entries of a row are contiguous. Neighbouring threads of a GPU read entries with the same number in neighbouring
+    rows, so there these entries are contiguous.
     """
     return place_by_row if serial else place_by_entry
 

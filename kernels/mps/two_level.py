@@ -71,7 +71,11 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
 
     @wp.func
     def turn(first: wp.int32, end: wp.int32, beta: scalar, old: wp.int32, matrix: Matrix, system: Solve):
-        """Compute new search directions from the residual over the diagonal (in `product`) and the coarse solution."""
+        """Compute the new search direction of each row from the preconditioned residual and the old direction.
+
+        The preconditioned residual is the residual divided by the diagonal, which `product` holds, plus the coarse
+        solution.
+        """
         for i in range(first, end):
             now = system.product[i]
             if wp.static(vector) or matrix.free[i] == 0:

@@ -15,7 +15,7 @@ import warp as wp
 from ..core.device.device import parallel
 
 WIDTH = 4.0
-"""Width of a cube in particle spacings.
+"""Width of a cube of the coarse grid, in particle spacings.
 
 With a width of 3 the solves take a tenth fewer iterations but need twice as many cubes. With a width of 6 they take a
 quarter more iterations.

@@ -70,7 +70,7 @@ class FlowDisplay(Display):
         return None
 
     def categories(self) -> dict[str, np.ndarray]:
-        """Return the colours of grains and mortar if the colours show materials."""
+        """Return the colours of grains and mortar by name; the dictionary is empty if the colours show a quantity."""
         return {"coarse aggregate": GRAIN, "mortar": MORTAR} if self.scale() is None else {}
 
     def _snapshot(self) -> Snapshot:

@@ -32,7 +32,7 @@ TIMED_STEPS = 10  # Number of steps that are timed together.
 
 @dataclass(frozen=True)
 class Course:
-    """Expected course of a run."""
+    """Expected duration and mean time step of a run."""
 
     duration: float
     """Simulated time of the run [s]."""
@@ -50,11 +50,11 @@ def flow_forecast(
     limits: Mapping[str, float] | None = None,
     governing: str = "choice: solves are implicit, so that viscosity and pressure set no limit",
 ) -> Forecast:
-    """Return the forecast of a flow.
+    """Return the forecast of a flow's run time.
 
-    `simulated` creates the simulation. `course_of` and `features_of` receive a prepared simulation; they return the
-    expected course of the run, and descriptions of the computed features. `probe` measures the wall time for one frame
-    of the recordings. `limits` and `governing` describe what limits the time step, as in :class:`Forecast`.
+    `simulated` creates the simulation. From the prepared simulation, `course_of` returns the expected duration and mean
+    time step, and `features_of` returns descriptions of the computed features. `probe` measures the wall time for one
+    frame of the recordings. `limits` and `governing` describe what limits the time step, as in :class:`Forecast`.
     """
 
     def begun() -> FlowRun:
@@ -63,7 +63,7 @@ def flow_forecast(
         return simulation
 
     scene = (loading := begun()).scene
-    # Time at most as many steps as lie between two samples of the time series.
+    # Measure the wall time of several steps together, but of no more steps than lie between two samples.
     count = max(1, min(round(scene.sample_interval / scene.time_step), TIMED_STEPS))
     loading.flow.take(count)  # This call loads the kernels, so that later timings exclude the loading.
     course = course_of(loading)
@@ -149,7 +149,7 @@ def forecast(scene: FluidScene, device: Any, precision: str, threads: int | None
 
 
 def _course(simulation: FluidSimulation) -> Course:
-    """Return the course of a run until the flow is steady."""
+    """Return the expected duration and mean time step of a run that ends when the flow is steady."""
     scene = simulation.scene
     if scene.duration is not None:
         return Course(scene.duration, scene.time_step)
@@ -177,7 +177,7 @@ def _features(simulation: FluidSimulation) -> dict[str, str]:
 
 
 def law_features(concrete: Concrete) -> dict[str, str]:
-    """Return the names of the flow laws of bulk and slip layer that are not Bingham's, by feature."""
+    """Return the flow laws of bulk and slip layer that are not Bingham's, as text for a forecast's list of features."""
     laws = {"flow law": concrete.bulk_law, "law of the slip layer": concrete.layer_law}
     return {
         name: f"{law.name}, n = {law.index:g}" if law.index != 1 else f"{law.name}, c = {law.quadratic:g} Pa s2"

@@ -17,7 +17,7 @@ cuts off.
 
 @dataclass(frozen=True)
 class Layout:
-    """Initial positions of particles, relative to the piston's middle; the last coordinate runs along the pipe."""
+    """Initial positions of the particles relative to the centre of the piston; the last axis runs along the pipe."""
 
     spacing: float
     """Distance between neighbouring particles [m]."""

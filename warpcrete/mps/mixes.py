@@ -23,7 +23,7 @@ LAW_DEFAULTS = {
 CONCRETE_CONSTANTS = (*BINGHAM_CONSTANTS, *LAW_DEFAULTS)
 """Names of all constants of a :class:`Concrete`."""
 CONSTANTS = (*CONCRETE_CONSTANTS, *FACTORS)
-"""Names of all constants and factors of a named concrete; a value given as a parameter replaces the named one's."""
+"""Names of all constants and factors of a named concrete; parameters of the same names replace its values."""
 AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mortar_yield")
 """Names of the parameters of the coarse aggregate in a two-phase flow."""
 
@@ -64,10 +64,10 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
 
 
 def _is_complete(name: str, given: Mapping[str, Any]) -> bool:
-    """Return whether the given constants leave nothing to take from the concrete of this name.
+    """Return True if the `given` constants are complete, so that the named concrete need not be looked up.
 
-    Run records of earlier versions hold the constants of Bingham's law only, and the file that they came from may be
-    gone.
+    Bingham's constants are enough if the name is that of a file that no longer exists. Run records of earlier versions
+    hold only these constants.
     """
     known = [each for each in CONSTANTS if given.get(each) is not None]
     return len(known) == len(CONSTANTS) or (

@@ -50,9 +50,9 @@ class MovingParticles(Stepping):
     viscous: Any
     """Linear system of the velocities, a struct `Solve` of vectors."""
     projection: Any
-    """Linear system of the pressure increment, a struct `Solve` of numbers."""
+    """Linear system of the pressure increment, a struct `NumberSolve`."""
     shifting: Any
-    """Linear system that shifts particles out of crowded regions, a struct `Solve` of numbers.
+    """Linear system that shifts particles out of crowded regions, a struct `NumberSolve`.
 
     The residual of the system is the density error.
     """
@@ -96,7 +96,7 @@ class MovingParticles(Stepping):
         return allocate(struct, self.device, **sizes)
 
     def _matrix(self) -> Any:
-        """Return the coefficients of the linear systems, except for arrays sized by the neighbour lists."""
+        """Allocate the coefficients of the linear systems, but not the arrays whose sizes depend on neighbour lists."""
         struct = self.structs.Matrix
         sizes = dict.fromkeys(("diagonal", "drag", "free"), self.count)
         matrix = allocate(struct, self.device, **sizes)
@@ -152,7 +152,7 @@ class MovingParticles(Stepping):
 
     @property
     def _list_reach(self) -> tuple[float, float]:
-        """Reach of the near neighbours and of all neighbours [m], including the skin."""
+        """Distances within which the lists contain neighbours for the operators and the density [m], with skin."""
         return (OPERATOR_REACH + SKIN) * self.state.layout.spacing, (DENSITY_REACH + SKIN) * self.state.layout.spacing
 
     def _reserve(self) -> None:
@@ -227,7 +227,7 @@ class MovingParticles(Stepping):
 
     @property
     def _kernel_arrays(self) -> dict[str, Any]:
-        """Arrays and structs of the flow, by the names of the kernel parameters that receive them."""
+        """Arrays and structs of the flow; the keys are the names of the kernel parameters that receive them."""
         return {
             "flags": self.flags,
             "flow": self.flow,

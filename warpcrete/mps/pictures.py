@@ -16,7 +16,7 @@ def plot_flow(
     particles: tuple[np.ndarray, np.ndarray, float] | None = None,
     scale: tuple[str, float, float] | None = None,
 ) -> Any:
-    """Return a figure of the pressure over time and of velocity profiles, both with theory.
+    """Return a figure of the pressure over time and of velocity profiles, each compared with theory.
 
     `particles` (positions, RGB bytes, spacing) are drawn next to the curves with a colour bar for `scale` (label,
     lowest and highest value).

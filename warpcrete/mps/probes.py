@@ -183,7 +183,7 @@ def over_radius(distance: np.ndarray, values: np.ndarray, radius: float, bins: i
 
 
 def _slope(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Return slope and value at zero of the straight line fitted to points."""
+    """Return the slope of the straight line fitted to points, and the line's value at x = 0."""
     if len(x) < 2 or np.ptp(x) == 0:
         return 0.0, float(np.mean(y)) if len(y) else math.nan
     slope, value = np.polyfit(x, y, 1)

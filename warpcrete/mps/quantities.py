@@ -34,7 +34,7 @@ class RunData:
 
     @property
     def chosen(self) -> np.ndarray:
-        """Mask of the rows of the time series over which quantities are averaged."""
+        """Boolean mask of the rows of the time series over which quantities are averaged."""
         time = self.series["time"]
         if self.scene.duration is None:
             return np.arange(len(time)) == len(time) - 1
@@ -45,21 +45,21 @@ class RunData:
         return float(self.series[name][self.chosen].mean())
 
     def by_theory(self, name: str) -> float:
-        """Return the value of a quantity by theory."""
+        """Return the value that theory predicts for a quantity."""
         return float(getattr(self.theory, name))
 
     def error(self, name: str) -> float:
-        """Return the relative error of a column against theory.
+        """Return the error of a column of the time series, relative to the value of theory.
 
-        The error of the slip velocity is relative to the mean velocity, because a slip velocity near zero is no useful
-        scale.
+        The error of the slip velocity is relative to the mean velocity instead, because a slip velocity near zero is no
+        useful scale.
         """
         size = self.scene.velocity if name == "slip_velocity" else self.by_theory(name)
         return (self.mean(name) - self.by_theory(name)) / size
 
 
 def expected(scene: FluidScene) -> dict[str, float]:
-    """Return pressure, slip velocity and wall stress of the steady flow by theory."""
+    """Return the pressure, slip velocity and wall stress that theory predicts for the steady flow, by name."""
     theory = scene.theory()
     return {name: float(getattr(theory, name)) for name in UNITS}
 

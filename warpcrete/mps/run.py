@@ -23,10 +23,10 @@ class FlowRun(Simulation):
 
     flow: Any
     goal: ClassVar[str] = "steady"
-    """Name under which the result of a run stores the attribute `steady`."""
+    """Key of the run's result under which the value of `steady` is stored."""
 
     def set_up(self) -> None:
-        """Start an empty series; the particles are placed later, because they take memory."""
+        """Start with an empty time series; the particles take much memory and are therefore placed later."""
         self._rows: list[dict[str, float]] = []
         self.steady = False
         """True once the flow has become steady or, with a free surface, come to rest."""
@@ -37,7 +37,7 @@ class FlowRun(Simulation):
 
     @abstractmethod
     def measured(self) -> dict[str, float]:
-        """Measure the flow and return a row of the series."""
+        """Measure the flow and return the values of one row of the time series, by column name."""
 
     @abstractmethod
     def sizes(self) -> dict[str, Any]:
@@ -49,7 +49,7 @@ class FlowRun(Simulation):
 
     @property
     def prepared(self) -> bool:
-        """True once the particles are placed."""
+        """True if the particles have been placed."""
         return hasattr(self, "flow")
 
     @property
@@ -59,7 +59,7 @@ class FlowRun(Simulation):
 
     @property
     def state(self) -> Any:
-        """State of the flow, with its particles."""
+        """State of the flow, which includes its particles."""
         return self.flow.state
 
     def prepare(self) -> None:
@@ -77,7 +77,7 @@ class FlowRun(Simulation):
         return row
 
     def state_dict(self) -> dict[str, Any]:
-        """Return the state of the flow and the rows so far."""
+        """Return the state of the flow and the rows of the time series so far."""
         return {
             "flow": self.flow.state_dict(),
             "columns": list(self._rows[0]) if self._rows else [],

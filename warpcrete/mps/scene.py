@@ -286,6 +286,6 @@ class FluidScene(Parametrised, FlowSettings):
         return steady(self.concrete, self.line, np.pi * self.radius**2 * self.velocity, self.form)
 
     def restart(self) -> Steady:
-        """Return the theoretical state at full flow just after the rest, before flow breaks any structure."""
+        """Return the steady state by theory for full flow after the rest, before the flow breaks any structure."""
         flow = np.pi * self.radius**2 * self.velocity
         return restart(self.concrete, self.line, self.rest, self.thixotropy, flow, self.form)

@@ -39,7 +39,7 @@ MIN_SLIP_RATIO = 0.1
 MAX_STRUCTURE_LEFT = 0.01
 """Fraction of the yield stress gained at rest that the slip layer may still have in a steady flow."""
 COMPARISON_INTERVAL = 5e-3
-"""Simulated time between the rows that must agree in a steady flow [s]."""
+"""Simulated time between the samples whose agreement shows that the flow is steady [s]."""
 
 
 class FluidSimulation(FlowRun):
@@ -92,11 +92,11 @@ class FluidSimulation(FlowRun):
 
     @property
     def frame_step(self) -> float:
-        """Size of the time steps [s] if it is constant (flows of particles alone); infinity for flows on a grid."""
+        """Length of the time steps [s] if all are equal (flows of particles alone); infinity for flows on a grid."""
         return np.inf if self.scene.ends == "periodic" else self.scene.time_step
 
     def unit(self, column: str) -> str:
-        """Return the unit of a column of the series."""
+        """Return the unit of a column of the time series."""
         return UNITS[column]
 
     def display(self, colouring: str | None = None) -> FlowDisplay:
@@ -119,10 +119,10 @@ class FluidSimulation(FlowRun):
         self._watch(row)
 
     def ended_early(self) -> bool:
-        """Return whether the flow is steady and no duration is given."""
+        """Return True if the flow is steady; always False if the scene states a duration."""
         now, part = self._rows[-1], self.scene.steadiness
         if self._structure_breaks and now["layer_gained"] > MAX_STRUCTURE_LEFT * self.scene.gained:
-            return False  # the structure may break so slowly that no other quantity shows it
+            return False  # The structure may break so slowly that all other quantities already look steady.
         earlier = []
         for wanted in (now["time"] - COMPARISON_INTERVAL, now["time"] - 2 * COMPARISON_INTERVAL):
             # In the first row the slip layer is not computed yet. Two earlier rows must agree with the last one,

@@ -104,7 +104,10 @@ class StepPart:
         return [*([self.p.stage(kernel, tasks, **named)] if self.parts.start == 0 else []), *self.barrier_stages]
 
     def in_blocks(self, kernel: Any, number: int | None = None, **named: Any) -> Stage:
-        """Return a stage that runs a kernel in whole GPU blocks: the given number, or enough for all particles."""
+        """Return a stage that runs a kernel in whole GPU blocks.
+
+        It runs as many blocks as `number` states; if this is None, it runs enough blocks for one thread per particle.
+        """
         return self.p.stage(kernel, BLOCK * (number or self.p.blocks), block=BLOCK, **named)
 
     # The following methods return the stages of a step, in the order of the step.
@@ -150,7 +153,7 @@ class StepPart:
         return [*self.coarse_matrix(False), *solve]
 
     def shifting(self) -> list[Any]:
-        """Return the density solve and the stage that turns its solution into shifts out of crowded regions."""
+        """Return the stages that solve for the density correction and move particles out of crowded regions."""
         tolerance, error = DENSITY_TOLERANCES
         return [
             *self.solve(self.p.shifting, DENSITY, self.p.fields.potential, tolerance, error * self.size),

@@ -29,7 +29,7 @@ LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}  # Maximum number of steps 
 GRAPHS_PER_CHECK = 4  # Number of launch graphs of the largest size between two reads of the control flags.
 SOLVE_NAMES = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
 MAX_CONCURRENT_FLOWS = 64
-"""Maximum number of flows that run on one GPU at the same time."""
+"""Maximum number of independent flows that are simulated on one GPU at the same time."""
 
 
 class Stepping(ABC):
@@ -72,7 +72,7 @@ class Stepping(ABC):
         return self.step
 
     def build(self) -> None:
-        """Do the work that a step has requested, such as a rebuild of the neighbour lists, before the next step."""
+        """Do what the last step requested before the next step can begin, such as a rebuild of the neighbour lists."""
         raise TypeError(f"{type(self).__name__} has nothing to build between steps")
 
     def share(self, abreast: int) -> None:
@@ -87,7 +87,10 @@ class Stepping(ABC):
         self._run_to_goal()
 
     def advance(self, until: float) -> None:
-        """Take whole steps up to the step that ends nearest to `until` [s]; raise the same errors as `take`."""
+        """Take whole steps, so that the last one ends as near to the time `until` [s] as possible.
+
+        The method raises the same errors as :meth:`take`.
+        """
         self.set_goal(until)
         self._run_to_goal()
 
@@ -117,7 +120,7 @@ class Stepping(ABC):
         self._launcher.replay(self.step, self._single_thread_step, sizes, lambda: bool(self.flags.numpy()[int(HALTED)]))
 
     def settle(self) -> None:
-        """Wait for the launched steps and read how far they came; raise the error of a failed step."""
+        """Wait for the launched steps, and read how many are completed; if a step failed, raise its error."""
         flags = self.flags.numpy()
         self._read_progress(flags)
         if flags[int(FAILED)]:
@@ -126,7 +129,7 @@ class Stepping(ABC):
             self.build()
 
     def _read_progress(self, flags: np.ndarray) -> None:
-        """Update step count and time from the flags."""
+        """Take the number of completed steps from the control flags, and compute the simulated time from it."""
         self.steps = int(flags[int(STEPS)])
         self.time = self.steps * self.scene.time_step
 
@@ -188,7 +191,11 @@ class _Run:
             self._resume(failure)
 
     def check_steps(self) -> None:
-        """Check the launched steps, then set the run's next goal or store the finished run or its error."""
+        """Check the completed steps.
+
+        At the goal, let the run continue until it sets its next goal or ends. Store its result when it ends, or its
+        error.
+        """
         try:
             self._flow.settle()
         except (Exception, KeyboardInterrupt) as failure:

@@ -15,7 +15,7 @@ COLUMN_CURES = "; for concrete that shears, ends = periodic"
 
 
 class WatchedFlow:
-    """Monitor that checks every row of the series against the limits of the scene's `watch`."""
+    """Monitor that compares each row of the time series with the limits in the scene's `watch`."""
 
     def __init__(self, scene: FluidScene) -> None:
         self.limits = scene.watch
@@ -25,7 +25,10 @@ class WatchedFlow:
         self.top_speed = float(velocity(scene.concrete, scene.line, theory, [0.0])[0])
 
     def __call__(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` with time, quantity, limit and cures if a row exceeds a limit."""
+        """Raise :class:`InstabilityError` if a value in a `row` of the time series exceeds its limit or is not finite.
+
+        The error names the time, the quantity, its limit and possible cures.
+        """
         limits = self.limits
         for name in FINITE_COLUMNS:
             if not math.isfinite(row[name]):
@@ -46,7 +49,7 @@ class WatchedFlow:
                      f"{limits.volume:g})"
             )  # fmt: skip
         balance = row["force_balance_error"]
-        # The balance is not checked in the first row, where the wall bears no stress yet.
+        # The balance of forces is not checked at the start, where the wall bears no stress yet.
         if limits.force_balance is not None and row["time"] > 0 and not abs(balance) <= limits.force_balance:
             raise self._unstable(
                 row, f"forces do not balance: {balance:.3g} of the piston's force is left over (watch.force_balance = "

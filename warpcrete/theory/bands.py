@@ -19,7 +19,7 @@ class Band:
 
     @property
     def factor(self) -> float:
-        """Square root of the ratio of the band's ends: the band reaches from value / factor to value * factor."""
+        """Factor f of a band that reaches from value / f to value * f; infinity if the band does not lie above zero."""
         return math.sqrt(self.high / self.low) if self.low > 0 else math.inf
 
     def contains(self, value: float) -> bool:
@@ -30,9 +30,10 @@ class Band:
 def combined(value: float, ends: Mapping[str, tuple[float, float]]) -> Band:
     """Combine independent causes of uncertainty into one band.
 
-    `ends` gives, for each cause, the two values that result if only this cause is at one end of its own band.
-    Deviations of a positive value are combined as logarithms, because a layer that is uncertain by a factor of three
-    divides and multiplies by three. Deviations to one side are added in squares, as for independent errors.
+    `ends` gives, for each cause, the two values that result if only this cause is at one end of its own band. If all
+    values are positive, their deviations are measured as logarithms of ratios, because an uncertainty by a factor of
+    three means division or multiplication by three. Deviations to one side are added in squares, as for independent
+    errors.
     """
     logarithmic = value > 0 and all(end > 0 for pair in ends.values() for end in pair)
     below, above = 0.0, 0.0

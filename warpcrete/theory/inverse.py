@@ -48,8 +48,8 @@ def yield_of_heap(spread: float, density: float) -> float:
 def yield_of_slump(slump: float, density: float, bears: float = math.sqrt(3)) -> float:
     """Return the yield stress [Pa] at which the cone slumps by `slump` [m].
 
-    The theory is that of :func:`warpcrete.theory.vessels.tall_cone_slump`; each layer bears a pressure of `bears` yield
-    stresses.
+    The theory is that of :func:`warpcrete.theory.vessels.tall_cone_slump`. Each layer yields at a vertical pressure of
+    `bears` times the yield stress.
     """
     return root(lambda stress: slump - tall_cone_slump(TOP, BASE, HEIGHT, stress, density, bears=bears), 0.0, STIFFEST)
 

@@ -39,7 +39,10 @@ class FlowLaw:
     yield_stress: float
     """Yield stress tau_0 [Pa]."""
     viscosity: float
-    """Plastic viscosity mu, or consistency k [Pa s^n]; of a slip layer, divided by the layer's thickness^n."""
+    """Plastic viscosity mu [Pa s], or consistency k [Pa s^n] of the Herschel-Bulkley law.
+
+    In the law of a slip layer, this value is divided by the layer's thickness^n.
+    """
     index: float = 1.0
     """Flow index n."""
     quadratic: float = 0.0
@@ -73,9 +76,10 @@ class FlowLaw:
         return excess / self.viscosity
 
     def integrals(self, stress: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return J_0, J_1 and J_2 up to the rate at `stress`: the integrals of g h^j dh [Pa^(j + 1) / s].
+        """Return the integrals J_0, J_1 and J_2, where J_j is the integral of g h^j dh [Pa^(j + 1) / s] up to `stress`.
 
-        J_0 is also the integral of the rate over the stress.
+        Here g is the shear rate at the stress tau_0 + h. J_0 is therefore also the integral of the rate over the
+        stress.
         """
         h = np.maximum(np.asarray(stress, float) - self.yield_stress, 0.0)
         g = self._rate_of_excess(h)
@@ -83,7 +87,8 @@ class FlowLaw:
             n = self.index
             with np.errstate(over="ignore"):
                 return g * h * n / (n + 1), g * h**2 * n / (2 * n + 1), g * h**3 * n / (3 * n + 1)
-        # With a = mu g and b = c g^2 the integrands are polynomials of g, all of whose terms are positive.
+        # With a = mu g and b = c g^2 the integrals below are polynomials of g with positive terms only, so no digits
+        # cancel.
         a, b = self.viscosity * g, self.quadratic * g * g
         return (
             g * (a / 2 + 2 * b / 3),

@@ -189,9 +189,10 @@ def steady_of_stress(concrete: Concrete, line: Line, stress: float, form: str = 
 
 @functools.lru_cache(maxsize=1024)
 def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> Steady:
-    """Return the steady state at a volume `flow` [m3/s]; its pressure is what a pump must deliver.
+    """Return the steady state of a volume `flow` [m3/s]; its pressure is the one that a pump must deliver.
 
-    At rest the wall may bear any stress up to `least_stress`. The result for zero flow has exactly that limit.
+    At rest the wall stress may have any value up to `least_stress`. The result for zero flow has exactly this wall
+    stress.
     """
     between("flow", flow, 0, np.inf, "[m3/s]")
     low = least_stress(concrete, line)

@@ -32,9 +32,10 @@ class Segregated:
     fraction: float
     """Volume fraction of aggregate."""
     index: float
-    """Segregation index: share in the outer half of the radius minus share in the inner half, over the mean share.
+    """Segregation index of the aggregate.
 
-    Simulation runs report this index as `segregation`.
+    It is the aggregate fraction in the outer half of the radius, minus that in the inner half, divided by the aggregate
+    fraction of the whole concrete. Simulation runs report this index as `segregation`.
     """
 
     def __post_init__(self) -> None:
@@ -97,7 +98,7 @@ class Segregated:
         return Steady("pipe", float(flow), pressure, stress, slip, min(plug, edge))
 
     def steady(self, flow: float) -> Steady:
-        """Return the steady state at a volume `flow` [m3/s]; its pressure is what a pump must deliver."""
+        """Return the steady state of a volume `flow` [m3/s]; its pressure is the one that a pump must deliver."""
         between("flow", flow, 0, np.inf, "[m3/s]")
         low, high = 0.0, 1.0
         while self.of_stress(high).flow <= flow:

@@ -24,7 +24,11 @@ LAYERS = 4000
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 """Nodes from -1 to 1 and weights of Gauss-Legendre integration."""
 SLICES, SLICES_FUNNEL, SPEEDS = 400, 60, 120
-"""Slices of a box along its length, slices of a funnel along its height, and outlet speeds tried for each level."""
+"""Numbers of slices and of tried speeds.
+
+SLICES is the number of slices of a box along its length, and SLICES_FUNNEL that of a funnel along its height. SPEEDS is
+the number of outlet speeds tried for each level of the concrete.
+"""
 
 
 def cone_volume(top: float, base: float, height: float) -> float:
@@ -129,7 +133,8 @@ def box_at_rest(
         """Return the volume [m3] and the near end's depth [m] of concrete that is `far` deep at its far end."""
         step, depth, sum = reach / SLICES, far, 0.0
         for _ in range(SLICES):
-            # Integrate the square of the depth: its slope stays finite at a front, where the depth is zero.
+            # Integrate the square of the depth instead of the depth. At the front, where the depth is zero, the slope
+            # of the square stays finite.
             middle = math.sqrt(depth * depth + pull * step * (width + 2 * depth) / width)
             after = math.sqrt(depth * depth + 2 * pull * step * (width + 2 * middle) / width)
             sum += 0.5 * (depth + after) * step * width
@@ -157,9 +162,10 @@ def box_slope(near: float, width: float) -> tuple[float, float]:
 
 
 def box_yield_stress(reach: float, volume: float, width: float, density: float, gravity: float = 9.81) -> float:
-    """Return the yield stress [Pa] of concrete at rest that covers the length `reach` [m] of a box, short of its end.
+    """Return the yield stress [Pa] of concrete that came to rest in a long box before it reached the far end.
 
-    This inverts :func:`box_at_rest`; the `volume` is in m3, and the concrete sticks to floor and sides (Roussel 2007).
+    The concrete covers a length of `reach` [m]; its `volume` is in m3. The function inverts :func:`box_at_rest`. The
+    concrete sticks to floor and sides (Roussel 2007).
     """
     mean = volume / (width * reach)
 
@@ -197,12 +203,14 @@ def duct_stress(
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return the mean wall stress [Pa] of rectangular ducts at mean speeds [m/s], and their hydraulic radii [m].
 
-    `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side of all ducts. The form of
-    Kozicki, Chou & Tiu, which is exact in slots and pipes, reads 2 v / R = tau^(-b/a) / a times the integral of
-    s^(b/a - 1) g(s) ds up to tau, with the shear rate g. For Bingham's law it is
-    tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a + b))), with q = tau0 / tau. With a slip `layer`, given by its
-    viscosity divided by its thickness [Pa s/m], its yield stress [Pa], and for other laws its flow index and its
-    quadratic coefficient, the slip velocity is added.
+    `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side of all ducts. The formula of
+    Kozicki, Chou & Tiu is exact in slots and pipes. It states that 2 v / R is tau^(-b/a) / a times the integral of
+    s^(b/a - 1) g(s) ds up to tau, with the mean speed v, the hydraulic radius R, the wall stress tau and the shear rate
+    g. For Bingham's law the right side is tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a + b))), with
+    q = tau0 / tau.
+
+    A slip `layer` adds its slip velocity. It is given by its viscosity divided by its thickness [Pa s/m] and its yield
+    stress [Pa]. Laws other than Bingham's also need its flow index and its quadratic coefficient.
     """
     law = FlowLaw(yield_stress, viscosity, flow_index, quadratic_viscosity)
     radius = wide * deep / (2 * (wide + deep))

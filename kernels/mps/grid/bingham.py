@@ -25,7 +25,7 @@ def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def apparent(g: Grid, rate: scalar) -> scalar:
-        """Return the apparent viscosity at a shear rate, which is stress over rate [Pa s]."""
+        """Return the apparent viscosity [Pa s] at a shear rate: the shear stress divided by the shear rate."""
         bent = g.regularisation * rate
         if bent > scalar(1.0e-3):
             return g.viscosity + g.yield_stress * (scalar(1.0) - wp.exp(-bent)) / rate
@@ -134,8 +134,9 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
         The derivative is with respect to `stress`, the stress at the wall. The stress falls linearly from there to
         `inner` on the cell's opposite side.
         """
-        # With a linear stress, the velocity where the stress is tau is u = width / change * (F1(stress) - F1(tau)),
-        # where F1 = `rate_integral`. The mean of u over the cell follows with its integral `double_integral`.
+        # The stress varies linearly over the cell. Where the stress is tau, the velocity relative to the wall is
+        # u = width / change * (F1(stress) - F1(tau)), with F1 = `rate_integral`. The mean of u over the cell follows
+        # from the integral of F1, which is `double_integral`.
         change = stress - inner
         if change > scalar(0.05) * stress:
             part = (change * rate_integral(g, stress) - (double_integral(g, stress) - double_integral(g, inner))) / (

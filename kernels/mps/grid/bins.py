@@ -43,7 +43,7 @@ def bin_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def allot(flags: wp.array(dtype=wp.int32), mesh: Fields):
-        """Reserve places in the list for the particles of each cell, with one task per cell."""
+        """Reserve a range of `sorted_particles` for the particles of each cell, with one task per cell."""
         if flags[HALTED] != 0:
             return
         c = wp.tid()
@@ -52,7 +52,10 @@ def bin_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def sort(flags: wp.array(dtype=wp.int32), mesh: Fields):
-        """Write each particle into one of its cell's places in the list, with one task per particle."""
+        """Write the number of each particle into the range of `sorted_particles` that is reserved for its cell.
+
+        The kernel runs with one task per particle.
+        """
         if flags[HALTED] != 0:
             return
         p = wp.tid()

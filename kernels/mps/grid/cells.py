@@ -106,7 +106,8 @@ def grid_parameters_struct(scalar, dimensions: int):
         slots: wp.int32  # Number of cells including the frame around the grid.
         width: t.vec  # Width of a cell along each axis [m].
         origin: t.vec  # Position of the grid's lowest corner [m].
-        frame: scalar  # Velocity of the grid along its last axis, and mean velocity in a periodic pipe [m/s].
+        # Velocity of the grid along its last axis [m/s]. In a periodic pipe this is the mean velocity of the concrete.
+        frame: scalar
         gravity: t.vec  # Gravitational acceleration [m/s2].
         density: scalar  # Density of the concrete [kg/m3].
         viscosity: scalar  # Plastic viscosity of the Bingham law [Pa s], or consistency k of another law [Pa s^n].
@@ -144,7 +145,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         fill: wp.array(dtype=scalar)  # Fraction of a cell's open volume that concrete fills, shape (slots,).
         count: wp.array(dtype=wp.int32)  # Number of particles in each cell, shape (slots,).
         begin: wp.array(dtype=wp.int32)  # Index of each cell's first particle in `sorted_particles`, shape (slots,).
-        reserved_places: wp.array(dtype=wp.int32)  # Number of places of `sorted_particles` reserved so far, shape (1,).
+        # Number of entries of `sorted_particles` that cells have reserved so far, shape (1,).
+        reserved_places: wp.array(dtype=wp.int32)
         cell_of_particle: wp.array(dtype=wp.int32)  # Cell of each particle, -1 if it has left the grid, shape (n,).
         place: wp.array(dtype=wp.int32)  # Rank of each particle among the particles of its cell, shape (n,).
         sorted_particles: wp.array(dtype=wp.int32)  # Particles sorted by cell, shape (n,).
@@ -155,7 +157,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         wall_area: wp.array(dtype=scalar)  # Area of a pipe's walls along the volume of each face.
         traction: wp.array(dtype=scalar)  # Shear stress of a pipe's walls, with the sign of the velocity [Pa].
         traction_slope: wp.array(dtype=scalar)  # Derivative of `traction` with respect to the face's velocity [Pa s/m].
-        # Velocity of concrete at a pipe's wall, or velocity of the face if there is no wall [m/s].
+        # Velocity of the concrete at the pipe's wall beside the face; without a wall, the velocity of the face [m/s].
         slip: wp.array(dtype=scalar)
         # Walls in cut cells: force of a wall between a face and the next face along an axis, divided by the velocity
         # at the wall. Shape (axes^2 * slots,), ordered by the face's axis, then by the axis along which the next face
@@ -163,12 +165,15 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         wall_stiffness: wp.array(dtype=scalar)
         # Wall force in a cut cell at the known velocity, in the layout of `wall_stiffness`.
         wall_force: wp.array(dtype=scalar)
-        # Weight of the next face when the velocity at the wall is interpolated, in the layout of `wall_stiffness`.
+        # The velocity at a wall in a cut cell is interpolated between a face and the next face. This is the weight of
+        # the next face, in the layout of `wall_stiffness`.
         wall_weight: wp.array(dtype=scalar)
         shift: wp.array(dtype=scalar)  # Velocity that moves particles out of crowded regions [m/s], one per face.
         pressure: wp.array(dtype=scalar)  # Pressure in each cell [Pa], shape (slots,).
         increment: wp.array(dtype=scalar)  # Change of the pressure in this step [Pa], shape (slots,).
-        potential: wp.array(dtype=scalar)  # Pressure-like field that moves particles out of crowded regions [Pa].
+        # Potential whose gradient, like that of a pressure, moves particles out of crowded regions [Pa], shape
+        # (slots,).
+        potential: wp.array(dtype=scalar)
         in_cell: wp.array(dtype=scalar)  # Apparent viscosity in each cell [Pa s], shape (slots,).
         in_corner: wp.array(dtype=scalar)  # Apparent viscosity at each edge [Pa s], shape (pairs * slots,).
         stress: wp.array(dtype=scalar)  # Shear stress at corners and walls of a pipe's cells in the previous step [Pa].
@@ -190,7 +195,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         # Fraction of each quarter of a cell that is free of wall. For each pair of axes, a cell is halved along both
         # axes, which gives four quarters. Shape (slots * pairs * 4,); the pair's first axis varies fastest.
         quarter_fraction: wp.array(dtype=scalar)
-        # Open volume around a cell's centre, weighted by the same function of distance as particles, shape (slots,).
+        # Volume around a cell's centre that is free of wall, weighted with the same function of distance as the
+        # particles, shape (slots,).
         weighted_volume: wp.array(dtype=scalar)
         opens: wp.array(dtype=scalar)  # Time at which the gate in a cell opens [s], shape (slots,); empty without gate.
         inlet: wp.array(dtype=t.vec)  # Positions where particles re-enter the grid [m]; may be empty.
@@ -263,7 +269,10 @@ def place_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def reached(g: Grid, c: whole) -> wp.bool:
-        """Return whether a face or edge with the indices `c` exists if a periodic grid is continued endlessly."""
+        """Return whether a face or edge with the indices `c` exists.
+
+        A periodic grid is treated as if it continued without end along the pipe.
+        """
         found = wp.bool(True)
         for b in range(wp.static(last if of.periodic else dims)):
             if c[b] < 0 or c[b] > g.n[b]:

@@ -175,8 +175,8 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
 def friction_function(scalar, of: GridKind):
     """Build `wall_friction`, the friction of a wall that passes between a face and the next face along an axis.
 
-    It returns three values: the force that slows the face, the derivative of this force with respect to the face's
-    velocity, and the coefficient of the next face in the face's row of the matrix.
+    It returns three values: the friction force against the velocity of the face, the derivative of this force with
+    respect to that velocity, and the coefficient of the next face in the face's row of the matrix.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)
@@ -294,7 +294,7 @@ def momentum_kernel(scalar, serial: bool, of: GridKind):
                             diagonal += grows
                             other = coupled
                         if b == axis:
-                            # Force due to the stretch of the cell on this side of the face.
+                            # Force on the face due to the stretch of the cell on this side of it.
                             along = g.width[axis]
                             cell = f.moved(c, axis, side - 1)
                             o = f.at(g, cell)

@@ -20,15 +20,16 @@ MARGIN = wp.constant(4.0)
 def rate_functions(scalar, dimensions: int, law: str) -> SimpleNamespace:
     """Build the functions of a law: viscosity as a function of the rate, and rate as a function of the stress.
 
-    `apparent` is regularised. `sums` returns the rate at a nonnegative stress, from a law with a straight line below
-    the yield stress, and its first and second integral from 0 to that stress.
+    `apparent` returns the viscosity of the regularised law. `sums` uses a law with a straight line below the yield
+    stress. For a stress of at least zero it returns the shear rate, and the rate's first and second integral from 0 to
+    that stress.
     """
     Grid = grid_parameters_struct(scalar, dimensions)
     h = law_functions(scalar, law)
 
     @wp.func
     def apparent(g: Grid, rate: scalar) -> scalar:
-        """Return the apparent viscosity at a shear rate, which is stress over rate [Pa s]."""
+        """Return the apparent viscosity [Pa s] at a shear rate: the shear stress divided by the shear rate."""
         flowing = h.viscosity(g.viscosity, g.flow_index, g.quadratic_viscosity, rate, scalar(1.0) / g.regularisation)
         bent = g.regularisation * rate
         if bent > scalar(1.0e-3):
@@ -45,7 +46,10 @@ def rate_functions(scalar, dimensions: int, law: str) -> SimpleNamespace:
 
     @wp.func
     def sums(g: Grid, stiff: scalar, stress: scalar):
-        """Return the rate at a nonnegative stress and its two integrals; `stiff` is the unyielded viscosity."""
+        """Return the shear rate at a stress of at least zero, and the first and second integral of the rate.
+
+        Both integrals run over the stress from 0 to the given stress. `stiff` is the viscosity below the yield stress.
+        """
         over = wp.max(stress - g.yield_stress, scalar(0.0))
         below = wp.min(stress, g.yield_stress)
         rate = h.rate(g.viscosity, g.flow_index, g.quadratic_viscosity, over)
@@ -59,7 +63,7 @@ def rate_functions(scalar, dimensions: int, law: str) -> SimpleNamespace:
 
     @wp.func
     def slope(g: Grid, stiff: scalar, stress: scalar) -> scalar:
-        """Return the derivative of the rate with respect to a nonnegative stress."""
+        """Return the derivative of the shear rate with respect to the stress, for a stress of at least zero."""
         over = stress - g.yield_stress
         if over > scalar(0.0):
             rate = h.rate(g.viscosity, g.flow_index, g.quadratic_viscosity, over)
@@ -84,7 +88,10 @@ def edge_function(scalar, dimensions: int, law: str):
 
     @wp.func
     def apparent_at_edge(g: Grid, rate: scalar, change: scalar) -> scalar:
-        """Return the viscosity at a corner at the rate of both cells; `change` is the stress's change over a cell."""
+        """Return the apparent viscosity [Pa s] at a corner between two cells.
+
+        `rate` is the shear rate of both cells together, and `change` is the change of the stress over one cell.
+        """
         viscosity = apparent(g, rate)
         stiff = unyielded_viscosity(g)
         sheared = rate - g.yield_stress / stiff
@@ -98,7 +105,8 @@ def edge_function(scalar, dimensions: int, law: str):
         if change <= scalar(0.01) * plain:
             return viscosity
         if over >= change:
-            # The mean is nearly the rate at s plus d^2 / 12 times its second derivative.
+            # The mean rate over the cells is nearly the rate at the corner's stress s, plus change^2 / 12 times the
+            # second derivative of the rate with respect to the stress.
             bend = h.bend(g.viscosity, g.flow_index, g.quadratic_viscosity, over, sheared)
             return viscosity * (scalar(1.0) - change * change * bend / (scalar(12.0) * plain))
         # A plug or the middle of the pipe lies within the cells. Newton's method is kept between two bounds.
@@ -130,7 +138,7 @@ def edge_function(scalar, dimensions: int, law: str):
 
 @functools.cache
 def wall_function(scalar, dimensions: int, law: str, slip_law: str):
-    """Build `at_wall`, the stress of a wall on the cell beside it."""
+    """Build `at_wall`, which computes the stress of a wall on the cell beside it from the cell's mean velocity."""
     Grid = grid_parameters_struct(scalar, dimensions)
     f = rate_functions(scalar, dimensions, law)
     h, apparent, unyielded_viscosity, sums, slope = f.h, f.apparent, f.unyielded_viscosity, f.sums, f.slope
@@ -167,7 +175,9 @@ def wall_function(scalar, dimensions: int, law: str, slip_law: str):
         is kept between two bounds, because the velocity is not a convex function of the stress.
         """
         stiff = unyielded_viscosity(g)
-        # In the upper bound, all of the speed is slip, or (with a margin) all of it is shear.
+        # Slip and shear are each at most the whole speed. The stress that results if all of the speed is slip is
+        # therefore an upper bound, and so is the stress (with a margin) that results if all of it is shear. Use the
+        # smaller bound.
         steepest = (scalar(2.0) + scalar(1.0) / g.flow_index) * speed / width
         sheared = scalar(MARGIN) * (
             g.yield_stress + h.stress(g.viscosity, g.flow_index, g.quadratic_viscosity, steepest)
@@ -177,7 +187,8 @@ def wall_function(scalar, dimensions: int, law: str, slip_law: str):
         stress = high
         growth = scalar(1.0)
         slip = scalar(0.0)
-        # Concrete that thickens is stiffest at the largest rate, all other concrete at the smallest.
+        # Shear-thickening concrete has its largest apparent viscosity at the largest rate, all other concrete at the
+        # smallest. This viscosity gives a lower limit for the derivative of the speed with respect to the stress.
         least = scalar(0.1) * width / wp.max(stiff, apparent(g, steepest))
         for _ in range(40):
             over = wp.max(stress - slip_yield, scalar(0.0))
@@ -208,9 +219,10 @@ def wall_function(scalar, dimensions: int, law: str, slip_law: str):
 
 @functools.cache
 def flow_functions(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the functions of the flow law on a grid of this kind; `bingham_functions` describes them.
+    """Build the functions of the flow laws of bulk and slip layer, which :func:`bingham_functions` describes.
 
-    The function `at_wall` has two more arguments unless `of.plain`: index and quadratic coefficient of the slip layer.
+    The function `at_wall` has two more arguments unless `of.plain`: flow index and quadratic coefficient of the slip
+    layer.
     """
     if of.plain:
         return bingham_functions(scalar, of.dimensions)

@@ -32,8 +32,11 @@ from .cells import (
 COURANT = wp.constant(wp.float64(1.0))
 """Maximum number of cells that the fastest concrete crosses in a step (Courant number)."""
 LONGER, SHORTER = wp.constant(wp.float64(1.25)), wp.constant(wp.float64(0.2))
-"""LONGER: maximum ratio of a wanted time step to the previous wanted time step. SHORTER: minimum ratio of the wanted
-time step to the step that was just completed, as far as the error limits it; the Courant number may shorten it more."""
+"""Limits of the ratio between successive time steps.
+
+LONGER is the maximum ratio of the wanted step to the previous wanted step. SHORTER is the minimum ratio of the wanted
+step to the completed step where only the error limits it. The Courant number may shorten the step further.
+"""
 SAFETY = wp.constant(wp.float64(0.9))
 LEAST = wp.constant(wp.float64(1.0e-4))
 """Ratio of the shortest to the longest time step."""
@@ -54,7 +57,7 @@ class Pace:
 
 @functools.cache
 def speed_kernels(scalar, of: GridKind) -> SimpleNamespace:
-    """Build the kernels that measure the root mean square speed of the concrete, and how many cells it crosses.
+    """Build the kernels that measure the rms speed of the concrete, and how many cells per second it crosses at most.
 
     A CPU runs the kernel `speeds`, a GPU the kernel `sums` followed by `speeds_of_sums`.
     """
@@ -113,7 +116,10 @@ def speed_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def speeds_of_sums(
         blocks: wp.int32, flags: wp.array(dtype=wp.int32), partial: wp.array(dtype=wp.float64), mesh: Fields
     ):
-        """Combine the results of `sums` into the rms speed and the largest number of cells crossed, in one block."""
+        """Combine the block results of `sums` into the rms speed and the largest number of cells crossed per second.
+
+        The kernel runs in one block.
+        """
         thread = wp.tid()
         square = total(thread, partial, 0, blocks)
         volume = total(thread, partial, blocks, blocks)
@@ -204,7 +210,7 @@ def clock_kernels(scalar, of: GridKind) -> SimpleNamespace:
         viscosity_threshold: wp.array(dtype=wp.float64), pressure_threshold: wp.array(dtype=wp.float64),
         dispersion_threshold: wp.array(dtype=wp.float64),
     ):  # fmt: skip
-        """Set the time or the step count at which the flow must halt, and let it continue, in one thread."""
+        """Set the time or the step count at which the flow must halt, and let the flow continue, in one task."""
         if flags[FAILED] != 0:
             return
         flags[GOAL] = goal

@@ -141,8 +141,8 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
                 by = rest % 3 - 1
                 rest = rest / 3
                 o[b] = c[b] + by
-                # Along each axis, the linear weight of particles has 3/4 of its integral in the cell itself and 1/8 in
-                # each of the two neighbouring cells.
+                # A particle is shared among cells by a linear weight. Along each axis, 3/4 of the weight's integral lie
+                # in the cell itself and 1/8 in each of the two neighbouring cells.
                 part *= wp.where(by == 0, scalar(0.75), scalar(0.125))
             near = f.at(g, o)
             if mesh.solid[near] == OPEN:
@@ -239,7 +239,10 @@ def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
     def deficit_of_sums(
         g: Grid, blocks: wp.int32, flags: wp.array(dtype=wp.int32), partial: wp.array(dtype=wp.float64), mesh: Fields
     ):
-        """Compute the missing mean velocity and the driving force from the partial sums, in one block."""
+        """Compute the deficit of the mean velocity and the new driving force from the partial sums.
+
+        The kernel runs in one block. The deficit is the wanted mean velocity minus the present one.
+        """
         c = wp.tid()
         sum = total(c, partial, 0, blocks)
         whole = total(c, partial, blocks, blocks)
@@ -248,7 +251,7 @@ def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def correct(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields):
-        """Add the missing mean velocity to all faces along the pipe, with one task per cell."""
+        """Add the deficit of the mean velocity to the velocity of all faces along the pipe, with one task per cell."""
         if flags[HALTED] != 0:
             return
         r = wp.tid() + (dimensions - 1) * g.slots

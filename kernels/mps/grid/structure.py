@@ -17,7 +17,7 @@ from .cells import DT, LIQUID, GridKind, grid_functions, grid_parameters_struct,
 
 @functools.cache
 def with_gain_function(scalar, dimensions: int):
-    """Build `with_gain`, which returns a copy of the grid's parameters with the yield stress raised by `gained`."""
+    """Build `with_gain`, which returns a copy of the parameters `Grid` whose yield stress is higher by `gained`."""
     Grid = grid_parameters_struct(scalar, dimensions)
 
     @wp.func

@@ -62,9 +62,10 @@ def gather_kernel(scalar, of: GridKind):
 
     @wp.func
     def needed(g: Grid, mesh: Fields, geometry: Geometry, c: whole, axis: wp.int32) -> wp.bool:
-        """Return whether the concrete's shear or stretch depends on the velocity of a face inside a wall.
+        """Return whether the concrete's deformation depends on the velocity of a face inside a wall.
 
-        This holds if concrete is on either side of the face or at one of its edges, and the wall has friction.
+        The result is true if the wall has friction and there is concrete on either side of the face or at one of its
+        edges.
         """
         low = f.at(g, f.moved(c, axis, -1))
         if mesh.solid[f.at(g, c)] == SMOOTH or mesh.solid[low] == SMOOTH:
@@ -202,8 +203,8 @@ def extend_kernel(scalar, of: GridKind):
                                 count += scalar(1.0)
                         elif mesh.kind[o] == LIQUID:
                             beside = mesh.velocity[o]
-                            # A face at the lower end of the frame has a cell on one side only, so it does not count as
-                            # a face inside a wall.
+                            # A face at the lower end of the grid has a cell on one side only, so it does not count as a
+                            # face inside a wall.
                             if mesh.kind[r] == INSIDE and c[axis] >= 0 and along != axis and wp.static(not of.cut):
                                 beside = scalar(2.0) * mesh.slip[o] - beside
                             sum += beside
@@ -214,7 +215,8 @@ def extend_kernel(scalar, of: GridKind):
             after[r] = value
             known_after[r] = good
             if final != 0 and good != 0 and mesh.kind[r] == AIR:
-                mesh.velocity[r] = value  # Concrete may reach this face before any particle is near enough to set it.
+                # The concrete may reach this face before a particle is near enough to give the face a velocity.
+                mesh.velocity[r] = value
 
     return extend
 
@@ -235,7 +237,10 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def corner(g: Grid, base: whole, s: vec, n: wp.int32):
-        """Return the indices of one grid point around a position, its weight, and the gradient of the weight."""
+        """Return a corner of the grid cell around a position: its indices, its weight, and the gradient of the weight.
+
+        `n` is the number of the corner, and `s` is the position within the cell, from 0 to 1 along each axis.
+        """
         c = whole()
         part = vec()
         sign = vec()
@@ -259,7 +264,10 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
     def sample(
         g: Grid, velocity: wp.array(dtype=scalar), good: wp.array(dtype=wp.int32), x: vec, axis: wp.int32
     ):  # fmt: skip
-        """Return a velocity component at a position, its gradient, and the total weight of faces with a velocity."""
+        """Return a velocity component at a position, its gradient, and the total weight of the faces used.
+
+        Only faces with a known velocity are used; in air, far from the concrete, their total weight is 0.
+        """
         base = whole()
         s = vec()
         for b in range(dims):
@@ -290,7 +298,10 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def carry(g: Grid, velocity: wp.array(dtype=scalar), good: wp.array(dtype=wp.int32), x: vec):
-        """Return the velocity at a position, its gradient, and the total weight of faces with a velocity (0 in air)."""
+        """Return the velocity at a position, its gradient, and the total weight of the faces used.
+
+        Only faces with a known velocity are used; in air, far from the concrete, their total weight is 0.
+        """
         here = vec()
         slopes = mat()
         total = scalar(0.0)
@@ -376,7 +387,8 @@ def advect_kernel(scalar, of: GridKind):
         if wp.static(not of.periodic):
             if total == scalar(0.0):  # A particle alone in the air falls freely.
                 here = particles.velocity[p] + dt * g.gravity
-        # Estimate the velocity at this position in the previous step, from the particle's velocity and its gradient.
+        # Estimate the velocity that the grid had at the particle's present position in the previous step. The estimate
+        # starts from the particle's own velocity and adds the gradient's contribution over the distance moved since.
         before = particles.velocity[p]
         before += scalar(mesh.clock[LAST]) * (particles.gradient[p] * before)
         particles.velocity[p] = here

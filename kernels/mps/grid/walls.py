@@ -119,7 +119,10 @@ def wall_kernel(scalar, of: GridKind):
 
     @wp.func
     def aside(g: Grid, mesh: Fields, c: whole, axis: wp.int32, other: wp.int32) -> scalar:
-        """Return the velocity along another axis at a face's centre, a mean over nearby faces in concrete."""
+        """Return the velocity component along the axis `other` at the centre of a face that is perpendicular to `axis`.
+
+        It is the mean of the component over the surrounding faces with concrete.
+        """
         sum = scalar(0.0)
         count = scalar(0.0)
         for n in range(4):

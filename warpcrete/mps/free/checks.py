@@ -12,7 +12,7 @@ CURES = {
 
 
 def check_flow(volume_error: float) -> Check:
-    """Return a function that checks a run; `volume_error` is the limit, as a fraction of the volume."""
+    """Return a function that checks a run; the run's relative change of volume must be less than `volume_error`."""
 
     @with_cures(CURES)
     def check(run: Run) -> dict[str, tuple[bool, str]]:

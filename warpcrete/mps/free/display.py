@@ -13,7 +13,7 @@ from ..grid.geometry import MIRROR, WALL
 from .scene import Points
 
 MAX_SECTION_PARTICLES, MAX_HALF_PARTICLES = 4000, 8000
-"""Maximum number of particles drawn in a section, and in the half behind it."""
+"""Maximum number of particles drawn in the section, and maximum number drawn in the half of the flow behind it."""
 OURS = (215, 95, 30)
 PLATE = (150, 150, 150, 255)
 SHOWN_DEPTH = 0.1

@@ -23,7 +23,7 @@ DURATION_FACTOR = 1.2
 Simulations gave ratios from 1.0 to 1.3.
 """
 COARSE_CELLS_HIGH = 12
-"""Number of cells over the concrete's initial height in the coarser copy."""
+"""Number of cells over the concrete's initial height in the coarser copy of a flow, which predicts its duration."""
 
 
 def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
@@ -49,8 +49,8 @@ def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None,
 def course_of(simulation: FreeSimulation) -> Course:
     """Return the course of a run until the concrete rests or a funnel is empty."""
     scene = simulation.scene
-    # Without further knowledge, the mean time step is estimated as the time in which concrete that has fallen by its
-    # initial height crosses one cell.
+    # The mean time step is estimated from the Courant number. Concrete that has fallen by its initial height crosses
+    # one cell in this time.
     height = scene.extent[1, 1]
     swift = scene.spacing / math.sqrt(2 * scene.gravity * height)
     mean = min(scene.time_step, swift) if scene.step_error else scene.time_step
@@ -66,7 +66,8 @@ def course_of(simulation: FreeSimulation) -> Course:
     spacing = min(max(scene.spacing, height / COARSE_CELLS_HIGH), min(np.ptp(scene.extent, axis=0)) / 4)
     run, reached, remarks = coarser_run(simulation, "the concrete is not at rest", spacing=spacing)
     if run is not None and scene.step_error:
-        # The finer flow has the same error per step, but its concrete crosses the smaller cells in less time.
+        # The finer flow has the same error per step. However, concrete crosses its smaller cells in less time, which
+        # shortens the steps that the Courant number limits.
         passed = np.diff(run.series["time"]) * run.series["fastest"][1:] / scene.spacing
         mean = reached / float(np.maximum(np.diff(run.series["steps"]), passed).sum())
     return Course(reached, mean, remarks)

@@ -121,7 +121,7 @@ def fill_cells(
     there = concrete(each.reshape(-1, axes)).reshape(each.shape[:-1])
     count = there.sum(-1)
     part = count / per_axis**axes
-    # The edge of the concrete may cross these cells, so they and their neighbours are sampled more finely.
+    # The surface of the concrete may cross these cells, so they and their neighbours get more sample points.
     edge = (part > 0) & (part < 1)
     for axis in range(axes):
         step = np.diff((part > 0).astype(int), axis=axis) != 0

@@ -9,7 +9,7 @@ from ..grid.flow import GridFlow
 from ..grid.layout import GridLayout
 
 HALF = 0.5
-"""Minimum filled fraction of a cell for its velocity to enter the measured speeds."""
+"""Minimum filled fraction of a cell; in emptier cells the speed of the concrete is not measured."""
 UNITS = {
     "time": "s",
     "top": "m",
@@ -84,7 +84,7 @@ def speeds(flow: GridFlow) -> np.ndarray:
 
 
 def _at_start(layout: GridLayout) -> Specimen:
-    """Return the measurable properties of the concrete before the first step, from the initial particles."""
+    """Return the properties of the concrete that a test measures, before the first step, from the initial particles."""
     top, end = (float(layout.fluid[:, axis].max()) + 0.5 * layout.particle_spacing for axis in (-1, 0))
     return Specimen(
         top=lambda radius: top,
@@ -98,7 +98,7 @@ def _at_start(layout: GridLayout) -> Specimen:
 
 
 def specimen(flow: GridFlow) -> Specimen:
-    """Return the measurable properties of the concrete, from the fill of the cells and the particles."""
+    """Return the properties of the concrete that a test measures, from the fill of the cells and the particles."""
     layout, (across, height) = flow.state.layout, surface(flow)
     top, far, fill = float((bases(flow) + height).max()), reach(flow), flow.state.cells("fill")
     mass = flow.state.particles.mass.numpy().astype(float)

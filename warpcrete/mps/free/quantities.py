@@ -18,7 +18,7 @@ from ..quantities import largest
 from .scene import FreeScene, Points
 
 SAMPLES = 30
-"""Number of sample points along each axis by which the free fraction of the concrete's initial space is measured."""
+"""Number of sample points along each axis, from which the part of the initial concrete free of walls is computed."""
 
 
 def outcome(scene: FreeScene, series: Mapping[str, np.ndarray], volume: float) -> Outcome | None:

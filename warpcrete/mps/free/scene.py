@@ -61,7 +61,7 @@ class FreeSettings(Declared):
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class FreeScene(Parametrised, FreeSettings):
-    """Concrete in a vessel, about an axis, in a plane or in space; SI units.
+    """Concrete in a vessel: an axisymmetric, plane or three-dimensional flow with a free surface; SI units.
 
     Each polygon is a section of a body that extends through the whole depth of the room.
     """
@@ -71,13 +71,13 @@ class FreeScene(Parametrised, FreeSettings):
     """Standard test whose results are measured; None without a test."""
     concrete: Concrete
     axial: bool
-    """True for a flow about the axis x = 0; otherwise it is in a plane, per metre of depth, or in space."""
+    """True for an axisymmetric flow about x = 0. False for a flow in a plane (per metre of depth) or in space."""
     width: float
     """Width of the simulated room, the box around the vessel [m]."""
     height: float
     """Height of the simulated room [m]."""
     spacing: float
-    """Wanted width of the cells [m]; the nearest width that divides that of the room is used."""
+    """Wanted width of the cells [m]; the simulation uses the nearest width of which the room's width is a multiple."""
     outline: Points
     """Polygon that the concrete fills at the start, except where there are walls."""
     depth: float = 0.0
@@ -103,7 +103,7 @@ class FreeScene(Parametrised, FreeSettings):
     walls_slip: bool = False
     """True if the concrete slips on blocks and walls with its slip layer; otherwise it sticks to them."""
     dimensions: Mapping[str, float] = field(default_factory=dict)
-    """Dimensions of the vessel from which the quantities of its test are computed [m]."""
+    """Dimensions of the vessel that are needed to compute the results of the standard test, by name [m]."""
     published: Mapping[str, float] = field(default_factory=dict)
     """Published values of result quantities, in SI units."""
     remarks: tuple[str, ...] = ()
@@ -214,7 +214,11 @@ class FreeConcrete(ConcreteParameters, FreeSettings):
     """Parameters that all tests of fresh concrete share."""
 
     def make_concrete(self, slips: bool) -> Concrete:
-        """Return the concrete; constants of the slip layer may be missing if the concrete slips on no wall."""
+        """Return the concrete with its constants.
+
+        If `slips` is False, the concrete slips on no wall. Its own constants or those of a file may then lack the slip
+        layer.
+        """
         constants = {name: getattr(self, name) for name in CONSTANTS}
         if not slips and (self.concrete == "own" or is_file(self.concrete)):
             constants |= {name: value for name, value in NO_LAYER.items() if constants[name] is None}

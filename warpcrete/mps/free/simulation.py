@@ -25,7 +25,10 @@ from .quantities import RunData, quantities
 from .scene import FreeScene
 
 STARTS = 0.2
-"""Time after the release during which concrete may still be slow because it has only begun to flow [s]."""
+"""Time after the gate has opened in which slow concrete does not yet count as at rest [s].
+
+In this time the concrete may be slow because it has only begun to flow.
+"""
 
 
 class FreeSimulation(FlowRun):
@@ -36,7 +39,7 @@ class FreeSimulation(FlowRun):
     goal = "at_rest"
 
     def unit(self, column: str) -> str:
-        """Return the unit of a column of the series."""
+        """Return the unit of a column of the time series."""
         return UNITS.get(column) or self.scene.test.columns[column]  # type: ignore[union-attr]
 
     def display(self, colouring: str | None = None) -> FreeDisplay:
@@ -75,7 +78,7 @@ class FreeSimulation(FlowRun):
         return max(y for _, y in scene.gate) / scene.lift_speed if scene.gate else 0.0
 
     def ended_early(self) -> bool:
-        """Return whether the concrete is at rest, or has flowed out of a vessel that empties."""
+        """Return True if the concrete is at rest, or if a vessel that empties, such as a funnel, is empty."""
         if self.scene.test and self.scene.test.is_over(self._rows[-1]):
             return True
         self.steady = is_at_rest(self._rows, self.lift_end + STARTS, self.scene.rest_speed)

@@ -41,7 +41,7 @@ from ..stages import ABSOLUTE_PRESSURE_FACTOR, VELOCITY_ERROR
 from ..stepping import Stepping
 from .state import GridState, grid_numbers
 
-HISTORY = 256  # Maximum number of iterations of a solve whose residuals are kept.
+HISTORY = 256  # Maximum number of iterations of a solve of which the residual norms are kept.
 ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # Relative rounding error of the flow through a cell's sides.
 EXTRAPOLATED_CELLS = 3  # Number of cells beyond the concrete, in air and walls, to which velocities are extrapolated.
 # Two tolerances of the solve that moves crowded particles apart. The first is relative to the initial residual. The
@@ -102,7 +102,10 @@ class GridFlow(Stepping):
         self._read_clock()
 
     def _step_control(self) -> Any:
-        """Return the struct `Pace` that controls the length of steps, and set the residuals at which solves stop."""
+        """Return the struct `Pace`, which controls the length of steps.
+
+        The method also stores the residual norms at which the solves stop.
+        """
         pace, scene = Pace(), self.scene
         stop_norm = DISPERSION_TOLERANCES[1]
         pace.longest, pace.error = scene.time_step, scene.step_error
@@ -139,7 +142,10 @@ class GridFlow(Stepping):
         return self.scene.step_error > 0
 
     def set_goal(self, until: float = math.inf, steps: int | None = None) -> None:
-        """Set the goal: a time `until` [s] (with equal steps, the step that ends nearest) or a number of steps."""
+        """Set the goal of the next steps: a simulated time `until` [s], or a number of `steps`.
+
+        If all time steps are equal, the flow stops at the step that ends nearest to `until`.
+        """
         super().set_goal(until, steps)
         self._goal_time = math.inf
         if steps is None and self.adaptive:
@@ -165,7 +171,7 @@ class GridFlow(Stepping):
 
     @property
     def _steps_left(self) -> int:
-        """Number of steps to the goal if no step gets shorter; surplus steps do nothing."""
+        """Number of steps to the goal if no time step gets shorter; steps beyond the goal change nothing."""
         if not self.adaptive:
             return self._goal - self.steps
         by_time = min((self._goal_time - self.time) / self.next_step, UNREACHABLE_STEPS)
@@ -194,7 +200,7 @@ class GridFlow(Stepping):
         return System(rows, matrix, self._arrays(rows), numbers)
 
     def _arrays(self, rows: int) -> Any:
-        """Return the working arrays of a solve with this number of rows."""
+        """Return the working arrays of the solve of a linear system with `rows` equations."""
         struct = array_structs(self.scalar, 2).NumberSolve
         sizes = {
             "partial": 3 * -(-rows // BLOCK),

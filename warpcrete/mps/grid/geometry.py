@@ -101,8 +101,8 @@ def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool =
     axes, nearest = len(room.cells), nearest_wall(room, walls)
     far = 2.0 * float(np.max(np.array(room.cells) * room.width))
     depth, number = nearest(room.places([0.5] * axes))
-    # The sides of the room run along cell sides. Including them in the distances at corners would round off every wall
-    # that meets them at an angle.
+    # The sides of the room coincide with cell sides. The distances at corners exclude these sides, because they would
+    # round off every wall that meets them at an angle.
     corners = np.minimum(nearest_wall(room, walls, sides=False)(room.places([0.0] * axes, 1))[0], far)
     mirror, beyond, index = np.zeros(depth.shape, bool), np.zeros(depth.shape, bool), np.indices(depth.shape)
     for axis, (lower, upper) in enumerate(room.sides):
@@ -154,7 +154,8 @@ def _quarter_fractions(corners: np.ndarray) -> np.ndarray:
     """Return the open fractions of the quarters of each cell around its edges, shape (pairs, 4, cells...)."""
     axes, half = corners.ndim, corners
     for axis in range(axes):
-        # Insert values at the middle of cells, so that the two halves of each cell are adjacent in the arrays.
+        # Insert interpolated values midway between the corners, so that the two halves of each cell follow each other
+        # in the array.
         half = np.moveaxis(half, axis, -1)
         middle = np.stack([half[..., :-1], 0.5 * (half[..., :-1] + half[..., 1:])], -1)
         half = np.concatenate([middle.reshape(*half.shape[:-1], -1), half[..., -1:]], -1)
@@ -163,7 +164,8 @@ def _quarter_fractions(corners: np.ndarray) -> np.ndarray:
     inner = tuple(range(-axes, 0))
     low, high = ends.min(inner), ends.max(inner)
     part, cut = np.where(low > 0, 1.0, 0.0), (low <= 0) & (high > 0)
-    # An almost closed quarter keeps a small open fraction, so that the face on which the wall's friction acts exists.
+    # An almost closed quarter of a cell keeps a small open fraction. Otherwise the face of this quarter would not
+    # exist, and the friction of the wall could not act on it.
     part[cut] = np.maximum(_positive_fraction(ends[cut], axes), MIN_QUARTER_FRACTION)
     found = []
     for first, second in AXIS_PAIRS[:1] if axes == 2 else AXIS_PAIRS:
@@ -200,7 +202,7 @@ def nearest_wall(
 
 
 def _first_fastest(axes: int) -> list[int]:
-    """Return the corners of a cell, as numbered by `ndindex`, in an order in which the first axis varies fastest."""
+    """Return the corner numbers of a cell, as counted by `ndindex`, sorted so that the first axis varies fastest."""
     return [int("".join(reversed(f"{n:0{axes}b}")), 2) for n in range(2**axes)]
 
 
@@ -209,7 +211,7 @@ def _last_first(array: np.ndarray) -> np.ndarray:
 
 
 def _room_walls(room: Room) -> list[tuple[Distance, int]]:
-    """Return distance functions and numbers of the sides of a room that are walls."""
+    """Return each side of a room that is a wall, as its distance function and the number of the wall."""
 
     def plane(axis: int, place: float, sign: float) -> Distance:
         return lambda x: sign * (x[:, axis] - place)
@@ -234,7 +236,8 @@ def _weighted_volume(room: Room, corners: np.ndarray, shut: np.ndarray, wall: np
     inner = (np.arange(fine) + 0.5) / fine
     values = corners
     for axis in range(axes):
-        # Interpolate between the corners of cells; the sample points of one cell are adjacent in the arrays.
+        # Interpolate the corner values linearly to the sample points in the cells. Sample points of one cell are
+        # adjacent in the resulting array.
         values = np.moveaxis(values, axis, -1)
         low, high = values[..., :-1, None], values[..., 1:, None]
         values = np.moveaxis((low + inner * (high - low)).reshape(*values.shape[:-1], -1), -1, axis)
@@ -266,10 +269,12 @@ def _wall_share(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
     axes, half = wall.ndim, fine // 2
     shape = [n for length in wall.shape for n in (length, fine)]
     inner = found.reshape(shape).transpose(*range(0, 2 * axes, 2), *range(1, 2 * axes, 2))
-    away = (np.arange(half) + 0.5) / fine  # Distance of each sample point from the middle of its cell, in cell widths.
+    # Distance of each sample point from the cell's centre along an axis, in cell widths.
+    away = (np.arange(half) + 0.5) / fine
     sum = np.zeros(wall.shape)
     for side in np.ndindex((2,) * axes):
-        # Select the sample points on this side of the middle along each axis, from the middle outward.
+        # The cell's centre divides the cell into halves along each axis. Select the sample points in the halves named
+        # by `side`, in order from the centre outward.
         rays = tuple(slice(half, None) if upper else slice(half - 1, None, -1) for upper in side)
         part = inner[(..., *rays)]
         for beyond in list(np.ndindex((2,) * axes))[1:]:

@@ -29,7 +29,7 @@ class GridLayout:
     mass: np.ndarray
     """Mass of each particle, relative to the mean mass, shape (n,)."""
     particle_spacing: float
-    """Distance of particles [m]."""
+    """Initial distance between neighbouring particles [m]."""
     slip: tuple[float, float]
     """Viscosity [Pa s/m] and yield stress [Pa] of the slip layer on walls."""
     speed: float
@@ -37,7 +37,7 @@ class GridLayout:
     length: float
     """Length over which the velocity typically varies [m]."""
     frame: float = 0.0
-    """Velocity of the grid along its last axis [m/s]; it equals the mean velocity of a periodic pipe."""
+    """Velocity of the grid along its last axis [m/s]; in a periodic pipe it is the concrete's mean velocity."""
     drive: float = 0.0
     """Driving force per volume at the start [N/m3]."""
     mean_velocity_fixed: bool = True
@@ -70,7 +70,7 @@ class GridLayout:
     gained: float = 0.0
     """Increase of the yield stresses of bulk and slip layer during a rest before the start [Pa]."""
     inflow: tuple[float, ...] | None = None
-    """Velocity of particles that enter again [m/s]."""
+    """Velocity with which particles re-enter the grid after they have left it [m/s]."""
 
     @property
     def cells(self) -> tuple[int, ...]:

@@ -82,7 +82,10 @@ class PartDisplay(Display):
         return np.tile(palette_colours(values[self._drawn_particles], upper, lower), (len(self._mirror_signs), 1))
 
     def plots(self) -> tuple[Plot, ...]:
-        """Return curves over time: the pressure at the start, and the friction gradient in both straight stretches."""
+        """Return two plots over time: the pressure at the part's start, and the friction gradients.
+
+        The friction gradients are those of the straight pipes upstream and downstream of the part's middle.
+        """
         return (
             Plot("pressure", "Pressure", (
                 Curve("pressure", "at the start [kPa]", lambda row: 1e-3 * row["pressure"], OURS),

@@ -63,11 +63,12 @@ def part_room(scene: PartScene) -> Room:
     frame, size = Frame(scene), scene.radius
     h = size / max(3, round(size / scene.spacing))
     wide = scene.widest
-    # A long part needs more points, so that each of its bends is sampled at its farthest point.
+    # A longer part needs more sample points, so that they do not miss the farthest point of a bend.
     count = max(MIN_AXIS_POINTS, math.ceil(POINTS_PER_RADIUS * scene.axis.length / size))
     points, tangents = scene.axis.at(np.linspace(0, scene.axis.length, count))
     places = frame.to_grid(points)
-    # Along a grid axis a round section reaches its radius times the sine of the angle between tangent and grid axis.
+    # A pipe's round cross-section is inclined to the grid. Along a grid axis, it extends from the pipe's axis by its
+    # radius times the sine of the angle between the pipe's tangent and that grid axis.
     reach = wide * np.sqrt(np.maximum(1 - (tangents @ frame.axes.T) ** 2, 0.0))
     low, high = (places - reach).min(0) - MARGIN_CELLS * h, (places + reach).max(0) + MARGIN_CELLS * h
     if scene.is_half:
@@ -165,7 +166,8 @@ def _area(geometry, room: Room, way: np.ndarray) -> float:
     for axis in range(3):
         area = room.width[0] ** 2
         closed_area = np.where(geometry.surface[axis] == INLET, 1 - geometry.part[axis], 0.0) * area * way[axis]
-        above = np.roll(liquid, 1, 2 - axis)  # The arrays of cells have their last axis first.
+        # The arrays of cells store the axes in reverse order, so the axis number counts from the end.
+        above = np.roll(liquid, 1, 2 - axis)
         total += float(np.sum(closed_area * liquid) - np.sum(closed_area * above))
     return total
 

@@ -122,7 +122,8 @@ def measured(flow: GridFlow) -> dict[str, float]:
     top = layout.shape[0] - 1
     out = flow.state.faces("velocity")[2][top] * flow.state.faces("volume")[2][top]
     open_side = flow.state.faces("kind")[2][top] == int(LIQUID)
-    # A face on the open side stands for half a cell of concrete; its area is this volume over half a spacing.
+    # A face on the open side has only half a cell of concrete. Its area is therefore the volume of this concrete
+    # divided by half a spacing.
     whole = float(np.sum(out, where=open_side)) / (0.5 * layout.spacing)
     half = 0.5 if scene.is_half else 1.0
     velocity = flow.state.faces("velocity")

@@ -19,7 +19,7 @@ class RunData:
 
     scene: PartScene
     series: dict[str, np.ndarray]
-    """Columns of the time series, with two rows or more."""
+    """Time series by column name; each column has two values or more."""
 
     def last(self, name: str) -> float:
         """Return the last value of a column."""

@@ -78,12 +78,12 @@ class Section:
 
     @property
     def straight(self) -> bool:
-        """True for straight pipe."""
+        """True if this piece is straight pipe."""
         return self.kind == "straight"
 
     @property
     def label(self) -> str:
-        """Short description of the piece."""
+        """Short description of this piece of the pipe's axis, such as its kind."""
         return self.called or self.kind
 
 
@@ -157,7 +157,7 @@ class PartScene(Parametrised, PartSettings):
         begin, end = self.middle
         for length, at in ((begin, 0.0), (self.axis.length - end, self.axis.length)):
             wanted = (2 if end > begin else 1) * CLEARANCE * float(self.bore(at)) + MIN_CELLS_LEFT * self.spacing
-            # Lengths are differences of arc lengths and therefore carry rounding errors.
+            # These lengths are differences of arc lengths. The comparison therefore allows for their rounding errors.
             if length < wanted * (1 - 1e-9):
                 share = "" if end > begin else ", half of the pipe"
                 refuse("straight", length, f"is too short to measure the pressure loss of straight pipe{share}",
@@ -229,7 +229,7 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def velocity(self) -> float:
-        """Mean velocity at the start [m/s]."""
+        """Mean velocity of the concrete at the start of the part [m/s]."""
         return self.flow / (np.pi * float(self.bore(0.0)) ** 2)
 
     @property
@@ -259,7 +259,7 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def sections(self) -> tuple[Section, ...]:
-        """Pieces of the part in order, straight or not."""
+        """All pieces of the part in order, from start to end: straight pipes, bends, tapers and so on."""
         if self.parts:
             return self.parts
         found, begin = [], 0.0
@@ -273,7 +273,10 @@ class PartScene(Parametrised, PartSettings):
         return tuple(found)
 
     def _straights(self, begin: float, end: float) -> Iterator[Section]:
-        """Yield the sections of a straight piece of the axis: straight pipe, tapers, and the bore of a mesh."""
+        """Yield the sections of a straight piece of the axis.
+
+        They are straight pipes, tapers, and the stretch where the bore of a mesh changes.
+        """
         odd = [("bore", *self.insert)] if self.insert is not None else []
         if self.wall is None:
             places, radii = self.bores.places, self.bores.radii

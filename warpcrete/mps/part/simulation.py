@@ -34,7 +34,7 @@ class PartSimulation(FlowRun):
     scene: PartScene
 
     def unit(self, column: str) -> str:
-        """Return the unit of a column of the series."""
+        """Return the unit of a column of the time series."""
         return UNITS[column]
 
     def display(self, colouring: str | None = None) -> PartDisplay:
@@ -47,11 +47,11 @@ class PartSimulation(FlowRun):
         return GridFlow(GridState(self.scene, part_layout(self.scene), self.device, self.precision))
 
     def measured(self) -> dict[str, float]:
-        """Measure the flow and return a row of the series."""
+        """Measure the flow and return the values of one row of the time series, by column name."""
         return measured(self.flow)
 
     def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if the row shows that the state is no longer meaningful."""
+        """Raise :class:`InstabilityError` if a value in the latest `row` of the time series is not finite."""
         for name, value in row.items():
             if not math.isfinite(value):
                 raise InstabilityError(f"t = {row['time']:.6g} s: {name} is not a finite number; use a smaller time "
