@@ -32,12 +32,12 @@ PACKED = 0.60
 SPEED = 0.3
 """Speed of the piston [m/s]."""
 RATIOS = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0)
-SHARES = (0.30, 0.35, 0.40, 0.45, 0.50, 0.55)
+SHARES = (0.30, 0.40, 0.50, 0.55, 0.59)
 MORTAR = dict(contact="mortar", contact_effective_modulus=2e6, contact_friction=0.5, contact_shell_modulus=5e5,
               contact_yield_stress=50.0, contact_plastic_viscosity=5.0)  # fmt: skip
 """Cores of 2 MPa with the friction of dry stones, in a mortar of 50 Pa and 5 Pa s.
 
-The shells are stiff. With soft shells the piston would push the stones together while the front stands still, but mortar
+The shells are stiff. Soft shells would let the piston push the stones together while the front stands still, but mortar
 is incompressible and cannot leave a full pipe.
 """
 

@@ -97,7 +97,7 @@ LINES = [  # contents, and what is said: "" for any one line, =TEXT for an answe
     (part("reducer: {to: 100 mm, length: 1 mm}"), "half of the change"), (part("reducer: 100 mm"), "has no length"),
     (part("reducer: {to: 1 mm, length: 1 m}"), "flow at|diameter|velocity|impossible"),
     (part("reducer: {to: 20 mm, length: 1 m}"), "=unusual"),
-    (part("hose: {points: [[1000, 0, 0], [2000, 0, -500]]}"), "=2133"), (part("hose: {points: [[1, 0]]}"), "three lengths"),
+    (part("hose: {points: [[1000, 0, 0], [2000, 0, -500]]}"), "=2133"), (part("hose: {points: [[1, 0]]}"), "three coordinates"),
     (part("hose: {points: [1, 0, 0]}"), "three"), (part("hose: {points: [[a, b, c]]}"), "number"),
     (part("hose: {points: {a: [1, 0, 0]}}"), "list of points"), (part("hose: {points: [[0, 1, 0]]}"), "an angle of 90 degrees"),
     (part("hose: {points: [[1, 0, 0], [1, 0, 0]]}"), "apart"), (part("hose: {points: [[-1, 0, 0]]}"), "degrees"),
@@ -206,11 +206,11 @@ TARGETS = [
     (VARY + "targets: [{scene: slump, parameters: [a], quantity: spread, value: 1, uncertainty: 1%}]\n", "parameters"),
     (VARY + "targets: [{scene: slump, parameters: {a: 1}, quantity: spread, value: 1, uncertainty: 1%}]\n", "'a'"),
     *((f"vary: {vary}\ntargets: [{TARGET}quantity: spread, value: 0.55, uncertainty: 5%}}]\n", says) for vary, says in (
-        ("{viscosity: [100, 15]}", "low below high"), ("{viscosity: [15, 15]}", "low below high"), ("[viscosity]", "vary"),
-        ("{viscosity: 15}", "low, high"), ("{viscosity: [10 Pa, 20 Pa]}", "viscosity"), ("{seed: [1, 9]}", "seed"),
+        ("{viscosity: [100, 15]}", "the lower number"), ("{viscosity: [15, 15]}", "the lower number"), ("[viscosity]", "vary"),
+        ("{viscosity: 15}", "two finite numbers"), ("{viscosity: [10 Pa, 20 Pa]}", "viscosity"), ("{seed: [1, 9]}", "seed"),
         ("{concrete: [no1, no2]}", "concrete"), ("{viscosty: [1, 9]}", "did you"), ("{viscosity: [-5, 20]}", ""),
-        ("{viscosity: {low: 0, high: 9, scale: log}}", "log"), ("{viscosity: {low: 3, hi: 9}}", "low and high"),
-        ("{viscosity: [1, 2, 3]}", "low, high"), ("{density: [2300, 2400]}", "both given here and varied"), ("{viscosity: [1, 1e30]}", ""))),
+        ("{viscosity: {low: 0, high: 9, scale: log}}", "log"), ("{viscosity: {low: 3, hi: 9}}", "'low' and 'high'"),
+        ("{viscosity: [1, 2, 3]}", "two finite numbers"), ("{density: [2300, 2400]}", "both given here and varied"), ("{viscosity: [1, 1e30]}", ""))),
     ("base: no9\n" + VARY + f"targets: [{TARGET}quantity: spread, value: 0.55, uncertainty: 5%}}]\n", "no9"),
 ]  # fmt: skip
 MESHES: list[tuple[str, Content]] = [
@@ -255,7 +255,7 @@ OPTIONS = [  # words, and what is said
     ("run slump --lift-time -1", "lift_time"), ("run funnel --gravity 0", ""), ("run lbox --spacing 0.5", "spacing"),
     ("run --resume .", "not a run folder"), ("run --resume nowhere", "not a run folder"), ("run --resume whole", "finished"),
     ("run --resume study", "not a run folder"), ("run --resume cut --frames 3", ""), ("run whole/scene.json --accuracy 3%", ""),
-    ("run nowhere.json", ""), ("run whole/result.json", "does not name a scene"), ("run study/study.json", "scene|parameters"),
+    ("run nowhere.json", ""), ("run whole/result.json", "names no scene"), ("run study/study.json", "scene|parameters"),
     ("run whole/scene.json --out whole", "exists"), ("run trade/trade.json --out whole", "exists"), ("run line/line.json", ""),
     ("study slump --spacing", "spacing"), ("study slump --spacing 0.02 0.02 --out o", ""),
     ("study slump --spacing 0.02 abc", "spacing"), ("study slump --repeat 0 --spacing 0.02 0.025", "repeat"),

@@ -120,7 +120,7 @@ def test_a_load_of_a_truck_gives_the_same_mix_as_amounts_per_volume():
         (
             {"cement": "4512 lb"},
             {},
-            r"^mix parts: cement = '4512 lb': must be .* kg/m3.*; add it, as in 'volume: 8 yd3'",
+            r"^mix parts: cement = '4512 lb': must be .* kg/m3.*; or add the volume, as in 'volume: 8 yd3'",
         ),
         ({"water": "264 gal"}, {}, r"^mix parts: water = '264 gal': must be .*'volume: 8 yd3'"),
         ({"sand": "300 l/m3"}, {}, r"^mix parts: sand = '300 l/m3': is a volume, which is accepted for water"),

@@ -122,10 +122,10 @@ def test_flows_that_never_rested_know_nothing_of_it(device):
 @pytest.mark.parametrize(
     "bad, message",
     [
-        (dict(ends="piston", rest=600.0), "rest = 600.0: works only on a grid"),
+        (dict(ends="piston", rest=600.0), "rest = 600.0: needs cells of a grid"),
         (dict(ends="periodic", rest=-1.0), "rest = -1.0: must be"),
         (dict(ends="periodic", rest=math.nan), "rest = nan: must be"),
-        (dict(ends="periodic", thixotropy=0.3), "thixotropy = 0.3: has no effect unless rest is above 0"),
+        (dict(ends="periodic", thixotropy=0.3), "thixotropy = 0.3: has no effect unless 'rest' is above 0"),
         (dict(ends="periodic", rest=5.0, breakdown=0.0), "breakdown = 0.0: must be"),
     ],
 )
@@ -149,7 +149,9 @@ def test_a_line_restarts_as_the_sum_of_its_parts():
     words = "after 10 min of rest, with a yield stress that grows by 0.3 Pa/s (theory), it starts to move at 198.2 ("
     assert found.exit_code == 0 and words in found.output
     bad = CliRunner().invoke(cli, ["line", "burj-khalifa", "--theory", "--thixotropy", "0.3"])
-    assert str(bad.exception) == "thixotropy = 0.3: needs the time of rest; add, for example, --rest 600"
+    assert (
+        str(bad.exception) == "thixotropy = 0.3: needs the duration of the rest; add, for example, --rest 600 for 600 s"
+    )
     assert bad.output == ""
 
 

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from warpcrete import scenes
 from warpcrete.cli.main import cli
-from warpcrete.studies.lines.blocking import FRICTION, _counted, _parameters, run_blocking
+from warpcrete.studies.lines.blocking import FRICTION, MODULUS, _counted, _parameters, run_blocking
 from warpcrete.studies.lines.elements import Elements
 from warpcrete.studies.lines.losses import line_of
 from warpcrete.theory.bands import wilson_interval
@@ -40,6 +40,7 @@ def test_the_narrowest_part_is_simulated_with_dry_stones_of_true_size():
     assert scene.blockage.stop and scene.seed == 7 and own["outlet_diameter"] == 0.04
     usual = scenes.part_dem(concrete="zhan").parameters["wall_friction"]
     assert scene.parameters["friction"] == FRICTION and scene.parameters["wall_friction"] == usual
+    assert scene.parameters["modulus"] == MODULUS
     assert scene.fill.sizes.largest == pytest.approx(0.02)
     assert scene.pipe.travel == pytest.approx(0.32)  # at least two windows
 

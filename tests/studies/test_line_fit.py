@@ -157,7 +157,10 @@ def test_the_command_fits_a_trial_line(tmp_path):
     pressure = json.loads((tmp_path / "again" / "line.json").read_text())["pressure"]["value"]
     assert pressure == pytest.approx(record["pressure"]["value"], rel=2e-3)
     assert pressure == pytest.approx(line_by_theory(KNOWN, TRUE, 25 / 3600).pressure, rel=0.02)
-    for more, says in ((["--simulate"], "fit: is an answer by theory"), (["--method", "dem"], "fit: is an answer by")):
+    for more, says in (
+        (["--simulate"], "--fit: compares measurements with theory only"),
+        (["--method", "dem"], "--fit: compares"),
+    ):
         refused = CliRunner().invoke(cli, [*call, *more])
         assert refused.exit_code == 2 and says in refused.output
 

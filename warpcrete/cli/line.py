@@ -72,12 +72,14 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
 def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[str, Any]) -> None:
     """Refuse options that contradict each other or have no effect."""
     if theory and method != "flow":
-        raise click.UsageError("--theory: cannot be combined with --method dem or both; leave out one of them")
+        raise click.UsageError(
+            "--theory: cannot be combined with '--method dem' or '--method both'; leave out --theory or --method"
+        )
     if theory and simulate:
-        raise click.UsageError("--theory: cannot be combined with --simulate; leave out one of them")
+        raise click.UsageError("--theory: cannot be combined with --simulate; leave out --theory or --simulate")
     heavy = simulate or method != "flow"
     if settings["fit"] is not None and heavy:
-        raise click.UsageError("fit: is an answer by theory; leave out --simulate and --method")
+        raise click.UsageError("--fit: compares measurements with theory only; leave out --simulate and --method")
 
     def changed(options: Mapping[str, Any]) -> list[str]:
         return [name for name, usual in options.items() if settings[name] != usual]
@@ -91,7 +93,7 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
         raise click.UsageError(f"{name}: has no effect without a simulation; add --simulate, or leave it out")
     others = dict.fromkeys(("layer_factor", "rest", "pump_pressure", "pump_flow", "pump_power"))
     for name in changed({**others, "cells": 12, "practice": False}) if method == "dem" else ():
-        raise click.UsageError(f"{name}: has no effect with --method dem; use --method both, or leave it out")
+        raise click.UsageError(f"{name}: has no effect with '--method dem'; use '--method both', or leave out {name}")
     for name in ("layer_factor", "coarse", "stiffer"):
         if settings[name] is not None:
             check_limit(name, settings[name], "")

@@ -64,14 +64,14 @@ def _by_method(arguments: list[str]) -> list[str]:
         if name != "--method":
             left.append(word)
         elif method is not None or not (value := value if given else next(words, "")):
-            raise click.UsageError("--method: must be given once, with one value, such as --method dem")
+            raise click.UsageError("--method: must be given once and with one value; write, for example, --method dem")
         else:
             method = value
     if method is None:
         return left
     place = next((n for n, word in enumerate(left) if not word.startswith("-")), None)
     if place is None:
-        raise click.UsageError("--method: needs a scene; write it as in 'slump --method dem'")
+        raise click.UsageError("--method: needs the name of a scene; write, for example, 'slump --method dem'")
     left[place] = importlib.import_module("warpcrete.scenes").by_method(left[place], method)
     return left
 
@@ -116,7 +116,9 @@ def run_group(context: click.Context, resume: Path | None, live: str | None, bin
     """
     if context.invoked_subcommand is not None:
         if resume is not None or live is not None or quiet:
-            raise click.UsageError("--resume, --live, --quiet: must follow the scene's name; move them behind it")
+            raise click.UsageError(
+                "--resume, --live, --quiet: must follow the scene's name; move these options behind the name"
+            )
     elif resume is None:
         click.echo(context.get_help())
         raise SystemExit(2)
@@ -172,10 +174,14 @@ def _repeat_command(path: Path) -> click.Command:
     def callback(**settings: Any) -> None:
         job = _part("run")
         if settings.pop("resume") is not None:
-            raise click.UsageError("--resume: cannot be combined with a scene.json; write 'warpcrete run --resume RUN'")
+            raise click.UsageError(
+                "--resume: cannot be combined with a scene.json; write 'warpcrete run --resume "
+                "FOLDER' to continue a run"
+            )
         if [settings.pop("accuracy"), settings.pop("trade")] != [None, None]:
             raise click.UsageError(
-                "--accuracy, --trade: cannot be combined with a scene.json, which fixes all settings; leave them out"
+                "--accuracy, --trade: cannot be combined with a scene.json, which fixes all settings; leave out both "
+                "options"
             )
         record, module = job.repeatable_scene(path, _scenes())
         kept = {key: record[key] for key in ("device", "precision") if key in record}
@@ -565,7 +571,7 @@ def schema_command(kind: str | None, path: bool) -> None:
     $schema=PATH'.
     """
     if kind is None:
-        raise click.UsageError("kind: is missing; give concrete, mix, line or targets")
+        raise click.UsageError("kind: the kind of file is missing; give 'concrete', 'mix', 'line' or 'targets'")
     found = importlib.import_module("warpcrete.studies.schemas").shipped_schema(kind)
     click.echo(found if path else found.read_text(encoding="utf-8"), nl=path)
 

@@ -99,7 +99,7 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
     the parts do not fit.
     """
     if not isinstance(given, Mapping):
-        refuse("line", given, "must hold 'key: value' lines")
+        refuse("line", given, "must consist of 'key: value' lines")
     for key in given:
         with errors_located_at(given, key):
             one_of("line's key", key, KEYS)
@@ -107,7 +107,9 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
     if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:
         refuse("parts", entries, "must be a list of one or more parts", "for example '- straight: 10 m'")
     if len(entries) > MOST_PARTS:
-        refuse("parts", f"{len(entries)} parts", f"must be at most {MOST_PARTS}", "merge neighbouring straight parts")
+        refuse(
+            "parts", f"{len(entries)} parts", f"must be at most {MOST_PARTS} parts", "merge neighbouring straight parts"
+        )
     if "diameter" not in given:
         refuse("diameter", None, "must be given for the first part", "for example 'diameter: 125 mm'")
     diameter, stone, flow, recorded = (
@@ -148,7 +150,7 @@ def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
     for part in line.parts:
         if stone is not None and stone >= part.narrow:
             refuse("largest_stone", stone, f"does not pass through part {part.number}, {part.label}, which is "
-                   f"{part.narrow:.6g} m wide", "use a wider pipe or a smaller stone")  # fmt: skip
+                   f"{part.narrow:.6g} m wide", "use a wider pipe, or concrete with smaller stones")  # fmt: skip
     return replace(line, largest_stone=stone)
 
 
@@ -157,7 +159,7 @@ def _text(given: Mapping[str, Any], field: str, default: str) -> str:
     found = given.get(field, default)
     if isinstance(found, Mapping | list):
         with errors_located_at(given, field):
-            refuse(field, found, "must be text of one line", "put it in quotes")
+            refuse(field, found, "must be text of one line", "put the text in quotes")
     return one_line(str(found))
 
 
@@ -198,7 +200,8 @@ class _Course:
         `entry` is the part's entry in the pipeline file, and `number` counts the parts from 1.
         """
         if not isinstance(entry, Mapping) or len(entry) != 1:
-            refuse(f"part {number}", entry, f"must be one of {', '.join(PARTS)} with its properties",
+            refuse(f"part {number}", entry, f"must be one of {', '.join(PARTS)}, followed by the properties of the "
+                                            "part",
                    "for example '- straight: {length: 10 m}'")  # fmt: skip
         kind, said = next(iter(entry.items()))
         one_of(f"part {number}", kind, PARTS)
@@ -214,7 +217,7 @@ class _Course:
 
         def get(key: str, unit: str, default: Any = None) -> float:
             if key not in said and default is None:
-                refuse(f"part {number}, {kind}", dict(said), f"has no {key}", f"add it, for example '{key}: 1'")
+                refuse(f"part {number}, {kind}", dict(said), f"has no {key!r}", f"add it, for example '{key}: 1 m'")
             field = f"part {number}, {kind}: {key}"
             found = amount(field, said.get(key, default), unit)
             check_limit(field, found, unit, LIMITED_AS.get(key, key))
@@ -231,17 +234,23 @@ class _Course:
         rise = length * float(self.tangent[2])
         if "rise" in said and abs(get("rise", "m") - rise) > 0.01 * length:
             refuse(f"part {number}, straight: rise", said["rise"], f"does not fit: in the direction of the line it is "
-                   f"{rise:.4g} m over {length:g} m", "put a bend before it, or leave out the rise")  # fmt: skip
+                   f"{rise:.4g} m over {length:g} m", "put a bend before this part, or leave out 'rise'")  # fmt: skip
         if "diameter" in said and abs(get("diameter", "m") - self.diameter) > 1e-6:
-            refuse(f"part {number}, straight: diameter", said["diameter"], "does not fit the end of the part before "
-                   f"it, {self.diameter:g} m", "put a reducer between them")  # fmt: skip
+            refuse(f"part {number}, straight: diameter", said["diameter"], "differs from the diameter at the end of "
+                                                                           "the part before "
+                   f"it, {self.diameter:g} m", "put a reducer between the two parts")  # fmt: skip
         return Part(number, "straight", self.diameter, length, rise, self.diameter), (Line(length),)
 
     def _bend(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
         radius = get("radius", "m", max(BEND_RADIUS, BEND_DIAMETERS * self.diameter))
         field = f"part {number}, bend"
         if radius <= self.diameter / 2:
-            refuse(f"{field}: radius", radius, f"must exceed the radius of the pipe, {self.diameter / 2:g} m")
+            refuse(
+                f"{field}: radius",
+                radius,
+                f"must exceed the radius of the pipe, {self.diameter / 2:g} m",
+                "give the radius of the bend's centreline",
+            )
         way = said.get("to")
         one_of(f"{field}: to", way, WAYS)
         left = np.cross(UP, self.heading)
@@ -252,16 +261,21 @@ class _Course:
             refuse(
                 f"{field}: to",
                 way,
-                "is the present direction of the line or its opposite",
+                "is the direction that the line already has, or the opposite of it",
                 f"use another of {', '.join(WAYS)}",
             )
         whole = math.degrees(math.acos(float(np.clip(towards @ self.tangent, -1, 1))))
         angle = get("angle", "degrees", round(whole, 9))
         if not 1 <= angle <= MAX_BEND_ANGLE:
-            refuse(f"{field}: angle", angle, f"must be in [1, {MAX_BEND_ANGLE:g}] degrees", "split it into two bends")
+            refuse(
+                f"{field}: angle",
+                angle,
+                f"must be in [1, {MAX_BEND_ANGLE:g}] degrees",
+                "split a larger bend into two, and leave out a smaller one",
+            )
         if way in ("up", "down", "level") and angle > whole + 1e-6:
             refuse(f"{field}: angle", angle, f"turns beyond {way!r}, which is at {whole:.4g} degrees",
-                   "leave out the angle")  # fmt: skip
+                   "leave out 'angle' for a bend that ends in this direction")  # fmt: skip
         turn = math.radians(angle)
         across = across / np.linalg.norm(across)
         rise = radius * float((1 - math.cos(turn)) * across[2] + math.sin(turn) * self.tangent[2])
@@ -288,7 +302,12 @@ class _Course:
         field = f"part {number}, hose"
         given = said.get("points")
         if "length" in said and given is not None:
-            refuse(f"{field}: length", said["length"], "cannot be given together with points", "leave out one of them")
+            refuse(
+                f"{field}: length",
+                said["length"],
+                "cannot be given together with 'points'",
+                "leave out 'length' or 'points'",
+            )
         if "length" in said:
             length = get("length", "m")
             positive(f"{field}: length", length, "m")
@@ -297,29 +316,44 @@ class _Course:
                         layer=_hose_layer(field, said)), (Line(length),)  # fmt: skip
         if not isinstance(given, Sequence) or isinstance(given, str) or not given:
             refuse(f"{field}: points", given, "must be a list of points",
-                   "for example '[[1, 0, 0], [2, 0, -0.5]]', or give its length, as in 'hose: 8 m'")  # fmt: skip
+                   "for example '[[1, 0, 0], [2, 0, -0.5]]', or a length, as in 'hose: 8 m'")  # fmt: skip
         if any(not isinstance(p, Sequence) or isinstance(p, str) or len(p) != 3 for p in given):
-            refuse(f"{field}: points", given, "must each have three lengths: ahead, to the left, up")
+            refuse(
+                f"{field}: points",
+                given,
+                "must each have three coordinates [m]: ahead, to the left and up",
+                "for example '[2, 0, -0.5]'",
+            )
         if len(given) > MOST_POINTS:
-            refuse(f"{field}: points", f"{len(given)} points", f"must be at most {MOST_POINTS}")
+            refuse(
+                f"{field}: points",
+                f"{len(given)} points",
+                f"must be at most {MOST_POINTS} points",
+                "leave out points between others",
+            )
         local = np.array([[0.0] * 3] + [[amount(f"{field}: points", x, "m") for x in point] for point in given])
         for x in local.ravel().tolist():
             check_limit(f"{field}: points", x, "m", "length")
         if np.any(np.linalg.norm(np.diff(local, axis=0), axis=1) < 0.5 * self.diameter):
-            refuse(f"{field}: points", given, "must be at least half a diameter apart")
+            refuse(
+                f"{field}: points",
+                given,
+                f"must be at least half a diameter, {self.diameter / 2:g} m, apart",
+                "leave out points that are closer together",
+            )
         layer = _hose_layer(field, said)
         points = local @ np.array([self.heading, np.cross(UP, self.heading), UP])
         askew = math.degrees(math.acos(float(np.clip(start_tangent(points) @ self.tangent, -1, 1))))
         if askew > MAX_HOSE_KINK:
             refuse(f"{field}: points", given, f"begin at an angle of {askew:.0f} degrees to the direction of the line",
-                   "put a bend before the hose, or move the first points")  # fmt: skip
+                   "put a bend before the hose, or move the first points so that they lie ahead")  # fmt: skip
         pieces = curve_through(points, self.tangent)
         length = sum(piece.length for piece in pieces)
         bends = [piece for piece in pieces if isinstance(piece, Arc)]
         sharpest = min((piece.radius for piece in bends), default=math.inf)
         if self.diameter > BEND_EXTRA_LOSS[0][-1] * sharpest:
-            refuse(f"{field}: points", given, f"bend it to a radius of {sharpest:.3g} m",
-                   f"keep the radius above {self.diameter / BEND_EXTRA_LOSS[0][-1]:.3g} m")  # fmt: skip
+            refuse(f"{field}: points", given, f"bend the hose to a radius of {sharpest:.3g} m",
+                   f"use points for a radius above {self.diameter / BEND_EXTRA_LOSS[0][-1]:.3g} m")  # fmt: skip
         more = (
             sum(arc.length * float(np.interp(self.diameter / arc.radius, *BEND_EXTRA_LOSS)) for arc in bends) / length
         )
@@ -335,9 +369,15 @@ class _Course:
         for key, value in (("to", outlet), ("length", length)):
             positive(f"part {number}, reducer: {key}", value, "m")
         if abs(outlet - self.diameter) < 1e-9:
-            refuse(f"part {number}, reducer: to", outlet, "is already the diameter of the line", "use a straight part")
+            refuse(
+                f"part {number}, reducer: to",
+                outlet,
+                "is already the diameter of the line",
+                "use a part 'straight' instead",
+            )
         if length < 0.5 * abs(outlet - self.diameter):
-            refuse(f"part {number}, reducer: length", length, "must be at least half of the change of the diameter",
+            refuse(f"part {number}, reducer: length", length, "is too short: must be at least half of the change of "
+                                                              "the diameter",
                    f"use {0.5 * abs(outlet - self.diameter):.3g} m or more")  # fmt: skip
         rise = length * float(self.tangent[2])
         return Part(number, "reducer", self.diameter, length, rise, outlet), (Line(length),)
@@ -375,10 +415,21 @@ def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> f
     """Return the friction that a part's entries state, relative to straight pipe of its length; None without these."""
     field = f"part {part.number}, {part.kind}"
     if "factor" in said and "equivalent" in said:
-        refuse(f"{field}: factor", said["factor"], "cannot be given together with equivalent", "leave out one of them")
+        refuse(
+            f"{field}: factor",
+            said["factor"],
+            "cannot be given together with 'equivalent'",
+            "leave out 'factor' or 'equivalent'",
+        )
     if "factor" in said:
         factor = get("factor", "1")
-        between(f"{field}: factor", factor, *FACTORS, "", "it is the friction divided by that of straight pipe")
+        between(
+            f"{field}: factor",
+            factor,
+            *FACTORS,
+            "",
+            "'factor' is the friction of the part divided by that of a straight pipe of the same length",
+        )
         return factor
     if "equivalent" in said:
         length = get("equivalent", "m")
@@ -393,7 +444,7 @@ def _hose_layer(field: str, said: Mapping[str, Any]) -> float:
     positive(f"{field}: layer", layer, "")
     if not HOSE_LAYER[0] <= layer <= HOSE_LAYER[1]:
         warn(f"{field}: layer = {layer:g}: is unusual: hoses have {HOSE_LAYER[0]:g} to {HOSE_LAYER[1]:g} times the "
-             "resistance of a pipe; write per cent with the unit, as '80 %'")  # fmt: skip
+             "resistance of a pipe; write per cent with the sign, as in '80 %'")  # fmt: skip
     return layer
 
 

@@ -208,7 +208,7 @@ def mix_of(
             remarks += more
     if "yield stress" not in bulk:
         refuse("mix", ", ".join(given), "does not determine the yield stress of the concrete",
-               "add spread, slump, viscometer, mortar or concrete")  # fmt: skip
+               "add a measurement: 'spread', 'slump', 'viscometer', 'mortar' or 'concrete'")  # fmt: skip
     bulk.setdefault("viscosity", unknown_viscosity(told))
     fluid = Concrete(
         name=name, density=bulk["density"].value, viscosity=bulk["viscosity"].value,

@@ -182,7 +182,12 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
             return None
         if fraction is None:
             if self.concrete not in MIXES:
-                refuse("aggregate_fraction", None, "must be given for concrete = own")
+                refuse(
+                    "aggregate_fraction",
+                    None,
+                    "must be given for 'concrete' = own",
+                    "for example 0.3, the share of the volume",
+                )
             fraction = MIXES[self.concrete]["gravel"] / self.aggregate_density
         by_dimension = "discs" if dimensions == 2 else "spheres"
         inclusions = self.inclusions if self.inclusions != "auto" else by_dimension
@@ -200,12 +205,12 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         flow = self.flow
         if self.pressure is not None:
             if flow is not None:
-                refuse("flow", flow, "cannot be combined with pressure", "leave out one of the two")
+                refuse("flow", flow, "cannot be combined with 'pressure'", "leave out 'flow' or 'pressure'")
             line = Line(radius=bulk, length=self.length, gravity=self.gravity)
             flow = flow_of_pressure(concrete, line, self.pressure, "plane" if dimensions == 2 else "pipe").flow
         elif flow is None:
             flow = FLOW
-        positive("flow", flow, "m3/s", "a concrete at rest needs no simulation")
+        positive("flow", flow, "m3/s", "increase the flow, because concrete at rest needs no simulation")
         return flow
 
     def ends_for(self, concrete: Concrete, bulk: float, flow: float, dimensions: int) -> str:
@@ -234,9 +239,9 @@ def column_scene(
     the paper's own case. Raises :class:`SceneError` if the pressure is too low to move the concrete, or if the slip
     layer fills the pipe.
     """
-    Within(0, np.nextafter(given.diameter / 2, 0), "use less than the radius").check(
-        "slip_thickness", given.slip_thickness, " m"
-    )
+    Within(
+        0, np.nextafter(given.diameter / 2, 0), "use 0 for no slip layer, or less than the radius of the pipe"
+    ).check("slip_thickness", given.slip_thickness, " m")
     concrete = given.constants()
     bulk = given.diameter / 2 - given.slip_thickness
     area = np.pi * bulk**2

@@ -44,7 +44,7 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
             "concrete",
             name,
             f"has no value for {', '.join(missing)}",
-            f"give them, or use one of {', '.join(flowing())}",
+            f"give these values, or use one of the concretes {', '.join(flowing())}",
         )
     if slip_thickness > 0 and "slip_viscosity" not in given and name in SLIP_VISCOSITY_BY_THICKNESS:
         table = SLIP_VISCOSITY_BY_THICKNESS[name]
@@ -54,8 +54,8 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
             refuse(
                 "slip_thickness",
                 slip_thickness,
-                f"must be a thickness with printed constants ({printed}), or slip_viscosity must be given",
-                "give slip_viscosity",
+                f"must be one of the published thicknesses ({printed} m) unless 'slip_viscosity' is given",
+                "use a published thickness, or set 'slip_viscosity'",
             )
         given["slip_viscosity"] = match[0]
     known = {**FACTORS, **named, **given}

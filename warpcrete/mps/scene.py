@@ -44,9 +44,9 @@ class Aggregates:
     """Roundness of the aggregates: 1 gives circles or spheres, less gives radii that vary by up to 1 - roundness."""
 
     def __post_init__(self) -> None:
-        positive("aggregate fraction", self.fraction, "", "leave out aggregates")
+        positive("aggregate fraction", self.fraction, "", "leave out 'aggregates' for a concrete without them")
         between(
-            "aggregate fraction", self.fraction, 0, 0.6, "", "use less, because denser mixes cannot be placed at random"
+            "aggregate fraction", self.fraction, 0, 0.6, "", "grains above 0.6 of the volume cannot be placed at random"
         )
         positive("aggregate density", self.density, "kg/m3")
         between("roundness", self.roundness, 0.5, 1)
@@ -162,7 +162,7 @@ def check_interval(scene: Any) -> None:
     """Refuse a sample interval that no run can keep: one shorter than the time step, if all steps are equal."""
     positive("sample_interval", scene.sample_interval, "s")
     if not scene.step_error:
-        between("sample_interval", scene.sample_interval, scene.time_step, np.inf, "s", "use at least one time step")
+        between("sample_interval", scene.sample_interval, scene.time_step, np.inf, "s", "use the time step or more")
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -195,12 +195,17 @@ class FluidScene(Parametrised, FlowSettings):
         one_of("dimensions", self.dimensions, (2, 3))
         positive("radius", self.radius, "m")
         positive("length", self.length, "m")
-        positive("velocity", self.velocity, "m/s", "a concrete at rest needs no simulation")
+        positive(
+            "velocity", self.velocity, "m/s", "increase the velocity, because concrete at rest needs no simulation"
+        )
         positive("spacing", self.spacing, "m")
         if self.aggregates is not None and (self.rest or self.step_error or self.rebuild_rate):
             name = next(each for each in ("rest", "step_error", "rebuild_rate") if getattr(self, each))
             refuse(
-                name, getattr(self, name), "works only on a grid, which cannot have aggregates", "leave one of them out"
+                name,
+                getattr(self, name),
+                "needs cells of a grid, which cannot contain aggregates",
+                f"leave out {name!r} or 'aggregates'",
             )
         for name in ("rest", "rebuild_rate"):
             if self.ends == "piston" and getattr(self, name):
@@ -211,14 +216,14 @@ class FluidScene(Parametrised, FlowSettings):
                     "use ends = periodic, or 0",
                 )
         if self.ends == "piston" and self.step_error:
-            refuse("step_error", self.step_error, "works only on a grid; a column on a piston has equal steps",
-                   "use ends = periodic, or 0")  # fmt: skip
+            refuse("step_error", self.step_error, "needs cells of a grid, because a column of particles on a piston "
+                   "has equal steps", "set 'ends' to periodic, or 'step_error' to 0")  # fmt: skip
         if self.ends == "periodic" and self.aggregates is not None:
             refuse(
                 "ends",
                 self.ends,
                 "cannot be combined with aggregates, because periodic flows are solved on a grid",
-                "use ends = piston",
+                "set 'ends' to piston",
             )
         across = 2 * self.radius / self.spacing
         if across < MIN_PARTICLES_ACROSS - 0.5:
@@ -232,21 +237,21 @@ class FluidScene(Parametrised, FlowSettings):
             refuse(
                 "length",
                 self.length,
-                f"must hold {MIN_SPACINGS_HIGH} particles, {MIN_SPACINGS_HIGH * self.spacing:g} m",
+                f"must be at least {MIN_SPACINGS_HIGH} times 'spacing', {MIN_SPACINGS_HIGH * self.spacing:g} m",
             )
         section = 2 * self.radius if self.dimensions == 2 else np.pi * self.radius**2
         count = section * self.length / self.spacing**self.dimensions
         if self.ends == "piston" and count > MAX_PARTICLES:
             refuse("length", self.length, f"needs {count:.2g} particles, but at most {MAX_PARTICLES:.2g} are possible",
-                   "use a shorter column, a larger spacing, or ends = periodic")  # fmt: skip
+                   "reduce 'length', increase 'spacing', or set 'ends' to periodic")  # fmt: skip
         if self.time_step * self.velocity > 0.5 * self.spacing:
             refuse(
-                "time_step", self.time_step, "must be shorter, because the piston passes more than half a particle "
+                "time_step", self.time_step, "must be shorter, because the piston moves by more than half a particle "
                                              "per step",
                 f"use {0.5 * self.spacing / self.velocity:.3g} s or less"
             )  # fmt: skip
         if self.duration is not None:
-            between("duration", self.duration, self.time_step, np.inf, "s", "use at least one time step")
+            between("duration", self.duration, self.time_step, np.inf, "s", "simulate at least one time step")
         check_interval(self)
 
     def __repr__(self) -> str:

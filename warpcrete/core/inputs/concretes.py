@@ -93,8 +93,9 @@ def _read(path: Path, depth: int) -> NamedConcrete:
         refuse(
             "concrete base",
             str(path),
-            f"is part of a chain of more than {MAXIMUM_CHAIN} bases or of a loop",
-            "shorten the chain of bases",
+            f"is part of a chain of more than {MAXIMUM_CHAIN} files, each with the next one as its 'base', or of a "
+            "loop of files",
+            "shorten the chain, or remove one 'base' of the loop",
         )
     for key in given:
         if key not in KEYS:

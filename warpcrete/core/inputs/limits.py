@@ -140,7 +140,7 @@ def check_velocity(field: str, value: float, velocity: float) -> None:
     limit = LIMITS["velocity"]
     if not velocity <= limit.high:
         refuse(field, value, f"makes the concrete flow at {velocity:.3g} m/s, but at most {limit.high:g} m/s is "
-               f"possible ({limit.why})", "check the units of flow and diameter")  # fmt: skip
+               f"possible ({limit.why})", "check the flow, the diameter and their units")  # fmt: skip
     if velocity > FASTEST:
         warn(f"{field} = {value:g}: makes the concrete flow at {velocity:.3g} m/s, which is unusual: {limit.why}")
 
@@ -159,5 +159,5 @@ def _meant(value: float, unit: str, limit: Limit) -> str:
         return ""  # A number of this size is unusual in any unit.
     for other, factor in UNITS.get(unit, {}).items():
         if factor != 1.0 and low <= abs(value) * factor <= high:
-            return f"{value:g} {other}?"
+            return f"did you mean {value:g} {other}?"
     return ""

@@ -175,7 +175,7 @@ class Field:
             try:
                 return float(value)
             except OverflowError:
-                refuse(name, value, "is too large to compute with", "use SI units")
+                refuse(name, value, "is too large to compute with", "give a smaller value, in SI units")
         if self.kind is int and isinstance(value, int) and not isinstance(value, bool):
             check_whole(name, value)
         if self.kind is float and isinstance(value, float):
@@ -312,7 +312,7 @@ class SceneFunction(Generic[P, S]):
     def __call__(self, *args: P.args, **given: P.kwargs) -> S:
         known = declared_fields(self.parameters)
         if args:
-            refuse("parameters", args, "must be given by name", f"the names are {', '.join(known)}")
+            refuse("parameters", args, "must be given by name, as in name=value", f"the names are {', '.join(known)}")
         values = self.with_objects(self.completed(given))
         for name in values:
             if name not in known:
@@ -332,7 +332,8 @@ class SceneFunction(Generic[P, S]):
             return scene
         except MemoryError as error:
             raise SceneError(
-                f"scene {self.name}: needs more memory than is available; reduce it, or make its bodies or cells larger"
+                f"scene {self.name}: needs more memory than is available; make the scene smaller, or its bodies or "
+                "cells larger"
             ) from error
         except (OverflowError, ZeroDivisionError) as error:
             numbers = {name: value for name, value in values.items()
@@ -341,7 +342,9 @@ class SceneFunction(Generic[P, S]):
             if not numbers:
                 raise
             name = max(numbers, key=lambda each: abs(math.log(abs(numbers[each]))))
-            raise SceneError(f"{name} = {quoted(numbers[name])}: is too large to compute with; use SI units") from error
+            raise SceneError(
+                f"{name} = {quoted(numbers[name])}: is too large to compute with; give a smaller value, in SI units"
+            ) from error
 
     @property
     def name(self) -> str:
@@ -381,7 +384,8 @@ class SceneFunction(Generic[P, S]):
                     if name.startswith(f"{field.name}_") and name not in declared_fields(self.parameters):
                         value = values.get(field.name)
                         own = ", ".join(rule.fields(field, value))
-                        hint = f"its parameters are {own}" if own else f"leave it out, or change {field.name}"
+                        other = f"leave out {name!r}, or change {field.name!r}"
+                        hint = f"the parameters of {value!r} are {own}" if own else other
                         refuse(name, found[name], f"has no effect with {field.name} = {value!r}", hint)
         return found
 
@@ -450,7 +454,12 @@ def resolved(known: Mapping[str, Field], given: Mapping[str, object]) -> dict[st
             if alias.name in values:
                 value = field.number(values.pop(alias.name), alias.name)
                 if name in values:
-                    refuse(alias.name, value, f"is another name of {name}, which is given too", "leave out one of them")
+                    refuse(
+                        alias.name,
+                        value,
+                        f"is another name of {name!r}, which is given too",
+                        f"leave out {alias.name!r} or {name!r}",
+                    )
                 try:
                     values[name] = alias.convert(value) if alias.convert and value is not None else value
                 except TypeError as error:

@@ -19,9 +19,6 @@ from .viewer import LOOPBACK, Viewer, has_screen, screen_viewer, web_viewer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from pandas import DataFrame  # pyright: ignore[reportMissingTypeStubs]
 
 DEFAULT_PLOT_COLUMNS = ("pressure", "spread", "front", "inside")
@@ -140,7 +137,7 @@ class Run:
         """
         if self.folder is None:
             raise RunFolderError(
-                "the run has no folder; run 'warpcrete run SCENE --out FOLDER' to get a folder with a recording"
+                "the run has no folder; only runs with a folder can be shown: run 'warpcrete run SCENE --out FOLDER'"
             )
         opened = viewer(self.folder, web, bind)
         process = opened.start()
@@ -185,7 +182,9 @@ def viewer(run: Path, web: bool = False, bind: str = LOOPBACK) -> Viewer:
     """
     recording = run / "run.rrd" if run.is_dir() else run
     if not recording.is_file():
-        raise RunFolderError(f"'{run}': contains no run.rrd; record one with 'warpcrete run SCENE --out {run}'")
+        raise RunFolderError(
+            f"'{run}': contains no recording (run.rrd); record a new run with 'warpcrete run SCENE --out FOLDER'"
+        )
     if not web and not has_screen():
         raise RunFolderError(f"'{run}': no screen was found (DISPLAY is not set); use --web to show the recording in "
                              f"a browser, or open {recording} elsewhere with 'rerun {recording.name}'")  # fmt: skip

@@ -107,7 +107,7 @@ class Simulation:
         if wanted is None or not isinstance(scene, wanted):
             known = [wanted] if wanted else [kind.scene_type for kind in Simulation.kinds]
             hint = (
-                "warpcrete.Simulation accepts every scene"
+                "use warpcrete.Simulation, which accepts every scene"
                 if wanted
                 else "create one with a function of warpcrete.scenes"
             )

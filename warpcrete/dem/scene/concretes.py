@@ -43,8 +43,8 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
         section = {**found.elements, **_of_flow(found, layer_given), **found.mix.elements}
     sized = any(size in values or size in section for size in SIZES)
     if found.flow and not sized and (found.mix is not None or not found.elements):
-        warn(f"concrete {found.name} has no sieve curve, so its aggregate gets the scene's default sizes; give a "
-             "sieve curve, for example sizes = '4:0,8:0.4,16:1'")  # fmt: skip
+        warn(f"concrete {found.name} has no sieve curve, so the scene's default sizes apply to its aggregate; give a "
+             "sieve curve, for example 'sizes' = 4:0,8:0.4,16:1 (opening [mm]:share that passes)")  # fmt: skip
     if "density" in values:  # a given density of aggregates replaces the bulk density of the concrete
         section = {key: value for key, value in section.items() if key != "bulk_density"}
     return known_only("elements", section, known, name)
@@ -63,8 +63,8 @@ def _of_flow(found: NamedConcrete, layer_given: bool = False) -> dict[str, Any]:
         refuse(
             "concrete flow",
             ", ".join(missing),
-            f"is missing in {found.name}, but discrete elements need it",
-            "add it to the file's section 'flow', or give the section 'elements'",
+            f"missing in the concrete {found.name!r}, but needed by discrete elements",
+            "add what is missing to the section 'flow' of the concrete's file, or add a section 'elements'",
         )
     for name, plain in (("slip_flow_index", 1.0), ("slip_quadratic_viscosity", 0.0)):
         if flow.get(name, plain) != plain and not layer_given:

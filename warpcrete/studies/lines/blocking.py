@@ -39,6 +39,8 @@ FRICTION = 0.5
 With this friction, stones of one size block a funnel if it is up to three times as wide as they are, which is the limit
 of ACI 304.2R for crushed stones. With the friction of 0.05 of Zhan et al. (2019), stones of half the bore passed.
 """
+MODULUS = 2e6
+"""Smallest elastic modulus of the stones [Pa], with which that funnel was simulated; softer ones squeeze through."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 
@@ -158,7 +160,8 @@ def _parameters(
     if given.contact is not None:
         return own
     wall = given.friction if given.wall_friction is None else given.wall_friction
-    return own | {"friction": max(given.friction, FRICTION), "wall_friction": wall}
+    stiff = max(given.modulus, MODULUS)
+    return own | {"friction": max(given.friction, FRICTION), "wall_friction": wall, "modulus": stiff}
 
 
 def _counted(study: Study, part: Part, elements: Elements) -> BlockingProbability:

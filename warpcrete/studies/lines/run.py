@@ -68,7 +68,7 @@ def run_line(
             "known",
             str(known),
             "is not the folder of a line with simulated parts",
-            "give one that contains a folder 'parts'",
+            "give the folder of an earlier 'warpcrete line', which contains a folder 'parts'",
         )
     if not simulate:
         return line_by_theory(line, concrete, flow, out=out, layer_factor=layer_factor, variants=variants, stop=stop)
