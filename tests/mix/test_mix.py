@@ -411,3 +411,28 @@ def test_laws_that_a_mix_cannot_have(section, says):
     with pytest.raises(SceneError) as caught:
         mix_of({"density": 2300, **section})
     assert str(caught.value).startswith(says) and "\n" not in str(caught.value)
+
+
+def test_age_and_temperature_are_factors_that_a_file_states(tmp_path):
+    """They scale stresses and viscosities of bulk and layer once, in scenes, records, lines and elements."""
+    path = tmp_path / "old.yaml"
+    path.write_text("base: no1\nsource: measured after 60 min\nflow: {yield_factor: 1.5, viscosity_factor: 1.2}\n")
+    fresh, old = scenes.tube().concrete, scenes.tube(concrete=path).concrete
+    assert (old.yield_stress, old.slip_yield) == (1.5 * fresh.yield_stress, 1.5 * fresh.slip_yield)
+    assert (old.viscosity, old.slip_viscosity) == (1.2 * fresh.viscosity, 1.2 * fresh.slip_viscosity)
+    again = scenes.tube(**scenes.tube(concrete=path).parameters).concrete
+    assert again == old == concrete_of(str(path)) and scenes.slump(concrete=path).concrete == old
+    assert scenes.tube(concrete=path, yield_factor=1.0).concrete.yield_stress == fresh.yield_stress
+    elements = scenes.pipe(concrete=path, size_max=0.016).parameters
+    assert elements["layer_viscosity"] == pytest.approx(1.2 * fresh.slip_viscosity / COVERAGE)
+    law = {"flow_index": 0.8, "slip_quadratic_viscosity": 100.0}
+    thin = scenes.channel(viscosity_factor=2.0, **law).concrete
+    assert (thin.flow_index, thin.slip_quadratic_viscosity) == (0.8, 200.0)
+    assert scenes.channel(yield_factor=1, viscosity_factor=1).concrete == scenes.channel().concrete
+    mix = written(tmp_path, {"density": 2300, "concrete": {"yield_stress": 40, "viscosity": 25}},
+                  flow={"yield_factor": 2})  # fmt: skip
+    assert scenes.tube(concrete=mix).concrete.yield_stress == 80.0
+    for given, says in (({"yield_factor": 0.0}, "yield_factor = 0.0: must be"),
+                        ({"viscosity_factor": 2e3}, "viscosity_factor = 2000.0: is impossible")):  # fmt: skip
+        with pytest.raises(SceneError, match=says):
+            scenes.tube(**given)

@@ -87,6 +87,10 @@ def test_the_default_bend_is_at_least_two_diameters_wide():
         ),
         ({"hose": "8 kg"}, r"hose: length = '8 kg': must be a number with one of m, mm"),
         ({"hose": 0}, r"hose: length = 0\.0: must be a finite number above 0 m"),
+        (
+            {"straight": {"length": 12, "5 m": None}},
+            r"straight: key = '5 m': must be one of .*put an amount with a decim",
+        ),
         ({"bend": 45}, r"bend: to = 45: must be one of up, down, left"),
         ({"bend": "rigth"}, r"bend: to = 'rigth': must be one of .*did you mean 'right'\?"),
     ],

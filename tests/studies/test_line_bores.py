@@ -36,7 +36,7 @@ def test_a_bore_is_read_beside_its_line(tmp_path):
     theory, known = (
         run_line(each, concrete_of("no1"), FLOW, simulate=False).losses for each in (read_line(site), cone)
     )
-    assert theory[1].friction == pytest.approx(known[0].friction, rel=1e-12)
+    assert theory[1].friction == pytest.approx(known[0].theory, rel=1e-12)
     before = part.mesh.digest
     tube(tmp_path / "valve.stl", [0.0625, 0.0501], lids=True)
     assert read_line(site).parts[1].mesh.digest != before

@@ -433,6 +433,9 @@ def calibrate_command(arguments: tuple[str, ...]) -> None:
 
 LINE_HELP = """Compute the pressure that a pipeline needs: `warpcrete line LINE.yaml [options]`.
 
+Without a file, a straight line and a slump suffice: `warpcrete line --slump 180mm --stone 20mm --diameter 125mm
+--length 190m --rise 20m --flow 30m3/h`.
+
 The file lists the parts of the pipeline in order. The answer comes at once, from theory and from factors of earlier
 simulations. With --simulate, each different part is simulated once as a flow; a straight pipe is simulated once and its
 pressure scaled with its length. --method dem simulates the parts with discrete elements, --method both with both
@@ -463,6 +466,9 @@ A bore is a mesh of the inner surface that begins at its origin and leads along 
 folder of LINE.yaml. Its outlet has the diameter of the line unless `outlet` is given. The mesh must hold the bore
 alone; straight pipe is added before and behind it.
 
+Rules of practice say whether the mix may block the narrowest part. --blocking 50 also simulates that part with 50 seeds
+and prints the probability of a blockage.
+
 To simulate a short line as one scene: warpcrete run part --line LINE.yaml, as a flow or with --method dem.
 
 Values without a unit are in m, m3/s, Pa and degrees. The exit code is 3 if a check of a part failed.
@@ -470,7 +476,13 @@ Values without a unit are in m, m3/s, Pa and degrees. The exit code is 3 if a ch
 
 
 @cli.command("line", help=LINE_HELP)
-@click.argument("line", type=str)
+@click.argument("line", type=str, required=False)
+@click.option("--diameter", help="Inner diameter of a straight line without a file, such as '125 mm'")
+@click.option("--length", help="Length of a straight line without a file, such as '190 m'")
+@click.option("--rise", help="Height of the end of a line without a file above its start  [default: 0 m]")
+@click.option("--slump", help="Slump of a concrete of which nothing else is known, such as '180 mm'")
+@click.option("--spread", help="Spread of a concrete of which nothing else is known, such as '600 mm'")
+@click.option("--stone", help="Size of the largest stone, such as '20 mm'")
 @click.option("--concrete", help="Concrete, instead of the line's: no1, no2, no3, or a file with a section 'flow'; "
               "with --method dem, zhan or another concrete of the scene 'pipe'")  # fmt: skip
 @click.option("--flow", help="Volume flow, instead of the line's, such as '30 m3/h'")
@@ -524,8 +536,11 @@ Values without a unit are in m, m3/s, Pa and degrees. The exit code is 3 if a ch
 @click.option("--pump-flow", help="Largest flow of the pump, such as '90 m3/h'")
 @click.option("--pump-power", help="Power of the pump's motor, such as '110 kW'")
 @click.option("--practice", is_flag=True, help="Compare the result with the rules of AIJ, JSCE and JGJ/T 10")
+@click.option("--blocking", type=click.IntRange(1, 10_000), help="Simulate the narrowest part with this number of "
+              "seeds by discrete elements, stones in their true size, and print the probability that it is blocked; "
+              "meant for a GPU")  # fmt: skip
 @click.option("--quiet", is_flag=True, help="Show no progress bar")
-def line_command(line: str, **settings: Any) -> None:
+def line_command(line: str | None, **settings: Any) -> None:
     _part("line").run(line, **settings)
 
 

@@ -107,7 +107,7 @@ def line_rules(line: PipeLine, mix: MixEntries | None) -> list[RuleVerdict]:
 
 def narrowest(line: PipeLine) -> Part:
     """Return the narrowest part of a line; of several equally narrow ones a reducer, a bend, or else the first."""
-    order = {"reducer": 0, "bore": 1, "bend": 2}
+    order = {"reducer": 0, "bore": 1, "bend": 2, "valve": 9}
     return min(line.parts, key=lambda part: (round(part.narrow, 9), order.get(part.kind, 3), part.number))
 
 

@@ -21,6 +21,7 @@ from ..theory.pipe import Concrete, Line, Steady, restart, steady
 MIN_PARTICLES_ACROSS = 4  # Minimum number of particles across the pipe.
 ENDS = ("piston", "periodic")
 RESTED = Needs("rest", lambda rest: rest > 0, "is above 0")
+STRUCTURED = Needs("rest", lambda value: value > 0, "is above 0", ("rebuild_rate",))
 MAX_PARTICLES = 2**26
 """Maximum number of particles of a column; their neighbour lists still fit in the memory of today's largest GPU."""
 # Minimum length of a column in spacings. In a shorter column, piston and surface disturb the flow everywhere.
@@ -136,14 +137,20 @@ class FlowSettings(Declared):
         float, "Growth rate A_thix of the yield stresses at rest [Pa/s]; 0.1 to 1.7 (Roussel 2006)", Within(0), RESTED
     ] = 0.5
     breakdown: Annotated[
-        float, "Slip over which the layer's yield stress gained at rest falls to 1/e [m]", Above(), RESTED
+        float, "Slip over which the layer's yield stress gained at rest falls to 1/e [m]", Above(), STRUCTURED
     ] = 0.1
     breakdown_strain: Annotated[
         float,
         "Shear strain over which the bulk's yield stress gained at rest falls to 1/e, 1 / alpha (Roussel 2006)",
         Above(),
-        RESTED,
+        STRUCTURED,
     ] = 100.0
+    rebuild_rate: Annotated[
+        float,
+        "Rate at which the yield stresses of bulk and slip layer also grow while the concrete flows, A_thix [Pa/s]; "
+        "0: structure breaks down only",
+        Within(0),
+    ] = 0.0
     tolerated_error: Annotated[
         float | None,
         "Error against theory that the checks accept; default: 0.01 in 2D, 0.02 in 3D, 0.03 in two phases",
@@ -190,18 +197,19 @@ class FluidScene(Parametrised, FlowSettings):
         positive("length", self.length, "m")
         positive("velocity", self.velocity, "m/s", "a concrete at rest needs no simulation")
         positive("spacing", self.spacing, "m")
-        if self.aggregates is not None and (self.rest or self.step_error):
-            name = "rest" if self.rest else "step_error"
+        if self.aggregates is not None and (self.rest or self.step_error or self.rebuild_rate):
+            name = next(each for each in ("rest", "step_error", "rebuild_rate") if getattr(self, each))
             refuse(
                 name, getattr(self, name), "works only on a grid, which cannot have aggregates", "leave one of them out"
             )
-        if self.ends == "piston" and self.rest:
-            refuse(
-                "rest",
-                self.rest,
-                "works only on a grid, which can track the breakdown of the structure",
-                "use ends = periodic, or 0",
-            )
+        for name in ("rest", "rebuild_rate"):
+            if self.ends == "piston" and getattr(self, name):
+                refuse(
+                    name,
+                    getattr(self, name),
+                    "works only on a grid, which can track the breakdown of the structure",
+                    "use ends = periodic, or 0",
+                )
         if self.ends == "piston" and self.step_error:
             refuse("step_error", self.step_error, "works only on a grid; a column on a piston has equal steps",
                    "use ends = periodic, or 0")  # fmt: skip
@@ -262,6 +270,11 @@ class FluidScene(Parametrised, FlowSettings):
     def gained(self) -> float:
         """Increase of the yield stresses during the rest before the start [Pa]."""
         return self.thixotropy * self.rest
+
+    @property
+    def is_structured(self) -> bool:
+        """True if the yield stresses change during the flow, so that closed forms do not hold."""
+        return self.gained > 0 or self.rebuild_rate > 0
 
     def theory(self) -> Steady:
         """Return the steady state of the flow by closed-form theory."""

@@ -48,3 +48,15 @@ def combined(value: float, ends: Mapping[str, tuple[float, float]]) -> Band:
     if logarithmic:
         return Band(value, value * math.exp(-down), value * math.exp(up), shares)
     return Band(value, value - down, value + up, shares)
+
+
+def wilson_interval(hits: int, count: int, deviations: float = 1.959964) -> tuple[float, float]:
+    """Return the confidence interval of a probability from `hits` among `count` independent trials.
+
+    The interval is that of Wilson (J. Am. Stat. Assoc. 22 (1927) 209), which stays inside 0 to 1 and is meaningful for
+    no hits at all. The confidence is 95 % for 1.96 `deviations` of a normal distribution.
+    """
+    share, squared = hits / count, deviations**2
+    middle = (share + squared / (2 * count)) / (1 + squared / count)
+    half = deviations * math.sqrt(share * (1 - share) / count + squared / (4 * count**2)) / (1 + squared / count)
+    return max(middle - half, 0.0) if hits else 0.0, min(middle + half, 1.0) if hits < count else 1.0

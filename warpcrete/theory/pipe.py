@@ -241,6 +241,20 @@ def _narrowed(excess: Callable[[float], float], low: float, high: float) -> tupl
     return low, high
 
 
+def scaled(concrete: Concrete, yield_factor: float, viscosity_factor: float) -> Concrete:
+    """Return the concrete at another age or temperature, which multiplies its constants by stated factors.
+
+    `yield_factor` scales the yield stresses of bulk and slip layer, `viscosity_factor` all their viscosities. Flow
+    indices are kept. There is no built-in relation for the factors, because they depend on cement and admixtures.
+    """
+    if yield_factor == viscosity_factor == 1.0:
+        return concrete
+    stresses = ("yield_stress", "slip_yield")
+    viscosities = ("viscosity", "quadratic_viscosity", "slip_viscosity", "slip_quadratic_viscosity")
+    changes = {name: yield_factor * getattr(concrete, name) for name in stresses}
+    return replace(concrete, **changes, **{name: viscosity_factor * getattr(concrete, name) for name in viscosities})
+
+
 def after_rest(concrete: Concrete, rest: float, thixotropy: float) -> Concrete:
     """Return the concrete after `rest` [s], when the yield stresses of bulk and slip layer have grown by A_thix t.
 

@@ -69,6 +69,8 @@ LIMITS = {
     "flow_index": Limit(0.1, 4.0, "it is 1 for a Bingham fluid, below 1 if concrete thins, above 1 if it thickens",
                         (0.3, 2.5), "1"),
     "slip_flow_index": Limit(0.1, 4.0, "it is 1 for a linear layer, below 1 for paste that thins", (0.3, 2.5), "1"),
+    "yield_factor": Limit(1e-3, 1e3, "a factor of 1 leaves the yield stresses as they are", (0.1, 10.0), "1"),
+    "viscosity_factor": Limit(1e-3, 1e3, "a factor of 1 leaves the viscosities as they are", (0.1, 10.0), "1"),
     "length": Limit(1e-4, 1e4, "the longest pumping lines are 2000 m", None, "m"),
     "bend_radius": Limit(1e-4, 1e4, "bends of pumping lines have radii of 0.2 to 5 m", (0.02, 50.0), "m"),
     "size_max": Limit(1e-5, 1.0, "coarse aggregate has sizes of 4 to 63 mm", (1e-4, 0.3), "m"),

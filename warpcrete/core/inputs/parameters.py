@@ -77,12 +77,20 @@ class OneOf:
 
 @dataclass(frozen=True)
 class Needs:
-    """Rule that a parameter has a meaning only if `test` holds for the value of another parameter, `field`."""
+    """Rule that a parameter has a meaning only if `test` holds for the value of another parameter, `field`.
+
+    If there are further parameters `others`, it is enough that `test` holds for one of them.
+    """
 
     field: str
     test: Callable[[Any], bool]
     words: str
     """Condition for the other parameter, in words that follow its name in a message."""
+    others: tuple[str, ...] = ()
+
+    def holds(self, value: Callable[[str], Any]) -> bool:
+        """Return whether the test holds; `value` returns the value of a parameter by its name."""
+        return any(self.test(value(name)) for name in (self.field, *self.others))
 
 
 @dataclass(frozen=True)
@@ -248,8 +256,9 @@ class Declared:
         """Refuse parameters that have no effect but differ from their defaults."""
         for name, field in declared_fields(type(self)).items():
             for rule in field.of_kind(Needs):
-                if getattr(self, name) != field.default and not rule.test(getattr(self, rule.field)):
-                    refuse(name, getattr(self, name), f"has no effect unless {rule.field} {rule.words}",
+                if getattr(self, name) != field.default and not rule.holds(lambda each: getattr(self, each)):
+                    either = " or ".join((rule.field, *rule.others))
+                    refuse(name, getattr(self, name), f"has no effect unless {either} {rule.words}",
                            f"leave it out, or change {rule.field}")  # fmt: skip
 
 
@@ -413,7 +422,7 @@ class SceneFunction(Generic[P, S]):
             if name not in known and any(name.startswith(f"{each}_") for each in composite):
                 return name in self.fields({each: values[each] for each in composite if each in values})
             rules = known[name].of_kind(Needs) if name in known else iter(())
-            return all(rule.test(converted(rule.field)) for rule in rules)
+            return all(rule.holds(converted) for rule in rules)
 
         def converted(name: str) -> object:
             return held(name) if name in composite else known[name].converted(held(name), name)

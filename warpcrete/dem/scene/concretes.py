@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ...core.errors import refuse
+from ...core.inputs.amounts import amount
 from ...core.inputs.concretes import NamedConcrete, known_only
 from ...core.inputs.limits import warn
-from ...mix.mix import completed
+from ...mix.mix import FACTORS, completed
 
 SIZES = ("sizes", "size_min", "size_max")
 """Names of the parameters that set the sizes of the aggregates."""
@@ -69,9 +70,10 @@ def _of_flow(found: NamedConcrete, layer_given: bool = False) -> dict[str, Any]:
         if flow.get(name, plain) != plain and not layer_given:
             refuse(f"concrete flow {name}", flow[name], "describes a slip layer that discrete elements do not have: "
                    "theirs is linear", "give layer_yield and layer_viscosity in the section 'elements'")  # fmt: skip
+    stiffer, thicker = (amount(f"concrete flow {name}", flow.get(name, plain), "1") for name, plain in FACTORS.items())
     return {
         "bulk_density": flow["density"],
         "wall_friction": 0.0,
-        "layer_yield": flow["slip_yield"] / COVERAGE,
-        "layer_viscosity": flow["slip_viscosity"] / COVERAGE,
+        "layer_yield": stiffer * flow["slip_yield"] / COVERAGE,
+        "layer_viscosity": thicker * flow["slip_viscosity"] / COVERAGE,
     }

@@ -254,7 +254,7 @@ def run_elements(
     jobs = []
     for seed in range(elements.seeds):
         for key, part in kinds.items():
-            own = _parameters(part, key[-1] == PRESSED_RUN, line, concrete, flow, elements, seed)
+            own = part_parameters(part, key[-1] == PRESSED_RUN, line, concrete, flow, elements, seed)
             jobs.append((key, seed, modules()[SCENE].scene(**own)))
     runs: dict[tuple[Any, int], Any] = {}
     new = []
@@ -294,7 +294,7 @@ def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
             yield (*straight.loss_key, PRESSED_RUN), straight
 
 
-def _parameters(
+def part_parameters(
     part: Part, pressed: bool, line: PipeLine, concrete: str, flow: float, elements: Elements, seed: int
 ) -> dict[str, Any]:
     """Return the scene parameters that simulate a kind of part without weight."""

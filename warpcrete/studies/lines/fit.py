@@ -303,7 +303,8 @@ def _check_count(taps: Sequence[Tap], free: Sequence[int]) -> None:
     """Refuse points that are too few to determine the free constants with a band."""
     if len(taps) <= len(free):
         names = " and ".join(filter(None, (", ".join(NAMES[k] for k in free[:-1]), NAMES[free[-1]])))
-        refuse("fit", f"{len(taps)} points", f"must be at least {len(free) + 1} to determine {names} with a band",
+        counted = f"{len(taps)} point{'s' if len(taps) != 1 else ''}"
+        refuse("fit", counted, f"must be at least {len(free) + 1} to determine {names} with a band",
                "measure at more places, or at other flows")  # fmt: skip
 
 

@@ -1,0 +1,116 @@
+"""How often a reducer is blocked, over the bore in stones and over the share of stones in the concrete.
+
+Each stone is a hard core in a shell of Bingham mortar (contact law `mortar`). The shells are so thick that the cores
+fill the given share of the volume when the shells are packed. The reducer narrows from 1.3 times its outlet. A run
+counts as blocked if part of the concrete stands still during 0.7 diameters of piston travel while the pressure rises.
+
+    python notebooks/blocking_map.py --device cpu --seeds 2 --ratios 2 3 --shares 0.3 0.5      small, on a CPU
+    python notebooks/blocking_map.py --device cuda --seeds 50                                  whole map, on a GPU
+
+The runs are a study in the folder `--out`. The same command with `--resume FOLDER` continues it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from warpcrete import scenes
+from warpcrete.core.run.files import next_folder
+from warpcrete.core.units import number
+from warpcrete.studies.cases import Case
+from warpcrete.studies.study import Study, resume_study, run_listed
+from warpcrete.theory.bands import wilson_interval
+
+STONE = 0.016
+"""Diameter of the stones, without mortar [m]; their sizes are spread by a tenth."""
+PACKED = 0.60
+"""Share of the volume that the spheres with their shells fill in the pipe."""
+SPEED = 0.3
+"""Speed of the piston [m/s]."""
+RATIOS = (1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0)
+SHARES = (0.30, 0.35, 0.40, 0.45, 0.50, 0.55)
+MORTAR = dict(contact="mortar", contact_effective_modulus=2e6, contact_friction=0.5, contact_shell_modulus=5e5,
+              contact_yield_stress=50.0, contact_plastic_viscosity=5.0)  # fmt: skip
+"""Cores of 2 MPa with the friction of dry stones, in a mortar of 50 Pa and 5 Pa s.
+
+The shells are stiff. With soft shells the piston would push the stones together while the front stands still, but mortar
+is incompressible and cannot leave a full pipe.
+"""
+
+
+def shell(share: float) -> float:
+    """Return the thickness of two shells over the distance of two centres, for a `share` of stones in the volume."""
+    return 1 - (share / PACKED) ** (1 / 3)
+
+
+def parameters(ratio: float, share: float, seed: int) -> dict[str, Any]:
+    """Return the parameters of a run: an outlet `ratio` stones wide, and a `share` of stones in the concrete."""
+    outlet = ratio * STONE
+    inlet, size = 1.3 * outlet, STONE / (1 - shell(share))
+    return dict(
+        unit="horizontal", diameter=inlet, outlet_diameter=outlet, taper=outlet, straight=inlet, travel=2.5 * inlet,
+        ramp=0.25 * inlet, flow=SPEED * math.pi * inlet**2 / 4, sizes="uniform", size_min=0.9 * size,
+        size_max=1.1 * size, solid_fraction=PACKED, plug_ball=STONE / 2, bonds=False, gravity=0.0, settle=0.1,
+        contact_shell_fraction=shell(share), stop_when_blocked=True, blocked_travel=0.7 * inlet, seed=seed, **MORTAR,
+    )  # fmt: skip
+
+
+def cases(ratios: Sequence[float], shares: Sequence[float], seeds: int) -> list[Case]:
+    """Return one case for each ratio, share and seed."""
+    return [
+        Case(f"{ratio:g}-{share:g}-seed-{seed}", {"ratio": ratio, "share": share}, parameters(ratio, share, seed))
+        for ratio in ratios for share in shares for seed in range(seeds)
+    ]  # fmt: skip
+
+
+def table(study: Study) -> str:
+    """Return the map as a Markdown table: blocked runs of all runs, and the 95 % interval of the probability."""
+    found: dict[tuple[float, float], list[bool]] = {}
+    for case in study.cases:
+        if case.name in study.results:
+            key = case.varied["ratio"], case.varied["share"]
+            found.setdefault(key, []).append(bool(number(study.results[case.name]["blocked"])))
+    shares = sorted({share for _, share in found})
+    lines = ["| bore over stone | " + " | ".join(f"{100 * share:g} % stones" for share in shares) + " |"]
+    lines.append("|" + "---|" * (1 + len(shares)))
+    for ratio in sorted({ratio for ratio, _ in found}):
+        cells = []
+        for share in shares:
+            runs = found.get((ratio, share), [])
+            low, high = wilson_interval(sum(runs), len(runs)) if runs else (0.0, 1.0)
+            cells.append(f"{sum(runs)} of {len(runs)} ({100 * low:.0f} to {100 * high:.0f} %)" if runs else "failed")
+        lines.append(f"| {ratio:g} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run the map, or continue it, and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--ratios", type=float, nargs="+", default=RATIOS, help="bore over stone")
+    parser.add_argument("--shares", type=float, nargs="+", default=SHARES, help="share of stones in the volume")
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--device")
+    parser.add_argument("--processes", type=int, help="processes on a CPU")
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--resume", type=Path)
+    given = parser.parse_args()
+    module = scenes.modules()["part-dem"]
+    if given.resume:
+        study = resume_study(given.resume, module, processes=given.processes)
+    else:
+        study = run_listed(
+            "part-dem", module, cases(given.ratios, given.shares, given.seeds), device=given.device,
+            processes=given.processes, out=given.out or next_folder("blocking-map"), figure=False,
+        )  # fmt: skip
+    print(table(study))
+    for name, why in study.failures.items():
+        print(f"failed: {name}: {why}")
+    print(f"folder: {study.folder}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,28 @@
+"""Probability that the narrowest part of a line is blocked, for `warpcrete line --blocking`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ..core.run.progress import ProgressBar
+from ..studies.lines.blocking import run_blocking
+from ..studies.lines.elements import Elements
+from ..studies.lines.losses import PipeLine
+
+
+def run(line: PipeLine, name: str, rate: float, folder: Path, settings: Mapping[str, Any]) -> None:
+    """Simulate the narrowest part with many seeds and print the probability; `settings` are the command's options."""
+    elements = Elements(**{key: settings[key] for key in ("shapes", "coarse", "stiffer")})
+    progress = ProgressBar()
+    try:
+        found = run_blocking(
+            line, name, rate, settings["blocking"], out=folder, elements=elements, device=settings["device"],
+            processes=settings["threads"], progress=None if settings["quiet"] else progress,
+        )  # fmt: skip
+    finally:
+        progress.close()
+    click.echo("\n" + "\n".join(found.lines))

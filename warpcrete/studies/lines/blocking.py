@@ -1,0 +1,177 @@
+"""Probability that the narrowest part of a line is blocked: one run of discrete elements for each of many seeds.
+
+Each seed packs the stones differently. On a GPU all runs form one batch, on a CPU each process runs one at a time. The
+runs are a study in the line's folder, so an interrupted command continues with the seeds that are missing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ...core.errors import between, refuse
+from ...core.run.files import write_json
+from ...core.units import number, quantity
+from ...dem.measure.blockage import STANDING_RATIO
+from ...mix.blocking import narrowest
+from ...scenes import modules
+from ...theory.bands import wilson_interval
+from ..cases import Case
+from ..study import Study, resume_study, run_listed
+from .elements import SCENE, Elements, part_parameters
+from .line_folder import PARTS
+from .losses import Part, PipeLine
+
+FOLDER = "blocking"
+"""Name of the study's folder among the parts of a line."""
+RECORD = "blocking-probability.json"
+STRAIGHT_DIAMETERS = 2.0
+"""Length of straight pipe before and behind the narrowest part [diameters]."""
+TRAVEL_DIAMETERS = 4.0
+"""Travel of the piston [diameters]. A blockage shows after two diameters of standing still at most."""
+MAX_SEEDS = 10_000
+FRICTION = 0.5
+"""Friction between stones, as of dry stones: an arch forms where the mortar has been squeezed out between them.
+
+With this friction, stones of one size block a funnel if it is up to three times as wide as they are, which is the limit
+of ACI 304.2R for crushed stones. With the friction of 0.05 of Zhan et al. (2019), stones of half the bore passed.
+"""
+Progress = Callable[[str, float, dict[str, Any]], None]
+
+
+@dataclass(frozen=True)
+class BlockingProbability:
+    """How many runs of the narrowest part of a line were blocked."""
+
+    part: Part
+    runs: int
+    """Number of finished runs."""
+    blocked: int
+    """Number of blocked runs."""
+    failed: int
+    """Number of runs that ended with an error, and do not count."""
+    short: int
+    """Number of runs that were not blocked, but ended while part of the concrete stood still."""
+    stones: int
+    """Number of stones in the first run."""
+    stone: float
+    """Largest stone as simulated [m]."""
+    coarse: float
+    """Factor by which the stones were enlarged."""
+    friction: float
+    """Friction between the stones."""
+
+    @property
+    def probability(self) -> float:
+        """Share of the finished runs that were blocked."""
+        return self.blocked / self.runs
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % confidence interval of the probability (Wilson 1927)."""
+        return wilson_interval(self.blocked, self.runs)
+
+    def record(self) -> dict[str, Any]:
+        """Return the contents of the JSON file."""
+        low, high = self.interval
+        return {
+            "part": {"number": self.part.number, "what": self.part.label, "bore": quantity(self.part.narrow, "m")},
+            "runs": self.runs, "blocked": self.blocked, "failed": self.failed, "standing_at_end": self.short,
+            "probability": self.probability, "low": low, "high": high, "interval": "Wilson 1927, 95 %",
+            "stones": self.stones, "largest_stone": quantity(self.stone, "m"), "coarse": self.coarse,
+            "friction": self.friction,
+        }  # fmt: skip
+
+    @property
+    def lines(self) -> list[str]:
+        """The result as lines of text."""
+        low, high = self.interval
+        ratio = self.stone / self.part.narrow
+        state = "was blocked in" if self.blocked else "not blocked:"
+        found = [
+            f"blocking by simulation: part {self.part.number}, {self.part.label}, {state} {self.blocked} of "
+            f"{self.runs} runs: probability {100 * self.probability:.3g} %, 95 % interval {100 * low:.2g} to "
+            f"{100 * high:.2g} % (Wilson 1927)",
+            f"{self.stones} stones up to {1e3 * self.stone:.3g} mm in a bore of {1e3 * self.part.narrow:.4g} mm "
+            f"({ratio:.2g}), with a friction of {self.friction:g} between them; elements show arches of stones, not "
+            "bleeding or priming",
+        ]
+        if self.coarse > 1:
+            found.append(f"stones are enlarged {self.coarse:g} times, which makes blocking likelier")
+        if self.failed:
+            found.append(f"{self.failed} runs failed and do not count")
+        if self.short:
+            found.append(f"{self.short} runs ended while part of the concrete stood still, and count as not blocked")
+        return found
+
+
+def run_blocking(
+    line: PipeLine,
+    concrete: str,
+    flow: float,
+    count: int,
+    *,
+    out: Path,
+    elements: Elements | None = None,
+    device: str | None = None,
+    processes: int | None = None,
+    progress: Progress | None = None,
+) -> BlockingProbability:
+    """Simulate the narrowest part of a line with `count` seeds at a `flow` [m3/s], and count the blocked runs.
+
+    The runs are stored in the folder `out` of the line, where an interrupted study continues. Stones keep their size
+    unless `elements` states a factor. Raises :class:`SceneError` for settings that cannot be simulated, and
+    `KeyboardInterrupt` if the study was interrupted.
+    """
+    between("blocking", count, 1, MAX_SEEDS)
+    elements = elements or Elements()
+    elements = replace(elements, coarse=elements.coarse or 1.0)
+    part = narrowest(line)
+    cases = [Case(f"seed-{seed}", {}, _parameters(part, line, concrete, flow, elements, seed)) for seed in range(count)]
+    folder = out / PARTS / FOLDER
+    module = modules()[SCENE]
+    if (folder / "study.json").is_file():
+        study = resume_study(folder, module, processes=processes, progress=progress)
+    else:
+        study = run_listed(
+            SCENE, module, cases, out=folder, device=device, processes=processes, progress=progress, figure=False
+        )
+    if not study.finished:
+        raise KeyboardInterrupt
+    found = _counted(study, part, elements)
+    write_json(out / RECORD, found.record())
+    return found
+
+
+def _parameters(
+    part: Part, line: PipeLine, concrete: str, flow: float, elements: Elements, seed: int
+) -> dict[str, Any]:
+    """Return the scene parameters of a run, which ends once the part is blocked."""
+    wide = max(part.diameter, part.outlet)
+    own = part_parameters(part, False, line, concrete, flow, elements, seed)
+    own |= {"straight": STRAIGHT_DIAMETERS * wide, "travel": TRAVEL_DIAMETERS * part.diameter,
+            "stop_when_blocked": True}  # fmt: skip
+    given = modules()[SCENE].scene.declared(own)
+    if given.contact is not None:
+        return own
+    wall = given.friction if given.wall_friction is None else given.wall_friction
+    return own | {"friction": max(given.friction, FRICTION), "wall_friction": wall}
+
+
+def _counted(study: Study, part: Part, elements: Elements) -> BlockingProbability:
+    results = list(study.results.values())
+    if not results:
+        first = next(iter(study.failures.values()), "")
+        refuse("blocking", len(study.cases), f"found nothing: no run finished; the first failed with: {first}")
+    blocked = [bool(number(result["blocked"])) for result in results]
+    given = modules()[SCENE].scene(**study.cases[0].parameters)
+    return BlockingProbability(
+        part=part, runs=len(results), blocked=sum(blocked), failed=len(study.failures),
+        short=sum(not stuck and result.get("slowest_advance", 1.0) < STANDING_RATIO
+                  for stuck, result in zip(blocked, results, strict=True)),
+        stones=int(results[0]["packing"]["bodies"]), stone=given.fill.sizes.largest, coarse=elements.coarse or 1.0,
+        friction=study.cases[0].parameters.get("friction", math.nan),
+    )  # fmt: skip
