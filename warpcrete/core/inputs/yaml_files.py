@@ -1,7 +1,5 @@
 # ruamel.yaml declares hardly any types.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
-# ruamel.yaml declares hardly any types.
-# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 """Reader and writer of YAML 1.2 files: the core schema without tags, with the line number of every entry."""
 
 from __future__ import annotations
