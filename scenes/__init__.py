@@ -75,7 +75,8 @@ def by_method(name: str, method: str) -> str:
         found = {"dem": plain}
     if method not in found:
         refuse("method", method, f"must be one of {', '.join(found)} for scene {name!r}" if found else
-               f"needs a scene, but there is no scene {name!r}", "'warpcrete list' shows all scenes")  # fmt: skip
+               f"cannot be chosen, because there is no scene {name!r}",
+               "'warpcrete list' shows all scenes")  # fmt: skip
     return found[method]
 
 

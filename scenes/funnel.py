@@ -50,7 +50,7 @@ def scene(parameters: FunnelParameters) -> FreeScene:
     narrow, brim, throat = given.outlet_width / 2, given.top_width / 2, given.outlet_height
     whole = throat + given.cone_height
     if given.spacing > min(given.outlet_width, given.breadth) / 4:
-        refuse("spacing", given.spacing, "must leave room for four cells across the outlet",
+        refuse("spacing", given.spacing, "is too coarse: at least four cells must fit across the outlet",
                f"use {min(given.outlet_width, given.breadth) / 4:.2g} m or less")  # fmt: skip
     # Fit a whole number of cells into the height of the funnel; a few more rows of cells lie above the funnel.
     rows = max(8, round(whole / given.spacing))

@@ -50,7 +50,7 @@ def scene(parameters: FunnelElements) -> Scene:
     given = parameters
     narrowest = min(given.outlet_width, given.breadth)
     if given.size_max > narrowest / 2:
-        refuse("size_max", given.size_max, "must leave room for two grains across the outlet",
+        refuse("size_max", given.size_max, "is too large: at least two grains must fit side by side in the outlet",
                f"use {narrowest / 2:.3g} m or less")  # fmt: skip
     narrow, brim = given.outlet_width / 2, given.top_width / 2
     throat, whole = given.outlet_height, given.outlet_height + given.cone_height

@@ -54,10 +54,12 @@ def scene(parameters: RingElements) -> Scene:
     if given.gap <= 0:
         fit = math.floor(math.pi / math.asin(min(given.bar_diameter / given.ring_diameter, 1.0)) - 1e-9)
         refuse("bars", given.bars, f"must leave gaps between bars of {given.bar_diameter:g} m on a ring of "
-               f"{given.ring_diameter:g} m", f"use {fit} or fewer" if fit >= 3 else "use a wider ring")  # fmt: skip
+               f"{given.ring_diameter:g} m", f"use {fit} or fewer" if fit >= 3 else
+               "increase 'ring_diameter', or reduce 'bar_diameter'")  # fmt: skip
     inner = given.ring_diameter - given.bar_diameter
     if inner < max(given.base_diameter, given.top_diameter) + 2 * given.size_max:
-        refuse("ring_diameter", given.ring_diameter, "must leave room for one grain between mould and bars",
+        refuse("ring_diameter", given.ring_diameter, "is too small: a grain of the size 'size_max' must fit between "
+                                                     "the mould and the bars",
                f"use {max(given.base_diameter, given.top_diameter) + 2 * given.size_max + given.bar_diameter:.3g} m "
                "or more")  # fmt: skip
     return lifted_cone(given, J_RING, (_bars(given),), "mould and bars")

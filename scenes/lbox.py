@@ -65,20 +65,27 @@ def scene(parameters: BoxParameters) -> FreeScene:
         refuse(
             "length",
             given.length,
-            "must be at least 0.1 m longer than the column",
+            f"must exceed 'column_width' = {given.column_width:g} m by at least 0.1 m",
             f"use {given.column_width + 0.3:g} m or more",
         )
     if given.column_height < given.opening + 0.05:
-        refuse("column_height", given.column_height, "must be at least 0.05 m above the opening", "use 0.6 m")
+        refuse(
+            "column_height",
+            given.column_height,
+            f"must exceed 'opening' = {given.opening:g} m by at least 0.05 m",
+            "use 0.6 m, the height of the standard box, or reduce 'opening'",
+        )
     if given.bars and given.spacing > given.bar_diameter / SEEN:
-        refuse("spacing", given.spacing, f"does not resolve bars of {1e3 * given.bar_diameter:g} mm",
-               f"use {given.bar_diameter / SEEN:.2g} m or less, or bars = 0")  # fmt: skip
+        refuse("spacing", given.spacing, f"is too coarse to represent bars of {1e3 * given.bar_diameter:g} mm",
+               f"use {given.bar_diameter / SEEN:.2g} m or less, or 'bars' = 0 for a box without bars")  # fmt: skip
     if given.opening < FEWEST * given.spacing:
-        refuse("opening", given.opening, f"must leave room for {FEWEST} cells", f"use {FEWEST * given.spacing:.2g} m, "
-               "or a finer spacing")  # fmt: skip
+        refuse("opening", given.opening, f"must be at least {FEWEST} cells high", f"use {FEWEST * given.spacing:.2g} m "
+                                                                                  "or more, "
+               "or a smaller 'spacing'")  # fmt: skip
     smallest = min(given.column_width, given.width / 2)
     if given.spacing > smallest / 4:
-        refuse("spacing", given.spacing, "must leave room for four cells across the column and half the box",
+        refuse("spacing", given.spacing, "is too coarse: at least four cells must fit across the column and across "
+                                         "half the box",
                f"use {smallest / 4:.3g} m or less")  # fmt: skip
     outermost = (given.bars - 1) / 2 * (GAPS[given.bars] + given.bar_diameter) + given.bar_diameter / 2
     if given.bars and outermost > given.width / 2:

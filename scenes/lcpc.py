@@ -96,7 +96,8 @@ class LongBox:
     def check_length(self) -> None:
         """Refuse a box in which the concrete cannot spread."""
         if self.length < self.column_length + 0.1:
-            refuse("length", self.length, "must be at least 0.1 m longer than the concrete at the start",
+            refuse("length", self.length, "must exceed the length of the concrete at the start, "
+                                          f"{self.column_length:g} m, by at least 0.1 m",
                    f"use {self.column_length + 0.3:g} m or more")  # fmt: skip
 
 
@@ -128,7 +129,8 @@ def scene(parameters: LongBoxFlow) -> FreeScene:
     given.check_length()
     smallest = min(given.column_length, given.height, given.width / 2)
     if given.spacing > smallest / 4:
-        refuse("spacing", given.spacing, "must leave room for four cells across the concrete and half the box",
+        refuse("spacing", given.spacing, "is too coarse: at least four cells must fit across the concrete and across "
+                                         "half the box",
                f"use {smallest / 4:.3g} m or less")  # fmt: skip
     # Fit a whole number of cells into the height of the concrete, which then has its full volume.
     gate, top, rows = given.column_length, given.height, round(given.height / given.spacing)
@@ -189,7 +191,8 @@ def scene_dem(parameters: LongBoxElements) -> Scene:
     gate, width, top = given.column_length, given.width, given.height
     narrowest = min(gate, width, top)
     if given.size_max > narrowest / 4:
-        refuse("size_max", given.size_max, "must leave room for four grains across the concrete at the start",
+        refuse("size_max", given.size_max, "is too large: at least four grains must fit side by side in the concrete "
+                                           "at the start",
                f"use {narrowest / 4:.3g} m or less")  # fmt: skip
     inside = prism(((0.0, 0.0), (gate, 0.0), (gate, top), (0.0, top)), width, (gate / 2, top / 2))
     shut = rectangle((gate, -width, -given.size_min), (0.0, 2 * width, 0.0), (0.0, 0.0, 2 * top))

@@ -104,7 +104,9 @@ def scene(parameters: PartParameters) -> PartScene:
     concrete = concrete_of(given.concrete, given.slip_thickness, **{name: getattr(given, name) for name in CONSTANTS})
     course = _unit(given) if given.line is None else _line(given)
     narrow = course.bores.smallest
-    Within(0, math.nextafter(narrow, 0), "less than the radius").check("slip_thickness", given.slip_thickness, " m")
+    Within(0, math.nextafter(narrow, 0), "use 0 for no slip layer, or less than the radius").check(
+        "slip_thickness", given.slip_thickness, " m"
+    )
     check_velocity("flow", given.flow, given.flow / (math.pi * narrow**2))
     bores = replace(course.bores, radii=tuple(radius - given.slip_thickness for radius in course.bores.radii))
     return PartScene(
@@ -153,29 +155,31 @@ def _check_wall(given: PartParameters) -> None:
         refuse(
             "outlet_diameter",
             given.outlet_diameter,
-            "has no effect with a wall, as the mesh has its own outlet",
+            "has no effect together with 'wall', because the mesh has its own outlet",
             "leave it out",
         )
     if given.slip_thickness > 0:
         refuse(
             "slip_thickness",
             given.slip_thickness,
-            "cannot be used with a wall",
-            "make the bore of the mesh narrower instead",
+            "cannot be combined with 'wall'",
+            "set 'slip_thickness' to 0, and narrow the bore of the mesh by the thickness instead",
         )
 
 
 def _mesh(given: PartParameters) -> _PipeCourse:
     """Return the course of a pipe that consists of the bore of a mesh file between two straight pipes."""
     if given.wall is None:
-        refuse("unit", given.unit, "needs a wall, the path of a mesh file", "set wall, or choose another unit")
+        refuse(
+            "unit", given.unit, "needs a mesh file", "set 'wall' to the path of the mesh file, or choose another 'unit'"
+        )
     _check_wall(given)
     bore = bore_of(("wall", "wall_scale"), Path(given.wall), given.wall_scale, ways=WAYS)
     if abs(bore.ends[0] / given.diameter - 1) > DIAMETER_TOLERANCE:
         refuse(
             "diameter",
             given.diameter,
-            f"differs from that of the mesh, {bore.ends[0]:.4g} m at its start",
+            f"differs from the diameter of the mesh at its start, {bore.ends[0]:.4g} m",
             "leave it out",
         )
     check_velocity("flow", given.flow, given.flow / (math.pi * min(bore.radii) ** 2))
@@ -193,8 +197,8 @@ def _mesh(given: PartParameters) -> _PipeCourse:
         refuse(
             "wall",
             given.wall,
-            f"comes within {gap:.3g} m of itself",
-            "use a smaller spacing or straight, or shorten it",
+            f"leads the pipe back to within {gap:.3g} m of itself",
+            "reduce 'spacing' or 'straight', or shorten the bore of the mesh",
         )
     bores = Bores((0.0,), (given.diameter / 2,))
     check_return(axis, Bores((0.0,), (wide,)), aside=INLET_RADIUS * wide + gap)
@@ -210,10 +214,11 @@ def _line(given: PartParameters) -> _PipeCourse:
     for part in line.parts:
         if part.mesh:
             refuse("line", line.name, f"has a bore from a mesh (part {part.number}), which this scene cannot simulate",
-                   "use 'warpcrete line' or --method dem, or replace it by a reducer")  # fmt: skip
+                   "use 'warpcrete line' or '--method dem', or replace the bore by a reducer")  # fmt: skip
         if part.layer != 1:
-            refuse(f"part {part.number}, hose: layer", part.layer, "must be 1, as a single slip layer is simulated",
-                   "leave it out, or use 'warpcrete line'")  # fmt: skip
+            refuse(f"part {part.number}, hose: layer", part.layer, "must be 1, because this scene simulates the same "
+                                                                   "slip layer in all parts",
+                   "leave out 'layer', or simulate the line with 'warpcrete line'")  # fmt: skip
     axis, bores = joined(line.axis), line.bores
     check_crossing(line, MIN_LEG_DISTANCE * given.spacing, "change the course of the line, or use a smaller spacing")
     check_return(axis, bores, aside=INLET_RADIUS * bores.radii[0] + MIN_LEG_DISTANCE * given.spacing)

@@ -113,6 +113,17 @@ def verification(module):
     return test_case
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config):
+    """Give each worker of `-n` a contiguous part of the tests, and let idle workers take over the rest of another's.
+
+    Tests of one file share kernels and fixtures. If they alternate between workers, as is usual, both workers compile
+    the same kernels at the same time, and both make the runs that a file's tests share.
+    """
+    if getattr(config.option, "dist", "no") == "load":
+        config.option.dist = "worksteal"
+
+
 def pytest_addoption(parser):
     parser.addoption(
         "--gpu", action="store_true", help="leave out what is on a CPU here as anywhere: cases of device cpu"

@@ -1,13 +1,21 @@
 """A small pumping scene for tests, the command as a user calls it, and waiting for what it does."""
 
+import contextlib
+import importlib
+import os
+import signal
 import subprocess
 import sys
+import tempfile
 import time
+import warnings
 
 import numpy as np
 import psutil
+import pytest
 import trimesh
 
+from warpcrete.cli import main
 from warpcrete.geometry.axis import Axis, Line
 
 # A thin, short pipe that runs in seconds.
@@ -19,7 +27,52 @@ TINY = dict(
 )
 
 
-def command(*arguments, timeout=300, **options):
+@contextlib.contextmanager
+def to_file(number, redirect):
+    """Redirect an output stream of this process, given by its file descriptor, and yield the file that receives it."""
+    kept = os.dup(number)
+    try:
+        with tempfile.TemporaryFile("w+", encoding="utf-8") as file, redirect(file):
+            os.dup2(file.fileno(), number)
+            yield file
+    finally:
+        os.dup2(kept, number)
+        os.close(kept)
+
+
+def command(*arguments):
+    """Call the `warpcrete` command in this process, which spares the start of an interpreter.
+
+    Returns exit code, standard output and standard error as :func:`command_process` does. Use that function where
+    the process itself matters: its folder, environment, signals or imports.
+    """
+    words, texts = ["warpcrete", *map(str, arguments)], []
+    handler, code = signal.getsignal(signal.SIGTERM), 0
+    with (
+        pytest.MonkeyPatch.context() as patched, warnings.catch_warnings(),
+        to_file(1, contextlib.redirect_stdout) as out, to_file(2, contextlib.redirect_stderr) as err,
+    ):  # fmt: skip
+        # Show the warnings that a Python program shows, whatever pytest makes of them.
+        warnings.simplefilter("default")
+        for kind in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
+            warnings.simplefilter("ignore", kind)
+        patched.setattr(sys, "argv", words)
+        # After a full disk, the command would end this process.
+        patched.setattr(importlib.import_module("warpcrete.cli.main"), "EXIT_TIMEOUT", 1e6)
+        try:
+            main()
+        except SystemExit as ended:
+            code = ended.code or 0
+        finally:
+            signal.signal(signal.SIGTERM, handler)
+        for file in (out, err):
+            file.seek(0)
+            texts.append(file.read())
+    return subprocess.CompletedProcess(words, code, *texts)
+
+
+def command_process(*arguments, timeout=300, **options):
+    """Call the `warpcrete` command in a process of its own, as a user does."""
     return subprocess.run(
         [sys.executable, "-c", "from warpcrete.cli import main; main()", *map(str, arguments)],
         capture_output=True,

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from pumping import wait_until
+from pumping import command, wait_until
 
 from warpcrete.cli.main import cli, help_text
 from warpcrete.scenes import modules
@@ -17,16 +17,12 @@ from warpcrete.scenes import modules
 COMMAND = [sys.executable, "-c", "from warpcrete.cli import main; main()"]
 
 
-def warpcrete(*arguments, **settings):
-    return subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=300, **settings)
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A finished run of a channel with two phases."""
     out = tmp_path_factory.mktemp("flow") / "run"
-    done = warpcrete("run", "channel", "--aggregates", "--spacing", 5e-3, "--duration", 0.05, "--frames", 100,
-                     "--colour", "phase", "--device", "cpu", "--out", out, "--quiet")  # fmt: skip
+    done = command("run", "channel", "--aggregates", "--spacing", 5e-3, "--duration", 0.05, "--frames", 100,
+                   "--colour", "phase", "--device", "cpu", "--out", out, "--quiet")  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "theory, plane: 9.423" in done.stdout and "FAIL" not in done.stdout
     return out
@@ -63,8 +59,8 @@ def test_usd_holds_the_particles_at_every_frame(folder):
 
 
 def test_a_run_is_repeated_from_its_folder(folder, tmp_path):
-    done = warpcrete("run", folder / "scene.json", "--no-rerun", "--no-usd", "--colour", "pressure", "--out",
-                     tmp_path / "again", "--quiet")  # fmt: skip
+    done = command("run", folder / "scene.json", "--no-rerun", "--no-usd", "--colour", "pressure", "--out",
+                   tmp_path / "again", "--quiet")  # fmt: skip
     assert done.returncode == 0, done.stderr
     one, two = (json.loads((f / "result.json").read_text())["state_hash"] for f in (folder, tmp_path / "again"))
     assert one == two
@@ -83,9 +79,9 @@ def test_an_interrupted_flow_goes_on(tmp_path):
     words = run.communicate(timeout=120)[0].decode()
     assert run.returncode == 130 and "continue with" in words
     assert not json.loads((out / "result.json").read_text())["finished"]
-    done = warpcrete("run", "--resume", out, "--quiet")
+    done = command("run", "--resume", out, "--quiet")
     assert done.returncode == 0, done.stderr
-    assert warpcrete(*options, "--out", whole).returncode == 0
+    assert command(*options, "--out", whole).returncode == 0
     assert series.read_text() == (whole / "series.csv").read_text()
     one, two = (json.loads((f / "result.json").read_text())["state_hash"] for f in (out, whole))
     assert one == two
@@ -93,7 +89,7 @@ def test_an_interrupted_flow_goes_on(tmp_path):
 
 def test_a_study_of_flows(tmp_path):
     out = tmp_path / "sweep"
-    done = warpcrete("study", "channel", "--spacing", 20e-3, 10e-3, "--device", "cpu", "--out", out, "--quiet")
+    done = command("study", "channel", "--spacing", 20e-3, 10e-3, "--device", "cpu", "--out", out, "--quiet")
     # Twenty millimetres are too coarse for the slip, and the study says so.
     assert done.returncode == 3, done.stderr
     assert done.stdout.splitlines()[-1].startswith("FAILED: checks of 1 of 2 cases: 001-spacing=0.02 (slip velocity)")
@@ -106,8 +102,8 @@ def test_a_study_of_flows(tmp_path):
 
 def test_a_failing_flow_harms_no_other_of_its_study(tmp_path):
     out = tmp_path / "sweep"
-    done = warpcrete("study", "channel", "--spacing", 20e-3, "--most-iterations", 3, 2000, "--device", "cpu", "--out",
-                     out, "--quiet")  # fmt: skip
+    done = command("study", "channel", "--spacing", 20e-3, "--most-iterations", 3, 2000, "--device", "cpu", "--out",
+                   out, "--quiet")  # fmt: skip
     assert done.returncode == 1 and "1 of 2 cases done, 1 failed" in done.stdout
     assert "failed: 001-maximum_iterations=3" in done.stdout and "did not converge in 3 iterations" in done.stdout
     assert json.loads((out / "002-maximum_iterations=2000" / "result.json").read_text())["finished"]
@@ -134,8 +130,8 @@ def test_bad_input_leaves_nothing(tmp_path, scene, options, words):
 
 
 def test_a_solve_that_fails_ends_the_run_with_its_history(tmp_path):
-    done = warpcrete("run", "channel", "--spacing", 5e-3, "--most-iterations", 3, "--device", "cpu", "--out",
-                     tmp_path / "run", "--quiet")  # fmt: skip
+    done = command("run", "channel", "--spacing", 5e-3, "--most-iterations", 3, "--device", "cpu", "--out",
+                   tmp_path / "run", "--quiet")  # fmt: skip
     assert done.returncode == 1
     assert "the viscosity solve did not converge in 3 iterations" in done.stderr and "; residual " in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1

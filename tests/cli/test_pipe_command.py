@@ -12,7 +12,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 from conftest import devices
-from pumping import command, open_tube, small_options, wait_until
+from pumping import command, command_process, open_tube, small_options, wait_until
 from test_recordings import columns
 
 
@@ -153,23 +153,13 @@ BAD = [
 
 
 @pytest.mark.parametrize(("options", "words"), BAD, ids=[" ".join(b[0]) for b in BAD])
-def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, options, words, capfd):
-    # In this process, to spare twenty interpreter starts.
-    from warpcrete.cli.main import main
-
+def test_bad_input_is_one_line_and_leaves_nothing(tmp_path, options, words, monkeypatch):
     folder = tmp_path / "run"
-    here = os.getcwd()
     small = small_options() if "--sizes" not in options else []
-    argv = ["warpcrete", "run", "pipe", *small, "--out", str(folder), "--quiet", *options]
-    os.chdir(tmp_path)
-    try:
-        with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as stop:
-            patch.setattr(sys, "argv", argv)
-            main()
-    finally:
-        os.chdir(here)
-    assert stop.value.code == 2
-    lines = [line for line in capfd.readouterr().err.splitlines() if not line.startswith("note:")]
+    monkeypatch.chdir(tmp_path)
+    done = command("run", "pipe", *small, "--out", folder, "--quiet", *options)
+    assert done.returncode == 2
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("note:")]
     assert len(lines) == 1 and lines[0].startswith("error: ") and words in lines[0]
     assert not list(tmp_path.iterdir())
 
@@ -282,7 +272,9 @@ def test_live_recording_reaches_a_running_viewer(tmp_path):
         assert wait_until(listening, 60)
         url = f"rerun+http://127.0.0.1:{port}/proxy"
         short = small_options(travel=0.005, ramp=0.002, settle=0.0)
-        done = command("run", "pipe", *short, "--out", tmp_path / "run", "--live", url, "--quiet", "--device", "cpu")
+        done = command_process(
+            "run", "pipe", *short, "--out", tmp_path / "run", "--live", url, "--quiet", "--device", "cpu"
+        )
         assert done.returncode == 0, done.stderr
         wanted = frames(tmp_path / "run" / "run.rrd")
         assert len(wanted) > 1
@@ -297,7 +289,9 @@ def test_absent_viewer_does_not_hold_up_the_run(tmp_path):
     folder = tmp_path / "run"
     url = f"rerun+http://127.0.0.1:{free_port()}/proxy"
     short = small_options(travel=0.005, ramp=0.002, settle=0.0)
-    done = command("run", "pipe", *short, "--device", "cpu", "--out", folder, "--live", url, "--no-usd", "--quiet")
+    done = command_process(
+        "run", "pipe", *short, "--device", "cpu", "--out", folder, "--live", url, "--no-usd", "--quiet"
+    )
     assert done.returncode == 0, done.stderr
     checked = subprocess.run(
         [sys.executable, "-m", "rerun", "rrd", "verify", str(folder / "run.rrd")], capture_output=True

@@ -37,6 +37,8 @@ def test_verify_writes_a_table_and_a_figure(tmp_path):
 
 def test_verify_refuses_what_it_does_not_know():
     done = command("verify", "--only", "nonsense")
-    assert done.returncode == 2 and "matches no case (elastic normal impact" in done.stderr
+    assert (
+        done.returncode == 2 and "matches no case; use part of one of these names: elastic normal impact" in done.stderr
+    )
     done = command("verify", "--device", "cuda:99")
     assert done.returncode == 2 and "Traceback" not in done.stderr

@@ -167,7 +167,7 @@ def test_a_foreign_or_altered_checkpoint_is_refused_with_the_reason(saved):
         arrays = dict(file)
     arrays["state/bodies/position"] = arrays["state/bodies/position"] + 1e-3
     np.savez(saved, **arrays)
-    with pytest.raises(RunFolderError, match="do not match its digest"):
+    with pytest.raises(RunFolderError, match="do not match its checksum"):
         Simulation(mixed_scene(), device="cpu").resume(saved)
     np.savez(saved, somebody="else")
     with pytest.raises(RunFolderError, match="is not a checkpoint of warpcrete"):

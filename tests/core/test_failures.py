@@ -149,7 +149,7 @@ def test_a_reducer_is_packed_inside_its_own_wall(tmp_path):
 def test_words_about_meshes_say_what_is_wrong_with_them(tmp_path):
     z = np.linspace(-0.05, 1.7, 40)
     bent = tube_of(tmp_path / "s.stl", z, np.full(40, 0.075), shift=lambda z: 0.2 * np.sin(2 * z))
-    with pytest.raises(SceneError, match=r"has gaps along the axis: \d+ of \d+ sections are open"):
+    with pytest.raises(SceneError, match=r"has gaps along the axis: \d+ of \d+ cross-sections are open"):
         scenes.pipe(wall=str(bent))
     for name, contents in (("noise.stl", os.urandom(800)), ("empty.stl", b""), ("words.stl", b"solid nothing\n")):
         (tmp_path / name).write_bytes(contents)
@@ -176,19 +176,19 @@ def test_a_checkpoint_that_is_cut_short_is_called_damaged(tmp_path):
 @pytest.mark.parametrize(
     ("scene", "options", "words"),
     [
-        ("channel", ["--aggregate-fraction", 0.2], "aggregate_fraction = 0.2: has no effect unless aggregates is on"),
-        ("tube", ["--mortar-viscosity", 90], "mortar_viscosity = 90.0: has no effect unless aggregates is on"),
-        ("pipe", ["--no-bonds", "--bond-modulus", 5], "bond_modulus = 5.0: has no effect unless bonds is on"),
-        ("pipe", ["--facets", 32], "facets = 32: has no effect unless wall is mesh"),
-        ("pipe", ["--hydration-modulus", 1e6], "hydration_modulus = 1000000.0: has no effect unless hydration is"),
-        ("pipe", ["--wall-scale", 0.001], "wall_scale = 0.001: has no effect unless wall is a file"),
-        ("pipe", ["--plug", "none", "--plug-pressure", 5], "plug_pressure = 5.0: has no effect unless plug is"),
-        ("pipe", ["--sizes", "5:0,20:1", "--size-max", 0.03], "size_max = 0.03: has no effect unless sizes is"),
-        ("tube", ["--time-step", 10], "time_step = 10.0: must be shorter, because the piston passes"),
-        ("channel", ["--radius", 0.05, "--diameter", 0.1], "radius = 0.05: is another name of diameter"),
-        ("channel", ["--mix", "no1", "--concrete", "no2"], "mix = 'no1': is another name of concrete"),
+        ("channel", ["--aggregate-fraction", 0.2], "aggregate_fraction = 0.2: has no effect unless 'aggregates' is on"),
+        ("tube", ["--mortar-viscosity", 90], "mortar_viscosity = 90.0: has no effect unless 'aggregates' is on"),
+        ("pipe", ["--no-bonds", "--bond-modulus", 5], "bond_modulus = 5.0: has no effect unless 'bonds' is on"),
+        ("pipe", ["--facets", 32], "facets = 32: has no effect unless 'wall' is mesh"),
+        ("pipe", ["--hydration-modulus", 1e6], "hydration_modulus = 1000000.0: has no effect unless 'hydration' is"),
+        ("pipe", ["--wall-scale", 0.001], "wall_scale = 0.001: has no effect unless 'wall' is a file"),
+        ("pipe", ["--plug", "none", "--plug-pressure", 5], "plug_pressure = 5.0: has no effect unless 'plug' is"),
+        ("pipe", ["--sizes", "5:0,20:1", "--size-max", 0.03], "size_max = 0.03: has no effect unless 'sizes' is"),
+        ("tube", ["--time-step", 10], "time_step = 10.0: must be shorter, because the piston moves"),
+        ("channel", ["--radius", 0.05, "--diameter", 0.1], "radius = 0.05: is another name of 'diameter'"),
+        ("channel", ["--mix", "no1", "--concrete", "no2"], "mix = 'no1': is another name of 'concrete'"),
         ("pipe", ["--velocity", 1e9], "velocity = 1000000000.0: must be in"),
-        ("pipe", ["--pipeline-other", "there"], "pipeline_other = 'there': needs the lengths of a pipeline"),
+        ("pipe", ["--pipeline-other", "there"], "pipeline_other = 'there': needs the length of pipe in a pipeline"),
         ("pipe", ["--unit", "C", "--plug", "plate"], "plug = 'plate': must not be a plate in a bend"),
     ],
 )
@@ -347,7 +347,7 @@ def test_a_wall_with_a_crack_is_refused_by_its_name(tmp_path):
     mesh = trimesh.load(path)
     mesh.update_faces(np.arange(len(mesh.faces)) != 500)
     mesh.export(path)
-    with pytest.raises(SceneError, match=r"crack\.stl.* is not closed: 3 border edges lie between its ends"):
+    with pytest.raises(SceneError, match=r"crack\.stl.* is not closed: 3 edges between its ends belong"):
         scenes.pipe(wall=str(path), length=0.3, travel=0.01, ramp=0.005)
 
 

@@ -142,7 +142,7 @@ def test_what_another_run_did_while_one_waited_for_the_folder_counts(tmp_path, m
         monkeypatch.setattr(FolderLock, "__init__", wait)
 
     late("result.json")
-    with pytest.raises(RunFolderError, match=r"exists already and holds a finished run"):
+    with pytest.raises(RunFolderError, match=r"exists already and contains a finished run"):
         flow(folder, going_on=True).begin(folder / "checkpoint.npz")
     (folder / "result.json").unlink()
     late()
@@ -259,7 +259,9 @@ class Failing(Recorder):
 @pytest.mark.parametrize("method", METHODS)
 def test_a_recording_that_fails_costs_itself_alone(tmp_path, whole, method):
     failing = Failing(method, ValueError("no paint"))
-    with pytest.warns(UserWarning, match="^Failing failed, and the run continues without it: no paint$") as told:
+    with pytest.warns(
+        UserWarning, match="^Failing failed, and the run continues without its output: no paint$"
+    ) as told:
         run = flow(tmp_path / "run", failing).run()
     assert run.finished and same(tmp_path / "run", whole) and len(told) == 1 and failing.closed == 1
 
@@ -416,7 +418,7 @@ def test_a_run_that_was_killed_before_its_first_checkpoint_is_begun_again(tmp_pa
     for again in (words, ["run", "--resume", str(folder), "--quiet"]):
         kill_early()
         other = CliRunner().invoke(cli, [*words, "--flow=0.002"])
-        assert "exists already and holds another run (its parameters differs)" in str(other.exception)
+        assert "exists already and contains another run (its parameters differs)" in str(other.exception)
         done = CliRunner().invoke(cli, again)
         assert done.exit_code == 3 and is_finished(folder), done.output  # a check fails: it is too short
         assert "exists already" in str(CliRunner().invoke(cli, words).exception)

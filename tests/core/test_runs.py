@@ -58,7 +58,7 @@ def test_a_killed_run_comes_back_as_far_as_it_got(ran, tmp_path):
     assert warpcrete.load(cut).series == {}
     for text in (b"time [s],pressure [Pa]\n1,two\n", b"time [s],pressure [Pa]\n1\n2\n", b"time [s]\n\xff\n"):
         (cut / "series.csv").write_bytes(text)
-        says = r"series\.csv': (is not a series of a run|cannot be read .line 2: is not UTF-8 text)"
+        says = r"series\.csv': (is not the table of a run's samples|cannot be read .line 2: is not UTF-8 text)"
         with pytest.raises(RunFolderError, match=says):
             warpcrete.load(cut)
 
@@ -66,11 +66,11 @@ def test_a_killed_run_comes_back_as_far_as_it_got(ran, tmp_path):
 def test_what_is_no_run_folder_is_refused(ran, tmp_path):
     with pytest.raises(RunFolderError, match=r"none': is not a folder$"):
         warpcrete.load(tmp_path / "none")
-    with pytest.raises(RunFolderError, match=r"is not a run folder \(it holds no scene\.json\)$"):
+    with pytest.raises(RunFolderError, match=r"is not the folder of a run \(it contains no scene\.json\)$"):
         warpcrete.load(tmp_path)
     study = tmp_path / "study"
     shutil.copytree(ran.folder, study / "001")
-    with pytest.raises(RunFolderError, match=r"holds no scene\.json\); its runs are in 001"):
+    with pytest.raises(RunFolderError, match=r"contains no scene\.json\); its runs are in 001"):
         warpcrete.load(study)
     (study / "parts").mkdir()
     (study / "001").rename(study / "parts" / "bend")
@@ -123,7 +123,7 @@ def test_a_viewer_says_what_it_lacks(ran, tmp_path, monkeypatch):
     monkeypatch.setattr("sys.platform", "linux")
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    with pytest.raises(RunFolderError, match=r"contains no run\.rrd; record one"):
+    with pytest.raises(RunFolderError, match=r"contains no recording \(run\.rrd\); record a new run"):
         ran.view()
     with pytest.raises(RunFolderError, match=r"the run has no folder"):
         Simulation(scenes.channel(duration=0.001, spacing=0.01, length=0.1), device="cpu", threads=1).run().view()

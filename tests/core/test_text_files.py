@@ -57,7 +57,7 @@ BAD = {
     "a: " + "[" * 5000 + "]" * 5000: "is nested too deeply",
     "? [1, 2]\n: 3\n": "line 1: has a key that is not text",
     "{a: 1}: 2\n": "line 1: has a key that is not text",
-    "a: &x [1, *x]\n": "line 1: has an alias that refers to itself",
+    "a: &x [1, *x]\n": "line 1: has an alias (*name) that refers to itself",
     "a: [1, 2": "line 1: is not valid YAML: expected ',' or ']'",
     "a:\tb\n\tc: 1\n": "is not valid YAML: found character '\\t'",
     "a: 1\n---\nb: 2\n": "line 2: is not valid YAML",
@@ -158,9 +158,9 @@ def test_every_command_opens_files_by_the_one_reader(arguments, tmp_path, monkey
 
 CSV = {
     "flow [m3/h],pressure [bar]\n10,3,10\n20,4,5\n": "line 2: has 3 values where the header names 2 columns; write",
-    "flow [m3/h],pressure [bar]\n10,3\n20\n": "line 3: has 1 values where the header names 2 columns; fill in all",
-    "flow [m3/h],flow [l/s],pressure [bar]\n10,3,1\n20,4,1\n": "has the column 'flow' twice; remove one of them",
-    "flow [m3/h];pressure [bar]\n10,3;1,5\n20;4\n": "separates columns by semicolons; separate them by commas",
+    "flow [m3/h],pressure [bar]\n10,3\n20\n": "line 3: has 1 values where the header names 2 columns; write one value",
+    "flow [m3/h],flow [l/s],pressure [bar]\n10,3,1\n20,4,1\n": "has the column 'flow' twice; remove or rename one",
+    "flow [m3/h];pressure [bar]\n10,3;1,5\n20;4\n": "separates columns by semicolons; separate columns by commas",
     'flow [m3/h],pressure [bar]\n"10,3",3\n20,4\n': "line 2: flow = '10,3 m3/h': must be a number",
     "": "contains no rows",
     "\n\n": "contains no rows",

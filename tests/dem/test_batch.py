@@ -134,7 +134,7 @@ def test_too_many_bodies_for_the_memory_are_refused(device, monkeypatch):
     model = build_model(scene, find_device(device), "float32")
     table = placed_bodies(scene)
     monkeypatch.setattr("warpcrete.dem.engine.memory.memory_free", lambda device: 20e3)
-    with pytest.raises(CapacityError, match=r"bodies = 64: need about .* GiB free; about \d+ of them would fit"):
+    with pytest.raises(CapacityError, match=r"bodies = 64: need about .* GiB free; about \d+ bodies would fit"):
         check_memory(model, table)
 
 

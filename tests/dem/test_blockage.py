@@ -1,6 +1,7 @@
 """A pipe that is blocked says so, where and why; one that is not does not."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -30,8 +31,14 @@ def closed(**changes):
     return dataclasses.replace(scene, walls=(*scene.walls, END))
 
 
+@functools.cache
+def uncut(device):
+    """A run that a closed end stops."""
+    return Simulation(closed(stop_when_blocked=True), device=device).run()
+
+
 def test_a_closed_pipe_is_blocked_at_its_end(device):
-    run = Simulation(closed(stop_when_blocked=True), device=device).run()
+    run = uncut(device)
     assert run.finished and run["blocked"] == 1.0
     # The plug's balls are squeezed against the end; the last of the concrete lies two balls before it.
     assert run["blocked_at"] == pytest.approx(0.245, abs=0.02)
@@ -69,7 +76,7 @@ class Cut(Recorder):
 
 @pytest.mark.parametrize("row", [12, 30])
 def test_a_resumed_run_finds_the_same(device, row, tmp_path):
-    whole = Simulation(closed(stop_when_blocked=True), device=device).run()
+    whole = uncut(device)
     path = tmp_path / "checkpoint.npz"
     first = Simulation(closed(stop_when_blocked=True), device=device, checkpoint_path=path, recorders=[Cut(row)])
     assert not first.run().finished

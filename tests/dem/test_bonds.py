@@ -9,6 +9,7 @@ from conftest import bonds_of, by_id, pair_history
 from test_contacts import MASS, RADIUS, two_spheres
 
 from warpcrete import Simulation, scenes
+from warpcrete.dem.engine.pairs import listed_pairs
 from warpcrete.dem.engine.state import State
 from warpcrete.dem.engine.state_data import state_hash
 from warpcrete.dem.engine.stepper import Stepper
@@ -195,6 +196,12 @@ def test_hydration_takes_the_fraction_asked_for(start):
     assert made == 3 * 11 * 12 * 12
     hydrated = stepper.hydrate(1, 2, 0.2, 7)
     assert abs(hydrated - 0.2 * made) < 4 * math.sqrt(made * 0.2 * 0.8)
+    # Bonds of a sphere are chosen independently of one another: of three, all are taken once in 125.
+    i, j, entry = listed_pairs(stepper.state)
+    number, taken = stepper.state.spheres.id.numpy(), bonds_of(stepper.state)[0][entry] == 2
+    for ends in (np.minimum(number[i], number[j]), np.maximum(number[i], number[j])):
+        count, chosen = np.bincount(ends), np.bincount(ends, taken)
+        assert (count == 3).sum() == 11**3 and 0 < (chosen[count == 3] == 3).sum() < 30
     soft = stepper.estimate()
     assert soft < 1e-5  # a gigapascal counts in the time step
 

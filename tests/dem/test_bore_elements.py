@@ -141,11 +141,11 @@ def test_the_wall_of_a_line_has_no_gap_and_a_mesh_stands_upright_in_it(tmp_path,
     "changed, words",
     [
         ({"size_max": 0.041}, r"^size_max = 0\.041: must be below the pipe's diameter, 0\.040\d* m"),
-        ({"unit": "vertical"}, r"^wall = '.*bore\.stl': needs unit mesh, not vertical; leave out unit"),
+        ({"unit": "vertical"}, r"^wall = '.*bore\.stl': can only be combined with 'unit' = mesh, not vertical"),
         ({"wall": "nowhere.stl"}, r"^wall = '.*nowhere\.stl': cannot be read"),
-        ({"outlet_diameter": 0.06}, r"^outlet_diameter = 0\.06: has no effect with a wall"),
-        ({"taper": 0.1}, r"^taper = 0\.1: has no effect unless outlet_diameter is given"),
-        ({"wall": None}, r"^wall_scale = 0\.001: has no effect unless wall is given"),
+        ({"outlet_diameter": 0.06}, r"^outlet_diameter = 0\.06: has no effect together with 'wall'"),
+        ({"taper": 0.1}, r"^taper = 0\.1: has no effect unless 'outlet_diameter' is given"),
+        ({"wall": None}, r"^wall_scale = 0\.001: has no effect unless 'wall' is given"),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused_in_one_line(tmp_path, changed, words):

@@ -410,7 +410,7 @@ def test_a_device_that_finds_a_step_unstable_leaves_it_to_the_host(like_a_gpu):
     stepper.take(1)
     mass = stepper.state.bodies.mass
     mass.assign(0.5 * mass.numpy())
-    with pytest.raises(InstabilityError, match="above the stable step of this scene"):
+    with pytest.raises(InstabilityError, match="above the largest stable time step of this scene"):
         stepper.advance(100 * stable)
     assert stepper.steps == 5
 

@@ -223,6 +223,19 @@ def test_mortar_yields_flows_and_hands_over_to_the_core(start):
         assert -force[0] == pytest.approx(shear, rel=1e-6)
 
 
+def test_shells_that_pull_keep_energy(start):
+    """Head on and without dashpots: kinetic and stored energy have one sum amid the contact and after it."""
+    law = BinghamMortar(shell_modulus=1e4, yield_stress=50.0, plastic_viscosity=0.0, friction=0.0,
+                        normal_damping_ratio=0.0)  # fmt: skip
+    stepper = start(two_spheres(velocity=(-0.1, 0.0, 0.0), contact=law, dt=2e-6))
+    before, stored = body_sums(stepper.model, stepper.state).kinetic_energy, []
+    while stepper.time < 8e-3:
+        stepper.take(400)
+        stored.append(contact_sums(stepper.model, stepper.state).elastic_energy)
+        assert body_sums(stepper.model, stepper.state).kinetic_energy + stored[-1] == pytest.approx(before, rel=1e-3)
+    assert max(stored) > 0.9 * before and stored[-1] == 0.0
+
+
 def test_plastic_shells_slip_in_the_direction_of_the_motion(start):
     """Slid along a wall the whole slider lies across the normal, what loaded it before is forgotten; the drag is that
     of the whole velocity."""

@@ -72,5 +72,5 @@ def test_a_body_that_no_contact_can_hold_ends_the_run(start):
 def test_a_wall_that_goes_further_than_a_radius_in_a_fixed_step_is_refused(start):
     wall = PlaneWall(name="piston", point=(0, 0, -0.1), normal=(0, 0, 1), motion=Prescribed(velocity=(0, 0, 50.0)))
     thrown(start, walls=(wall,), dt=1e-6)
-    with pytest.raises(SceneError, match=r"time_step = 0.0003: moves the wall 'piston' by 0.015 m a step"):
+    with pytest.raises(SceneError, match=r"time_step = 0.0003: moves the wall 'piston' by 0.015 m per step"):
         thrown(start, Contact(effective_modulus=1e3), (wall,), 3e-4, (0, 0, 0))

@@ -145,8 +145,8 @@ def test_short_stretches_are_told():
         (dict(outlet_diameter=0.02), r"^size_max = 0\.02: must be below the pipe's diameter, 0\.02 m"),
         (dict(unit="bend-level", elbow_radius=0.03), r"^elbow_radius = 0\.03: must exceed the pipe's radius"),
         (dict(ramp=0.1), r"^ramp = 0\.1: must not exceed the travel, 0\.04 m"),
-        (dict(taper=0.2), r"^taper = 0\.2: has no effect unless outlet_diameter is given"),
-        (dict(line="burj-khalifa"), r"^diameter = 0\.08: has no effect unless line is not given"),
+        (dict(taper=0.2), r"^taper = 0\.2: has no effect unless 'outlet_diameter' is given"),
+        (dict(line="burj-khalifa"), r"^diameter = 0\.08: has no effect unless 'line' is left out"),
         (dict(unit="up"), r"^unit = 'up': must be one of vertical"),
     ],
 )
@@ -158,7 +158,7 @@ def test_parts_that_cannot_be_are_refused_in_one_line(changes, told):
 @pytest.mark.parametrize(
     "parts, told",
     [
-        ("[{bend: {to: up, radius: 0.2}}, {straight: 1}]", "must begin and end straight: part 1 is a bend"),
+        ("[{bend: {to: up, radius: 0.2}}, {straight: 1}]", "with a straight part, but part 1 is a bend"),
         ("[{straight: 0.2}, {bend: {to: left, radius: 0.2}}, {bend: {to: left, radius: 0.2}}, {straight: 1}]",
          "returns across the plane of its inlet"),
     ],
@@ -222,7 +222,7 @@ def test_line_by_elements_refuses(tmp_path):
         (["--coarse", "0.5"], "coarse = 0.5"),
         (["--concrete", "nothing"], "concrete = 'nothing'"),
         (["--coarse", "6"], "size_max = 0.12: must be below the pipe's diameter"),
-        (["--theory"], "--theory: cannot be combined with --method dem or both"),
+        (["--theory"], "--theory: cannot be combined with '--method dem' or '--method both'"),
     ):
         command = ["line", str(tmp_path / "line.yaml"), "--method", "dem", "--out", str(tmp_path / "out"), *more]
         done = CliRunner().invoke(cli, command)
@@ -264,9 +264,9 @@ def test_a_hose_counts_its_length_its_bends_and_its_layer():
     "said, told",
     [
         ({"points": [[0, 1, 0], [0, 2, 0]]}, "begin at an angle of 90 degrees to the direction of the line"),
-        ({"points": [[1, 0, 0], [1.1, 0.02, 0], [1.15, 0.12, 0], [1.15, 1, 0]]}, "bend it to a radius of"),
-        ({"points": [[1, 0, 0], [1.01, 0, 0]]}, "half a diameter apart"),
-        ({"points": [[1, 0]]}, "must each have three lengths"),
+        ({"points": [[1, 0, 0], [1.1, 0.02, 0], [1.15, 0.12, 0], [1.15, 1, 0]]}, "bend the hose to a radius of"),
+        ({"points": [[1, 0, 0], [1.01, 0, 0]]}, "half a diameter, 0.05 m, apart"),
+        ({"points": [[1, 0]]}, "must each have three coordinates"),
         ({"points": "there"}, "must be a list of points"),
         ({"points": [[1, 0, "2 bar"]]}, "must be a number with one of m"),
         ({"points": [[1, 0, 0]], "layer": 0}, "layer = 0"),

@@ -1,5 +1,6 @@
 """The pumping scene: physics, units, walls from files."""
 
+import functools
 import math
 import sys
 
@@ -13,9 +14,15 @@ from warpcrete import SceneError, Simulation, scenes
 from warpcrete.geometry.axis import Arc, Axis, Line
 
 
+@functools.cache
+def pumped(device, unit):
+    """A run of a short pipe, which several tests look at."""
+    return Simulation(scenes.pipe(unit=unit, **SMALL), device=device).run()
+
+
 @pytest.mark.parametrize("unit", ["vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical"])
 def test_every_unit_pumps_and_balances_momentum(device, unit):
-    run = Simulation(scenes.pipe(unit=unit, **SMALL), device=device).run()
+    run = pumped(device, unit)
     assert run.finished and len(run.series["time"]) > 20
     for name, (passed, found) in sys.modules["warpcrete.scenes.pipe"].check(run).items():
         assert passed, f"{name}: {found}"
@@ -38,10 +45,8 @@ def test_weight_is_the_difference_between_vertical_at_rest_and_horizontal(device
 
 
 def test_mesh_pipe_agrees_with_analytic_pipe(device):
-    plateaus = []
-    for wall in ("analytic", "mesh"):
-        run = Simulation(scenes.pipe(unit="vertical", wall=wall, **SMALL), device=device).run()
-        plateaus.append(run.result["plateau_pressure"]["value"])
+    mesh = Simulation(scenes.pipe(unit="vertical", wall="mesh", **SMALL), device=device).run()
+    plateaus = [run.result["plateau_pressure"]["value"] for run in (pumped(device, "vertical"), mesh)]
     assert plateaus[1] == pytest.approx(plateaus[0], rel=0.03)  # twelve packings: 0.0 to 1.1, one 2.2 %
 
 
@@ -85,7 +90,7 @@ def test_pipe_from_an_stl_file(tmp_path, device):
     thick.export(tmp_path / "thick.stl")
     scenes.pipe(wall=str(tmp_path / "thick.stl"), wall_scale=0.001, **SMALL)
     with pytest.raises(
-        warpcrete.SceneError, match=r"has gaps along the axis: 15 of 15 sections are open .*0\.001 for mil"
+        warpcrete.SceneError, match=r"has gaps along the axis: 15 of 15 cross-sections are open .*0\.001 for mil"
     ):
         scenes.pipe(wall=str(tmp_path / "thick.stl"), **SMALL)
 
@@ -122,8 +127,9 @@ def test_elbow_axis_goes_through_its_pieces():
     assert tangents[3] == pytest.approx([1, 0, 0], abs=1e-12)
 
 
-def test_the_arc_length_of_points_beside_an_axis():
-    axis = Axis((0, 0, 0), (0, 0, 1), (Line(0.3), Arc(0.5, math.pi / 2, (1, 0, 0)), Line(0.4)))
+@pytest.mark.parametrize("before, after", [((Line(0.3),), (Line(0.4),)), ((), (Line(0.4),)), ((Line(0.3),), ())])
+def test_the_arc_length_of_points_beside_an_axis(before, after):
+    axis = Axis((0, 0, 0), (0, 0, 1), (*before, Arc(0.5, math.pi / 2, (1, 0, 0)), *after))
     s = np.linspace(-0.2, axis.length + 0.3, 60)
     points, _, normal, side = axis.frame(s)
     offset = 0.04 * np.cos(3 * s)[:, None] * normal + 0.05 * np.sin(2 * s)[:, None] * side
@@ -138,7 +144,7 @@ def test_layers_of_the_plug():
     scene = scenes.pipe(unit="C", plug_layers=4)
     one = scenes.pipe(unit="C", plug_layers=1)
     assert len(scene.bodies[0].positions) == 4 * len(one.bodies[0].positions)
-    with pytest.raises(SceneError, match="plug_layers = 2: has no effect unless plug is balls"):
+    with pytest.raises(SceneError, match="plug_layers = 2: has no effect unless 'plug' is balls"):
         scenes.pipe(plug="none", plug_layers=2)
 
 

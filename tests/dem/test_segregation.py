@@ -64,6 +64,12 @@ def test_front_and_rear():
     assert found["aggregate_front"] > 1.5 * found["aggregate_rear"]
 
 
+@pytest.mark.parametrize("count", [5, 10])
+def test_few_stones_are_cut_alike_at_both_ends(count):
+    found = of(ring(0.0, count=count, around=1), 0.016)
+    assert found["aggregate_front"] == pytest.approx(found["aggregate_rear"], rel=1e-9)
+
+
 def test_a_bend_is_measured_along_its_axis():
     bent = Axis((0, 0, 0), (0, 0, 1), (Arc(0.5, np.pi / 2, (1, 0, 0)),))
     s = np.linspace(0.02, 0.7, 60)
@@ -86,6 +92,15 @@ def test_large_stones_outside_small_ones_inside():
     mixed = of(centre, np.random.default_rng(1).permutation(size))
     assert mixed["mixing"] == pytest.approx(1.0, abs=0.03)
     assert of(centre, 0.01)["mixing"] == 1.0  # of one size
+
+
+def test_rings_of_the_mixing_index_have_equal_areas():
+    """Large stones fill the inner third of the area, which is one ring, or all of it but its outer half."""
+    random = np.random.default_rng(2)
+    s, area = random.uniform(0, 1, 3000), random.uniform(0, 1, 3000)
+    assert segregation.mixing(s, np.sqrt(area), area < 1 / 3) == pytest.approx(0.0, abs=1e-12)
+    # Half of the stones of the middle ring are large, those of the others all or none.
+    assert segregation.mixing(s, np.sqrt(area), area < 1 / 2) == pytest.approx(1 / 3, abs=0.03)
 
 
 def test_spheres_of_a_clump_share_its_volume(start):

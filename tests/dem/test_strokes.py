@@ -1,5 +1,6 @@
 """Pistons that stop: their motion, what a rest grows, and what a run makes of it."""
 
+import functools
 import math
 
 import numpy as np
@@ -71,7 +72,7 @@ def test_motion_with_stops_follows_its_closed_form(start, precision):
 
 def test_stops_that_cannot_be():
     with pytest.raises(
-        SceneError, match=r"stroke_time = 0.02: must be at least two ramps of 0.013 s; shorten the ramp"
+        SceneError, match=r"stroke_time = 0.02: must be at least two ramps of 0.013 s; reduce 'ramp_time'"
     ):
         moving_scene(stops=Stops(count=1, stroke_time=0.02, pause=0.0))
     with pytest.raises(SceneError, match="pause = -1"):
@@ -199,10 +200,14 @@ class CutAt(Recorder):
         simulation.stop_requested = row["time"] >= self.time
 
 
+@functools.cache
+def uncut(device):
+    return Simulation(scenes.pipe(rest=600.0, **STOPPING), device=device).run()
+
+
 @pytest.mark.parametrize("cut", [0.12, 0.17, 0.185])  # in the pause, just after the rest, on the way
 def test_a_run_cut_in_a_pause_or_after_a_rest_goes_on_with_the_same_bits(device, tmp_path, cut):
-    scene = scenes.pipe(rest=600.0, **STOPPING)
-    whole = Simulation(scene, device=device).run()
+    scene, whole = scenes.pipe(rest=600.0, **STOPPING), uncut(device)
     first = Simulation(scene, device=device, checkpoint_path=tmp_path / "c.npz", recorders=[CutAt(cut)])
     assert not first.run().finished
     second = Simulation(scene, device=device)
@@ -250,16 +255,28 @@ def test_peaks_and_what_is_held_of_made_up_strokes():
 @pytest.mark.parametrize(
     "bad, message",
     [
-        (dict(stroke=0.1), "stroke = 0.1: has no effect unless strokes is 2 or more"),
-        (dict(rest=10.0), "rest = 10.0: has no effect unless strokes is 2 or more"),
+        (dict(stroke=0.1), "stroke = 0.1: has no effect unless 'strokes' is 2 or more"),
+        (dict(rest=10.0), "rest = 10.0: has no effect unless 'strokes' is 2 or more"),
         (dict(strokes=2, pause=-0.1), "pause = -0.1: must be"),
-        (dict(strokes=2, pause=0.0, rest=5.0), "rest = 5.0: needs a stop before the last stroke; set a pause above 0"),
-        (dict(strokes=2, thixotropy=0.3), "thixotropy = 0.3: has no effect unless rest is above 0"),
+        (
+            dict(strokes=2, pause=0.0, rest=5.0),
+            "rest = 5.0: takes place in the last stop between strokes, and there is no stop; set 'pause' above 0",
+        ),
+        (dict(strokes=2, thixotropy=0.3), "thixotropy = 0.3: has no effect unless 'rest' is above 0"),
         (dict(strokes=2, rest=-1.0), "rest = -1.0: must be"),
         (dict(strokes=2, stroke=0.5), "stroke = 0.5: must hold two ramps of 0.3 m, one from rest and one to rest"),
-        (dict(strokes=2, stroke=0.7, travel=1.4), "travel = 1.4: is already set by 2 strokes of 0.7 m; leave out one"),
-        (dict(strokes=2, rest=9.0, bonds=False, concrete="zhan-table1"), "rest = 9.0: has no effect: there are"),
-        (dict(unit="C", strokes=2, stroke=0.4, ramp=0.1), "stroke = 0.4: times 2 must not exceed the bend's arc"),
+        (
+            dict(strokes=2, stroke=0.7, travel=1.4),
+            "travel = 1.4: is already set by 2 strokes of 0.7 m; leave out 'travel'",
+        ),
+        (
+            dict(strokes=2, rest=9.0, bonds=False, concrete="zhan-table1"),
+            "rest = 9.0: has no effect, because there are",
+        ),
+        (
+            dict(unit="C", strokes=2, stroke=0.4, ramp=0.1),
+            "stroke = 0.4: times 2 strokes must not exceed the length of the bend's arc",
+        ),
         (dict(strokes=0), "strokes = 0: must"),
     ],
 )

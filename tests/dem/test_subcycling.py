@@ -19,12 +19,14 @@ from warpcrete.dem.engine.model import build_model
 from warpcrete.dem.engine.state import State
 from warpcrete.dem.engine.state_data import state_hash
 from warpcrete.dem.engine.stepper import Stepper
+from warpcrete.dem.engine.subcycling import rounds_for
 from warpcrete.dem.measure.probes import body_sums, contact_sums
 from warpcrete.dem.scene import clumps
 from warpcrete.dem.scene.bodies import placed_bodies
 from warpcrete.dem.scene.scene import AxisDrive, Bodies, Bonds, Contact, Hydration, Scene, TimeStep
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.kernels.dem.bond_parallel import HYDRATED
+from warpcrete.kernels.dem.subcycling import RELAXATION
 
 SMALL = dict(length=0.12, diameter=0.06, ramp=0.02, travel=8e-3, settle=0.03, size_min=8e-3, size_max=12e-3)
 FOREVER = dict(tensile_strength=1e12, cohesion=1e12)
@@ -246,7 +248,7 @@ def test_what_a_stiff_bond_held_parts_at_the_first_look(device, way):
     scene = scene_of(rod(2, gap=-2e-4), modulus=1e7, contact=Contact(friction=0.2))
     scene = dataclasses.replace(scene, time_step=TimeStep(fixed=1e-5))
     with nullcontext() if device.startswith("cuda") else way():
-        stepper = bonded(scene, device, rounds=4)
+        stepper = bonded(scene, device, "float64" if way is nullcontext else "float32", rounds=4)
         stepper.take(3)
         pairs, held = stepper.state.pairs, stepper.batch.subcycles.arrays
         bond, history = pairs.bond.numpy(), pairs.history.numpy()
@@ -354,6 +356,14 @@ def test_who_asks_for_single_steps_gets_them(device):
     soft = scenes.pipe(**(stiff | dict(hydration_modulus=1e6)))
     for other in (single, damped, soft):
         assert not build_model(other, find_device(device), "float32").features.subcycling
+
+
+def test_rounds_are_the_fewest_that_are_stable():
+    """n rounds are stable if n^2 >= ratio^2 (1 + RELAXATION n)."""
+    for ratio in (0.3, 1.0, 2.5, 12.0, 80.0, 1000.0):
+        rounds = rounds_for(ratio)
+        stable = [n > 0 and n * n >= ratio * ratio * (1 + RELAXATION * n) for n in (rounds - 1, rounds)]
+        assert stable == [False, True], ratio
 
 
 def test_senseless_rounds_are_refused():

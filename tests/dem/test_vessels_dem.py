@@ -348,16 +348,16 @@ def test_walls_that_mortar_flows_along_hold_it_unless_said(name, given, grip):
     ("name", "given", "words"),
     [
         ("slump-dem", {"law": "glue"}, r"^law = 'glue': must be one of linear, bonds, mortar, plastic, rolling$"),
-        ("slump-dem", {"size_max": 0.05}, r"^size_max = 0\.05: must leave room for four grains .*; use 0\.025 m"),
+        ("slump-dem", {"size_max": 0.05}, r"^size_max = 0\.05: is too large: at least four grains .*; use 0\.025 m"),
         ("slump-dem", {"size_min": 0.02}, r"^size_max = 0\.016: must be at least size_min = 0\.02 m"),
         (
             "slump-dem",
             {"law": "linear", "rolling_friction": 0.3},
-            r"^rolling_friction = 0\.3: has no effect unless law",
+            r"^rolling_friction = 0\.3: has no effect unless 'law'",
         ),
         ("slump-dem", {"mould_grip": 3.0}, r"^mould_grip = 3\.0: must not exceed plate_grip = 2"),
         ("slump-dem", {"lift_time": 0.0}, r"^lift_time = 0\.0: must be a finite number above 0 s$"),
-        ("funnel-dem", {"size_max": 0.04}, r"^size_max = 0\.04: must leave room for two grains .*; use 0\.0325"),
+        ("funnel-dem", {"size_max": 0.04}, r"^size_max = 0\.04: is too large: at least two grains .*; use 0\.0325"),
         (
             "jring-dem",
             {"bars": 60},
@@ -366,15 +366,19 @@ def test_walls_that_mortar_flows_along_hold_it_unless_said(name, given, grip):
         (
             "jring-dem",
             {"ring_diameter": 0.2},
-            r"^ring_diameter = 0\.2: must leave room for one grain between .* use 0\.25 m or more$",
+            r"^ring_diameter = 0\.2: is too small: a grain of the size .* use 0\.25 m or more$",
         ),
         ("jring-dem", {"bars": 2}, r"^bars = 2: "),
         (
             "lbox-dem",
             {"length": 0.15},
-            r"^length = 0\.15: must be at least 0\.1 m longer than the column; use 0\.4 m or more$",
+            r"^length = 0\.15: must exceed 'column_width' = 0\.1 m by at least 0\.1 m; use 0\.4 m or more$",
         ),
-        ("lbox-dem", {"column_height": 0.1}, r"^column_height = 0\.1: must be at least 0\.05 m above the opening"),
+        (
+            "lbox-dem",
+            {"column_height": 0.1},
+            r"^column_height = 0\.1: must exceed 'opening' = .* m by at least 0\.05 m",
+        ),
     ],
 )
 def test_bad_input_is_refused_in_one_line(name, given, words):

@@ -266,6 +266,21 @@ def test_driven_plate_comes_to_rest_on_what_carries_it(start):
     assert force[0] == pytest.approx([0, 0, -load], rel=1e-4, abs=1e-9)
 
 
+def test_a_driven_plate_in_steps_of_many_sizes_moves_as_under_a_constant_force(start):
+    """Its speed is that of the middle of the last step, as in a leapfrog scheme."""
+    plate = PlaneWall(name="plate", point=(0, 0, 1), normal=(0, 0, 1),
+                      motion=Driven(direction=(0, 0, -1), force=3.0, mass=0.5))  # fmt: skip
+    sphere = Bodies(positions=[[0, 0, 2]], sizes=2 * RADIUS, density=DENSITY)
+    stepper = start(Scene(name="free", duration=1, walls=(plate,), gravity=(0, 0, 0), bodies=(sphere,),
+                          time_step=TimeStep(fixed=1e-5)))  # fmt: skip
+    for size in (1, 5, 2, 4, 3):
+        stepper.time_step = TimeStep(fixed=1e-5 * size)
+        stepper.choose_dt()
+        stepper.take(size)
+        middle = stepper.time - 0.5 * stepper.dt
+        assert -stepper.state.walls.velocity.numpy()[0, 2] == pytest.approx(3.0 / 0.5 * middle, rel=1e-9)
+
+
 @pytest.mark.parametrize("steps", [(5000,), (3, 1, 4, 2, 5) * 8], ids=["all alike", "of five sizes"])
 def test_wall_impulse_and_moment_are_those_of_the_forces(start, steps):
     # A sphere falls on a plane off its origin: impulse = change of momentum, moment = arm x force.

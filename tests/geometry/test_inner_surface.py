@@ -103,8 +103,8 @@ def test_the_inner_surface_keeps_the_facets_of_the_bore_alone(tmp_path):
     [
         (lambda x: x[:, 0] < 0.5, r"encloses the axis from 0 to 0\.50\d* m, but the part extends from 0 to 0\.6 m"),
         (lambda x: x[:, 0] > 0.1, r"encloses the axis from 0\.09\d* to 0\.6 m"),
-        (lambda x: (np.abs(x[:, 0] - 0.3) > 0.06) | (x[:, 1] < 0), r"has gaps along the axis: \d+ of \d+ sections are"),
-        (lambda x: (np.abs(x[:, 0] - 0.31) > 0.006) | (x[:, 1] < 0.049), r"is not closed: \d+ border edges lie"),
+        (lambda x: (np.abs(x[:, 0] - 0.3) > 0.06) | (x[:, 1] < 0), r"has gaps along the axis: \d+ of \d+ cross-sec"),
+        (lambda x: (np.abs(x[:, 0] - 0.31) > 0.006) | (x[:, 1] < 0.049), r"is not closed: \d+ edges between"),
     ],
 )  # fmt: skip
 def test_a_mesh_that_is_no_whole_bore_is_refused(tmp_path, cut, words):
@@ -151,7 +151,7 @@ def test_a_mesh_that_begins_before_its_origin_is_refused(tmp_path, begin):
     axis = Axis((begin, 0, 0), (1, 0, 0), (Line(0.6),))
     bent(tmp_path / "tube.stl", axis)
     for make in (scenes.part, scenes.part_dem):
-        with pytest.raises(SceneError, match="extends behind its origin, where it should begin; move it so that"):
+        with pytest.raises(SceneError, match="extends behind its origin, where it should begin; move the mesh so that"):
             make(wall=str(tmp_path / "tube.stl"))
 
 

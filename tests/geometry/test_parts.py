@@ -147,22 +147,22 @@ def test_frames_turn_places_and_turn_them_back():
 @pytest.mark.parametrize(
     "given, words",
     [
-        ({"spacing": 0.03}, "spacing = 0.03: must leave 6 cells"),
+        ({"spacing": 0.03}, "spacing = 0.03: is too coarse: at least 6 cells"),
         ({"time_step": 1.0, "duration": 3.0}, "time_step = 1.0: must be shorter, because concrete"),
         ({"elbow_radius": 0.04}, "elbow radius = 0.04: must exceed"),
         (
             {"outlet_diameter": 0.08, "unit": "mesh", "wall": "x.stl", "diameter": 0.1},
-            "outlet_diameter = 0.08: has no effect with a wall",
+            "outlet_diameter = 0.08: has no effect together with 'wall'",
         ),
         ({"angle": 170.0}, "angle = 170"),
         ({"flow": 0.0}, "flow = 0.0"),
         ({"unit": "sideways"}, "unit = 'sideways'"),
-        ({"straight": 0.05}, "straight = 0.05: is too short to measure the loss of a straight stretch"),
-        ({"unit": "horizontal", "straight": 0.05}, "measure the loss of a straight stretch, half of the pipe; use"),
+        ({"straight": 0.05}, "straight = 0.05: is too short to measure the pressure loss of straight pipe"),
+        ({"unit": "horizontal", "straight": 0.05}, "measure the pressure loss of straight pipe, half of the pipe; use"),
         ({"slip_thickness": 0.06, "slip_viscosity": 900.0}, "slip_thickness = 0.06"),
         ({"flow": float("nan")}, "flow = nan"),
         ({"wall": "nowhere.stl"}, "wall = 'nowhere.stl': cannot be read"),
-        ({"unit": "horizontal", "outlet_diameter": 0.08, "wall": "x.stl"}, "has no effect with a wall"),
+        ({"unit": "horizontal", "outlet_diameter": 0.08, "wall": "x.stl"}, "has no effect together with 'wall'"),
     ],
 )
 def test_what_is_no_part_is_refused(given, words):
@@ -180,10 +180,10 @@ def test_a_cone_may_stand_behind_a_bend_but_not_in_it():
     assert scenes.part(unit="vertical", outlet_diameter=0.1, straight=0.14, taper=0.1).bores.places[0] == 0.14
     assert scene.bore(np.array([0.5, 0.9 + arc, 1.2 + arc])) == pytest.approx([0.05, 0.045, 0.04])
     with pytest.raises(
-        SceneError, match=r"^bores = .*: must be constant in a bend; put the taper before or behind it$"
+        SceneError, match=r"^bores = .*: must be constant in a bend; put the taper before or behind the bend$"
     ):
         dataclasses.replace(scene, bores=Bores((0.5, 0.7), (0.05, 0.04)))
-    with pytest.raises(SceneError, match=r"^taper = 3\.0: must end in the part, which is 1\.\d+ m long"):
+    with pytest.raises(SceneError, match=r"^taper = 3\.0: must end before the end of the pipe, which is 1\.\d+ m long"):
         dataclasses.replace(scene, bores=Bores((1.0, 3.0), (0.05, 0.04)))
 
 
@@ -201,7 +201,7 @@ def test_a_mesh_that_is_no_pipe_about_the_axis_is_refused(tmp_path):
 
 def test_an_axis_that_begins_with_a_bend_is_refused():
     scene = scenes.part(**OWN | SHORT)
-    with pytest.raises(SceneError, match="must begin and end straight"):
+    with pytest.raises(SceneError, match="must begin and end with a straight piece"):
         dataclasses.replace(scene, axis=Axis((0, 0, 0), (0, 0, 1), scene.axis.pieces[1:]))
 
 

@@ -342,5 +342,5 @@ def test_unstable_fixed_step_is_refused_and_a_stable_one_is_not(start):
         )  # fmt: skip
 
     assert start(scene(0.999 * limit)).dt == 0.999 * limit
-    with pytest.raises(SceneError, match="above the stable step"):
+    with pytest.raises(SceneError, match="above the largest stable time step"):
         start(scene(1.001 * limit))

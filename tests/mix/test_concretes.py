@@ -106,8 +106,8 @@ def test_a_base_beside_the_file(tmp_path):
         ("elements: {friction: wet}", "friction = 'wet': must be a number"),
         ("colour: grey\nelements: {friction: 0.1}", "has the unknown key 'colour'"),
         ("base: zahn", "concrete base = 'zahn': must be one of"),
-        ("base: mine.yaml\nelements: {friction: 0.1}", "chain of more than 10 bases"),
-        ("flow: {density: 2300}", "slip_viscosity, slip_yield': is missing"),
+        ("base: mine.yaml\nelements: {friction: 0.1}", "chain of more than 10 files"),
+        ("flow: {density: 2300}", "slip_viscosity, slip_yield': missing"),
     ],
 )
 def test_wrong_files_are_refused_in_one_line(tmp_path, text, says):

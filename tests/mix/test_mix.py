@@ -170,6 +170,17 @@ def test_points_of_tribometer_and_viscometer():
     assert (mix["slip viscosity"].low, mix["slip viscosity"].high) == pytest.approx((0.3 * 900, 2 * 900))
 
 
+@pytest.mark.parametrize(("stresses", "student"), [((100, 141, 178), 12.706), ((100, 141, 178, 220), 4.303)])
+def test_a_line_through_several_points_has_the_interval_of_student(stresses, student):
+    """The standard error of a slope times the quantile for as many degrees of freedom as there are points less two."""
+    rate, stress = np.arange(1.0, 1 + len(stresses)), np.array(stresses)
+    slope, offset = np.polyfit(rate, stress, 1)
+    variance = np.sum((stress - slope * rate - offset) ** 2) / (len(rate) - 2)
+    error = math.sqrt(variance / np.sum((rate - rate.mean()) ** 2))
+    found = mix_of({"density": 2300, "viscometer": np.transpose([rate, stress]).tolist()})["viscosity"]
+    assert found.value == pytest.approx(slope) and found.high - slope == pytest.approx(student * error, rel=2e-3)
+
+
 def test_the_viscosity_is_a_guess_if_nothing_tells_it():
     assert mix_of({"density": 2300, "slump": "100 mm"})["viscosity"].way.startswith("assumption")
 
@@ -295,33 +306,33 @@ def test_theory_says_how_far_a_fit_is_off(tmp_path):
     ("section", "says"),
     [
         ({}, "mix = {}: is empty"),
-        (["density"], "mix = ['density']: must hold 'key: value' lines"),
+        (["density"], "mix = ['density']: must consist of 'key: value' lines"),
         (SPREADING | {"density": "1e400 kg/m3"}, "mix density = '1e400 kg/m3': must be a number"),
         ({"density": 2300}, "mix = 'density': does not determine the yield stress of the concrete"),
         ({"spread": 0.6}, "mix density = None: must be given"),
         ({"densty": 2300}, "mix key = 'densty': must be one of density"),
         (SPREADING | {"density": 2.3},
-         "mix density = 2.3: must be in [1000, 5000] kg/m3; write another unit as in '2.35 t/m3'"),
+         "mix density = 2.3: must be in [1000, 5000] kg/m3; write units other than kg/m3 behind the"),
         (SPREADING | {"density": "2300 kg/cm3"}, "mix density = '2300 kg/cm3': must be a number with one of kg/m3"),
         (SPREADING | {"spread": "60 mn"}, "mix spread = '60 mn': must be a number with one of m, mm, cm"),
         (SPREADING | {"spread": 600}, "mix spread = 600.0: must be in [0.35, 1.2] m"),
         (SPREADING | {"spread": 0.45}, "mix t500 = '4 s': needs a final spread of 500 mm or more"),
         ({"density": 2300, "t500": 3}, "mix t500 = 3: needs a final spread"),
         ({"density": 2300, "slump": "29.5 cm"},
-         "mix slump = 0.295: must be in [0.01, 0.29] m; use spread for softer concrete"),
+         "mix slump = 0.295: must be in [0.01, 0.29] m; write the unit, as in '180 mm', and give 'spread'"),
         ({"density": 2300, "slump": "50 mm", "spread": "700 mm"}, "contradicts"),
-        (SPREADING | {"aggregate": 0.7}, "mix aggregate = 0.7: is 0.7 of the volume: more than loosely packed stones"),
-        (SPREADING | {"aggregate": "57 %"}, "is 0.57 of the volume: more than loosely packed stones fill, 0.57"),
-        (SPREADING | {"aggregate": 950}, "mix aggregate = 950: must be a share of the volume up to 1, or have a unit"),
-        (SPREADING | {"aggregate": "1900 kg/m3"}, "is 0.717 of the volume: more than loosely packed stones"),
-        (SPREADING | {"aggregate": "0.4", "density": 1700}, "mix density = 1700.0: leaves a mortar of 1067 kg/m3"),
-        (SPREADING | {"parts": {"cement": 300, "water": 200}}, "= 2300.0: contradicts its parts, which add up to 500"),
+        (SPREADING | {"aggregate": 0.7}, "mix aggregate = 0.7: is 0.7 of the volume, more than the share 0.57"),
+        (SPREADING | {"aggregate": "57 %"}, "is 0.57 of the volume, more than the share 0.57 that"),
+        (SPREADING | {"aggregate": 950}, "mix aggregate = 950: must be a share of the volume, below 1, or"),
+        (SPREADING | {"aggregate": "1900 kg/m3"}, "is 0.717 of the volume, more than the share 0.57"),
+        (SPREADING | {"aggregate": "0.4", "density": 1700}, "mix density = 1700.0: leaves 1067 kg/m3 for the density"),
+        (SPREADING | {"parts": {"cement": 300, "water": 200}}, "= 2300.0: contradicts 'parts', which add up to 500"),
         (SPREADING | {"sieve": {4: 0, 8: 0.6, 12: 0.5, 16: 1}}, "falls from 0.6 at 8 mm to 0.5 at 12 mm"),
         (SPREADING | {"sieve": {4: 0.1, 16: 1}}, "must rise from 0 to 1"),
-        (SPREADING | {"sieve": {0.063: 0, 4: 0.4, 16: 1}}, "has fines: grains below about 4 mm are part of the mortar"),
+        (SPREADING | {"sieve": {0.063: 0, 4: 0.4, 16: 1}}, "begins below 1 mm, but sand belongs to the mortar"),
         (SPREADING | {"sieve": {16: 0, 4: 1}}, "must have increasing openings above 0"),
-        (SPREADING | {"sieve": {4: 0, 16: 1}, "sizes": [0.004, 0.016]}, "is given together with sieve"),
-        (SPREADING | {"sizes": [5, 20]}, "mix sizes, the largest = 20.0: must be in [0.001, 0.3] m; write"),
+        (SPREADING | {"sieve": {4: 0, 16: 1}, "sizes": [0.004, 0.016]}, "is given together with 'sieve'"),
+        (SPREADING | {"sizes": [5, 20]}, "largest of mix sizes = 20.0: must be in [0.001, 0.3] m; write"),
         (SPREADING | {"shape": "pointy"}, "mix shape = 'pointy': must be one of spheres, round"),
         (SPREADING | {"mortar": {"viscosity": 9}}, "needs the share of coarse aggregate in the concrete"),
         (BULK | {"aggregate": 0.36, "mortar": {"viscosity": "40 Pa s", "uncertainty": 0.1}},
@@ -329,12 +340,12 @@ def test_theory_says_how_far_a_fit_is_off(tmp_path):
         (BULK | {"aggregate": 0.3, "mortar": {"density": 2600}}, "but the density of the mortar is given as 2600"),
         (BULK | {"concrete": {"viscosity": "40 Pa.m"}}, "mix concrete: viscosity = '40 Pa.m': must be a number"),
         (BULK | {"concrete": {"viscosity": 40, "yeild_stress": 6}}, "mix concrete: key = 'yeild_stress'"),
-        (BULK | {"layer": {"viscosity": 900}}, "must have yield_stress and viscosity, or points, or tribometer"),
+        (BULK | {"layer": {"viscosity": 900}}, "must have 'yield_stress' and 'viscosity', or 'points', or"),
         (BULK | {"layer": {"points": "none.csv", "diameter": 0.1, "length": 1}}, "none.csv': cannot be read"),
-        (BULK | {"layer": {"points": "points.csv", "length": 1}}, "mix layer: diameter = None: must be given"),
+        (BULK | {"layer": {"points": "points.csv", "length": 1}}, "mix layer: diameter = None: must be the diameter"),
         (BULK | {"layer": {"tribometer": [[0.1, 50]]}}, "must have two or more different values"),
         (BULK | {"layer": {"tribometer": [[0.1, 50], [0.3, 40]]}},
-         "mix slip viscosity = -50.0: is the result of a straight line"),
+         "mix slip viscosity = -50.0: follows from a straight line"),
         (BULK | {"concrete": {"yield_stress": 500}, "spread": "700 mm"},
          "contradicts 19.3 (17 to 26.7) Pa from spread of 700 mm; leave out"),
     ],
@@ -411,3 +422,28 @@ def test_laws_that_a_mix_cannot_have(section, says):
     with pytest.raises(SceneError) as caught:
         mix_of({"density": 2300, **section})
     assert str(caught.value).startswith(says) and "\n" not in str(caught.value)
+
+
+def test_age_and_temperature_are_factors_that_a_file_states(tmp_path):
+    """They scale stresses and viscosities of bulk and layer once, in scenes, records, lines and elements."""
+    path = tmp_path / "old.yaml"
+    path.write_text("base: no1\nsource: measured after 60 min\nflow: {yield_factor: 1.5, viscosity_factor: 1.2}\n")
+    fresh, old = scenes.tube().concrete, scenes.tube(concrete=path).concrete
+    assert (old.yield_stress, old.slip_yield) == (1.5 * fresh.yield_stress, 1.5 * fresh.slip_yield)
+    assert (old.viscosity, old.slip_viscosity) == (1.2 * fresh.viscosity, 1.2 * fresh.slip_viscosity)
+    again = scenes.tube(**scenes.tube(concrete=path).parameters).concrete
+    assert again == old == concrete_of(str(path)) and scenes.slump(concrete=path).concrete == old
+    assert scenes.tube(concrete=path, yield_factor=1.0).concrete.yield_stress == fresh.yield_stress
+    elements = scenes.pipe(concrete=path, size_max=0.016).parameters
+    assert elements["layer_viscosity"] == pytest.approx(1.2 * fresh.slip_viscosity / COVERAGE)
+    law = {"flow_index": 0.8, "slip_quadratic_viscosity": 100.0}
+    thin = scenes.channel(viscosity_factor=2.0, **law).concrete
+    assert (thin.flow_index, thin.slip_quadratic_viscosity) == (0.8, 200.0)
+    assert scenes.channel(yield_factor=1, viscosity_factor=1).concrete == scenes.channel().concrete
+    mix = written(tmp_path, {"density": 2300, "concrete": {"yield_stress": 40, "viscosity": 25}},
+                  flow={"yield_factor": 2})  # fmt: skip
+    assert scenes.tube(concrete=mix).concrete.yield_stress == 80.0
+    for given, says in (({"yield_factor": 0.0}, "yield_factor = 0.0: must be"),
+                        ({"viscosity_factor": 2e3}, "viscosity_factor = 2000.0: is impossible")):  # fmt: skip
+        with pytest.raises(SceneError, match=says):
+            scenes.tube(**given)

@@ -164,20 +164,43 @@ def test_a_part_has_the_friction_of_the_closed_form(device, law):
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("scene", ["slump", "funnel"])
-def test_thickening_concrete_slows_down_where_it_is_sheared_fast(device, scene):
+def test_thickening_concrete_spreads_more_slowly(device):
     """All three concretes have the same viscosity at a rate of 1/s; faster flows are slower in one that thickens."""
-    given = {"concrete": "own", "density": 2350.0, "viscosity": 20.0, "yield_stress": 20.0}
-    given |= {"slump": {"spacing": 0.0125, "duration": 1.5, "lift_time": 0.5}, "funnel": {"spacing": 0.016}}[scene]
+    given = {"concrete": "own", "density": 2350.0, "viscosity": 20.0, "yield_stress": 20.0, "spacing": 0.0125,
+             "duration": 1.5, "lift_time": 0.5}  # fmt: skip
     thick, plain, thin = (
-        Simulation(getattr(scenes, scene)(**given | {"flow_index": n}), device=device).run() for n in (1.5, 1.0, 0.6)
+        Simulation(scenes.slump(**given, flow_index=n), device=device).run().result["spread"]["value"]
+        for n in (1.5, 1.0, 0.6)
     )
-    if scene == "slump":
-        spreads = [run.result["spread"]["value"] for run in (thick, plain, thin)]
-        assert spreads[0] < 0.98 * spreads[1] < 0.96 * spreads[2]
-    else:
-        times = [run.result["funnel_time"]["value"] for run in (thick, plain, thin)]
-        assert times[0] > 1.3 * times[1] > 1.6 * times[2]
+    assert thick < 0.98 * plain < 0.96 * thin
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    "law", [{"flow_index": 1.5, "viscosity": 5.0}, {"flow_index": 0.6, "viscosity": 20.0},
+            {"quadratic_viscosity": 0.5, "viscosity": 10.0}], ids=names,
+)  # fmt: skip
+def test_a_funnel_empties_about_as_fast_as_ducts_in_a_row(device, law):
+    """The estimates are 0.93, 0.30 and 0.87 s; what they leave out makes Bingham fluids 1.0 to 1.3 times as slow."""
+    small = {"spacing": 0.015, "cone_height": 0.2, "outlet_height": 0.1, "top_width": 0.3, "outlet_width": 0.09,
+             "breadth": 0.12, "time_step": 4e-3}  # fmt: skip
+    scene = scenes.funnel(concrete="own", density=2300.0, yield_stress=0.0, **small, **law)
+    result = Simulation(scene, device=device).run().result
+    found, estimate = (result[f"funnel_time{end}"]["value"] for end in ("", "_theory"))
+    assert 0.8 * estimate < found < 1.5 * estimate  # measured 0.89, 1.33 and 0.89
+    assert abs(result["volume_error"]) < 0.04
+
+
+@pytest.mark.thorough
+def test_a_box_lets_thickening_concrete_through_more_slowly(device):
+    """A box without bars, in space, until the concrete has passed the gate."""
+    given = {"concrete": "own", "density": 2300.0, "viscosity": 20.0, "yield_stress": 30.0, "bars": 0,
+             "spacing": 0.02, "lift_time": 0.05, "duration": 0.4}  # fmt: skip
+    fronts = [
+        Simulation(scenes.lbox(**given, **law), device=device).run().series["front"][-1]
+        for law in ({"flow_index": 1.6}, {}, {"flow_index": 0.6})
+    ]
+    assert fronts[0] < fronts[1] < fronts[2]
 
 
 # The laws over cells.

@@ -235,7 +235,7 @@ def test_pressure_instead_of_flow_gives_the_flow_back(device):
         ),
         (dict(concrete="no4"), "concrete = 'no4'"),
         (dict(flow=0.0), "flow = 0.0"),
-        (dict(flow=1e-3, pressure=1e4), "cannot be combined with pressure"),
+        (dict(flow=1e-3, pressure=1e4), "cannot be combined with 'pressure'"),
         (dict(slip_thickness=3e-3), "slip_thickness"),
         (dict(time_step=0.1, sample_interval=0.2), "time_step = 0.1"),
         (dict(length=1e-3), "length"),

@@ -173,6 +173,23 @@ def test_small_steps_of_grains_are_not_lost_either(device, speed):
     assert moved[chosen].std() < 5e-8
 
 
+def test_grains_shift_with_their_particles_and_stop_at_the_wall(device):
+    """A shift of 2 mm towards one wall: grains follow it, and one whose particles would pass the limit rests there."""
+    flow = two_phase_flow(device)
+    start = flow.state.particles.position.numpy().copy()
+    flow.state.particles.velocity.assign(np.tile([0.0, flow.scene.velocity], (flow.state.count, 1)))
+    flow.fields.extra_displacement.assign(np.tile([2e-3, 0.0], (flow.state.count, 1)))
+    for name in ("bodies", "velocities", "advance", "places"):
+        stage_named(flow, name)()
+    after = flow.state.particles.position.numpy()
+    limit, stopped = flow.scene.radius - 0.25 * flow.state.layout.spacing, 0
+    for a, b in itertools.pairwise(flow.state.grains.first):
+        wanted = min(2e-3, limit - start[a:b, 0].max())
+        assert after[a:b] - start[a:b] == pytest.approx(np.tile([wanted, 0.0], (b - a, 1)), abs=1e-12)
+        stopped += wanted < 2e-3
+    assert 0 < stopped < 0.5 * flow.state.grains.count
+
+
 def test_grains_of_two_particles_turn_about_all_but_their_own_axis(device):
     scene = scenes.tube(spacing=10e-3, aggregates=True, aggregate_fraction=0.05)
     small = dataclasses.replace(scene.aggregates, sizes=((12e-3, 20e-3, 1.0),))

@@ -55,6 +55,15 @@ def test_structure_that_does_not_break_is_a_concrete_that_bears_more(device):
     assert grown.series["bulk_gained"][-1] == pytest.approx(300.0, rel=1e-6)
 
 
+@pytest.mark.thorough
+def test_structure_of_concrete_with_another_law_bears_more(device):
+    thick = SHEARED | dict(flow_index=1.3, slip_flow_index=0.8)
+    grown, scene = run("tube", device, **thick, rest=600.0, breakdown=1e4, breakdown_strain=1e9, duration=0.1)
+    plain, _ = run("tube", device, **thick | dict(yield_stress=400.0, slip_yield=1000.0), duration=0.1)
+    np.testing.assert_allclose(grown.series["pressure"], plain.series["pressure"], rtol=2e-3)
+    assert grown.series["pressure"][-1] == pytest.approx(scene.restart().pressure, rel=5e-3)
+
+
 def test_shear_breaks_the_bulk_where_it_is_sheared(device):
     simulation = Simulation(scenes.tube(**SHEARED, rest=600.0, breakdown=1e4, breakdown_strain=0.5, duration=0.1),
                             device=device)  # fmt: skip
@@ -113,10 +122,10 @@ def test_flows_that_never_rested_know_nothing_of_it(device):
 @pytest.mark.parametrize(
     "bad, message",
     [
-        (dict(ends="piston", rest=600.0), "rest = 600.0: works only on a grid"),
+        (dict(ends="piston", rest=600.0), "rest = 600.0: needs cells of a grid"),
         (dict(ends="periodic", rest=-1.0), "rest = -1.0: must be"),
         (dict(ends="periodic", rest=math.nan), "rest = nan: must be"),
-        (dict(ends="periodic", thixotropy=0.3), "thixotropy = 0.3: has no effect unless rest is above 0"),
+        (dict(ends="periodic", thixotropy=0.3), "thixotropy = 0.3: has no effect unless 'rest' is above 0"),
         (dict(ends="periodic", rest=5.0, breakdown=0.0), "breakdown = 0.0: must be"),
     ],
 )
@@ -140,5 +149,72 @@ def test_a_line_restarts_as_the_sum_of_its_parts():
     words = "after 10 min of rest, with a yield stress that grows by 0.3 Pa/s (theory), it starts to move at 198.2 ("
     assert found.exit_code == 0 and words in found.output
     bad = CliRunner().invoke(cli, ["line", "burj-khalifa", "--theory", "--thixotropy", "0.3"])
-    assert str(bad.exception) == "thixotropy = 0.3: needs the time of rest; add, for example, --rest 600"
+    assert (
+        str(bad.exception) == "thixotropy = 0.3: needs the duration of the rest; add, for example, --rest 600 for 600 s"
+    )
     assert bad.output == ""
+
+
+# Structure that also rebuilds while the concrete flows.
+
+
+@pytest.mark.parametrize("name, ways", [("tube", 2), ("channel", 1)])
+def test_a_layer_rebuilds_while_it_slips(device, name, ways):
+    """dG/dt = A - G V / breakdown in the layer, and dG/dt = A in a plug, from no structure at the start."""
+    found, scene = run(name, device, **PLUG, rebuild_rate=2000.0, breakdown=0.02, duration=0.1)
+    most, before = 2000.0 * 0.02 / scene.velocity, np.maximum(found.series["time"] - DT, 0.0)
+    layer = 20.0 + most * -np.expm1(-scene.velocity * before / 0.02)
+    exact = ways * scene.length / scene.radius * (layer + 1000.0 * scene.velocity)
+    np.testing.assert_allclose(found.series["pressure"][1:], exact[1:], rtol=3e-4)
+    after = most * -np.expm1(-scene.velocity * found.series["time"] / 0.02)
+    np.testing.assert_allclose(found.series["layer_gained"], after, rtol=3e-4, atol=1e-3)
+    np.testing.assert_allclose(found.series["bulk_gained"], 2000.0 * found.series["time"], rtol=1e-4, atol=1e-3)
+    assert "restart_pressure" not in found.result
+
+
+def test_a_rest_and_rebuilding_add_up(device):
+    found, scene = run("tube", device, **PLUG, rest=600.0, thixotropy=0.5, rebuild_rate=2000.0, breakdown=0.02,
+                       duration=0.05)  # fmt: skip
+    fall = np.exp(-scene.velocity * found.series["time"] / 0.02)
+    most = 2000.0 * 0.02 / scene.velocity
+    np.testing.assert_allclose(found.series["layer_gained"], most + (300.0 - most) * fall, rtol=3e-4)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name, power", [("tube", 2), ("channel", 1)])
+def test_steady_structure_bears_its_closed_form(device, name, power):
+    """Sheared concrete bears tau_0 + A / (alpha g) + mu g, which has a minimum; what bears less than it is a plug."""
+    rate, strain, viscosity, yields = 100.0, 0.5, 20.0, 40.0
+    given = PLUG | dict(viscosity=viscosity, yield_stress=yields, slip_viscosity=1e6, slip_yield=0.0, spacing=5e-3)
+    found, scene = run(name, device, **given, length=0.04, rebuild_rate=rate, breakdown_strain=strain, breakdown=1e-3,
+                       duration=2.0, time_step=1e-3, sample_interval=0.1)  # fmt: skip
+    least = yields + 2 * math.sqrt(viscosity * rate * strain)
+
+    def mean(stress):
+        s = least + (np.arange(20_000) + 0.5) / 20_000 * (stress - least)
+        over = s - yields
+        g = (over + np.sqrt(over**2 - 4 * viscosity * rate * strain)) / (2 * viscosity)
+        return scene.radius / stress ** (power + 1) * np.mean(s**power * g) * (stress - least)
+
+    low, high = least, 10 * least
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if mean(middle) < scene.velocity else (low, middle)
+    plain = found.result["wall_stress_theory"]["value"]
+    assert high > 1.02 * plain  # structure makes a difference
+    assert found.series["wall_stress"][-1] == pytest.approx(high, rel=3e-3)  # measured 1.1e-3
+
+
+@pytest.mark.parametrize(
+    "bad, message",
+    [
+        (dict(ends="piston", rebuild_rate=0.5), "rebuild_rate = 0.5: works only on a grid"),
+        (dict(ends="periodic", rebuild_rate=-1.0), "rebuild_rate = -1.0: must be"),
+        (dict(ends="periodic", breakdown=0.3), "breakdown = 0.3: has no effect unless rest or rebuild_rate is above 0"),
+        (dict(aggregates=True, rebuild_rate=0.5), "rebuild_rate = 0.5: works only on a grid"),
+    ],
+)
+def test_structure_that_cannot_rebuild_is_refused_in_one_line(bad, message):
+    with pytest.raises(SceneError) as caught:
+        scenes.tube(**bad)
+    assert str(caught.value).startswith(message) and "\n" not in str(caught.value)

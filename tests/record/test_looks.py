@@ -165,11 +165,17 @@ def test_a_profile_is_the_mean_velocity_of_rings(pumped):
     assert len(place) > 5 and place.max() < 1e3 * run.scene.pipe.radius
 
 
-@pytest.mark.parametrize("colouring", ["force", "speed", "size"])
-def test_colours_as_one_number_each_are_the_same_colours(colouring):
+@pytest.fixture(scope="module")
+def clumps():
+    """A short pipe of clumps, after its run."""
     simulation = Simulation(scenes.pipe(**SMALL | dict(travel=0.002, shapes="reference")), device="cpu")
     simulation.run()
-    display = simulation.display(colouring)
+    return simulation
+
+
+@pytest.mark.parametrize("colouring", ["force", "speed", "size"])
+def test_colours_as_one_number_each_are_the_same_colours(colouring, clumps):
+    display = clumps.display(colouring)
     red, green, blue = display.colours().astype(np.int64).T
     expected = ((red * 256 + green) * 256 + blue) * 256 + 255
     assert display.packed_colours().dtype == np.uint32 and np.array_equal(display.packed_colours(), expected)

@@ -271,7 +271,7 @@ def test_a_frame_that_cannot_be_drawn_costs_its_recording_alone(tmp_path, monkey
         scenes.pipe(**SMALL | dict(travel=0.02)), device="cpu", recorders=[recorder], frame_interval=1e-4,
         checkpoint_path=tmp_path / "checkpoint.npz", checkpoint_every=0.0,
     )  # fmt: skip
-    with pytest.warns(UserWarning, match="^UsdRecorder failed, and the run continues without it: no paint$"):
+    with pytest.warns(UserWarning, match="^UsdRecorder failed, and the run continues without its output: no paint$"):
         assert simulation.run().finished
     assert len(frames) == 3 and (tmp_path / "scene.usdc").is_file()
     assert not (tmp_path / "checkpoint.npz").exists()

@@ -268,7 +268,10 @@ def test_steps_of_a_file_for_paraview_are_the_same_however_they_came_in(tmp_path
 
 def test_paraview_says_what_it_needs(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(WarpcreteError, match=r"^paraview needs h5py; run pip install 'warpcrete\[paraview\]'$"):
+    with pytest.raises(
+        WarpcreteError,
+        match=r"^paraview: needs the package h5py, which is not installed; run pip install 'warpcrete\[paraview\]'$",
+    ):
         ParaViewRecorder(tmp_path)
 
 

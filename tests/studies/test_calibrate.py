@@ -16,9 +16,9 @@ from warpcrete.core.inputs.yaml_files import yaml_text
 from warpcrete.methods import method_of
 from warpcrete.scenes import modules
 from warpcrete.studies.calibration.calibrate import calibrate, resume_calibration
-from warpcrete.studies.calibration.posterior import confounded_pairs
+from warpcrete.studies.calibration.posterior import confounded_pairs, posterior
 from warpcrete.studies.calibration.report import concrete_of
-from warpcrete.studies.calibration.targets import read_task, task_of
+from warpcrete.studies.calibration.targets import FreeParameter, Target, Task, read_task, task_of
 from warpcrete.theory.pipe import CONCRETES
 
 SEARCH = importlib.import_module("warpcrete.studies.calibration.calibrate")
@@ -188,7 +188,7 @@ def test_a_quantity_that_no_run_comes_to(tmp_path, monkeypatch):
         return True
 
     monkeypatch.setattr(SEARCH, "run_round", run_round)
-    with pytest.raises(WarpcreteError, match="is missing in all 12 runs; reason in the first: stopped"):
+    with pytest.raises(WarpcreteError, match="is missing in all 12 runs; reason in the first run: stopped"):
         calibrate(one_pressure(), out=tmp_path / "out", device="cpu")
 
 
@@ -202,28 +202,28 @@ targets:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (("[500, 2000]", "[2000, 500]"), "must be [low, high] with low below high"),
+        (("[500, 2000]", "[2000, 500]"), "must begin with the lower number"),
         (("[500, 2000]", "{low: 0, high: 5, scale: log}"), "must be above 0 for a logarithmic scale"),
-        (("[500, 2000]", "much"), "must be [low, high], two finite numbers"),
-        (("[500, 2000]", "{low: 1, to: 3}"), "must have low and high"),
+        (("[500, 2000]", "much"), "must be two finite numbers"),
+        (("[500, 2000]", "{low: 1, to: 3}"), "must have 'low' and 'high'"),
         (("slip_viscosity", "slipviscosity"), "vary = 'slipviscosity': is not a parameter of tube"),
-        (("slip_viscosity: [500", "precision: [500"), "must be a numeric parameter"),
+        (("slip_viscosity: [500", "precision: [500"), "only numeric parameters"),
         (("slip_viscosity: [500, 2000]", "length: [-1, 2]"), "vary length = [-1.0, 2.0]: pressure of tube"),
         (("scene: tube", "scene: [tube]"), "target 1 scene = ['tube']: must be one of"),
         (("2%", "1.2.3%"), "uncertainty = '1.2.3%'"),
         (("tube", "tub"), "target 1 scene = 'tub': must be one of"),
         (("quantity: pressure", "quantity: colour"), "quantity = 'colour': is not measured in tube; must be one of"),
-        (("quantity: pressure, ", ""), "must have quantity"),
+        (("quantity: pressure, ", ""), "has no quantity; add what is missing"),
         (("value: 12e3", "value: .nan"), "line 4: has .nan, which is not a finite number"),
         (("value: 12e3", "value: high"), "target 1 value = 'high'"),
         (("2%", "-2%"), "uncertainty = '-2%': must be a number above 0"),
         (("2%", "0"), "uncertainty = 0: must be a number above 0"),
         (("concrete: no1}", "concrete: no1, slip_viscosity: 900}"), "cannot be both given here and varied"),
         (("concrete: no1}", "concrete: no9}"), "concrete = 'no9': must be one of"),
-        (("uncertainty: 2%", "uncertainty: 2%, held_out: true"), "held_out = True: must not be set for every target"),
+        (("uncertainty: 2%", "uncertainty: 2%, held_out: true"), "held_out = True: must not be true for all targets"),
         (("uncertainty: 2%", "uncertainty: 2%, held_out: 7"), "held_out = 7: must be true or false"),
         (("uncertainty: 2%", "sigma: 2%"), "is not a key of a target"),
-        (("targets:", "goals:"), "is not a key of a file of targets"),
+        (("targets:", "goals:"), "is not a key of the file of targets"),
         (("\nvary", "\nbase: nobody\nvary"), "concrete = 'nobody': must be one of"),
     ],
 )  # fmt: skip
@@ -345,3 +345,15 @@ def test_too_few_values_are_told(tmp_path, monkeypatch):
     monkeypatch.setattr(SEARCH, "run_round", run_round)
     with pytest.raises(WarpcreteError, match="was found in only 1 of 8 runs; reason in the first run without it: stop"):
         calibrate(one_pressure(), out=tmp_path / "out", device="cpu", trials=8)
+
+
+@pytest.mark.thorough
+def test_a_posterior_is_as_wide_as_the_measurement_is_uncertain():
+    """A quantity 0.3 + 0.4 u, measured as 0.5 +- 0.02, gives u = 0.5 +- 0.05; runs that scatter add little."""
+    target = Target("slump", "spread", 0.5, 0.02, {}, False, "m")
+    task = Task(None, (FreeParameter("yield_stress", 0.0, 1.0, False, False),), (target,))
+    random = np.random.default_rng(3)
+    points = random.uniform(0, 1, (24, 1))
+    found = posterior(task, points, {target: 0.3 + 0.4 * points[:, 0] + random.normal(0, 0.004, 24)}, seed=1)
+    assert found.samples.mean() == pytest.approx(0.5, abs=0.01)  # measured 0.498
+    assert found.samples.std() == pytest.approx(0.05, rel=0.15)  # measured 0.051

@@ -104,11 +104,11 @@ def test_features_are_those_that_are_compiled_in(device):
         features = explain(scene, device=device, cache=False)
         return {name for name, why in features.forecast.features.items() if why != "left out"}
 
-    bare = used(bonds=False, friction=0.0)
+    bare, usual = used(bonds=False, friction=0.0), used()
     assert {"shear history", "rotation", "bonds", "clumps", "drives", "healing", "energy balance"}.isdisjoint(bare)
-    assert used() - bare == {"shear history", "rotation", "bonds", "drives"}
-    assert used(healing=True, shapes="reference", energy_balance=True) - used() == {"healing", "clumps",
-                                                                                   "energy balance"}  # fmt: skip
+    assert usual - bare == {"shear history", "rotation", "bonds", "drives"}
+    assert used(healing=True, shapes="reference", energy_balance=True) - usual == {"healing", "clumps",
+                                                                                  "energy balance"}  # fmt: skip
 
 
 def test_a_packing_is_repeated_along_a_pipe():
@@ -151,9 +151,9 @@ def test_savings_by_a_trade(tmp_path):
         ("time step 1.2", pytest.approx(0.7), "error of plateau_pressure +0.3 +- 0.1 %")
     ]
     assert "some machine" in str(told) and "time step 1.2: 0.7 of the wall time; error of plateau" in str(told)
-    with pytest.raises(SceneError, match="must be a trade of the scene 'channel', but is one of 'pipe'"):
+    with pytest.raises(SceneError, match="must be a trade of the scene 'channel', but belongs to the scene 'pipe'"):
         explain(scenes.channel(spacing=0.02), device="cpu", trade=tmp_path)
-    with pytest.raises(RunFolderError, match="is not the folder of a trade"):
+    with pytest.raises(RunFolderError, match="is not a folder made by 'warpcrete trade'"):
         explain(scenes.channel(spacing=0.02), device="cpu", trade=tmp_path / "none")
 
 
@@ -201,10 +201,10 @@ def test_the_command(tmp_path):
         assert words in done.stdout
     for arguments, words in (
         (("nothing",), "scene = 'nothing': must be one of"),
-        (("channel", "--spacing", "0.02", "0.01"), "spacing = '0.02, 0.01': must be one value"),
+        (("channel", "--spacing", "0.02", "0.01"), "spacing = '0.02, 0.01': must be a single value"),
         (("channel", "--spacing", "-1"), "spacing = -1.0"),
         (("channel", "--fresh", "1"), "--fresh: takes no value"),
-        (("channel", "--trade", str(tmp_path)), "is not the folder of a trade"),
+        (("channel", "--trade", str(tmp_path)), "is not a folder made by 'warpcrete trade'"),
     ):
         done = command("explain", *arguments, "--device", "cpu")
         assert done.returncode == 2 and words in done.stderr and len(done.stderr.strip().splitlines()) == 1

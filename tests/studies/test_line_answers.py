@@ -74,19 +74,23 @@ def test_the_default_bend_is_at_least_two_diameters_wide():
     [
         (
             {"bend": {"to": "up", "factor": 2, "equivalent": "6 m"}},
-            r"bend: factor = 2: cannot be given together with eq",
+            r"bend: factor = 2: cannot be given together with 'eq",
         ),
         ({"bend": {"to": "up", "factor": 0}}, r"bend: factor = 0\.0: must be in \[0\.1, 100\]"),
         ({"bend": {"to": "up", "factor": "2 m"}}, r"bend: factor = '2 m': must be a number"),
         ({"valve": {"equivalent": -3}}, r"valve: equivalent = -3\.0: must be a finite number above 0 m"),
         ({"valve": {"radius": 1}}, r"valve: key = 'radius': must be one of length, factor, equivalent"),
-        ({"hose": {"length": 3, "points": [[1, 0, 0]]}}, r"hose: length = 3: cannot be given together with points"),
+        ({"hose": {"length": 3, "points": [[1, 0, 0]]}}, r"hose: length = 3: cannot be given together with 'points'"),
         (
             {"hose": {"layer": 0.5}},
-            r"hose: points = None: must be a list of points; .*or give its length, as in 'hose: 8",
+            r"hose: points = None: must be a list of points; .*or a length, as in 'hose: 8",
         ),
         ({"hose": "8 kg"}, r"hose: length = '8 kg': must be a number with one of m, mm"),
         ({"hose": 0}, r"hose: length = 0\.0: must be a finite number above 0 m"),
+        (
+            {"straight": {"length": 12, "5 m": None}},
+            r"straight: key = '5 m': must be one of .*put an amount with a decim",
+        ),
         ({"bend": 45}, r"bend: to = 45: must be one of up, down, left"),
         ({"bend": "rigth"}, r"bend: to = 'rigth': must be one of .*did you mean 'right'\?"),
     ],
@@ -163,7 +167,10 @@ def test_a_pump_is_compared_with_its_data_sheet():
 @pytest.mark.parametrize(
     ("pump", "says"),
     [
-        ({"flow": "90 m3/h"}, r"^pump = \{'flow': '90 m3/h'\}: has no pressure; add it from the data sheet"),
+        (
+            {"flow": "90 m3/h"},
+            r"^pump = \{'flow': '90 m3/h'\}: has no 'pressure'; add the largest pressure from the data sheet",
+        ),
         (
             {"presure": "85 bar"},
             r"^pump's key = 'presure': must be one of pressure, flow, power; did you",
@@ -267,4 +274,4 @@ def test_the_command_shows_pump_stop_and_practice(tmp_path):
         refused = CliRunner().invoke(cli, ["line", str(path), *more])
         assert refused.exit_code == 2 and says in refused.output
     none = CliRunner().invoke(cli, ["line", str(path), "--method", "dem", "--practice"])
-    assert none.exit_code == 2 and "practice: has no effect with --method dem" in none.output
+    assert none.exit_code == 2 and "practice: has no effect with '--method dem'" in none.output

@@ -79,7 +79,7 @@ def test_factors_of_student(freedom, factor):
 @pytest.mark.parametrize(
     ("points", "says"),
     [
-        (taps()[:1], r"^fit = '1 points': must be at least 2 to determine slip viscosity with a band; measure at more"),
+        (taps()[:1], r"^fit = '1 point': must be at least 2 to determine slip viscosity with a band; measure at more"),
         (taps(flows=(15, 30), parts=(0,)), r"^fit = '2 points': must be at least 3 to determine slip visc"),
         (taps(flows=(15,), parts=(0, 3)), r"'2 points': must be at least 3 to determine slip viscosity"),
         ([Tap(0.0, 1e5, 0.01, 2)] * 4, r"^fit, line 2: pressure = 1.*: must exceed the weight of the concrete above"),
@@ -157,7 +157,10 @@ def test_the_command_fits_a_trial_line(tmp_path):
     pressure = json.loads((tmp_path / "again" / "line.json").read_text())["pressure"]["value"]
     assert pressure == pytest.approx(record["pressure"]["value"], rel=2e-3)
     assert pressure == pytest.approx(line_by_theory(KNOWN, TRUE, 25 / 3600).pressure, rel=0.02)
-    for more, says in ((["--simulate"], "fit: is an answer by theory"), (["--method", "dem"], "fit: is an answer by")):
+    for more, says in (
+        (["--simulate"], "--fit: compares measurements with theory only"),
+        (["--method", "dem"], "--fit: compares"),
+    ):
         refused = CliRunner().invoke(cli, [*call, *more])
         assert refused.exit_code == 2 and says in refused.output
 

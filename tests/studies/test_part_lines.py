@@ -182,11 +182,11 @@ def test_the_command_takes_flow_and_concrete_from_the_file(tmp_path):
 @pytest.mark.parametrize(
     "parts, more, words",
     [
-        ("[{bend: {to: up, radius: 0.2}}, {straight: 1}]", {}, "must begin and end straight: part 1 is a bend; add a"),
-        ("[{straight: 1}, {hose: {points: [[1, 0, 0]]}}]", {}, "must begin and end straight: part 2 is a hose"),
+        ("[{bend: {to: up, radius: 0.2}}, {straight: 1}]", {}, "with a straight part, but part 1 is a bend; add a"),
+        ("[{straight: 1}, {hose: {points: [[1, 0, 0]]}}]", {}, "with a straight part, but part 2 is a hose"),
         ("[{straight: 0.05}, {bend: {to: up, radius: 0.2}}, {straight: 1}]", {}, "^straight = 0.05: is too short"),
         ("[{straight: 1}, {hose: {points: [[1, 0, 0]], layer: 0.8}}, {straight: 1}]", {},
-         r"^part 2, hose: layer = 0\.8: must be 1, as a single slip layer is simulated; leave it out"),
+         r"^part 2, hose: layer = 0\.8: must be 1, because .* layer in all parts; leave out 'layer'"),
         ("[{straight: 0.3}, {bend: {to: left, radius: 0.055}}, {bend: {to: left, radius: 0.055}}, {straight: 0.2}, "
          "{bend: {to: down, radius: 0.2}}, {straight: 0.3}]", {},
          r"^parts = \[1, 4\]: come within 0\.03\d* m of each other; change the course of the line, or use"),
@@ -195,9 +195,9 @@ def test_the_command_takes_flow_and_concrete_from_the_file(tmp_path):
         ("[{straight: 0.3}, {bend: {to: left, radius: 0.2}}, {bend: {to: left, radius: 0.2}}, {straight: 0.6}, "
          "{bend: {to: left, radius: 0.2}}, {straight: 0.8}]", {}, "returns across the plane of its inlet"),
         ("[{straight: 1}, {reducer: {to: 0.05, length: 0.2}}, {straight: 1}]", {},
-         r"^spacing = 0\.0125: must leave 6 cells across the narrowest bore, 0\.05 m; use 0\.00833"),
-        ("[{straight: 1}]", {"diameter": 0.08}, r"^diameter = 0\.08: has no effect unless line is left out"),
-        ("[{straight: 1}]", {"wall": "x.stl"}, r"^wall = '.*x\.stl': has no effect unless line is left out"),
+         r"^spacing = 0\.0125: is too coarse: at least 6 .* across the narrowest bore, 0\.05 m; use 0\.00833"),
+        ("[{straight: 1}]", {"diameter": 0.08}, r"^diameter = 0\.08: has no effect unless 'line' is left out"),
+        ("[{straight: 1}]", {"wall": "x.stl"}, r"^wall = '.*x\.stl': has no effect unless 'line' is left out"),
         ("[{straight: 1}]", {"slip_thickness": 0.06, "slip_viscosity": 900.0}, "^slip_thickness = 0.06"),
     ],
 )  # fmt: skip

@@ -94,6 +94,7 @@ def wave(way, size, period=0.05):
         (lambda way: np.interp(way, [0, 0.8, 0.801, 1], [3.5, 3.5, 3.0, 3.0]), False),  # and between them
         (lambda way: np.interp(way, [0, 0.8, 0.801, 1], [3.0, 3.0, 3.5, 3.5]), False),
         (lambda way: 3.0 + wave(way, 0.6), True),  # a wave, four times in the window
+        (lambda way: np.where(way < 0.8, 2.5, 3.0) + wave(way, 0.6), False),  # a step between both parts, in such waves
         (lambda way: np.interp(way, [0, 0.8, 1], [3.0, 2.8, 3.2]) + wave(way, 0.6), True),  # a trend within its scatter
         (lambda way: np.interp(way, [0, 0.8, 1], [3.0, 2.6, 3.4]) + wave(way, 0.1), False),  # and beyond it
         (lambda way: np.where(way < 0.99, 3.0, 6.0), False),  # a pipe that blocks within the last twentieth
@@ -186,7 +187,7 @@ def test_the_other_direction_may_come_from_a_run():
     assert estimate["other_direction_from"] == "plateau of the horizontal run"
     with pytest.raises(SceneError, match="unit of pipeline_other = 'horizontal'"):
         check_pipeline(straight("horizontal").scene, other, "there")
-    with pytest.raises(RunFolderError, match="pipeline_other = 'there': is not a finished pipe run"):
+    with pytest.raises(RunFolderError, match="pipeline_other = 'there': is not a finished run of the scene pipe"):
         check_pipeline(run.scene, {"unit": "horizontal"}, "there")
     with pytest.raises(SceneError, match="unit = 'bend-to-vertical'"):
         check_pipeline(scenes.pipe(unit="D"), None, None)

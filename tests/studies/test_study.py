@@ -44,7 +44,7 @@ def test_a_study_from_python(tmp_path):
     with pytest.raises(SceneError, match="must be a scene function"):
         warpcrete.study("channel", vary={"flow": [1e-3]}, out=tmp_path / "other")
     for vary, message in (({"flow": 1e-3}, "flow = 0.001: must be a list"), ({"ends": "open"}, "ends = 'open'"),
-                          ([("flow", [1e-3])], "vary = .*must be a mapping")):  # fmt: skip
+                          ([("flow", [1e-3])], "vary = .*must map each parameter")):  # fmt: skip
         with pytest.raises(SceneError, match=message):
             warpcrete.study(scenes.channel, vary=vary, out=tmp_path / "other")
     with pytest.raises(SceneError, match="flaw"):
@@ -152,7 +152,7 @@ def test_what_means_nothing_in_a_case_is_left_out_with_all_that_hangs_on_it(tmp_
     given = dict(bonds=False, hydration=0.1, hydration_modulus=1e8, bond_modulus=1e4)
     assert scene.effective_values(given) == {"bonds": False}
     assert scene.effective_values(given | {"bonds": True}) == given | {"bonds": True}
-    with pytest.raises(SceneError, match="facets = 32: has no effect unless wall is mesh"):
+    with pytest.raises(SceneError, match="facets = 32: has no effect unless 'wall' is mesh"):
         run_study("pipe", pipe_module, {"velocity": [0.3, 0.6]}, base=BASE | {"facets": 32}, out=tmp_path / "s")
     with pytest.raises(SceneError, match="hydration = 'x': must be a number"):
         run_study("pipe", pipe_module, {"hydration": [0.1, "x"]}, base=BASE | {"hydration_modulus": 1e7},

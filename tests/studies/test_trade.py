@@ -201,13 +201,13 @@ def test_what_a_budget_leaves_out_is_said_and_run_later(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     "settings, match",
     [
-        (dict(quantities=["presure"]), "quantity = 'presure': must be among"),
-        (dict(knobs=["spacings"]), "knob = 'spacings': must be among spacing"),
+        (dict(quantities=["presure"]), "quantity = 'presure': must be one of"),
+        (dict(knobs=["spacings"]), "knob = 'spacings': must be one of spacing"),
         (dict(repeat=2), "repeat = 2: must be 1, because nothing in this scene is random"),
         (dict(repeat=0), "repeat = 0: must be 1"),
         (
             dict(quantities=["volume_error"]),
-            "quantity = 'volume_error': has no closed form for comparison; use pressure or",
+            "quantity = 'volume_error': has no exact solution for comparison; use pressure or",
         ),
         (dict(threads=-1), "threads"),
         (dict(budget=0.0), "budget = 0.0: must be"),
@@ -228,7 +228,7 @@ def test_a_budget_too_short_for_a_pair_of_runs_is_refused(tmp_path):
 
 def test_a_quantity_that_the_scene_does_not_come_to_is_refused(tmp_path):
     with pytest.raises(
-        SceneError, match="quantity = 'plateau_pressure': is missing in the result of the scene as given"
+        SceneError, match="quantity = 'plateau_pressure': is missing in the result of the scene with the given"
     ):
         run_trade(
             "pipe", pipe, base=PIPE | dict(travel=0.005), out=tmp_path / "t", device="cpu", repeat=2, budget=600.0
@@ -254,7 +254,7 @@ def test_the_command(tmp_path):
         (("trade", "channel", "--budget", "5 apples"), "must be a time such as 90s, 20min or 2h"),
         (("trade", "chanel"), "scene = 'chanel': must be one of"),
         (("trade", "channel", "--spacing", "0.01", "0.02"), "takes one value"),
-        (("trade", "--resume", tmp_path), "is not the folder of a trade"),
+        (("trade", "--resume", tmp_path), "is not a folder made by 'warpcrete trade'"),
         (("trade", "channel", "--resume", tmp_path / "t"), "continues with its own settings"),
     ):
         done = command(*words)
@@ -354,9 +354,9 @@ def test_a_run_for_an_accuracy(flow_trade, tmp_path):
     advice = advise(folder, "channel", channel, COARSE, 0.2)
     assert {name: made[name] for name in advice.changes} == advice.changes
     for words, message in (
-        (("--trade", folder), "needs --accuracy"),
+        (("--trade", folder), "has no effect without --accuracy"),
         (("--accuracy", "much", "--trade", folder), "must be a percentage"),
-        (("--accuracy", "5%", "--trade", tmp_path), "is not the folder of a trade"),
+        (("--accuracy", "5%", "--trade", tmp_path), "is not a folder made by 'warpcrete trade'"),
     ):
         done = command("run", "channel", *words, *bare)
         assert done.returncode == 2 and message in done.stderr and len(done.stderr.strip().splitlines()) == 1

@@ -109,6 +109,16 @@ def test_a_slip_layer_adds_its_velocity_to_that_of_a_duct():
     assert stiff == pytest.approx(sticks, rel=1e-6) and 0.1 * sticks < slips < 0.25 * sticks
 
 
+def test_a_funnel_of_a_thin_fluid_empties_as_torricelli_has_it():
+    """The jet has the speed sqrt(2 g h) of the height h above the outlet, in a tapered funnel."""
+    narrow, brim, throat, whole = 0.03, 0.25, 0.15, 0.6
+    time = funnel_time((narrow, brim), (throat, whole), 0.06, 1e-6, 0.0, 2300.0)
+    step = whole / 60  # The estimate sums over slices and takes the height at the top of each.
+    top = step * np.arange(1 + round(throat / step), 61)
+    wide = narrow + (brim - narrow) * (top - 0.5 * step - throat) / (whole - throat)
+    assert time == pytest.approx(np.sum(wide / narrow * step / np.sqrt(2 * 9.81 * top)), rel=5e-3)
+
+
 @pytest.mark.parametrize(("tau", "reaches"), [(50.0, True), (300.0, False)])
 def test_a_box_at_rest_holds_the_volume_and_bears_its_slope(tau, reaches):
     near, far, reach = box_at_rest(0.012, 0.7, 0.2, tau, 2300.0)

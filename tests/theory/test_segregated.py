@@ -99,7 +99,7 @@ def test_command_prints_what_segregation_does(tmp_path):
     assert float(rows[0][-1]) < float(rows[1][-1]) == 1
     for options, message in (
         (["--segregation", "-0.2"], "aggregate = None"),
-        (["--aggregate", "0.3"], "needs --segregation"),
+        (["--aggregate", "0.3"], "has no effect without --segregation"),
     ):
         refused = CliRunner().invoke(cli, ["theory", "--concrete", "no1", *options])
         assert refused.exit_code != 0 and message in refused.output + str(refused.exception)

@@ -22,17 +22,23 @@ def chosen(
     Raises :class:`click.UsageError` if no trade-off is available or the accuracy is not a percentage.
     """
     if accuracy is None:
-        raise click.UsageError(f"trade = '{trade}': needs --accuracy; add, for example, --accuracy 5%")
+        raise click.UsageError(f"trade = '{trade}': has no effect without --accuracy; add, for example, --accuracy 5%")
     if trade is not None and not (trade / "trade.json").is_file():
-        raise RunFolderError(f"trade = '{trade}': is not the folder of a trade (it holds no trade.json)")
+        raise RunFolderError(
+            f"trade = '{trade}': is not a folder made by 'warpcrete trade' (it contains no "
+            "trade.json); give such a folder"
+        )
     try:
         part = float(accuracy.strip().removesuffix("%")) / 100
     except ValueError:
-        raise click.UsageError(f"accuracy = {accuracy!r}: must be a percentage, such as 5%") from None
+        raise click.UsageError(
+            f"accuracy = {accuracy!r}: must be a percentage above 0 % and below 100 %, such as 5%"
+        ) from None
     source = trade or nearest_shipped(name, module, parameters, find_device(device).is_cuda)
     if source is None:
         raise click.UsageError(
-            f"accuracy = {accuracy!r}: needs --trade FOLDER, because no trade of {name} is shipped; create one "
+            f"accuracy = {accuracy!r}: needs --trade FOLDER, because warpcrete contains no trade of the scene {name}; "
+            "create this folder "
             f"with 'warpcrete trade {name} --budget 20min'"
         )
     found = advise(source, name, module, parameters, part)

@@ -32,7 +32,8 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
     settings = single(options, ONE)
     if options:
         raise click.UsageError(
-            f"--{next(iter(options))}: is not an option of calibrate; set parameters in the file of targets"
+            f"--{next(iter(options))}: is not an option of 'warpcrete calibrate'; set the parameters of scenes in the "
+            "file of targets"
         )
     if settings.get("precision", PRECISIONS[0]) not in PRECISIONS:
         raise click.UsageError(f"precision = {settings['precision']!r}: must be {' or '.join(PRECISIONS)}")
@@ -42,7 +43,9 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
         if "resume" in settings:
             found = _resumed(targets, settings, modules)
         elif targets is None:
-            raise click.UsageError("targets: is missing; give a file of targets, or --resume FOLDER")
+            raise click.UsageError(
+                "targets: the file of targets is missing; give its path, or continue a calibration with --resume FOLDER"
+            )
         else:
             out = settings.pop("out", None) or next_folder("calibration")
             found = run_calibration(Path(targets), modules, out=out, **settings)
@@ -56,10 +59,14 @@ def _resumed(targets: str | None, settings: dict[str, Any], modules: dict[str, A
     strange = [name for name in settings if name not in (*CHANGEABLE_SETTINGS, "progress")]
     if targets is not None or strange:
         raise click.UsageError(
-            f"resume = '{folder}': continues with its own settings; only {', '.join(CHANGEABLE_SETTINGS)} may change"
+            f"resume = '{folder}': a calibration continues with its own settings; leave out all options other than "
+            f"{', '.join(CHANGEABLE_SETTINGS)}"
         )
     if not (folder / RECORD).is_file():
-        raise RunFolderError(f"resume = '{folder}': is not the folder of a calibration (it holds no {RECORD})")
+        raise RunFolderError(
+            f"resume = '{folder}': is not a folder made by 'warpcrete calibrate' (it contains no "
+            f"{RECORD}); give such a folder"
+        )
     return resume_calibration(folder, modules, **settings)
 
 

@@ -21,11 +21,11 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
     settings = single(options, ONE)
     fresh = options.pop("fresh", None)
     if fresh:
-        raise click.UsageError("--fresh: takes no value")
+        raise click.UsageError("--fresh: takes no value; leave out the text behind it")
     check_scene(scene, modules)
     values = parameter_values(modules[scene], options)
     for name, given in values.items():
         if len(given) > 1:
-            refuse(name, ", ".join(map(str, given)), "must be one value")
+            refuse(name, ", ".join(map(str, given)), "must be a single value", "give the option once, with one value")
     made = modules[scene].scene(**{name: given[0] for name, given in values.items()})
     click.echo(str(explain(made, cache=fresh is None, **settings)))

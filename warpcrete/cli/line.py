@@ -6,79 +6,65 @@ The answer by theory must not import the simulations; `line_simulated` does.
 from __future__ import annotations
 
 import importlib
-import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
-from ..core.errors import positive
-from ..core.inputs.amounts import amount
 from ..core.inputs.fingerprints import fingerprint
-from ..core.inputs.limits import check_limit, check_velocity, check_whole
+from ..core.inputs.limits import check_limit, check_whole
 from ..core.run.files import next_folder, write_json
-from ..geometry.pumps import pump_of
 from ..mix.blocking import line_rules, narrowest, rule_lines, rule_records
-from ..mix.mix import Mix, mix_named
-from ..mps.mixes import concrete_of
+from ..mix.mix import Mix
 from ..studies.lines.fit import fit_line, fit_lines, read_taps
 from ..studies.lines.line_folder import PARTS, line_folder
-from ..studies.lines.losses import PipeLine, read_line, with_stone
+from ..studies.lines.losses import PipeLine
 from ..studies.lines.result import Stop, lines_of
 from ..studies.lines.theory_line import LAYER_FACTOR, line_by_theory
 from .exits import CHECK_FAILED, INTERRUPTED
+from .line_inputs import LineInputs, line_inputs
 from .option_amounts import THIXOTROPY_BAND, growth_of, option_amount
 
 ELEMENT_OPTIONS = {"shapes": "spheres", "coarse": None, "seeds": 1, "stiffer": 5.0}
 """Options that only discrete elements use, with their default values."""
-FLOW_OPTIONS = {"cells": 12, "known": None}
+FLOW_OPTIONS = {"cells": 12, "known": None, "device": None, "threads": None}
 """Options that only simulations use, with their default values."""
 
 
-def run(line: str, *, method: str, simulate: bool, theory: bool, out: Path | None, **settings: Any) -> None:
+def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Path | None, **settings: Any) -> None:
     """Print the pressure that a pipeline needs, by theory or by simulation."""
     rest, grown = (option_amount(key, settings[key], u) for key, u in (("rest", "s"), ("thixotropy", "Pa/s")))
     _check_options(method, simulate, theory, settings)
-    pump = {key: settings[f"pump_{key}"] for key in ("pressure", "flow", "power")}
-    given = _with_pump(read_line(line), pump)
-    name = settings["concrete"] or given.concrete
-    if settings["flow"] is None and given.flow is None and settings["fit"] is None:
-        raise click.UsageError("flow: is missing; set it in the file of the line, or with --flow '30 m3/h'")
-    if name is None:
-        raise click.UsageError("concrete: is missing; set it in the file of the line, or with --concrete no1 or a file")
-    rate = given.flow if settings["flow"] is None else _flow(settings["flow"], given)
-    mix = mix_named(str(name))
-    if mix is not None and given.largest_stone is None:
-        given = with_stone(given, mix.given.largest)
-    if settings["blocking"] is not None and out is None:
-        out = next_folder("line")
     growth = growth_of(rest, grown)
     stop = None if rest is None else Stop(rest, growth, THIXOTROPY_BAND if grown is None else None)
+    given = line_inputs(line, settings)
+    if settings["blocking"] is not None and out is None:
+        out = next_folder("line")
     if simulate or method != "flow":
-        assert rate is not None
-        failed = _simulated(given, str(name), rate, method, out, mix, stop, settings)
-        if failed:
+        if _simulated(given, method, out, stop, settings):
             raise SystemExit(CHECK_FAILED)
         return
-    fit, concrete, layer = None, concrete_of(str(name)), _layer(mix, settings)
+    pipes, concrete, layer, fit = given.line, given.concrete, _layer(given.mix, settings), None
     if settings["fit"] is not None:
-        fit = fit_line(given, concrete, read_taps(settings["fit"], given, rate))
-        click.echo("\n" + "\n".join(fit_lines(fit, given)))
-        given, layer = fit.line(given), {"variants": fit.variants(concrete)}
-        concrete = fit.concrete(concrete)
-        if rate is None:
+        fit = fit_line(pipes, concrete, read_taps(settings["fit"], pipes, given.flow))
+        click.echo("\n" + "\n".join(fit_lines(fit, pipes)))
+        pipes, layer, concrete = fit.line(pipes), {"variants": fit.variants(concrete)}, fit.concrete(concrete)
+        if given.flow is None:
             return
-    asked = {"line": given.name, "parts": fingerprint(given.parts), "concrete": str(name), "flow": rate}
+    assert given.flow is not None
+    asked = {"line": pipes.name, "parts": fingerprint(pipes.parts), "concrete": given.name, "flow": given.flow}
     if settings["blocking"] is not None:
         asked |= {key: settings[key] for key in ("blocking", "shapes", "coarse", "stiffer")}
     with _interruptible(out), line_folder(out, {**asked, "method": "theory"}):
-        assert rate is not None
-        found = line_by_theory(given, concrete, rate, out=out, stop=stop, fit=fit, **layer)
+        found = line_by_theory(pipes, concrete, given.flow, out=out, stop=stop, fit=fit, **layer)
         click.echo("\n" + "\n".join(lines_of(found, settings["practice"])))
-        _judge_blocking(given, str(name), rate, mix, out, settings)
+        if line is None:
+            click.echo(
+                "\nbends, reducers and hoses are not counted; to count them, write a file (warpcrete line --help)"
+            )
+        _judge_blocking(pipes, given, out, settings)
     if out is not None:
         click.echo(f"\nfolder: {out}")
 
@@ -86,12 +72,14 @@ def run(line: str, *, method: str, simulate: bool, theory: bool, out: Path | Non
 def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[str, Any]) -> None:
     """Refuse options that contradict each other or have no effect."""
     if theory and method != "flow":
-        raise click.UsageError("--theory: cannot be combined with --method dem or both; leave out one of them")
+        raise click.UsageError(
+            "--theory: cannot be combined with '--method dem' or '--method both'; leave out --theory or --method"
+        )
     if theory and simulate:
-        raise click.UsageError("--theory: cannot be combined with --simulate; leave out one of them")
+        raise click.UsageError("--theory: cannot be combined with --simulate; leave out --theory or --simulate")
     heavy = simulate or method != "flow"
     if settings["fit"] is not None and heavy:
-        raise click.UsageError("fit: is an answer by theory; leave out --simulate and --method")
+        raise click.UsageError("--fit: compares measurements with theory only; leave out --simulate and --method")
 
     def changed(options: Mapping[str, Any]) -> list[str]:
         return [name for name, usual in options.items() if settings[name] != usual]
@@ -99,26 +87,18 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
     only_dem = ELEMENT_OPTIONS if settings["blocking"] is None else {"seeds": ELEMENT_OPTIONS["seeds"]}
     for name in changed(only_dem) if method == "flow" else ():
         raise click.UsageError(f"{name}: has no effect with --method flow; use --method both, or leave it out")
-    for name in () if heavy else changed(FLOW_OPTIONS):
+    needed = () if settings["blocking"] is None else ("device", "threads")
+    unused = {name: usual for name, usual in FLOW_OPTIONS.items() if name not in needed}
+    for name in () if heavy else changed(unused):
         raise click.UsageError(f"{name}: has no effect without a simulation; add --simulate, or leave it out")
     others = dict.fromkeys(("layer_factor", "rest", "pump_pressure", "pump_flow", "pump_power"))
     for name in changed({**others, "cells": 12, "practice": False}) if method == "dem" else ():
-        raise click.UsageError(f"{name}: has no effect with --method dem; use --method both, or leave it out")
+        raise click.UsageError(f"{name}: has no effect with '--method dem'; use '--method both', or leave out {name}")
     for name in ("layer_factor", "coarse", "stiffer"):
         if settings[name] is not None:
             check_limit(name, settings[name], "")
     check_whole("cells", settings["cells"])
     check_whole("seeds", settings["seeds"])
-
-
-def _flow(given: str, line: PipeLine) -> float:
-    """Return the flow [m3/s] that an option states."""
-    rate = amount("flow", given, "m3/s")
-    positive("flow", rate, "m3/s")
-    check_limit("flow", rate, "m3/s")
-    narrow = min(part.narrow for part in line.parts)
-    check_velocity("flow", rate, 4 * rate / (math.pi * narrow**2))
-    return rate
 
 
 def _layer(mix: Mix | None, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -129,29 +109,17 @@ def _layer(mix: Mix | None, settings: Mapping[str, Any]) -> dict[str, Any]:
     return {"layer_factor": LAYER_FACTOR if factor is None else factor}
 
 
-def _with_pump(line: PipeLine, limits: Mapping[str, str | None]) -> PipeLine:
-    """Return the line with the pump that options state, which replace entries of the line's own pump."""
-    stated = {key: value for key, value in limits.items() if value is not None}
-    if not stated:
-        return line
-    if line.pump is not None:
-        own = {key: getattr(line.pump, key) for key in limits if getattr(line.pump, key) is not None}
-        stated = {**own, **stated}
-    return replace(line, pump=pump_of(stated))
-
-
 def _simulated(
-    line: PipeLine, name: str, rate: float, method: str, out: Path | None, mix: Mix | None, stop: Stop | None,
-    settings: Mapping[str, Any],
+    given: LineInputs, method: str, out: Path | None, stop: Stop | None, settings: Mapping[str, Any]
 ) -> bool:  # fmt: skip
     """Simulate the parts of a line, print its pressure, and return whether a check of a part failed."""
+    if given.guessed:
+        raise click.UsageError("slump: alone suffices for an answer by theory only; write a mix file for simulations")
     job = importlib.import_module(f"{__package__}.line_simulated")
     folder = out or next_folder("line")
     with _interruptible(folder):
-        return job.run(
-            line, name, rate, method, folder, _layer(mix, settings), stop, settings,
-            lambda: _judge_blocking(line, name, rate, mix, folder, settings),
-        )  # fmt: skip
+        return job.run(given, method, folder, _layer(given.mix, settings), stop, settings,
+                       lambda: _judge_blocking(given.line, given, folder, settings))  # fmt: skip
 
 
 @contextmanager
@@ -165,13 +133,16 @@ def _interruptible(folder: Path | None) -> Iterator[None]:
         raise SystemExit(INTERRUPTED) from None
 
 
-def _judge_blocking(
-    line: PipeLine, name: str, rate: float, mix: Mix | None, folder: Path | None, settings: Mapping[str, Any]
-) -> None:
+def _judge_blocking(line: PipeLine, given: LineInputs, folder: Path | None, settings: Mapping[str, Any]) -> None:
     """Print the rules against blocking and, if the option asks for it, the simulated probability of a blockage."""
-    print_rules(line, mix, folder)
+    print_rules(line, given.mix, folder)
     if settings["blocking"] is not None and folder is not None:
-        importlib.import_module(f"{__package__}.line_blocked").run(line, name, rate, folder, settings)
+        if given.guessed:
+            raise click.UsageError(
+                "blocking: needs the file of a concrete; write a mix file, and give it as --concrete"
+            )
+        assert given.flow is not None
+        importlib.import_module(f"{__package__}.line_blocked").run(line, given.name, given.flow, folder, settings)
 
 
 def print_rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> None:

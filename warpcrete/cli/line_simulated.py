@@ -18,10 +18,11 @@ from ..studies.lines.line_folder import line_folder
 from ..studies.lines.losses import PipeLine, friction
 from ..studies.lines.result import LineResult, Stop, lines_of
 from ..studies.lines.run import run_line
+from .line_inputs import LineInputs
 
 
 def run(
-    line: PipeLine, name: str, rate: float, method: str, folder: Path, layer: Mapping[str, Any], stop: Stop | None,
+    given: LineInputs, method: str, folder: Path, layer: Mapping[str, Any], stop: Stop | None,
     settings: Mapping[str, Any], finish: Callable[[], None],
 ) -> bool:  # fmt: skip
     """Simulate a line, print its pressure, and return whether a check of a part failed.
@@ -29,6 +30,8 @@ def run(
     `layer` holds the uncertainty of the concrete as arguments of `run_line`, and `settings` the options of the command.
     `finish` is called when the result has been printed, while the folder is locked.
     """
+    line, name, rate = given.line, given.name, given.flow
+    assert rate is not None
     elements = Elements(**{key: settings[key] for key in ("shapes", "coarse", "seeds", "stiffer")})
     asked = {"line": line.name, "parts": fingerprint(line.parts), "concrete": name, "flow": rate, "method": method,
              "cells": settings["cells"], "elements": fingerprint(elements)}  # fmt: skip

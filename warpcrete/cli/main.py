@@ -64,14 +64,14 @@ def _by_method(arguments: list[str]) -> list[str]:
         if name != "--method":
             left.append(word)
         elif method is not None or not (value := value if given else next(words, "")):
-            raise click.UsageError("--method: must be given once, with one value, such as --method dem")
+            raise click.UsageError("--method: must be given once and with one value; write, for example, --method dem")
         else:
             method = value
     if method is None:
         return left
     place = next((n for n, word in enumerate(left) if not word.startswith("-")), None)
     if place is None:
-        raise click.UsageError("--method: needs a scene; write it as in 'slump --method dem'")
+        raise click.UsageError("--method: needs the name of a scene; write, for example, 'slump --method dem'")
     left[place] = importlib.import_module("warpcrete.scenes").by_method(left[place], method)
     return left
 
@@ -116,7 +116,9 @@ def run_group(context: click.Context, resume: Path | None, live: str | None, bin
     """
     if context.invoked_subcommand is not None:
         if resume is not None or live is not None or quiet:
-            raise click.UsageError("--resume, --live, --quiet: must follow the scene's name; move them behind it")
+            raise click.UsageError(
+                "--resume, --live, --quiet: must follow the scene's name; move these options behind the name"
+            )
     elif resume is None:
         click.echo(context.get_help())
         raise SystemExit(2)
@@ -172,10 +174,14 @@ def _repeat_command(path: Path) -> click.Command:
     def callback(**settings: Any) -> None:
         job = _part("run")
         if settings.pop("resume") is not None:
-            raise click.UsageError("--resume: cannot be combined with a scene.json; write 'warpcrete run --resume RUN'")
+            raise click.UsageError(
+                "--resume: cannot be combined with a scene.json; write 'warpcrete run --resume "
+                "FOLDER' to continue a run"
+            )
         if [settings.pop("accuracy"), settings.pop("trade")] != [None, None]:
             raise click.UsageError(
-                "--accuracy, --trade: cannot be combined with a scene.json, which fixes all settings; leave them out"
+                "--accuracy, --trade: cannot be combined with a scene.json, which fixes all settings; leave out both "
+                "options"
             )
         record, module = job.repeatable_scene(path, _scenes())
         kept = {key: record[key] for key in ("device", "precision") if key in record}
@@ -433,6 +439,9 @@ def calibrate_command(arguments: tuple[str, ...]) -> None:
 
 LINE_HELP = """Compute the pressure that a pipeline needs: `warpcrete line LINE.yaml [options]`.
 
+Without a file, a straight line and a slump suffice: `warpcrete line --slump 180mm --stone 20mm --diameter 125mm
+--length 190m --rise 20m --flow 30m3/h`.
+
 The file lists the parts of the pipeline in order. The answer comes at once, from theory and from factors of earlier
 simulations. With --simulate, each different part is simulated once as a flow; a straight pipe is simulated once and its
 pressure scaled with its length. --method dem simulates the parts with discrete elements, --method both with both
@@ -473,7 +482,13 @@ Values without a unit are in m, m3/s, Pa and degrees. The exit code is 3 if a ch
 
 
 @cli.command("line", help=LINE_HELP)
-@click.argument("line", type=str)
+@click.argument("line", type=str, required=False)
+@click.option("--diameter", help="Inner diameter of a straight line without a file, such as '125 mm'")
+@click.option("--length", help="Length of a straight line without a file, such as '190 m'")
+@click.option("--rise", help="Height of the end of a line without a file above its start  [default: 0 m]")
+@click.option("--slump", help="Slump of a concrete of which nothing else is known, such as '180 mm'")
+@click.option("--spread", help="Spread of a concrete of which nothing else is known, such as '600 mm'")
+@click.option("--stone", help="Size of the largest stone, such as '20 mm'")
 @click.option("--concrete", help="Concrete, instead of the line's: no1, no2, no3, or a file with a section 'flow'; "
               "with --method dem, zhan or another concrete of the scene 'pipe'")  # fmt: skip
 @click.option("--flow", help="Volume flow, instead of the line's, such as '30 m3/h'")
@@ -531,7 +546,7 @@ Values without a unit are in m, m3/s, Pa and degrees. The exit code is 3 if a ch
               "seeds by discrete elements, stones in their true size, and print the probability that it is blocked; "
               "meant for a GPU")  # fmt: skip
 @click.option("--quiet", is_flag=True, help="Show no progress bar")
-def line_command(line: str, **settings: Any) -> None:
+def line_command(line: str | None, **settings: Any) -> None:
     _part("line").run(line, **settings)
 
 
@@ -556,7 +571,7 @@ def schema_command(kind: str | None, path: bool) -> None:
     $schema=PATH'.
     """
     if kind is None:
-        raise click.UsageError("kind: is missing; give concrete, mix, line or targets")
+        raise click.UsageError("kind: the kind of file is missing; give 'concrete', 'mix', 'line' or 'targets'")
     found = importlib.import_module("warpcrete.studies.schemas").shipped_schema(kind)
     click.echo(found if path else found.read_text(encoding="utf-8"), nl=path)
 

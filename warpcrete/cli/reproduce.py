@@ -25,13 +25,19 @@ def run(
         if resume is not None:
             if paper is not None or out is not None or device is not None or quick or seeds != 1 or only or known:
                 raise click.UsageError(
-                    f"resume = '{resume}': continues with its own settings; only --processes may change"
+                    f"resume = '{resume}': a reproduction continues with its own settings; leave out all options other "
+                    "than --processes"
                 )
             if not (resume / RECORD).is_file():
-                raise RunFolderError(f"resume = '{resume}': is not the folder of a reproduction (it holds no {RECORD})")
+                raise RunFolderError(
+                    f"resume = '{resume}': is not a folder made by 'warpcrete reproduce' (it contains "
+                    f"no {RECORD}); give such a folder"
+                )
             found = resume_reproduction(resume, processes=processes, progress=tell)
         elif paper is None:
-            raise click.UsageError("paper: is missing; give zhan or xu, or --resume FOLDER")
+            raise click.UsageError(
+                "paper: is missing; give 'zhan' or 'xu', or continue a reproduction with --resume FOLDER"
+            )
         else:
             folder = out or next_folder(f"reproduce-{paper}")
             found = reproduce(paper, out=folder, quick=quick, seeds=seeds, only=only, known=known, device=device,

@@ -17,6 +17,7 @@ from ..core.run.files import check_new, next_folder, read_json
 from ..core.run.method import report_of
 from ..core.run.progress import ProgressBar
 from ..core.run.run_loop import Recorder, Run
+from ..core.run.simulation_protocol import RecordedSimulation
 from ..core.units import number
 from ..methods import Simulation, method_of
 from ..record.checks import failed_checks
@@ -33,16 +34,21 @@ KEPT = ("frames", "colour", "network", *(kind.name for kind in RECORDERS), "pipe
 def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str, quiet: bool) -> None:
     """Continue an interrupted run in its folder; with `live`, a viewer shows the run from the checkpoint on."""
     if not (folder / "scene.json").is_file():
-        raise RunFolderError(f"resume = '{folder}': is not a run folder (it holds no scene.json)")
+        raise RunFolderError(
+            f"resume = '{folder}': is not the folder of a run (it contains no scene.json); give the "
+            "folder of an interrupted run"
+        )
     record, module = repeatable_scene(folder / "scene.json", modules)
     if is_finished(folder):
-        raise RunFolderError(f"resume = '{folder}': the run is already finished; start a new one with another --out")
+        raise RunFolderError(
+            f"resume = '{folder}': the run is already finished; start a new run with another folder for --out"
+        )
     settings = dict(record.get("command", {}))
     # Recorders that the interrupted run did not use must stay off, even if they are on by default.
     settings = {kind.name: False for kind in RECORDERS} | settings
     if set(settings) != set(KEPT):
         raise RunFolderError(
-            f"'{folder / 'scene.json'}': was not written by 'warpcrete run' and cannot be resumed by it; "
+            f"'{folder / 'scene.json'}': was not written by 'warpcrete run', which therefore cannot continue the run; "
             "continue a case of a study with 'warpcrete study --resume'"
         )
     if settings["threads"] > default_threads():
@@ -84,7 +90,12 @@ def run(
     if look.colouring is not None and look.colouring not in display.colourings:
         refuse("colour", look.colouring, f"must be one of {', '.join(display.colourings)}")
     if look.network and not display.has_network:
-        refuse("network", True, f"needs contacts between bodies, which a scene of {display.noun} does not have")
+        refuse(
+            "network",
+            True,
+            f"needs contacts between bodies, which a scene of {display.noun} does not have",
+            "leave out --network",
+        )
     settings = settings | {"threads": settings["threads"] or default_threads()}
     if settings["pipeline_other"] is not None:
         settings["pipeline_other"] = str(Path(settings["pipeline_other"]).resolve())
@@ -113,7 +124,8 @@ def run(
         except KeyboardInterrupt:
             if there:
                 raise RunFolderError(
-                    f"resume = '{folder}': interrupted before the run continued; nothing was changed"
+                    f"resume = '{folder}': was interrupted before the run continued; no file has changed, so use the "
+                    "same command again"
                 ) from None
             raise
         with StopAtSample([simulation]):
@@ -143,8 +155,8 @@ def _pipeline_checked(scene: Any, settings: dict[str, Any]) -> dict[str, Any] | 
     source = settings["pipeline_other"]
     if all(value is None for value in lengths.values()):
         if source is not None:
-            refuse("pipeline_other", str(source), "needs the lengths of a pipeline",
-                   "give pipeline_vertical, pipeline_horizontal or both")  # fmt: skip
+            refuse("pipeline_other", str(source), "needs the length of pipe in a pipeline",
+                   "set 'pipeline_vertical', 'pipeline_horizontal' or both")  # fmt: skip
         return None
     other = read_json(Path(source) / "result.json") if source is not None else None
     check_pipeline(scene, other, source)
@@ -160,7 +172,7 @@ class PipelineRecorder(Recorder):
     def __init__(self, height: float | None, distance: float | None, other: dict[str, Any] | None) -> None:
         self.height, self.distance, self.other = height, distance, other
 
-    def finish(self, simulation: Simulation, run: Run) -> None:
+    def finish(self, simulation: RecordedSimulation, run: Run) -> None:
         """Compute the pressure of the whole pipeline from the run's pressure plateau, if the run has reached one."""
         if run.finished and (self.height is not None or self.distance is not None):
             estimate = pipeline_estimate(run, self.height or 0.0, self.distance or 0.0, self.other)

@@ -55,18 +55,20 @@ def parsed(arguments: list[str]) -> tuple[str | None, dict[str, list[str]]]:
             name = name.replace("_", "-")
             if name in FLAGS:
                 if given:
-                    raise click.UsageError(f"--{name}: takes no value")
+                    raise click.UsageError(f"--{name}: takes no value; leave out the value behind it")
                 options[name], current = [], None
                 continue
             if name in options:
-                raise click.UsageError(f"--{name}: is given twice; write all values after one --{name}")
+                raise click.UsageError(f"--{name}: is given twice; write --{name} once, with all values behind it")
             current = options.setdefault(name, [value] if given else [])
         elif current is not None:
             current.append(word)
         elif scene is None:
             scene = word
         else:
-            raise click.UsageError(f"{word!r}: belongs to no option; write values after the option they belong to")
+            raise click.UsageError(
+                f"{word!r}: follows no option; write every value behind its option, as in --velocity 0.3 0.5"
+            )
     return scene, options
 
 
@@ -118,7 +120,7 @@ def single(options: dict[str, list[str]], kinds: Mapping[str, Any]) -> dict[str,
     for name in kinds.keys() & options.keys():
         values = options.pop(name)
         if len(values) != 1:
-            raise click.UsageError(f"--{name}: takes one value")
+            raise click.UsageError(f"--{name}: takes one value; write one value behind it")
         found[name] = converted(name, values[0], kinds[name])
     return found
 
@@ -132,7 +134,7 @@ def _take_settings(options: dict[str, list[str]]) -> dict[str, Any]:
     for name in FLAGS:
         values = options.pop(name, None)
         if values:
-            raise click.UsageError(f"--{name}: takes no value")
+            raise click.UsageError(f"--{name}: takes no value; leave out the value behind it")
         settings[name] = values is not None
     settings |= single(options, SETTINGS)
     if settings.get("processes", 1) < 1:
@@ -149,7 +151,8 @@ def _resumed(
     given = [n for n in settings if n not in ("resume", "quiet", *EXECUTION_SETTINGS) and settings[n]] + list(options)
     if scene is not None or given:
         raise click.UsageError(
-            f"resume = '{folder}': a study continues with its own settings; leave out the scene and all other options"
+            f"resume = '{folder}': a study continues with its own settings; leave out the scene's name and all other "
+            "options"
         )
     return resume_study(
         folder, recorded_module(folder, "study", modules), progress=tell, **_execution_settings(settings)
@@ -163,10 +166,15 @@ def recorded_module(folder: Path, kind: str, modules: Mapping[str, Any]) -> Any:
     """
     record = f"{kind}.json"
     if not (folder / record).is_file():
-        raise RunFolderError(f"resume = '{folder}': is not the folder of a {kind} (it holds no {record})")
+        raise RunFolderError(
+            f"resume = '{folder}': is not the folder of a {kind} (it contains no {record}); give the folder of a {kind}"
+        )
     name = read_record(folder / record).get("scene")
     if name not in modules:
-        raise RunFolderError(f"'{folder}': its scene {name!r} does not exist in this version ({', '.join(modules)})")
+        raise RunFolderError(
+            f"'{folder}': its scene {name!r} does not exist in this version, which has "
+            f"{', '.join(modules)}; start a new study"
+        )
     return modules[name]
 
 
@@ -218,11 +226,11 @@ def parameter_values(module: Any, options: dict[str, list[str]]) -> dict[str, li
             )
         kind = known[name].kind
         if negative and (words or kind is not bool):
-            raise click.UsageError(f"--{option}: takes no value")
+            raise click.UsageError(f"--{option}: takes no value; leave out the value behind it")
         if kind is bool:
             words = words or ["false" if negative else "true"]
         if not words:
-            raise click.UsageError(f"--{option}: needs one or more values")
+            raise click.UsageError(f"--{option}: needs one or more values; write the values behind it")
         if kind is float:
             found[name] = [quantity_of(word, known[name], option) for word in words]
         else:

@@ -71,7 +71,7 @@ def run(
         share = _share(aggregate, values["concrete"])
         tables.append(segregation_table(concrete, line, share, segregation, flows or (FLOW,)))
     elif aggregate is not None:
-        refuse("aggregate", aggregate, "needs --segregation", "add, for example, --segregation -0.2")
+        refuse("aggregate", aggregate, "has no effect without --segregation", "add, for example, --segregation -0.2")
     click.echo("\n\n".join(tables))
 
 
@@ -81,7 +81,8 @@ def _share(given: float | None, name: str) -> float:
         return given
     mix = mix_named(name)
     if mix is None or mix.given.share is None:
-        refuse("aggregate", None, "must be given for --segregation, as the concrete does not state its aggregate",
+        refuse("aggregate", None, "must be given for --segregation, because the concrete does not state its share of "
+                                  "aggregate",
                "add, for example, --aggregate 0.36")  # fmt: skip
     return mix.given.share
 

@@ -39,7 +39,7 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
     lists = {name: options.pop(name) for name in SEVERAL if name in options}
     for name, values in lists.items():
         if not values:
-            raise click.UsageError(f"--{name}: needs one or more names")
+            raise click.UsageError(f"--{name}: needs one or more names; write the names behind it")
     anew = {name: settings.pop(name, None) for name in ON_WORKERS}
     anew["budget"] = seconds(settings.pop("budget", "20min"))
     progress = ProgressBar()
@@ -52,7 +52,9 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
             values = parameter_values(modules[scene], options)
             for name, given in values.items():
                 if len(given) > 1:
-                    raise click.UsageError(f"--{name}: takes one value; a trade varies the settings of --knob only")
+                    raise click.UsageError(
+                        f"--{name}: takes one value; only the settings that --knob names are varied in a trade"
+                    )
             trade = run_trade(
                 scene, modules[scene], base={name: given[0] for name, given in values.items()}, progress=tell,
                 out=settings.get("out") or next_folder("trade"), repeat=settings.get("repeat"),
@@ -74,7 +76,8 @@ def _resumed(
     folder = settings.pop("resume")
     if scene is not None or settings or rest:
         raise click.UsageError(
-            f"resume = '{folder}': continues with its own settings; only --budget, --scheduler and --workers may change"
+            f"resume = '{folder}': a trade continues with its own settings; leave out all options other than --budget, "
+            "--scheduler and --workers"
         )
     return resume_trade(folder, recorded_module(folder, "trade", modules), **anew)
 

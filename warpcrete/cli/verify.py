@@ -25,7 +25,10 @@ def run(device: str | None, precision: str, only: str, quick: bool, extremes: bo
     found = find_device(device)
     chosen = [case for case in verification.cases() if only.lower() in f"{case.group}: {case.name}".lower()]
     if not chosen:
-        raise click.UsageError(f"only = {only!r}: matches no case ({', '.join(c.name for c in verification.cases())})")
+        raise click.UsageError(
+            f"only = {only!r}: matches no case; use part of one of these names: "
+            f"{', '.join(c.name for c in verification.cases())}"
+        )
     if quick and all(case.slow for case in chosen):
         raise click.UsageError(f"only = {only!r}: matches slow cases only; leave out --quick")
     results = []

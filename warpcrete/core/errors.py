@@ -58,8 +58,8 @@ class ConvergenceError(InstabilityError):
         looser = "a larger tolerance, " if what == "pressure" else ""
         super().__init__(
             f"t = {time:.6g} s: the {what} solve did not converge in {iterations} iterations (maximum_iterations "
-            f"= {maximum}); residual {residual:.3g} after {path}; usual cures: a smaller time step, {looser}more "
-            "iterations, precision float64"
+            f"= {maximum}); residual {residual:.3g} after {path}; usual cures: a smaller 'time_step', {looser}more "
+            "iterations ('maximum_iterations'), 'precision' float64"
         )
 
     def __reduce__(self):

@@ -11,4 +11,6 @@ def needs_extra(extra: str, *packages: str) -> None:
     """Raise :class:`WarpcreteError` if one of the packages of the pip extra `extra` is not installed."""
     for package in packages:
         if find_spec(package) is None:
-            raise WarpcreteError(f"{extra}: needs the package {package}; run pip install 'warpcrete[{extra}]'")
+            raise WarpcreteError(
+                f"{extra}: needs the package {package}, which is not installed; run pip install 'warpcrete[{extra}]'"
+            )

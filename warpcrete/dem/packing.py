@@ -331,7 +331,7 @@ class _Growth:
                     "packing pressure",
                     pressure,
                     f"cannot be met: the packing {found}",
-                    "give a solid fraction, or a pressure between 0.001 and 0.1 of the contacts' modulus "
+                    "give a solid fraction instead, or a pressure of 0.001 to 0.1 times the contacts' modulus "
                     f"({self.contact.stress_scale:g} Pa)",
                 )
         report = PackingReport(

@@ -116,7 +116,12 @@ def plot_strokes(run: ElementRun) -> Any:
 
     stops = run.scene.pipe.stops if run.scene.pipe is not None else None
     if stops is None:
-        refuse("scene", run.scene.name, "must have a piston that stops", "use plot_pressure for pressure over travel")
+        refuse(
+            "scene",
+            run.scene.name,
+            "must have a piston that stops and starts again",
+            "use the scene pipe with 'strokes', or plot_pressure for the pressure over the travel",
+        )
     time, pressure = run.series["time"], run.series["pressure"] / 1e3
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     axes = figure.add_subplot()

@@ -54,7 +54,7 @@ class ElementSimulation(Simulation):
 
     scene_type = Scene
     scene: Scene
-    stepper: Stepper  # pyright: ignore[reportIncompatibleVariableOverride]  # Only this class assigns it.
+    stepper: Stepper
 
     if TYPE_CHECKING:
 
@@ -123,7 +123,8 @@ class ElementSimulation(Simulation):
 
     def join(self, stepper: Stepper) -> None:
         """Use `stepper`, which may share a batch with other scenes, to advance the state from now on."""
-        self.stepper = stepper
+        # Only this class assigns its stepper, which may therefore have a narrower type.
+        self.stepper = stepper  # pyright: ignore[reportIncompatibleVariableOverride]
         settling = self.scene.settle is not None and (self._resumed is None or self._settled is not None)
         damping = self.scene.settle.local_damping if settling else self.scene.local_damping  # type: ignore[union-attr]
         stepper.change(local_damping=damping)

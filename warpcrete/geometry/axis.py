@@ -84,7 +84,7 @@ class Axis:
                 towards = np.array(piece.towards)
                 towards = towards - (towards @ tangent) * tangent
                 if np.linalg.norm(towards) < 1e-9:
-                    refuse("towards", piece.towards, "must not be parallel to the axis")
+                    refuse("towards", piece.towards, "must not be parallel to the direction in which the bend begins")
                 outward = -towards / np.linalg.norm(towards)
                 result.append(dict(piece=piece, start=x, tangent=tangent, outward=outward))
                 centre = x - piece.radius * outward

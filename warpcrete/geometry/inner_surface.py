@@ -64,7 +64,9 @@ class InnerSurface:
         given = vertices, faces
         vertices, faces, origin = clean(vertices, faces)
         if len(faces) == 0:
-            refuse(field, name, "contains only triangles without area", "check its unit")
+            refuse(
+                field, name, "contains only triangles without area", "check the file, and the unit of its coordinates"
+            )
         self.axis, self._radius = axis, radius
         self._low, self._high = span or (0.0, axis.length)
         self._all = SurfaceQueries(vertices, faces)
@@ -131,9 +133,11 @@ class InnerSurface:
         reaches = along.min() <= low + short and along.max() >= high - short
         if len(closed) == 0 or np.any(missed[closed[0] : closed[-1]]) or (reaches and np.any(missed)):
             spans = " x ".join(f"{x:.4g}" for x in np.ptp(vertices, axis=0))
-            refuse(field, name, f"has gaps along the axis: {np.count_nonzero(missed)} of {len(s)} sections are open "
-                   f"(the mesh spans {spans} m)", "close its holes, move it so that it surrounds the axis, or check "
-                   "its unit (a scale of 0.001 for millimetres)")  # fmt: skip
+            refuse(field, name, f"has gaps along the axis: {np.count_nonzero(missed)} of {len(s)} cross-sections are "
+                                "open "
+                   f"(the mesh spans {spans} m)", "close the holes of the mesh, move the mesh so that it surrounds the "
+                                                  "axis, or check "
+                   "its unit (the scale is 0.001 for millimetres)")  # fmt: skip
         begin = self._rim(s[closed[0]], min(float(along.min()), low))
         end = self._rim(s[closed[-1]], max(float(along.max()), high))
         if begin > low + short or end < high - short:
@@ -178,7 +182,7 @@ class InnerSurface:
         hit = (found >= 0) & (found <= length)
         if np.any(hit):
             refuse(field, name, f"is blocked: a surface crosses the axis {s[:-1][hit][0]:.3g} m from its start",
-                   "remove this surface; only flat lids at the ends are allowed")  # fmt: skip
+                   "remove this surface; only flat lids at the two ends are allowed")  # fmt: skip
 
     def _check_closed(
         self, field: str, name: str, vertices: np.ndarray, faces: np.ndarray, whole: np.ndarray, kept: np.ndarray
@@ -205,8 +209,9 @@ class InnerSurface:
         open_ = np.any((along > low + inset) & (along < high - inset), axis=1) & (count(kept) == 1)
         holes = open_ & (count(whole, flat) == 1)
         if np.any(holes):
-            refuse(field, name, f"is not closed: {np.count_nonzero(holes)} border edges lie between its ends",
-                   "close its holes (trimesh.repair.fill_holes, or in the CAD program)")  # fmt: skip
+            refuse(field, name, f"is not closed: {np.count_nonzero(holes)} edges between its ends belong to one "
+                                "triangle only",
+                   "close the holes of the mesh in a CAD program or with trimesh.repair.fill_holes")  # fmt: skip
         hidden = open_ & (count(kept, flat) == 1)
         if np.any(hidden):
             refuse(field, name, f"has an undercut (wall that is not visible from the axis) {along[hidden].min():.3g} m "
@@ -254,5 +259,6 @@ def pipe_in(
     reach = surface.sections(np.linspace(0.0, length, max(8, int(length / radius))))
     if np.any(np.abs(reach / radius - 1) > MAX_RADIUS_ERROR):
         refuse(field, name, f"has a bore {2e3 * reach.min():.4g} to {2e3 * reach.max():.4g} mm wide, but the pipe "
-               f"is {2e3 * radius:g} mm wide", "check its position and unit (wall_scale=0.001 for mm)")  # fmt: skip
+               f"is {2e3 * radius:g} mm wide", "check the position of the mesh and its unit ('wall_scale' is 0.001 for "
+                                               "millimetres)")  # fmt: skip
     return surface

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,6 @@ from ..core.inputs.concretes import is_file
 from ..core.inputs.limits import check_limit, check_velocity, warn
 from ..core.inputs.text_files import errors_located_at, name_of, read_mapping
 from .axis import Arc, Axis, Line
-from .bores import Bores
 from .crossings import first_crossing
 from .curves import curve_through, start_tangent
 from .line_entries import (
@@ -35,15 +34,12 @@ from .line_entries import (
     VALVE_DIAMETERS,
     WAYS,
 )
-from .mesh_bores import MeshBore
+from .pipe_line import Part, PipeLine
 from .pumps import Pump, pump_of
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
 MAX_BEND_ANGLE = 135.0
 """Largest angle of a single bend [degrees]."""
-BLOCKING_RATIO = 3.0
-"""Ratio of pipe diameter to largest stone below which pipes are known to block. ACI 304.2R requires 3 for crushed
-stone."""
 BEND_EXTRA_LOSS = ((0.0, 0.15, 0.3, 0.6), (0.0, 0.023, 0.042, 0.125))
 """Additional pressure loss of a bend, as a fraction of the loss in straight pipe of the same length. The first tuple
 holds ratios of pipe diameter to bend radius, the second tuple the additional loss at each ratio. Source: simulated
@@ -59,137 +55,6 @@ Pieces = Sequence[Line | Arc]
 CROSSING_SAMPLES = {"bend": 9, "hose": 33, "bore": 33}
 """Number of points along a part, by the kind of the part. The search for crossings treats the part as straight between
 neighbouring points."""
-
-
-@dataclass(frozen=True)
-class Part:
-    """One part of a pipeline: a straight pipe, bend, reducer, hose, valve or the bore of a mesh."""
-
-    number: int
-    """Number of the part in its pipeline, counted from 1."""
-    kind: str
-    diameter: float
-    """Inner diameter at the start of the part [m]."""
-    length: float
-    """Length of the part's axis [m]."""
-    rise: float
-    """Height of the part's end above its start [m]."""
-    outlet: float
-    """Inner diameter at the end of the part [m]."""
-    radius: float = 0.0
-    """Radius of a bend's centreline [m]; 0 for other parts."""
-    angle: float = 0.0
-    """Angle of a bend [degrees]; 0 for other parts."""
-    relative_loss: float = 1.0
-    """Friction of a hose by the program's model, relative to straight pipe of its length; 1 for other parts."""
-    layer: float = 1.0
-    """Resistance of the slip layer in a hose relative to that in a pipe; 1 for other parts."""
-    mesh: MeshBore | None = None
-    """Bore that a mesh file describes; None for other parts."""
-    factor: float | None = None
-    """Friction that the file states, relative to straight pipe of the part's length and bores; None if it states
-    none."""
-    factor_range: tuple[float, float] | None = None
-    """Range of the stated friction, if it was fitted to measured pressures; None if it has no range."""
-
-    @property
-    def relative(self) -> float:
-        """Friction relative to straight pipe: as the file states, or else by the model of hoses."""
-        return self.relative_loss if self.factor is None else self.factor
-
-    @property
-    def narrow(self) -> float:
-        """Smallest clear width across the part's axis [m]."""
-        return min(self.diameter, self.outlet, self.mesh.narrowest if self.mesh else math.inf)
-
-    @property
-    def is_by_length(self) -> bool:
-        """Return whether the part's pressure loss is proportional to its length."""
-        return self.kind in ("straight", "hose", "valve")
-
-    @property
-    def label(self) -> str:
-        """Short description of the part in words."""
-        if self.kind == "bend":
-            return f"bend of {self.angle:g} degrees, radius {self.radius:g} m"
-        if self.kind == "reducer":
-            return f"{1e3 * self.diameter:g} to {1e3 * self.outlet:g} mm"
-        if self.mesh:
-            return f"bore of {Path(self.mesh.file).name}, {1e3 * self.narrow:.4g} mm at its narrowest"
-        if self.kind == "hose":
-            return f"hose, rises {self.rise:.3g} m"
-        if self.kind == "valve":
-            return "valve"
-        slope = self.rise / self.length
-        way = {1.0: " up", -1.0: " down", 0.0: ""}.get(round(slope, 9), f", rises {self.rise:.3g} m")
-        return f"straight{way}"
-
-    @property
-    def loss_key(self) -> tuple[Any, ...]:
-        """Key that is equal for parts with equal pressure loss, or for straight parts with equal loss per metre."""
-        if self.is_by_length:
-            return ("straight", self.diameter, self.layer)
-        shape = self.mesh.digest if self.mesh else ""
-        return (self.kind, self.diameter, self.outlet, self.length, self.radius, self.angle, shape)
-
-
-@dataclass(frozen=True)
-class PipeLine:
-    """Pipeline: a sequence of parts and their common axis in space, in SI units."""
-
-    name: str
-    parts: tuple[Part, ...]
-    axis: Axis
-    flow: float | None = None
-    """Volume flow [m3/s]."""
-    concrete: str | None = None
-    largest_stone: float | None = None
-    """Diameter of the largest stone in the concrete [m]."""
-    source: str = ""
-    recorded: float | None = None
-    """Pressure recorded at the pump [Pa]."""
-    pump: Pump | None = None
-    """Data sheet of the pump."""
-
-    @property
-    def length(self) -> float:
-        """Length of the line along its axis [m]."""
-        return sum(part.length for part in self.parts)
-
-    @property
-    def rise(self) -> float:
-        """Height of the pipeline's end above its start [m]."""
-        return sum(part.rise for part in self.parts)
-
-    @property
-    def bores(self) -> Bores:
-        """Inner radii along the axis; for a cross-section of a mesh, the radius of the circle of equal area."""
-        return self._profile("radii")
-
-    @property
-    def clear(self) -> Bores:
-        """Radii of the largest circles about the axis that do not touch the wall, along the axis."""
-        return self._profile("least")
-
-    def _profile(self, of: str) -> Bores:
-        begin, places, radii = 0.0, [0.0], [self.parts[0].diameter / 2]
-        for part in self.parts:
-            if part.mesh:
-                places += [begin + place for place in part.mesh.places]
-                radii += getattr(part.mesh, of)
-            begin += part.length
-            places.append(begin)
-            radii.append(part.outlet / 2)
-        return Bores(tuple(places), tuple(radii))
-
-    def remarks(self) -> list[str]:
-        """Return warnings for the user about the pipeline, for example about stones that may block a narrow part."""
-        found = []
-        narrow = min(part.narrow for part in self.parts)
-        if self.largest_stone and narrow < BLOCKING_RATIO * self.largest_stone:
-            found.append(f"stones of {1e3 * self.largest_stone:g} mm in a bore of {1e3 * narrow:.6g} mm may block: "
-                         f"the bore is narrower than {BLOCKING_RATIO:g} of them")  # fmt: skip
-        return found
 
 
 def shipped_lines() -> tuple[str, ...]:
@@ -234,7 +99,7 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
     the parts do not fit.
     """
     if not isinstance(given, Mapping):
-        refuse("line", given, "must hold 'key: value' lines")
+        refuse("line", given, "must consist of 'key: value' lines")
     for key in given:
         with errors_located_at(given, key):
             one_of("line's key", key, KEYS)
@@ -242,7 +107,9 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
     if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:
         refuse("parts", entries, "must be a list of one or more parts", "for example '- straight: 10 m'")
     if len(entries) > MOST_PARTS:
-        refuse("parts", f"{len(entries)} parts", f"must be at most {MOST_PARTS}", "merge neighbouring straight parts")
+        refuse(
+            "parts", f"{len(entries)} parts", f"must be at most {MOST_PARTS} parts", "merge neighbouring straight parts"
+        )
     if "diameter" not in given:
         refuse("diameter", None, "must be given for the first part", "for example 'diameter: 125 mm'")
     diameter, stone, flow, recorded = (
@@ -283,7 +150,7 @@ def with_stone(line: PipeLine, stone: float | None) -> PipeLine:
     for part in line.parts:
         if stone is not None and stone >= part.narrow:
             refuse("largest_stone", stone, f"does not pass through part {part.number}, {part.label}, which is "
-                   f"{part.narrow:.6g} m wide", "use a wider pipe or a smaller stone")  # fmt: skip
+                   f"{part.narrow:.6g} m wide", "use a wider pipe, or concrete with smaller stones")  # fmt: skip
     return replace(line, largest_stone=stone)
 
 
@@ -292,7 +159,7 @@ def _text(given: Mapping[str, Any], field: str, default: str) -> str:
     found = given.get(field, default)
     if isinstance(found, Mapping | list):
         with errors_located_at(given, field):
-            refuse(field, found, "must be text of one line", "put it in quotes")
+            refuse(field, found, "must be text of one line", "put the text in quotes")
     return one_line(str(found))
 
 
@@ -333,7 +200,8 @@ class _Course:
         `entry` is the part's entry in the pipeline file, and `number` counts the parts from 1.
         """
         if not isinstance(entry, Mapping) or len(entry) != 1:
-            refuse(f"part {number}", entry, f"must be one of {', '.join(PARTS)} with its properties",
+            refuse(f"part {number}", entry, f"must be one of {', '.join(PARTS)}, followed by the properties of the "
+                                            "part",
                    "for example '- straight: {length: 10 m}'")  # fmt: skip
         kind, said = next(iter(entry.items()))
         one_of(f"part {number}", kind, PARTS)
@@ -341,11 +209,15 @@ class _Course:
             listed = kind == "hose" and isinstance(said, Sequence) and not isinstance(said, str)
             said = {"points" if listed else next(iter(PARTS[kind])): said}
         for key in said:
-            one_of(f"part {number}, {kind}: key", key, PARTS[kind])
+            field = f"part {number}, {kind}: key"
+            if str(key)[:1].isdecimal():
+                refuse(field, key, f"must be one of {', '.join(PARTS[kind])}",
+                       "within braces, put an amount with a decimal comma in quotes, as in '12,5 m'")  # fmt: skip
+            one_of(field, key, PARTS[kind])
 
         def get(key: str, unit: str, default: Any = None) -> float:
             if key not in said and default is None:
-                refuse(f"part {number}, {kind}", dict(said), f"has no {key}", f"add it, for example '{key}: 1'")
+                refuse(f"part {number}, {kind}", dict(said), f"has no {key!r}", f"add it, for example '{key}: 1 m'")
             field = f"part {number}, {kind}: {key}"
             found = amount(field, said.get(key, default), unit)
             check_limit(field, found, unit, LIMITED_AS.get(key, key))
@@ -362,17 +234,23 @@ class _Course:
         rise = length * float(self.tangent[2])
         if "rise" in said and abs(get("rise", "m") - rise) > 0.01 * length:
             refuse(f"part {number}, straight: rise", said["rise"], f"does not fit: in the direction of the line it is "
-                   f"{rise:.4g} m over {length:g} m", "put a bend before it, or leave out the rise")  # fmt: skip
+                   f"{rise:.4g} m over {length:g} m", "put a bend before this part, or leave out 'rise'")  # fmt: skip
         if "diameter" in said and abs(get("diameter", "m") - self.diameter) > 1e-6:
-            refuse(f"part {number}, straight: diameter", said["diameter"], "does not fit the end of the part before "
-                   f"it, {self.diameter:g} m", "put a reducer between them")  # fmt: skip
+            refuse(f"part {number}, straight: diameter", said["diameter"], "differs from the diameter at the end of "
+                                                                           "the part before "
+                   f"it, {self.diameter:g} m", "put a reducer between the two parts")  # fmt: skip
         return Part(number, "straight", self.diameter, length, rise, self.diameter), (Line(length),)
 
     def _bend(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
         radius = get("radius", "m", max(BEND_RADIUS, BEND_DIAMETERS * self.diameter))
         field = f"part {number}, bend"
         if radius <= self.diameter / 2:
-            refuse(f"{field}: radius", radius, f"must exceed the radius of the pipe, {self.diameter / 2:g} m")
+            refuse(
+                f"{field}: radius",
+                radius,
+                f"must exceed the radius of the pipe, {self.diameter / 2:g} m",
+                "give the radius of the bend's centreline",
+            )
         way = said.get("to")
         one_of(f"{field}: to", way, WAYS)
         left = np.cross(UP, self.heading)
@@ -383,16 +261,21 @@ class _Course:
             refuse(
                 f"{field}: to",
                 way,
-                "is the present direction of the line or its opposite",
+                "is the direction that the line already has, or the opposite of it",
                 f"use another of {', '.join(WAYS)}",
             )
         whole = math.degrees(math.acos(float(np.clip(towards @ self.tangent, -1, 1))))
         angle = get("angle", "degrees", round(whole, 9))
         if not 1 <= angle <= MAX_BEND_ANGLE:
-            refuse(f"{field}: angle", angle, f"must be in [1, {MAX_BEND_ANGLE:g}] degrees", "split it into two bends")
+            refuse(
+                f"{field}: angle",
+                angle,
+                f"must be in [1, {MAX_BEND_ANGLE:g}] degrees",
+                "split a larger bend into two, and leave out a smaller one",
+            )
         if way in ("up", "down", "level") and angle > whole + 1e-6:
             refuse(f"{field}: angle", angle, f"turns beyond {way!r}, which is at {whole:.4g} degrees",
-                   "leave out the angle")  # fmt: skip
+                   "leave out 'angle' for a bend that ends in this direction")  # fmt: skip
         turn = math.radians(angle)
         across = across / np.linalg.norm(across)
         rise = radius * float((1 - math.cos(turn)) * across[2] + math.sin(turn) * self.tangent[2])
@@ -419,7 +302,12 @@ class _Course:
         field = f"part {number}, hose"
         given = said.get("points")
         if "length" in said and given is not None:
-            refuse(f"{field}: length", said["length"], "cannot be given together with points", "leave out one of them")
+            refuse(
+                f"{field}: length",
+                said["length"],
+                "cannot be given together with 'points'",
+                "leave out 'length' or 'points'",
+            )
         if "length" in said:
             length = get("length", "m")
             positive(f"{field}: length", length, "m")
@@ -428,29 +316,44 @@ class _Course:
                         layer=_hose_layer(field, said)), (Line(length),)  # fmt: skip
         if not isinstance(given, Sequence) or isinstance(given, str) or not given:
             refuse(f"{field}: points", given, "must be a list of points",
-                   "for example '[[1, 0, 0], [2, 0, -0.5]]', or give its length, as in 'hose: 8 m'")  # fmt: skip
+                   "for example '[[1, 0, 0], [2, 0, -0.5]]', or a length, as in 'hose: 8 m'")  # fmt: skip
         if any(not isinstance(p, Sequence) or isinstance(p, str) or len(p) != 3 for p in given):
-            refuse(f"{field}: points", given, "must each have three lengths: ahead, to the left, up")
+            refuse(
+                f"{field}: points",
+                given,
+                "must each have three coordinates [m]: ahead, to the left and up",
+                "for example '[2, 0, -0.5]'",
+            )
         if len(given) > MOST_POINTS:
-            refuse(f"{field}: points", f"{len(given)} points", f"must be at most {MOST_POINTS}")
+            refuse(
+                f"{field}: points",
+                f"{len(given)} points",
+                f"must be at most {MOST_POINTS} points",
+                "leave out points between others",
+            )
         local = np.array([[0.0] * 3] + [[amount(f"{field}: points", x, "m") for x in point] for point in given])
         for x in local.ravel().tolist():
             check_limit(f"{field}: points", x, "m", "length")
         if np.any(np.linalg.norm(np.diff(local, axis=0), axis=1) < 0.5 * self.diameter):
-            refuse(f"{field}: points", given, "must be at least half a diameter apart")
+            refuse(
+                f"{field}: points",
+                given,
+                f"must be at least half a diameter, {self.diameter / 2:g} m, apart",
+                "leave out points that are closer together",
+            )
         layer = _hose_layer(field, said)
         points = local @ np.array([self.heading, np.cross(UP, self.heading), UP])
         askew = math.degrees(math.acos(float(np.clip(start_tangent(points) @ self.tangent, -1, 1))))
         if askew > MAX_HOSE_KINK:
             refuse(f"{field}: points", given, f"begin at an angle of {askew:.0f} degrees to the direction of the line",
-                   "put a bend before the hose, or move the first points")  # fmt: skip
+                   "put a bend before the hose, or move the first points so that they lie ahead")  # fmt: skip
         pieces = curve_through(points, self.tangent)
         length = sum(piece.length for piece in pieces)
         bends = [piece for piece in pieces if isinstance(piece, Arc)]
         sharpest = min((piece.radius for piece in bends), default=math.inf)
         if self.diameter > BEND_EXTRA_LOSS[0][-1] * sharpest:
-            refuse(f"{field}: points", given, f"bend it to a radius of {sharpest:.3g} m",
-                   f"keep the radius above {self.diameter / BEND_EXTRA_LOSS[0][-1]:.3g} m")  # fmt: skip
+            refuse(f"{field}: points", given, f"bend the hose to a radius of {sharpest:.3g} m",
+                   f"use points for a radius above {self.diameter / BEND_EXTRA_LOSS[0][-1]:.3g} m")  # fmt: skip
         more = (
             sum(arc.length * float(np.interp(self.diameter / arc.radius, *BEND_EXTRA_LOSS)) for arc in bends) / length
         )
@@ -466,9 +369,15 @@ class _Course:
         for key, value in (("to", outlet), ("length", length)):
             positive(f"part {number}, reducer: {key}", value, "m")
         if abs(outlet - self.diameter) < 1e-9:
-            refuse(f"part {number}, reducer: to", outlet, "is already the diameter of the line", "use a straight part")
+            refuse(
+                f"part {number}, reducer: to",
+                outlet,
+                "is already the diameter of the line",
+                "use a part 'straight' instead",
+            )
         if length < 0.5 * abs(outlet - self.diameter):
-            refuse(f"part {number}, reducer: length", length, "must be at least half of the change of the diameter",
+            refuse(f"part {number}, reducer: length", length, "is too short: must be at least half of the change of "
+                                                              "the diameter",
                    f"use {0.5 * abs(outlet - self.diameter):.3g} m or more")  # fmt: skip
         rise = length * float(self.tangent[2])
         return Part(number, "reducer", self.diameter, length, rise, outlet), (Line(length),)
@@ -506,10 +415,21 @@ def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> f
     """Return the friction that a part's entries state, relative to straight pipe of its length; None without these."""
     field = f"part {part.number}, {part.kind}"
     if "factor" in said and "equivalent" in said:
-        refuse(f"{field}: factor", said["factor"], "cannot be given together with equivalent", "leave out one of them")
+        refuse(
+            f"{field}: factor",
+            said["factor"],
+            "cannot be given together with 'equivalent'",
+            "leave out 'factor' or 'equivalent'",
+        )
     if "factor" in said:
         factor = get("factor", "1")
-        between(f"{field}: factor", factor, *FACTORS, "", "it is the friction divided by that of straight pipe")
+        between(
+            f"{field}: factor",
+            factor,
+            *FACTORS,
+            "",
+            "'factor' is the friction of the part divided by that of a straight pipe of the same length",
+        )
         return factor
     if "equivalent" in said:
         length = get("equivalent", "m")
@@ -524,7 +444,7 @@ def _hose_layer(field: str, said: Mapping[str, Any]) -> float:
     positive(f"{field}: layer", layer, "")
     if not HOSE_LAYER[0] <= layer <= HOSE_LAYER[1]:
         warn(f"{field}: layer = {layer:g}: is unusual: hoses have {HOSE_LAYER[0]:g} to {HOSE_LAYER[1]:g} times the "
-             "resistance of a pipe; write per cent with the unit, as '80 %'")  # fmt: skip
+             "resistance of a pipe; write per cent with the sign, as in '80 %'")  # fmt: skip
     return layer
 
 

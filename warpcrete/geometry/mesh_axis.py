@@ -188,14 +188,16 @@ def _first_direction(
         beside = float(np.linalg.norm(middle - (middle @ way) * way))
         if beside <= ASIDE * first[1]:
             _check_open(queries, start, -way, first[1], field, name, "extends behind its origin, where it should begin",
-                        "move it so that the middle of one end lies at its origin")  # fmt: skip
+                        "move the mesh so that the middle of one end lies at its origin")  # fmt: skip
             return way, first[1]
     if beside is not None:
-        refuse(field, name, f"does not begin at its origin: the middle of its first section is {beside:.4g} m away",
-               "move it so that the middle of one end lies at its origin")  # fmt: skip
+        refuse(field, name, f"does not begin at its origin: the middle of its first cross-section lies {beside:.4g} m "
+                            "beside the origin",
+               "move the mesh so that the middle of one end lies at its origin")  # fmt: skip
     leads = ", ".join("+-"[int(way.sum() < 0)] + "xyz"[int(np.argmax(np.abs(way)))] for way in ways)
     refuse(field, name, f"has no closed cross-section at its origin in the direction {leads}",
-           "move it so that it begins there and leads that way, close its holes, or check its unit")  # fmt: skip
+           "move the mesh so that it begins at its origin and leads in this direction, close its holes, or check its "
+           "unit")  # fmt: skip
 
 
 def _follow_bore(
@@ -214,13 +216,13 @@ def _follow_bore(
         middle, wide, tangent = found
         if wide > OPENING_RATIO * radii[-1]:
             refuse(field, name, f"opens to the side {_length(points):.3g} m from its start",
-                   "close the opening, because a bore has a single passage")  # fmt: skip
+                   "close the opening in the side, because a bore has one inlet and one outlet")  # fmt: skip
         points.append(middle)
         radii.append(wide)
         step = min(2 * step, ADVANCE)
     else:
-        refuse(field, name, f"is longer than {MAX_SECTIONS} quarters of its radius",
-               "split it into several parts")  # fmt: skip
+        refuse(field, name, f"is too long: its length exceeds its radius by a factor of more than {MAX_SECTIONS // 4}",
+               "split the mesh into several files")  # fmt: skip
     # Drop the last cross-section, because its rays may end on a lid. Also drop cross-sections close to the previous
     # one, because the direction between two close centres is inaccurate.
     kept = [0]
@@ -228,7 +230,12 @@ def _follow_bore(
         if np.linalg.norm(points[k] - points[kept[-1]]) > 0.5 * ADVANCE * radii[k]:
             kept.append(k)
     if len(kept) < 3:
-        refuse(field, name, "is too short for its axis to be found", "check its unit, and that it begins at its origin")
+        refuse(
+            field,
+            name,
+            "is too short for its axis to be found",
+            "check the unit of the mesh, and that it begins at its origin",
+        )
     return np.array(points)[kept], np.array(radii)[kept]
 
 

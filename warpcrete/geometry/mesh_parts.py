@@ -81,10 +81,11 @@ def bore_of(
         wide = 2 * float(np.sqrt(np.mean(reach**2)))
         if diameters is not None and abs(wide / diameters[end] - 1) > DIAMETER_TOLERANCE:
             refuse(fields[0], name, f"is {wide:.4g} m wide where it {which}, but the line is {diameters[end]:g} "
-                   "m wide", "set outlet, the diameter behind it, or add a reducer")  # fmt: skip
+                   "m wide", "where the mesh ends, set 'outlet' to its width; where the mesh begins, put a part "
+                             "'reducer' before it")  # fmt: skip
         if np.any(np.abs(2 * reach / (diameters[end] if diameters else wide) - 1) > ROUNDNESS_TOLERANCE):
             refuse(fields[0], name, f"is not round and centred where it {which}: its wall is {reach.min():.4g} "
-                   f"to {reach.max():.4g} m from the axis", "move it, or make it round there")  # fmt: skip
+                   f"to {reach.max():.4g} m from the axis", "centre the mesh there, or make its end round")  # fmt: skip
     return found
 
 
@@ -99,7 +100,7 @@ def _of_length(fields: Fields, bore: MeshBore, length: float | None) -> MeshBore
     near = STRAIGHT_LENGTH_TOLERANCE * min(bore.ends) if straight else MEASURED * length
     if abs(found - length) > near:
         refuse(fields[0], bore.file, f"has an axis of {found:.4g} m, but the part has a length of {length:g} m",
-               "correct the length of the part, or leave it out")  # fmt: skip
+               "correct 'length' of the part, or leave out 'length'")  # fmt: skip
     return replace(bore, axis=replace(bore.axis, pieces=(Line(length),))) if straight else bore
 
 
@@ -125,7 +126,7 @@ def _measured(
     extent = float(mesh.extents.max())
     if length is not None and not 0.01 * length <= extent <= 100 * length:
         refuse(fields[1], scale, f"makes the mesh {extent:.4g} m long, but the part is {length:g} m long",
-               "check the scale; it is 0.001 for a file in mm")  # fmt: skip
+               "check the scale, which is 0.001 for a file in millimetres")  # fmt: skip
     axis, radius = _axis(mesh.vertices, mesh.faces, ways, fields[0], name)
     surface = InnerSurface(mesh.vertices, mesh.faces, axis, radius, fields[0], name)
     width = 2 * float(equal_radii(surface.sections(np.zeros(1)))[0])

@@ -69,7 +69,12 @@ def load(source: Any, field: str, scale: float = 1.0) -> trimesh.Trimesh:
     vertices, faces, _ = clean(np.asarray(mesh.vertices), np.asarray(mesh.faces))
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     if len(mesh.faces) == 0:
-        refuse(field, str(source), "contains only triangles without area")
+        refuse(
+            field,
+            str(source),
+            "contains only triangles without area",
+            "check the file, and the unit of its coordinates",
+        )
     mesh.apply_scale(scale)
     return mesh
 
@@ -78,11 +83,11 @@ def _check_size(mesh: trimesh.Trimesh, field: str, name: str, scale: float) -> N
     """Refuse a mesh with too many triangles, or with corners too far away for the accuracy of the computation."""
     if len(mesh.faces) > MAX_FACES:
         refuse(field, name, f"has {len(mesh.faces)} triangles, but at most {MAX_FACES} are allowed",
-               "simplify it (trimesh.Trimesh.simplify_quadric_decimation, or in the CAD program)")  # fmt: skip
+               "simplify the mesh in a CAD program or with trimesh.Trimesh.simplify_quadric_decimation")  # fmt: skip
     farthest = float(np.abs(mesh.vertices).max()) * scale
     if farthest > MAX_EXTENT:
         refuse(field, name, f"has a vertex {farthest:.3g} m from the origin, but at most {MAX_EXTENT:g} m are allowed",
-               "check its vertices, and the scale of its unit (0.001 for mm)")  # fmt: skip
+               "check the vertices, and the scale of the mesh, which is 0.001 for a file in millimetres")  # fmt: skip
 
 
 def border_edges(mesh: trimesh.Trimesh) -> np.ndarray:
@@ -100,15 +105,15 @@ def load_closed(source, field: str, scale: float = 1.0) -> trimesh.Trimesh:
         refuse(
             field,
             str(name),
-            f"is open: {len(border_edges(mesh))} border edges",
-            "close its holes (trimesh.repair.fill_holes, or in the CAD program)",
+            f"is not closed: {len(border_edges(mesh))} of its edges belong to one triangle only",
+            "close the holes of the mesh in a CAD program or with trimesh.repair.fill_holes",
         )
     if not mesh.is_winding_consistent:
         refuse(
             field,
             str(name),
-            "has triangles with inconsistent orientation",
-            "orient them alike (trimesh.repair.fix_winding)",
+            "has triangles whose normals point inwards and others whose normals point outwards",
+            "orient all triangles alike in a CAD program or with trimesh.repair.fix_winding",
         )
     if mesh.volume < 0:
         mesh.invert()

@@ -69,11 +69,12 @@ def check_straight_ends(line: PipeLine, name: Any) -> None:
     for part in line.parts:
         if part.kind == "valve":
             refuse("line", name, f"has a valve (part {part.number}), which a scene cannot simulate",
-                   "use 'warpcrete line', or replace it by straight pipe or a bore from a mesh")  # fmt: skip
+                   "simulate the line with 'warpcrete line', or replace the valve by a straight pipe or a bore from a "
+                   "mesh")  # fmt: skip
     for place in (0, -1):
         if line.parts[place].kind != "straight":
-            refuse("line", name, f"must begin and end straight: part {line.parts[place].number} is a "
-                   f"{line.parts[place].kind}", "add a straight part there")  # fmt: skip
+            refuse("line", name, f"must begin and end with a straight part, but part {line.parts[place].number} is a "
+                   f"{line.parts[place].kind}", "add a part 'straight' at this end")  # fmt: skip
 
 
 def joined(axis: Axis) -> Axis:
@@ -94,7 +95,8 @@ def check_return(axis: Axis, bores: Bores, begin: float = 0.0, aside: float = ma
     axis. The second plane crosses the end of the pipe at right angles and has no limit.
     """
     if axis.length > MAX_LENGTH_RATIO * 2 * bores.largest:
-        refuse("line", f"{axis.length:.6g} m", f"is longer than {MAX_LENGTH_RATIO:,} diameters", "shorten it, or use "
+        refuse("line", f"{axis.length:.6g} m", f"is longer than {MAX_LENGTH_RATIO:,} diameters",
+               "shorten the line, or use "
                "'warpcrete line', which simulates its parts one by one")  # fmt: skip
     s = np.linspace(0, axis.length, max(400, math.ceil(8 * axis.length / bores.largest)))
     points, tangents = axis.at(s)
@@ -104,12 +106,12 @@ def check_return(axis: Axis, bores: Bores, begin: float = 0.0, aside: float = ma
     beside = np.linalg.norm(points - start - ahead[:, None] * tangents[0], axis=1) < aside + reach
     if np.any(ahead[(s > begin + 2 * reach) & beside] < reach):
         refuse("line", f"{axis.length:.3g} m", "returns across the plane of its inlet",
-               "shorten it, or reduce the angles of its bends")  # fmt: skip
+               "shorten the line, or reduce the angles of its bends")  # fmt: skip
     behind = (points[-1] - points) @ tangents[-1]
     if np.any(behind[s < axis.length - 2 * reach] < reach):
         refuse(
             "line",
             f"{axis.length:.3g} m",
             "returns across the plane of its outlet",
-            "shorten it, or reduce the angles of its bends",
+            "shorten the line, or reduce the angles of its bends",
         )

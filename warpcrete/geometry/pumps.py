@@ -46,5 +46,10 @@ def pump_of(given: Any, field: str = "pump") -> Pump:
             positive(called, found[key], unit)
             check_limit(called, found[key], unit, key)
     if "pressure" not in found:
-        refuse(field, dict(entries), "has no pressure", "add it from the data sheet, for example 'pressure: 85 bar'")
+        refuse(
+            field,
+            dict(entries),
+            "has no 'pressure'",
+            "add the largest pressure from the data sheet, for example 'pressure: 85 bar'",
+        )
     return Pump(**found)

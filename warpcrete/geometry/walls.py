@@ -71,7 +71,7 @@ class Prescribed:
         between("start_time", self.start_time, 0, np.inf, "s")
         if self.stops is not None and self.stops.stroke_time < 2 * self.ramp_time * (1 - 1e-12):
             refuse("stroke_time", self.stops.stroke_time, f"must be at least two ramps of {self.ramp_time:g} s",
-                   "shorten the ramp")  # fmt: skip
+                   "reduce 'ramp_time', or increase 'stroke_time'")  # fmt: skip
 
     def fill(self, row: Any) -> None:
         """Write the parameters of the motion into `row`, the entry of the wall in a table on the device."""
@@ -231,7 +231,12 @@ class PipeWall(_Wall):
     def __post_init__(self) -> None:
         positive(f"{self.name}.radius", self.radius, "m")
         if self.motion is not None and isinstance(self.motion, Prescribed) and any(self.motion.spin):
-            refuse(f"{self.name}.motion", "spin", "must be zero: a pipe wall cannot rotate", "use a MeshWall")
+            refuse(
+                f"{self.name}.motion",
+                "spin",
+                "must be zero, because a PipeWall cannot rotate",
+                "use a MeshWall instead",
+            )
 
     @property
     def reference_points(self) -> np.ndarray:
@@ -285,7 +290,10 @@ class MeshWall(_Wall):
         object.__setattr__(self, "faces", faces)
         if len(self.surface[1]) == 0:
             refuse(
-                f"{self.name}.faces", f"{len(faces)} triangles", "must have an area", "check the unit of its vertices"
+                f"{self.name}.faces",
+                f"{len(faces)} triangles",
+                "must include triangles with an area",
+                "check the vertices and their unit",
             )
 
     @cached_property

@@ -68,7 +68,7 @@ def reconciled(candidates: list[Figure]) -> tuple[Figure, list[str]]:
         cones = first.instrument == other.instrument == "cone"
         if apart > (CONES if cones else INSTRUMENTS if first.instrument != other.instrument else 1.0):
             refuse(f"mix {first.name}", f"{first.span} from {first.way}", f"contradicts {other.span} from {other.way}",
-                   "leave out the less reliable one, or state its uncertainty")  # fmt: skip
+                   "leave out the less reliable measurement, or state its uncertainty")  # fmt: skip
         if apart > 1 and cones:
             remarks.append(f"{words}; the first is used, and its band reaches to the second's")
             first = replace(first, low=min(first.low, other.high), high=max(first.high, other.low))
@@ -95,7 +95,7 @@ def of_line(name: str, value: float, off: float, unit: str, way: str, count: int
     """
     viscous = unit.startswith("Pa s")
     if value < 0 or (viscous and value == 0):
-        refuse(f"mix {name}", round(value, 6), f"is the result of a straight line through {way}, but is impossible",
+        refuse(f"mix {name}", round(value, 6), f"follows from a straight line through {way}, but is impossible",
                "check the points and their units")  # fmt: skip
     source = "straight line, 95 %" if count > 2 else "straight line; two points give no uncertainty"
     return Figure(name, value, max(value - off, 0.1 * value if viscous else 0.0), value + off, unit, way, source)

@@ -56,12 +56,13 @@ NUMBERS = {
         "kg/m3",
         1000,
         5000,
-        "write another unit as in '2.35 t/m3'",
+        "write units other than kg/m3 behind the number, as in '2.35 t/m3'",
     ),
     "volume": Entry("Volume of the load, if parts state the masses of a whole load", "m3", 1e-3, 1e4),
-    "air": Entry("Air content, share of the volume", "m3/m3", 0, 0.3, "write per cent as in '2 %'"),
+    "air": Entry("Air content, share of the volume", "m3/m3", 0, 0.3, "write per cent with the sign, as in '2 %'"),
     "aggregate_density": Entry("Density of the coarse aggregate", "kg/m3", 1000, 8000),
-    "slump": Entry("Slump of the Abrams cone", "m", 0.01, 0.29, "use spread for softer concrete"),
+    "slump": Entry("Slump of the Abrams cone", "m", 0.01, 0.29, "write the unit, as in '180 mm', and give 'spread' "
+                                                                "instead for softer concrete"),
     "spread": Entry("Spread of the Abrams cone", "m", 0.35, 1.2),
     "t500": Entry("Time until the spread reaches 500 mm", "s", 0.5, 120),
     "water_binder": Entry(
@@ -71,8 +72,9 @@ NUMBERS = {
         1.2,
     ),
     "voids": Entry("Voids of sand and stones together when compacted, share of their bulk volume", "m3/m3", 0.1, 0.5,
-                   "write per cent as in '24 %'"),
-    "fine_sand": Entry("Share of the sand's mass below 0.3 mm", "1", 0, 1, "write per cent as in '18 %'"),
+                   "write per cent with the sign, as in '24 %'"),
+    "fine_sand": Entry("Share of the sand's mass below 0.3 mm", "1", 0, 1,
+                       "write per cent with the sign, as in '18 %'"),
 }  # fmt: skip
 """Numeric entries of a mix."""
 OTHERS = {
@@ -219,14 +221,19 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
     Raises :class:`SceneError` if an entry is invalid or entries contradict each other.
     """
     if not given:
-        refuse("mix", given, "is empty", f"add some of {', '.join(KEYS)}")
+        refuse(
+            "mix",
+            given,
+            "is empty",
+            f"add entries such as 'density: 2350 kg/m3'; possible entries are {', '.join(KEYS)}",
+        )
     if not isinstance(given, Mapping):
-        refuse("mix", given, "must hold 'key: value' lines", "indent them below the name of the section")
+        refuse("mix", given, "must consist of 'key: value' lines", "indent them below the name of the section")
     for key in given:
         with errors_located_at(given, key):
             one_of("mix key", key, KEYS)
     if "sieve" in given and "sizes" in given:
-        refuse("mix sizes", given["sizes"], "is given together with sieve", "leave out one of them")
+        refuse("mix sizes", given["sizes"], "is given together with 'sieve'", "leave out 'sizes' or 'sieve'")
     heavy = _number(given, "aggregate_density") or GRAVEL
     with errors_located_at(given, "parts" if "parts" in given else "density"):
         density, summed = _density(given, heavy)
@@ -239,14 +246,17 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
             "mix mortar",
             given["mortar"],
             "needs the share of coarse aggregate in the concrete",
-            "add it, for example 'aggregate: 36 %'",
+            "add the share, for example 'aggregate: 36 %'",
         )
     if share is not None:
         _check_parts(density, share, heavy, mortar.values.get("density"))
     spread, t500 = _number(given, "spread"), _number(given, "t500")
     if t500 is not None and (spread is None or spread < 0.5):
         refuse(
-            "mix t500", given["t500"], "needs a final spread of 500 mm or more", "add it, for example 'spread: 650 mm'"
+            "mix t500",
+            given["t500"],
+            "needs a final spread of 500 mm or more",
+            "add the measured spread, for example 'spread: 650 mm'",
         )
     return MixEntries(
         density=density,
@@ -298,7 +308,8 @@ def _paste_solids(given: Mapping[str, Any]) -> float | None:
     stated = 1 / (1 + ratio * BINDER / 1000)
     if found is not None and abs(stated - found) > PASTE_TOLERANCE:
         refuse("mix water_binder", ratio, f"contradicts the parts: it means {stated:.3f} m3 of powder in a cubic metre "
-               f"of paste, and they contain {found:.3f}", "leave it out; the parts suffice")  # fmt: skip
+               f"of paste, but the parts contain {found:.3f} m3",
+               "leave out 'water_binder', because the parts suffice")  # fmt: skip
     return found or stated
 
 
@@ -334,7 +345,7 @@ def _thickener(given: Mapping[str, Any]) -> bool:
             refuse("mix thickener", said, "must be true or false")
         if named and not said:
             refuse("mix thickener", said, "contradicts the parts, which name a viscosity-modifying admixture",
-                   "leave it out")  # fmt: skip
+                   "leave out 'thickener', or correct the parts")  # fmt: skip
     return said
 
 
@@ -361,7 +372,7 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool]:
                 "mix density",
                 None,
                 "must be given for the concrete",
-                "add 'density: 2350 kg/m3', or parts",
+                "add, for example, 'density: 2350 kg/m3', or list the ingredients as 'parts'",
             )
         return own, False
     parts = given["parts"]
@@ -369,7 +380,7 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool]:
         refuse(
             "mix parts",
             parts,
-            "must be the ingredients of a cubic metre",
+            "must list the ingredients of a cubic metre of concrete",
             "for example {cement: 340 kg/m3, water: 170 kg/m3}",
         )
     masses, load = {}, _number(given, "volume")
@@ -377,13 +388,32 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool]:
         with errors_located_at(parts, name):
             masses[str(name)] = mass_per_volume(str(name), value, load)
             between(
-                f"mix parts: {name}", masses[str(name)], MIN_AMOUNT, 5000, "kg/m3", "leave out ingredients with no mass"
+                f"mix parts: {name}",
+                masses[str(name)],
+                MIN_AMOUNT,
+                5000,
+                "kg/m3",
+                "give the mass in a cubic metre, and leave out ingredients without mass",
             )
     total = sum(masses.values())
     if own is not None and abs(total / own - 1) > DENSITY_TOLERANCE:
-        refuse("mix density", own, f"contradicts its parts, which add up to {total:.5g} kg/m3", "leave out one of them")
+        refuse(
+            "mix density",
+            own,
+            f"contradicts 'parts', which add up to {total:.5g} kg/m3",
+            "correct 'parts', or leave out 'density'",
+        )
     if own is None:
-        between("mix parts, their sum", total, 1000, 5000, "kg/m3", "list all ingredients, including aggregates")
+        between(
+            "sum of mix parts",
+            total,
+            1000,
+            5000,
+            "kg/m3",
+            "list all ingredients of a cubic metre including "
+            "aggregates, or add 'volume' if they are those of a "
+            "whole load",
+        )
     check_volume(masses, heavy, air)
     return (own, False) if own is not None else (total, True)
 
@@ -398,28 +428,32 @@ def _share(given: Any, heavy: float) -> float:
     else:
         found = amount("mix aggregate", given, "m3/m3")
         if found > 1:
-            refuse("mix aggregate", given, "must be a share of the volume up to 1, or have a unit",
+            refuse("mix aggregate", given, "must be a share of the volume, below 1, or have a unit",
                    "for example '36 %', '360 l/m3', '950 kg/m3' or '1600 lb/yd3'")  # fmt: skip
     positive("mix aggregate", found)
     if found >= PACKING:
-        refuse("mix aggregate", given, f"is {found:.3g} of the volume: more than loosely packed stones fill, {PACKING}",
-               "give the coarse aggregate only")  # fmt: skip
+        refuse("mix aggregate", given, f"is {found:.3g} of the volume, more than the share {PACKING} that loosely "
+                                       "packed stones fill",
+               "give the coarse aggregate without sand")  # fmt: skip
     return found
 
 
 def _check_parts(density: float, share: float, heavy: float, own: float | None) -> None:
     """Check that the densities of concrete, coarse aggregate and mortar are consistent."""
     rest = (density - share * heavy) / (1 - share)
-    words = f"leaves a mortar of {rest:.4g} kg/m3, with a share {share:.3g} of aggregate of {heavy:g} kg/m3"
+    words = (
+        f"leaves {rest:.4g} kg/m3 for the density of the mortar, if aggregate of {heavy:g} kg/m3 fills {share:.3g} "
+        "of the volume"
+    )
     if not MORTARS[0] <= rest <= MORTARS[1]:
         refuse("mix density", density, f"{words}; mortars have {MORTARS[0]:g} to {MORTARS[1]:g} kg/m3",
-               "check aggregate and aggregate_density")  # fmt: skip
+               "check 'density', 'aggregate' and 'aggregate_density'")  # fmt: skip
     if own is not None and abs(rest / own - 1) > DENSITY_TOLERANCE:
         refuse(
             "mix density",
             density,
-            f"{words}, but the density of the mortar is given as {own:g}",
-            "leave out one of them",
+            f"{words}, but the density of the mortar is given as {own:g} kg/m3",
+            "correct or leave out one of the two densities",
         )
 
 
@@ -435,7 +469,7 @@ def _sieve(given: Any) -> tuple[tuple[float, float], ...]:
         refuse("mix sieve: opening", f"{1e3 * widest:g} mm", f"must be at most {1e3 * COARSEST:g} mm",
                "openings without a unit are in mm")  # fmt: skip
     if len({isinstance(value, str) for value in opened.values()}) > 1:
-        refuse("mix sieve", dict(given), "mixes numbers with and without a unit", example)
+        refuse("mix sieve", dict(given), "mixes shares with and without a unit", example)
     passing = [amount("mix sieve: passing", value, "1") for value in opened.values()]
     if passing[-1] == 100:
         passing = [value / 100 for value in passing]
@@ -449,8 +483,8 @@ def _sieve(given: Any) -> tuple[tuple[float, float], ...]:
     if passing[0] != 0 or passing[-1] != 1:
         refuse("mix sieve", given, "must rise from 0 to 1, or to 100 for per cent", example)
     if openings[0] < FINEST:
-        refuse("mix sieve", given, "has fines: grains below about 4 mm are part of the mortar in both methods",
-               "give the curve of the coarse aggregate only")  # fmt: skip
+        refuse("mix sieve", given, f"begins below {1e3 * FINEST:g} mm, but sand belongs to the mortar in both methods",
+               "give the curve of the coarse aggregate alone, without sand")  # fmt: skip
     return tuple(zip(openings, passing, strict=True))
 
 
@@ -458,8 +492,15 @@ def _sizes(given: Any) -> tuple[float, float]:
     if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
         refuse("mix sizes", given, "must be the smallest and the largest size", "for example [5 mm, 20 mm]")
     low, high = (amount("mix sizes", each, "m") for each in given)
-    between("mix sizes, the largest", high, FINEST, COARSEST, "m", "write millimetres as in '20 mm'")
-    between("mix sizes, the smallest", low, FINEST, high, "m", "finer grains are part of the mortar")
+    between("largest of mix sizes", high, FINEST, COARSEST, "m", "write millimetres as in '20 mm'")
+    between(
+        "smallest of mix sizes",
+        low,
+        FINEST,
+        high,
+        "m",
+        "write the smaller size first, and leave out finer grains, which belong to the mortar",
+    )
     return low, high
 
 
@@ -469,14 +510,19 @@ def _shape(given: Any) -> str:
         return f"shape-{given:g}" if given > 1 else "spheres"
     if not isinstance(given, str) or given not in SHAPES:
         refuse("mix shape", given, f"must be one of {', '.join(SHAPES)}",
-               suggested(given, SHAPES) or "or the ratio of longest to shortest width, at least 1")  # fmt: skip
+               suggested(given, SHAPES) or "or give the ratio of longest to shortest width, 1 to 20")  # fmt: skip
     return SHAPES[given]
 
 
 def _constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:
     """Return the measured constants of a section of the mix."""
     if not isinstance(given, Mapping):
-        refuse(f"mix {name}", given, "must be a mapping", f"with {', '.join(units)} and uncertainty")
+        refuse(
+            f"mix {name}",
+            given,
+            "must consist of 'key: value' lines",
+            f"possible keys are {', '.join(units)} and uncertainty",
+        )
     for key in given:
         one_of(f"mix {name}: key", key, (*units, "uncertainty"))
     values = {key: amount(f"mix {name}: {key}", given[key], unit) for key, unit in units.items() if key in given}
@@ -489,14 +535,26 @@ def _constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:
     off = None
     if "uncertainty" in given:
         off = amount(f"mix {name}: uncertainty", given["uncertainty"], "1")
-        between(f"mix {name}: uncertainty", off, 0, 0.9, "", "relative to the values, for example '15 %'")
+        between(
+            f"mix {name}: uncertainty",
+            off,
+            0,
+            0.9,
+            "",
+            "give the uncertainty relative to the values, for example '15 %'",
+        )
     return Measured(values, off)
 
 
 def _layer(given: Any, folder: Path) -> Layer:
     """Return the slip layer from constants, from points of a pipe or from points of a tribometer."""
     if not isinstance(given, Mapping):
-        refuse("mix layer", given, "must be a mapping", "for example {yield_stress: 20 Pa, viscosity: 900 Pa s/m}")
+        refuse(
+            "mix layer",
+            given,
+            "must consist of 'key: value' lines",
+            "for example {yield_stress: 20 Pa, viscosity: 900 Pa s/m}",
+        )
     if not given:
         return Layer()
     if "points" in given:
@@ -508,15 +566,20 @@ def _layer(given: Any, folder: Path) -> Layer:
                 refuse(
                     f"mix layer: {key}",
                     None,
-                    "must be given for the pipe in which the points were measured",
-                    "for example '125 mm'",
+                    f"must be the {key} of the pipe in which the points were measured",
+                    f"add it, for example '{key}: {'125 mm' if key == 'diameter' else '10 m'}'",
                 )
             found[key] = amount(f"mix layer: {key}", given[key], "m")
             positive(f"mix layer: {key}", found[key], "m")
             check_limit(f"mix layer: {key}", found[key], "m", key)
         found["rise"] = amount("mix layer: rise", given.get("rise", 0), "m")
         between(
-            "mix layer: rise", found["rise"], -found["length"], found["length"], "m", "the height that the pipe gains"
+            "mix layer: rise",
+            found["rise"],
+            -found["length"],
+            found["length"],
+            "m",
+            "'rise' is the height of the pipe's end above its start",
         )
         return Layer(pipe_points=_pairs("layer: points", given["points"], PUMPED, folder), **found)
     if "tribometer" in given:
@@ -531,8 +594,8 @@ def _layer(given: Any, folder: Path) -> Layer:
         refuse(
             "mix layer",
             dict(given),
-            "must have yield_stress and viscosity, or points, or tribometer",
-            "add what is missing",
+            "must have 'yield_stress' and 'viscosity', or 'points', or 'tribometer'",
+            "for example {yield_stress: 20 Pa, viscosity: 900 Pa s/m}",
         )
     return Layer(constants, pipe=source == "pipe")
 
@@ -549,5 +612,10 @@ def _pairs(name: str, given: Any, columns: Mapping[str, str], folder: Path) -> t
         one = [amount(f"mix {name}: {x}", pair[0], x_unit) for pair in given]
         other = [amount(f"mix {name}: {y}", pair[1], y_unit) for pair in given]
     if len(set(one)) < 2:
-        refuse(f"mix {name}", one, "must have two or more different values", "add measured points")
+        refuse(
+            f"mix {name}",
+            one,
+            "must have two or more different values",
+            "add points that were measured at other values",
+        )
     return one, other

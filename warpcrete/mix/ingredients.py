@@ -131,8 +131,9 @@ def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
     field = f"mix parts: {name}"
     whole = is_amount(value, "kg") or is_amount(value, "m3")
     if whole and load is None:
-        refuse(field, value, f"must be a number with one of {', '.join(unit_names('kg/m3'))}, unless the volume of the "
-               "load is known", "add it, as in 'volume: 8 yd3'")  # fmt: skip
+        refuse(field, value, f"must be a number with one of {', '.join(unit_names('kg/m3'))}, because the volume of "
+                             "the "
+               "load is unknown", "or add the volume, as in 'volume: 8 yd3'")  # fmt: skip
     liquid = is_amount(value, "m3") or (is_amount(value, "m3/m3") and not str(value).rstrip().endswith("%"))
     if liquid:
         known = [word for word in _words(name) if word in DENSITIES]
@@ -158,7 +159,7 @@ def density_of(name: str) -> float | None:
     meant = suggested(name, DENSITIES)
     if meant:
         refuse("mix parts", name, "is not a known ingredient", meant)
-    warn(f"mix parts: {quoted(name)} is not a known ingredient, so that volumes cannot be checked")
+    warn(f"mix parts: {quoted(name)} is not a known ingredient, so the sum of the volumes cannot be checked")
     return None
 
 
@@ -180,13 +181,13 @@ def check_volume(parts: Mapping[str, float], coarse: float, air: float | None) -
         gap = 1 - filled - air
         words = f"fill {filled + air:.3f} m3 of 1 m3, with {100 * air:.3g} % of air"
         if gap < -VOLUME_ERROR or (complete and gap > VOLUME_ERROR):
-            refuse("mix parts", ", ".join(parts), words, "list all ingredients, in kg/m3")
+            refuse("mix parts", ", ".join(parts), words, "list all ingredients of a cubic metre, in kg/m3")
         if gap < -VOLUME_WARNING or (complete and gap > VOLUME_WARNING):
-            warn(f"mix parts: {words}")
+            warn(f"mix parts: {words}; check the masses and the air content")
         return
     words = f"fill {filled:.3f} m3 of 1 m3"
     if filled > POSSIBLE_VOLUMES[1] or (complete and filled < POSSIBLE_VOLUMES[0]):
-        refuse("mix parts", ", ".join(parts), f"{words} without air", "list all ingredients, in kg/m3")
+        refuse("mix parts", ", ".join(parts), f"{words} without air", "list all ingredients of a cubic metre, in kg/m3")
     if 1 - filled < USUAL_AIR[0] or (complete and 1 - filled > USUAL_AIR[1]):
-        left = f"which leaves {100 * (1 - filled):.2g} % of air; state it, as in 'air: 8 %'"
-        warn(f"mix parts: {words}, {left if filled < 1 else 'and leave no room for air'}")
+        left = f"which leaves {100 * (1 - filled):.2g} % of air; check the masses, or state it, as in 'air: 8 %'"
+        warn(f"mix parts: {words}, {left if filled < 1 else 'and leave no room for air; check the masses'}")

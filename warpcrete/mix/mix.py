@@ -24,12 +24,14 @@ FLOW = {"density": "density", "viscosity": "viscosity", "yield_stress": "yield s
 LAWS = {"flow_index": "flow index", "quadratic_viscosity": "quadratic viscosity", "slip_flow_index": "slip flow index",
         "slip_quadratic_viscosity": "slip quadratic viscosity"}  # fmt: skip
 """Names of the constants of other laws than Bingham's, which a mix has only if they are stated."""
+FACTORS = {"yield_factor": 1.0, "viscosity_factor": 1.0}
+"""Factors of a section `flow` by which age or temperature change the concrete, with their defaults."""
 CAUSES = {"slip layer": ("slip_viscosity", "slip_yield"), "viscosity of the bulk": ("viscosity",),
           "yield stress of the bulk": ("yield_stress",), "density": ("density",)}  # fmt: skip
 """Causes of uncertainty, each with the constants of a flow that change together."""
 UNITS = {"density": "kg/m3", "viscosity": "Pa s", "yield_stress": "Pa", "slip_viscosity": "Pa s/m", "slip_yield": "Pa",
          "flow_index": "1", "quadratic_viscosity": "Pa s2", "slip_flow_index": "1",
-         "slip_quadratic_viscosity": "Pa s2/m2"}  # fmt: skip
+         "slip_quadratic_viscosity": "Pa s2/m2", **dict.fromkeys(FACTORS, "1")}  # fmt: skip
 COLUMNS = ("quantity", "value", "unit", "band", "from", "source")
 
 
@@ -168,7 +170,8 @@ def mix_in(found: NamedConcrete) -> Mix | None:
     """
     if found.mix is None:
         return None
-    stated = known_only("flow", found.mix.flow, {**FLOW, **LAWS}, found.name)
+    stated = known_only("flow", found.mix.flow, {**FLOW, **LAWS, **FACTORS}, found.name)
+    stated = {key: value for key, value in stated.items() if key not in FACTORS}
     return mix_of(found.mix.values, found.mix.folder, found.name, found.source, stated)
 
 
@@ -205,7 +208,7 @@ def mix_of(
             remarks += more
     if "yield stress" not in bulk:
         refuse("mix", ", ".join(given), "does not determine the yield stress of the concrete",
-               "add spread, slump, viscometer, mortar or concrete")  # fmt: skip
+               "add a measurement: 'spread', 'slump', 'viscometer', 'mortar' or 'concrete'")  # fmt: skip
     bulk.setdefault("viscosity", unknown_viscosity(told))
     fluid = Concrete(
         name=name, density=bulk["density"].value, viscosity=bulk["viscosity"].value,

@@ -36,7 +36,7 @@ def read_points(path: Path, columns: Mapping[str, str] = PUMPED, field: str = "f
         for line, row in rows:
             each = f"{path.name}, line {line}: {name}"
             value = amount(each, f"{row[place].strip()} {own}".strip(), unit)
-            positive(each, value, unit, "leave out points at rest")
+            positive(each, value, unit, "leave out points without flow")
             check_limit(each, value, unit, name)
             found[-1].append(value)
     return found

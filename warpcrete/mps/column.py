@@ -19,12 +19,12 @@ from ..core.run.run_loop import Run
 from ..core.units import number
 from ..theory.pipe import MIXES, Concrete, Line, Steady, after_rest, flow_of_pressure, steady, steady_of_stress
 from ..theory.suspension import SUSPENSIONS, mortar_of
-from .mixes import CONSTANTS, LAW_DEFAULTS, concrete_of, file_aggregates, file_constants
+from .mixes import CONSTANTS, FACTORS, LAW_DEFAULTS, concrete_of, file_aggregates, file_constants
 from .scene import ENDS, Aggregates, FlowSettings, FluidScene
 
 SHEARED: dict[str, Any] = {
     "concrete": "own", "viscosity": 30.0, "yield_stress": 40.0, "slip_viscosity": 1000.0, "slip_yield": 20.0,
-    "density": 2350.0, **dict.fromkeys(LAW_DEFAULTS),
+    "density": 2350.0, **dict.fromkeys(LAW_DEFAULTS), **dict.fromkeys(FACTORS),
 }  # fmt: skip
 """Parameters of a self-compacting concrete that is strongly sheared.
 
@@ -86,6 +86,17 @@ class ConcreteParameters:
         float | None,
         "Coefficient c of the slip layer [Pa s2/m2], whose stress gets a term c x (slip velocity)^2; default: 0",
         Within(0, hint="use slip_flow_index below 1 for a layer that thins"),
+    ] = None
+    yield_factor: Annotated[
+        float | None,
+        "Factor of both yield stresses by which age or temperature change the concrete, from a source of your own; "
+        "default: 1",
+        Above(),
+    ] = None
+    viscosity_factor: Annotated[
+        float | None,
+        "Factor of all viscosities of bulk and slip layer by which age or temperature change them; default: 1",
+        Above(),
     ] = None
     slip_thickness: Annotated[
         float, "Thickness of the slip layer, which reduces the radius of the concrete [m]", Within(0)
@@ -171,7 +182,12 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
             return None
         if fraction is None:
             if self.concrete not in MIXES:
-                refuse("aggregate_fraction", None, "must be given for concrete = own")
+                refuse(
+                    "aggregate_fraction",
+                    None,
+                    "must be given for 'concrete' = own",
+                    "for example 0.3, the share of the volume",
+                )
             fraction = MIXES[self.concrete]["gravel"] / self.aggregate_density
         by_dimension = "discs" if dimensions == 2 else "spheres"
         inclusions = self.inclusions if self.inclusions != "auto" else by_dimension
@@ -189,12 +205,12 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
         flow = self.flow
         if self.pressure is not None:
             if flow is not None:
-                refuse("flow", flow, "cannot be combined with pressure", "leave out one of the two")
+                refuse("flow", flow, "cannot be combined with 'pressure'", "leave out 'flow' or 'pressure'")
             line = Line(radius=bulk, length=self.length, gravity=self.gravity)
             flow = flow_of_pressure(concrete, line, self.pressure, "plane" if dimensions == 2 else "pipe").flow
         elif flow is None:
             flow = FLOW
-        positive("flow", flow, "m3/s", "a concrete at rest needs no simulation")
+        positive("flow", flow, "m3/s", "increase the flow, because concrete at rest needs no simulation")
         return flow
 
     def ends_for(self, concrete: Concrete, bulk: float, flow: float, dimensions: int) -> str:
@@ -207,7 +223,7 @@ class FlowParameters(ConcreteParameters, ColumnParameters, AggregateParameters, 
             return self.ends
         if self.aggregates:
             return "piston"
-        if self.rest or self.step_error:
+        if self.rest or self.step_error or self.rebuild_rate:
             return "periodic"
         line = Line(radius=bulk, length=self.length, gravity=self.gravity)
         state = steady(concrete, line, flow, "plane" if dimensions == 2 else "pipe")
@@ -223,9 +239,9 @@ def column_scene(
     the paper's own case. Raises :class:`SceneError` if the pressure is too low to move the concrete, or if the slip
     layer fills the pipe.
     """
-    Within(0, np.nextafter(given.diameter / 2, 0), "use less than the radius").check(
-        "slip_thickness", given.slip_thickness, " m"
-    )
+    Within(
+        0, np.nextafter(given.diameter / 2, 0), "use 0 for no slip layer, or less than the radius of the pipe"
+    ).check("slip_thickness", given.slip_thickness, " m")
     concrete = given.constants()
     bulk = given.diameter / 2 - given.slip_thickness
     area = np.pi * bulk**2
@@ -249,7 +265,11 @@ def column_scene(
 
 def _is_reference_case(given: FlowParameters) -> bool:
     """Return whether the scene is the paper's own case: one phase, and a slip layer of zero thickness."""
-    free = {"concrete", "spacing", "flow", *(f.name for f in fields(FlowSettings))} - {"gravity", "rest"}
+    free = {"concrete", "spacing", "flow", *(f.name for f in fields(FlowSettings))} - {
+        "gravity",
+        "rest",
+        "rebuild_rate",
+    }
     other = [f.name for f in fields(given) if f.name not in free and getattr(given, f.name) != f.default]
     return not other and given.flow in (None, FLOW)
 
@@ -299,8 +319,9 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
         "volume": (abs(result["volume_error"]) < 1e-3, f"largest error {100 * result['volume_error']:+.3f} %"),
         "balance of forces": (abs(balance) < 5e-3, f"{100 * balance:+.2f} % of the piston's force is not balanced"),
     }  # fmt: skip
-    if scene.gained:  # The closed-form theory does not cover thixotropic structure that partly survives in the bulk.
+    if scene.is_structured:  # The closed-form theory does not cover thixotropic structure in a part of the bulk.
         found = {name: found[name] for name in ("volume", "balance of forces")}
+    if scene.gained:
         peak, least, most = (
             number(result["restart_pressure"]),
             scene.theory().pressure,
@@ -320,7 +341,7 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
     # A run of given duration need not become steady; the report says if the flow is not steady.
     if scene.duration is None:
         found = {"steady": (result["steady"], f"after {number(result['simulated_time']):g} s"), **found}
-    if not two and not scene.gained:
+    if not two and not scene.is_structured:
         found["slip velocity"] = (abs(slip) < limit, f"off theory by {100 * slip:+.2f} % of the mean velocity")
         found["profile"] = (
             result["profile_error"] < profile_limit,
@@ -342,7 +363,7 @@ def flow_trading(dimensions: int) -> Trading:
     return Trading(
         lambda given: _knobs(given, dimensions),
         quantities=("pressure", "slip_velocity"),
-        closed_form=lambda given: not given.aggregates and not given.rest,
+        closed_form=lambda given: not given.aggregates and not given.rest and not given.rebuild_rate,
         variants=lambda given: _variants(given, dimensions),
         tolerance="tolerated_error",
     )

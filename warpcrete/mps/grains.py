@@ -48,7 +48,7 @@ def place_grains(scene: FluidScene, layout: Layout) -> Grains:
     members: list[np.ndarray] = []
     total = sum(fraction for _, _, fraction in aggregates.sizes)
     if total <= 0:
-        refuse("sizes", aggregates.sizes, "must contain a class with a fraction above 0")
+        refuse("sizes", aggregates.sizes, "must contain at least one size with a share above 0")
     taken = 0
     rim_width = 1.05 * spacing if dimensions == 2 else 0.0
     for number, (smallest, largest, _) in enumerate(sorted(aggregates.sizes, key=lambda c: -c[1])):
@@ -78,13 +78,13 @@ def place_grains(scene: FluidScene, layout: Layout) -> Grains:
             misses = 0
         if taken < goal - max(0.02 * wanted, 0.6 * (largest / spacing) ** dimensions):
             found = f"does not fit at a spacing of {spacing:g} m: only {taken / n:.3g} of the volume was placed"
-            refuse("aggregate fraction", aggregates.fraction, found, "use a lower fraction, or a finer spacing")
+            refuse("aggregate fraction", aggregates.fraction, found, "use a lower fraction, or a smaller 'spacing'")
     if not members:
         refuse(
             "aggregate fraction",
             aggregates.fraction,
-            "must be large enough for one grain",
-            "use a larger fraction, or a finer spacing",
+            "is too small for a single grain",
+            "use a larger fraction, or a smaller 'spacing'",
         )
     mortar = np.flatnonzero(owner < 0)
     order = np.concatenate([*members, mortar])

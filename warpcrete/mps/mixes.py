@@ -10,9 +10,9 @@ from ..core.errors import one_of, refuse
 from ..core.inputs.amounts import amount
 from ..core.inputs.concretes import is_file, known_only, shipped
 from ..core.inputs.text_files import name_of
+from ..mix.mix import FACTORS, completed, mix_named
 from ..mix.mix import UNITS as FLOW_UNITS
-from ..mix.mix import completed, mix_named
-from ..theory.pipe import SLIP_VISCOSITY_BY_THICKNESS, Concrete
+from ..theory.pipe import SLIP_VISCOSITY_BY_THICKNESS, Concrete, scaled
 
 BINGHAM_CONSTANTS = ("density", "viscosity", "yield_stress", "slip_viscosity", "slip_yield")
 """Names of the constants that every concrete has."""
@@ -20,8 +20,10 @@ LAW_DEFAULTS = {
     "flow_index": 1.0, "quadratic_viscosity": 0.0, "slip_flow_index": 1.0, "slip_quadratic_viscosity": 0.0,
 }  # fmt: skip
 """Constants of other laws than Bingham's, with the values that stand for Bingham's law."""
-CONSTANTS = (*BINGHAM_CONSTANTS, *LAW_DEFAULTS)
-"""Names of all constants of a concrete; a value given as a parameter replaces the named concrete's value."""
+CONCRETE_CONSTANTS = (*BINGHAM_CONSTANTS, *LAW_DEFAULTS)
+"""Names of all constants of a :class:`Concrete`."""
+CONSTANTS = (*CONCRETE_CONSTANTS, *FACTORS)
+"""Names of all constants and factors of a named concrete; a value given as a parameter replaces the named one's."""
 AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mortar_yield")
 """Names of the parameters of the coarse aggregate in a two-phase flow."""
 
@@ -29,9 +31,10 @@ AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mo
 def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | None) -> Concrete:
     """Return a concrete by name or from a file, or `own` with all :data:`BINGHAM_CONSTANTS`.
 
-    Given constants replace those of the named concrete. For a concrete in Table 3 of Xu, Li & Jiang 2021, the slip
-    viscosity is taken from that table if the slip layer has a thickness [m] and no slip viscosity is given. Raises
-    :class:`SceneError` if constants are missing, or if the table does not list the thickness.
+    Given constants replace those of the named concrete, and factors scale the result (:func:`scaled`). For a concrete
+    in Table 3 of Xu, Li & Jiang 2021, the slip viscosity is taken from that table if the slip layer has a thickness [m]
+    and no slip viscosity is given. Raises :class:`SceneError` if constants are missing, or if the table does not list
+    the thickness.
     """
     given = {key: value for key, value in constants.items() if value is not None}
     named = {} if _is_complete(name, given) else _flow_of(name)
@@ -41,7 +44,7 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
             "concrete",
             name,
             f"has no value for {', '.join(missing)}",
-            f"give them, or use one of {', '.join(flowing())}",
+            f"give these values, or use one of the concretes {', '.join(flowing())}",
         )
     if slip_thickness > 0 and "slip_viscosity" not in given and name in SLIP_VISCOSITY_BY_THICKNESS:
         table = SLIP_VISCOSITY_BY_THICKNESS[name]
@@ -51,11 +54,13 @@ def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | Non
             refuse(
                 "slip_thickness",
                 slip_thickness,
-                f"must be a thickness with printed constants ({printed}), or slip_viscosity must be given",
-                "give slip_viscosity",
+                f"must be one of the published thicknesses ({printed} m) unless 'slip_viscosity' is given",
+                "use a published thickness, or set 'slip_viscosity'",
             )
         given["slip_viscosity"] = match[0]
-    return Concrete(name=name_of(name), **{**named, **given})
+    known = {**FACTORS, **named, **given}
+    factors = [known.pop(key) for key in FACTORS]
+    return scaled(Concrete(name=name_of(name), **known), *factors)
 
 
 def _is_complete(name: str, given: Mapping[str, Any]) -> bool:
@@ -85,7 +90,7 @@ def file_constants(values: Mapping[str, Any]) -> dict[str, float]:
     name = str(name) if isinstance(name, os.PathLike) else name
     if not isinstance(name, str) or not is_file(name) or _is_complete(name, values):
         return {}
-    return LAW_DEFAULTS | _flow_of(name)
+    return LAW_DEFAULTS | FACTORS | _flow_of(name)
 
 
 def file_aggregates(values: Mapping[str, Any]) -> dict[str, float]:

@@ -21,6 +21,7 @@ from ..theory.pipe import Concrete, Line, Steady, restart, steady
 MIN_PARTICLES_ACROSS = 4  # Minimum number of particles across the pipe.
 ENDS = ("piston", "periodic")
 RESTED = Needs("rest", lambda rest: rest > 0, "is above 0")
+STRUCTURED = Needs("rest", lambda value: value > 0, "is above 0", ("rebuild_rate",))
 MAX_PARTICLES = 2**26
 """Maximum number of particles of a column; their neighbour lists still fit in the memory of today's largest GPU."""
 # Minimum length of a column in spacings. In a shorter column, piston and surface disturb the flow everywhere.
@@ -43,9 +44,9 @@ class Aggregates:
     """Roundness of the aggregates: 1 gives circles or spheres, less gives radii that vary by up to 1 - roundness."""
 
     def __post_init__(self) -> None:
-        positive("aggregate fraction", self.fraction, "", "leave out aggregates")
+        positive("aggregate fraction", self.fraction, "", "leave out 'aggregates' for a concrete without them")
         between(
-            "aggregate fraction", self.fraction, 0, 0.6, "", "use less, because denser mixes cannot be placed at random"
+            "aggregate fraction", self.fraction, 0, 0.6, "", "grains above 0.6 of the volume cannot be placed at random"
         )
         positive("aggregate density", self.density, "kg/m3")
         between("roundness", self.roundness, 0.5, 1)
@@ -136,14 +137,20 @@ class FlowSettings(Declared):
         float, "Growth rate A_thix of the yield stresses at rest [Pa/s]; 0.1 to 1.7 (Roussel 2006)", Within(0), RESTED
     ] = 0.5
     breakdown: Annotated[
-        float, "Slip over which the layer's yield stress gained at rest falls to 1/e [m]", Above(), RESTED
+        float, "Slip over which the layer's yield stress gained at rest falls to 1/e [m]", Above(), STRUCTURED
     ] = 0.1
     breakdown_strain: Annotated[
         float,
         "Shear strain over which the bulk's yield stress gained at rest falls to 1/e, 1 / alpha (Roussel 2006)",
         Above(),
-        RESTED,
+        STRUCTURED,
     ] = 100.0
+    rebuild_rate: Annotated[
+        float,
+        "Rate at which the yield stresses of bulk and slip layer also grow while the concrete flows, A_thix [Pa/s]; "
+        "0: structure breaks down only",
+        Within(0),
+    ] = 0.0
     tolerated_error: Annotated[
         float | None,
         "Error against theory that the checks accept; default: 0.01 in 2D, 0.02 in 3D, 0.03 in two phases",
@@ -155,7 +162,7 @@ def check_interval(scene: Any) -> None:
     """Refuse a sample interval that no run can keep: one shorter than the time step, if all steps are equal."""
     positive("sample_interval", scene.sample_interval, "s")
     if not scene.step_error:
-        between("sample_interval", scene.sample_interval, scene.time_step, np.inf, "s", "use at least one time step")
+        between("sample_interval", scene.sample_interval, scene.time_step, np.inf, "s", "use the time step or more")
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -188,29 +195,35 @@ class FluidScene(Parametrised, FlowSettings):
         one_of("dimensions", self.dimensions, (2, 3))
         positive("radius", self.radius, "m")
         positive("length", self.length, "m")
-        positive("velocity", self.velocity, "m/s", "a concrete at rest needs no simulation")
+        positive(
+            "velocity", self.velocity, "m/s", "increase the velocity, because concrete at rest needs no simulation"
+        )
         positive("spacing", self.spacing, "m")
-        if self.aggregates is not None and (self.rest or self.step_error):
-            name = "rest" if self.rest else "step_error"
+        if self.aggregates is not None and (self.rest or self.step_error or self.rebuild_rate):
+            name = next(each for each in ("rest", "step_error", "rebuild_rate") if getattr(self, each))
             refuse(
-                name, getattr(self, name), "works only on a grid, which cannot have aggregates", "leave one of them out"
+                name,
+                getattr(self, name),
+                "needs cells of a grid, which cannot contain aggregates",
+                f"leave out {name!r} or 'aggregates'",
             )
-        if self.ends == "piston" and self.rest:
-            refuse(
-                "rest",
-                self.rest,
-                "works only on a grid, which can track the breakdown of the structure",
-                "use ends = periodic, or 0",
-            )
+        for name in ("rest", "rebuild_rate"):
+            if self.ends == "piston" and getattr(self, name):
+                refuse(
+                    name,
+                    getattr(self, name),
+                    "works only on a grid, which can track the breakdown of the structure",
+                    "use ends = periodic, or 0",
+                )
         if self.ends == "piston" and self.step_error:
-            refuse("step_error", self.step_error, "works only on a grid; a column on a piston has equal steps",
-                   "use ends = periodic, or 0")  # fmt: skip
+            refuse("step_error", self.step_error, "needs cells of a grid, because a column of particles on a piston "
+                   "has equal steps", "set 'ends' to periodic, or 'step_error' to 0")  # fmt: skip
         if self.ends == "periodic" and self.aggregates is not None:
             refuse(
                 "ends",
                 self.ends,
                 "cannot be combined with aggregates, because periodic flows are solved on a grid",
-                "use ends = piston",
+                "set 'ends' to piston",
             )
         across = 2 * self.radius / self.spacing
         if across < MIN_PARTICLES_ACROSS - 0.5:
@@ -224,21 +237,21 @@ class FluidScene(Parametrised, FlowSettings):
             refuse(
                 "length",
                 self.length,
-                f"must hold {MIN_SPACINGS_HIGH} particles, {MIN_SPACINGS_HIGH * self.spacing:g} m",
+                f"must be at least {MIN_SPACINGS_HIGH} times 'spacing', {MIN_SPACINGS_HIGH * self.spacing:g} m",
             )
         section = 2 * self.radius if self.dimensions == 2 else np.pi * self.radius**2
         count = section * self.length / self.spacing**self.dimensions
         if self.ends == "piston" and count > MAX_PARTICLES:
             refuse("length", self.length, f"needs {count:.2g} particles, but at most {MAX_PARTICLES:.2g} are possible",
-                   "use a shorter column, a larger spacing, or ends = periodic")  # fmt: skip
+                   "reduce 'length', increase 'spacing', or set 'ends' to periodic")  # fmt: skip
         if self.time_step * self.velocity > 0.5 * self.spacing:
             refuse(
-                "time_step", self.time_step, "must be shorter, because the piston passes more than half a particle "
+                "time_step", self.time_step, "must be shorter, because the piston moves by more than half a particle "
                                              "per step",
                 f"use {0.5 * self.spacing / self.velocity:.3g} s or less"
             )  # fmt: skip
         if self.duration is not None:
-            between("duration", self.duration, self.time_step, np.inf, "s", "use at least one time step")
+            between("duration", self.duration, self.time_step, np.inf, "s", "simulate at least one time step")
         check_interval(self)
 
     def __repr__(self) -> str:
@@ -262,6 +275,11 @@ class FluidScene(Parametrised, FlowSettings):
     def gained(self) -> float:
         """Increase of the yield stresses during the rest before the start [Pa]."""
         return self.thixotropy * self.rest
+
+    @property
+    def is_structured(self) -> bool:
+        """True if the yield stresses change during the flow, so that closed forms do not hold."""
+        return self.gained > 0 or self.rebuild_rate > 0
 
     def theory(self) -> Steady:
         """Return the steady state of the flow by closed-form theory."""

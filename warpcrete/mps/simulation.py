@@ -79,7 +79,11 @@ class FluidSimulation(FlowRun):
     def _structure_breaks(self) -> bool:
         """True if slip breaks, within a reasonable time, the structure that the slip layer gained at rest."""
         scene = self.scene
-        return bool(scene.gained) and scene.theory().slip_velocity > MIN_SLIP_RATIO * scene.velocity
+        return (
+            bool(scene.gained)
+            and not scene.rebuild_rate
+            and scene.theory().slip_velocity > MIN_SLIP_RATIO * scene.velocity
+        )
 
     @property
     def expected_duration(self) -> float:

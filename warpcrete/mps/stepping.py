@@ -133,8 +133,8 @@ class Stepping(ABC):
     def _fail(self, what: int) -> None:
         if what == LOST:
             raise InstabilityError(
-                f"t = {self.time:.6g} s: a particle left the vessel or its position is not a number; usual cure: a "
-                "smaller time step"
+                f"t = {self.time:.6g} s: a particle left the vessel, or its position is not a number; usual cure: a "
+                "smaller 'time_step'"
             )
         solve = self.solves()[what]
         outcome = solve.outcome.numpy()

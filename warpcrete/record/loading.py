@@ -39,7 +39,7 @@ def load(folder: Path | str) -> Run:
         )
         raise RunFolderError(
             f"'{folder}': "
-            + ("is not a folder" if not folder.is_dir() else "is not a run folder (it holds no scene.json)")
+            + ("is not a folder" if not folder.is_dir() else "is not the folder of a run (it contains no scene.json)")
             + (f"; its runs are in {', '.join(studies[:3])} ..." if studies else "")
         )  # fmt: skip
     record = read_record(folder / "scene.json")
@@ -69,13 +69,17 @@ def saved_scene(path: Path, known: dict[str, Any]) -> tuple[dict[str, Any], Any]
     """Return the contents of a scene.json, and the module of its scene."""
     record = read_record(path)
     if record.get("scene") not in list(known) or not isinstance(record.get("parameters"), dict):
-        raise RunFolderError(f"'{path}': does not name a scene of this version ({', '.join(known)})")
+        raise RunFolderError(
+            f"'{path}': names no scene of this version, which has {', '.join(known)}; read the file "
+            "with the version that wrote it"
+        )
     module = known[record["scene"]]
     parameters = module.scene.resolved(record["parameters"])
     unknown = sorted(set(parameters) - set(module.scene.fields(parameters)))
     if unknown:
         raise RunFolderError(
-            f"'{path}': has parameters that scene {record['scene']} does not have: {', '.join(unknown)}"
+            f"'{path}': has parameters that the scene {record['scene']} does not have: {', '.join(unknown)}; remove or "
+            "correct them"
         )
     return record, module
 
@@ -119,5 +123,5 @@ def _series(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         rows = np.array(lines[1:], dtype=float).reshape(-1, len(named))
         units = {name: unit for name, unit in named}
     except (ValueError, csv.Error) as error:
-        raise RunFolderError(f"'{path}': is not a series of a run ({error}); restore the file") from None
+        raise RunFolderError(f"'{path}': is not the table of a run's samples ({error}); restore the file") from None
     return {name: rows[:, place] for place, name in enumerate(units)}, units

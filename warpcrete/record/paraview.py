@@ -40,7 +40,9 @@ class ParaViewRecorder(Recorder):
         try:
             import h5py  # noqa: F401
         except ImportError:
-            raise WarpcreteError("paraview needs h5py; run pip install 'warpcrete[paraview]'") from None
+            raise WarpcreteError(
+                "paraview: needs the package h5py, which is not installed; run pip install 'warpcrete[paraview]'"
+            ) from None
         self.folder, self.colouring = folder, colouring
         self._frames = 0
         self._files: dict[str, Poly] = {}

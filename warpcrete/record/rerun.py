@@ -77,8 +77,8 @@ class RerunRecorder(Recorder):
         self.path, self.live, self.colouring, self.network = path, live, colouring, network
         self._bind = bind
         if live is True and not has_screen():
-            refuse("live", live, "needs a screen, but none was found (DISPLAY is not set)",
-                   "give the URL of a running viewer, or use 'warpcrete view --web' with the folder")  # fmt: skip
+            refuse("live", live, "needs a screen, but no screen was found (DISPLAY is not set)",
+                   "give the URL of a running viewer, or use 'warpcrete view FOLDER --web' after the run")  # fmt: skip
         self._recording: Any = None
         self._later = RecorderThread(in_thread=False)
         self._display: Display | None = None
@@ -113,7 +113,9 @@ class RerunRecorder(Recorder):
         """Delete the parts of the recording that were written after the checkpoint, and open the next part."""
         if self.path is not None:
             if not self.path.is_file():
-                warnings.warn(f"'{self.path}': is missing; a new recording starts here", stacklevel=2)
+                warnings.warn(
+                    f"'{self.path}': is missing; a new recording starts at this moment of the run", stacklevel=2
+                )
                 self.start(simulation)
                 return
             for path in self._parts_from(state["parts"]):

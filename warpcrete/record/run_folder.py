@@ -76,7 +76,7 @@ class TableRecorder(Recorder):
             # Check only after locking the folder: another process may have finished the run in the meantime.
             if is_finished(self.folder):
                 raise RunFolderError(
-                    f"out = '{self.folder}': exists already and holds a finished run; choose a new folder (runs are "
+                    f"out = '{self.folder}': exists already and contains a finished run; choose a new folder (runs are "
                     "never overwritten)"
                 )
             if self.again and path.is_file():
@@ -169,8 +169,8 @@ def _check_same_run(path: Path, record: dict[str, Any]) -> None:
     for name in ("scene", "parameters", "files", "device", "precision", "command"):
         if there.get(name) != here[name]:
             raise RunFolderError(
-                f"out = '{path.parent}': exists already and holds another run (its {name} differs); choose a new "
-                f"folder, or continue that run: warpcrete run --resume {path.parent}"
+                f"out = '{path.parent}': exists already and contains another run (its {name} differs); choose a new "
+                f"folder, or continue the other run with 'warpcrete run --resume {path.parent}'"
             )
 
 

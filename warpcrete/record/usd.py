@@ -53,7 +53,9 @@ class UsdRecorder(Recorder):
         try:
             layer = Sdf.Layer.OpenAsAnonymous(str(self.path))
         except Tf.ErrorException:
-            warnings.warn(f"'{self.path}': is missing or damaged; a new recording starts here", stacklevel=2)
+            warnings.warn(
+                f"'{self.path}': is missing or damaged; a new recording starts at this moment of the run", stacklevel=2
+            )
             self.start(simulation)
             return
         self._first, self._last = state["first"], state["last"]

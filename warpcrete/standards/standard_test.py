@@ -162,7 +162,12 @@ class StandardTest:
     def check_dimensions(self, given: Sizes) -> None:
         """Raise :class:`warpcrete.SceneError` if a dimension that the test needs is missing."""
         if missing := [name for name in self.dimensions if name not in given]:
-            refuse("dimensions", dict(given), f"must have {', '.join(missing)} for test {self.name!r}")
+            refuse(
+                "dimensions",
+                dict(given),
+                f"has no {', '.join(missing)}, which the test {self.name!r} needs",
+                "add what is missing",
+            )
 
     def sizes(self, given: Any) -> dict[str, float]:
         """Return the dimensions of the vessel, from the parameters of a scene."""

@@ -25,10 +25,10 @@ def study(scene: Any, *, vary: Mapping[str, Sequence[Any]], out: Path | str | No
     """
     name, module = module_of(scene)
     if not isinstance(vary, Mapping):
-        refuse("vary", vary, "must be a mapping of parameters to lists of values", 'vary={"velocity": [0.3, 0.5]}')
+        refuse("vary", vary, "must map each parameter to a list of values", 'for example vary={"velocity": [0.3, 0.5]}')
     for key, values in vary.items():
         if isinstance(values, str) or not isinstance(values, Iterable):
-            refuse(key, values, "must be a list of values to vary over", f'vary={{"{key}": [{values!r}, ...]}}')
+            refuse(key, values, "must be a list of values", f'for example vary={{"{key}": [{values!r}, ...]}}')
     settings = {key: given.pop(key) for key in SETTINGS if key in given}
     return run_study(name, module, vary, base=given, out=Path(out) if out else next_folder("study"), **settings)
 

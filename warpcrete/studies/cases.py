@@ -48,16 +48,16 @@ def cases_of(
         refuse("repeat", repeat, f"must be from 1 to {MAX_CASES}")
     for name, values in varied.items():
         if not values or len(set(map(repr, values))) < len(values):
-            refuse(name, values, "must be one or more values, all different")
+            refuse(name, values, "must be one or more values that are all different")
     if repeat > 1 and not seeded:
         refuse("repeat", repeat, "must be 1, because nothing in this scene depends on a seed")
     if "seed" in varied and repeat > 1:
-        refuse("repeat", repeat, "cannot be combined with a list of seeds", "leave out one of the two")
+        refuse("repeat", repeat, "cannot be combined with a list of seeds", "leave out 'repeat' or 'seed'")
     count = repeat * (sum if one_at_a_time and varied else math.prod)(map(len, varied.values()))
     if count > MAX_CASES:
         refuse("repeat" if repeat > 1 else next(iter(varied)), repeat if repeat > 1 else f"{count} combinations",
                f"makes {count:,} cases, but a study has at most {MAX_CASES:,}, because each fills a folder",
-               "vary fewer values, or split the study")  # fmt: skip
+               "vary fewer values, or split them over several studies")  # fmt: skip
     points = _one_at_a_time(base, varied, defaults or {}) if one_at_a_time and varied else _all_combinations(varied)
     first = int(base.get("seed", 0))
     cases: list[Case] = []

@@ -50,16 +50,25 @@ def check_scheduler(scheduler: str | None, workers: int | None, processes: int |
     """Refuse scheduler settings that contradict each other, and report a missing Dask package."""
     if scheduler is None:
         if workers is not None:
-            refuse("workers", workers, "need a scheduler", "give a scheduler, too")
+            refuse(
+                "workers",
+                workers,
+                "has no effect without a scheduler",
+                "give 'scheduler' as well, or leave out 'workers'",
+            )
         return
     if processes is not None:
-        refuse("processes", processes, "cannot be combined with a scheduler", "use workers instead")
+        refuse("processes", processes, "cannot be combined with a scheduler", "set 'workers' instead")
     if workers is not None:
         between("workers", workers, 1, 1e5)
         if scheduler not in SCHEDULERS:
-            refuse("workers", workers, f"cannot be set for '{scheduler}', which has its own workers", "leave them out")
+            refuse(
+                "workers", workers, f"cannot be set for '{scheduler}', which has its own workers", "leave out 'workers'"
+            )
     if scheduler not in SCHEDULERS and ":" not in scheduler:
-        refuse("scheduler", scheduler, f"must be {', '.join(SCHEDULERS)} or an address such as tcp://node1:8786")
+        refuse(
+            "scheduler", scheduler, f"must be one of {', '.join(SCHEDULERS)}, or an address such as tcp://node1:8786"
+        )
     try:
         import dask.distributed  # noqa: F401
 
@@ -176,7 +185,7 @@ class Cluster:
         except Exception as lost:
             raise WarpcreteError(
                 f"scheduler = {self._scheduler!r}: the connection was lost ({type(lost).__name__}); "
-                "resume when it is back"
+                "use --resume when the scheduler can be reached again"
             ) from lost
 
 
@@ -230,7 +239,8 @@ def _start_cluster(scheduler: str, workers: int | None, device: str | None, thre
         elif scheduler == "slurm":
             if shutil.which("sbatch") is None:
                 raise WarpcreteError(
-                    "scheduler = 'slurm': the command sbatch is missing on this machine; start on a machine that "
+                    "scheduler = 'slurm': the command sbatch is missing on this machine; start the study on a machine "
+                    "that "
                     "submits jobs"
                 )
             dask_cluster, workers = slurm_cluster(device, threads), workers or 1
@@ -244,7 +254,9 @@ def _start_cluster(scheduler: str, workers: int | None, device: str | None, thre
                 # A SLURM job may wait in the queue for hours, and the user expects that, so there is no time limit.
                 client.wait_for_workers(1, timeout=None if scheduler == "slurm" else CONNECT_TIMEOUT)
             except TimeoutError as error:
-                raise WarpcreteError(f"scheduler = {scheduler!r}: has no workers; start some") from error
+                raise WarpcreteError(
+                    f"scheduler = {scheduler!r}: has no workers; start workers with 'dask worker {scheduler}'"
+                ) from error
             yield Cluster(client, scheduler, workers)
     finally:
         if dask_cluster is not None:
@@ -305,7 +317,7 @@ def slurm_cluster(device: str | None, threads: int = 1) -> Any:
             "threads",
             threads,
             f"must be at most the {cores} cores of a job",
-            "see jobqueue.slurm.cores in Dask's configuration",
+            "use fewer threads, or increase jobqueue.slurm.cores in the configuration of Dask",
         )
     gpu = ("--gres", "--gpus", "-G")
     directives = list(given.get("job-extra-directives") or [])

@@ -183,13 +183,16 @@ def _trade_of(scene: Any, trade: Path | None, on_gpu: bool) -> tuple[Mapping[str
     module = modules().get(scene.name)
     if trade is not None:
         if not (trade / "trade.json").is_file():
-            raise RunFolderError(f"trade = '{trade}': is not the folder of a trade, because it has no trade.json")
+            raise RunFolderError(
+                f"trade = '{trade}': is not a folder made by 'warpcrete trade' (it contains no "
+                "trade.json); give such a folder"
+            )
         record = read_json(trade / "trade.json")
         if record.get("scene") != scene.name:
             refuse(
                 "trade",
                 str(trade),
-                f"must be a trade of the scene {scene.name!r}, but is one of {record.get('scene')!r}",
+                f"must be a trade of the scene {scene.name!r}, but belongs to the scene {record.get('scene')!r}",
             )
         return record, f"'{trade}', {record.get('machine', '')}"
     given = dict(arguments_of(scene))

@@ -23,7 +23,9 @@ from ..geometry.line_entries import TEXTS as LINE_TEXTS
 from ..geometry.pumps import PUMP
 from ..methods import METHODS
 from ..mix import given as mixes
+from ..mix.mix import FACTORS
 from ..mix.points import PUMPED
+from ..mps.column import ConcreteParameters
 from ..scenes import modules
 from ..theory.pipe import Concrete
 from .calibration.targets import TARGET_KEYS
@@ -60,7 +62,7 @@ def concrete_schema() -> Schema:
     """Return the schema of a concrete's file."""
     fields = declared_fields(PipeParameters)
     _, known = PipeParameters.of_concrete()
-    constants = declared_fields(Concrete)
+    constants = declared_fields(Concrete) | {name: declared_fields(ConcreteParameters)[name] for name in FACTORS}
     found = {
         **{name: TEXT | {"description": TEXT_DESCRIPTIONS[name]} for name in TEXTS},
         "elements": _object({name: field_schema(fields[name]) for name in known}, "parameters of discrete elements"),

@@ -225,7 +225,7 @@ def run_study(
     known = module.scene.fields({**{name: values[0] for name, values in varied.items() if values}, **given})
     for name in varied:
         if name in given:
-            refuse(name, given[name], "cannot be both given and varied", "leave out one of the two")
+            refuse(name, given[name], "cannot be both given and varied", "give either one value or the list of values")
     strange = sorted(set(recorders) - {kind.name for kind in RECORDERS})
     if strange:
         refuse("recorders", strange, f"must be among {', '.join(kind.name for kind in RECORDERS)}")
@@ -235,7 +235,7 @@ def run_study(
                 "precision",
                 varied.get("precision", precision),
                 "must be the same for the whole study",
-                "run two studies",
+                "run one study for each precision",
             )
         given["precision"] = precision
     defaults = {name: found.default for name, found in known.items()} | module.scene.completed(given)
@@ -377,7 +377,8 @@ def _opened(folder: Path, module: Any) -> tuple[dict[str, Any], Study]:
             raise KeyError(", ".join(sorted(missing)) or "cases")
     except (KeyError, TypeError) as error:
         raise RunFolderError(
-            f"'{folder / 'study.json'}': is not the record of a study ({error}); give the folder of a study"
+            f"'{folder / 'study.json'}': is not the record of a study ({error}); give a folder made by 'warpcrete "
+            "study'"
         ) from error
     method = method_of(module.scene(**cases[0].parameters))
     units = {name: f.unit.strip() for case in cases for name, f in module.scene.fields(case.parameters).items()}
@@ -392,7 +393,8 @@ def load_study(folder: Path) -> Study:
     name, known = read_record(folder / "study.json").get("scene"), modules()
     if name not in list(known):
         raise RunFolderError(
-            f"'{folder / 'study.json'}': names a scene that this version does not have; it has {', '.join(known)}"
+            f"'{folder / 'study.json'}': names a scene that this version does not have; its scenes are "
+            f"{', '.join(known)}"
         )
     _, study = _opened(folder, known[name])
     for case in study.cases:
@@ -407,10 +409,16 @@ def _resolved_values(scene: Any, varied: Mapping[str, Sequence[Any]]) -> dict[st
         (own,) = scene.resolved({name: None})
         for value in values:
             if is_dataclass(value):
-                refuse(name, value, "must be varied by names and numbers",
-                       f"give the name of its class, and vary its parameters, {name}_...")  # fmt: skip
+                refuse(name, value, "is an object, but only names and numbers can be varied",
+                       "give the name of the object's class instead, and vary its parameters, whose names begin with "
+                       f"{name}_")  # fmt: skip
         if own in found:
-            refuse(name, values, f"varies {own}, which is already varied under this or another name", "leave out one")
+            refuse(
+                name,
+                values,
+                f"varies {own!r}, which is already varied under this or another name",
+                "leave out one of the two",
+            )
         found[own] = [scene.resolved({name: value})[own] for value in values]
     return found
 

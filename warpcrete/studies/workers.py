@@ -108,7 +108,9 @@ class _Worker:
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             )  # fmt: skip
         except OSError as error:
-            raise NoWorker(f"no worker process can be started: {error}; use processes = 1") from error
+            raise NoWorker(
+                f"no worker process can be started: {error}; run without worker processes, with 'processes' = 1"
+            ) from error
 
     def send(self, message: Any) -> None:
         """Send a message; a dead worker is detected only when its answer is read."""

@@ -48,7 +48,7 @@ class Concrete(Declared):
     slip_viscosity: Annotated[
         float,
         "Viscosity eta_L of the slip layer divided by its thickness [Pa s/m]",
-        Above(hint="give a very large value for a wall without slip"),
+        Above(hint="use a very large value, such as 1e9, for a wall without slip"),
     ]
     slip_yield: Annotated[float, "Yield stress tau_L0 of the slip layer [Pa]", Within(0)]
     flow_index: Annotated[
@@ -120,7 +120,14 @@ class Line(Declared):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        between("slip_thickness", self.slip_thickness, 0, np.nextafter(self.radius, 0), "m", "use less than the radius")
+        between(
+            "slip_thickness",
+            self.slip_thickness,
+            0,
+            np.nextafter(self.radius, 0),
+            "m",
+            "use 0 for no slip layer, or less than the radius of the pipe",
+        )
 
 
 @dataclass(frozen=True)
@@ -194,7 +201,7 @@ def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> S
     while steady_of_stress(concrete, line, high, form).flow < flow:
         high *= 2
         if high > 1e30:
-            refuse("flow", flow, "needs a wall stress beyond the range of numbers")
+            refuse("flow", flow, "needs a wall stress that is too large to compute with", "use a smaller flow")
     low, high = _narrowed(lambda stress: steady_of_stress(concrete, line, stress, form).flow - flow, low, high)
     for _ in range(200):  # Bisect until no floating-point number lies between the bounds.
         middle = 0.5 * (low + high)
@@ -239,6 +246,20 @@ def _narrowed(excess: Callable[[float], float], low: float, high: float) -> tupl
                 else:
                     high, at_high = probe, value
     return low, high
+
+
+def scaled(concrete: Concrete, yield_factor: float, viscosity_factor: float) -> Concrete:
+    """Return the concrete at another age or temperature, which multiplies its constants by stated factors.
+
+    `yield_factor` scales the yield stresses of bulk and slip layer, `viscosity_factor` all their viscosities. Flow
+    indices are kept. There is no built-in relation for the factors, because they depend on cement and admixtures.
+    """
+    if yield_factor == viscosity_factor == 1.0:
+        return concrete
+    stresses = ("yield_stress", "slip_yield")
+    viscosities = ("viscosity", "quadratic_viscosity", "slip_viscosity", "slip_quadratic_viscosity")
+    changes = {name: yield_factor * getattr(concrete, name) for name in stresses}
+    return replace(concrete, **changes, **{name: viscosity_factor * getattr(concrete, name) for name in viscosities})
 
 
 def after_rest(concrete: Concrete, rest: float, thixotropy: float) -> Concrete:
@@ -300,7 +321,7 @@ def flow_of_pressure(concrete: Concrete, line: Line, pressure: float, form: str 
         least = weight + ways * least_stress(concrete, line) * line.length / line.radius
         raise SceneError(
             f"pressure = {pressure!r}: nothing flows below {least:.6g} Pa (weight {weight:.6g} Pa, yield stress "
-            f"{concrete.yield_stress:g} Pa, slip yield {concrete.slip_yield:g} Pa); raise the pressure"
+            f"{concrete.yield_stress:g} Pa, slip yield {concrete.slip_yield:g} Pa); increase the pressure"
         )
     return steady_of_stress(concrete, line, stress, form)
 
@@ -395,7 +416,7 @@ def _slip_line(concrete: Concrete, line: Line, flows: Sequence[float], pressures
     """Fit a straight line of wall stress [Pa] over slip velocity [m/s] to measured flows and pressures."""
     q, p = np.asarray(flows, float), np.asarray(pressures, float)
     if q.shape != p.shape or q.ndim != 1 or len(q) < 2 or np.ptp(q) == 0:
-        refuse("flows", q.tolist(), "must be two or more different flows, with a pressure for each")
+        refuse("flows", q.tolist(), "must be two or more different flows, each with a pressure")
     if not (np.all(np.isfinite(q)) and np.all(np.isfinite(p))):
         refuse("pressures", p.tolist(), "must be finite numbers")
     stress = (p - concrete.density * line.gravity * line.rise * line.length) * line.radius / (2 * line.length)

@@ -45,10 +45,12 @@ class Segregated:
         least = max(-4.0, -4 / 3 * (densest / self.fraction - 1))
         most = min(4 / 3, 4 * (densest / self.fraction - 1))
         if not least < self.index < most:
-            refuse("segregation", self.index, f"must be between {least:.3g} and {most:.3g} with {self.fraction:g} of "
-                                              "aggregate, so that no zone has less than none or more than the "
+            refuse("segregation", self.index, f"must be between {least:.3g} and {most:.3g} for a share "
+                                              f"{self.fraction:g} of "
+                                              "aggregate, so that every zone has an aggregate content between 0 and "
+                                              "the "
                                               "densest packing",
-                   "runs give about -0.1 to 0.1")  # fmt: skip
+                   "simulations give about -0.1 to 0.1")  # fmt: skip
 
     @property
     def shares(self) -> tuple[float, float]:
@@ -101,7 +103,7 @@ class Segregated:
         while self.of_stress(high).flow <= flow:
             low, high = high, 2 * high
             if high > 1e30:
-                refuse("flow", flow, "needs a wall stress beyond the range of numbers")
+                refuse("flow", flow, "needs a wall stress that is too large to compute with", "use a smaller flow")
         for _ in range(STEPS):
             middle = 0.5 * (low + high)
             if not low < middle < high:

@@ -20,7 +20,14 @@ def thickening(fraction: float, intrinsic: float, densest: float) -> tuple[float
     viscosity and the densest packing. The yield stress factor is sqrt((1 - fraction) f) (Chateau, Ovarlez & Trung
     2008).
     """
-    between("aggregate fraction", fraction, 0, np.nextafter(densest, 0), "", "use less than the densest packing")
+    between(
+        "aggregate fraction",
+        fraction,
+        0,
+        np.nextafter(densest, 0),
+        "",
+        "use a share of the volume below that of the densest packing",
+    )
     factor = (1 - fraction / densest) ** (-intrinsic * densest)
     return factor, float(np.sqrt((1 - fraction) * factor))
 

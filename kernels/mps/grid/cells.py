@@ -67,6 +67,8 @@ class GridKind(NamedTuple):
     """True if walls may pass through cells (cut cells)."""
     thixotropic: bool = False
     """True if the concrete of a periodic pipe has gained structure at rest and flow breaks it down."""
+    rebuilding: bool = False
+    """True if structure also rebuilds while the concrete flows."""
     law: str = BINGHAM
     """Flow law of the concrete, a name in `flow_laws`."""
     slip_law: str = BINGHAM

@@ -1,8 +1,10 @@
 """Thixotropy on a grid: the yield stress that concrete gained at rest, and how flow breaks this structure down.
 
-The gained yield stress G decays as dG/dt = -alpha G rate while concrete is sheared (Roussel 2006); the recovery during
-shear is neglected. The slip layer on a wall is sheared by its slip velocity only. The structure is stored on the grid
-and not carried with the flow, which makes no difference in a pipe whose state is the same all along its axis.
+The gained yield stress G changes as dG/dt = A - alpha G rate while concrete is sheared, with the rate A at which it
+rebuilds (Roussel 2006: d lambda/dt = 1/T - alpha lambda rate, with G = tau_0 lambda and A = tau_0 / T). The recovery A
+during the flow is left out unless `GridKind.rebuilding`. The slip layer on a wall is sheared by its slip velocity only.
+The structure is stored on the grid and not carried with the flow, which makes no difference in a pipe whose state is
+the same all along its axis.
 """
 
 import functools
@@ -38,11 +40,19 @@ def break_kernel(scalar, of: GridKind):
     Fields, Walls = structs.Fields, structs.Walls
     f = grid_functions(scalar, of)
 
+    @wp.func
+    def rebuilt(rate: scalar, broken: scalar, dt: scalar) -> scalar:
+        """Return the structure that a step builds at a `rate` and keeps, if old structure falls to exp(-broken)."""
+        if broken > scalar(1.0e-3):
+            return rate * dt * (scalar(1.0) - wp.exp(-broken)) / broken
+        return rate * dt * (scalar(1.0) - scalar(0.5) * broken)
+
     @wp.kernel(enable_backward=False, module="unique")
     def break_structure(
         g: Grid,
         breakdown: scalar,
         breakdown_strain: scalar,
+        rebuild_rate: scalar,
         flags: wp.array(dtype=wp.int32),
         walls: Walls,
         mesh: Fields,
@@ -55,9 +65,13 @@ def break_kernel(scalar, of: GridKind):
         dt = scalar(mesh.clock[DT])
         if mesh.liquid[number] != 0:
             mesh.gained[number] = mesh.gained[number] * wp.exp(-wp.sqrt(mesh.strain[number]) * dt / breakdown_strain)
+            if wp.static(of.rebuilding):
+                mesh.gained[number] += rebuilt(rebuild_rate, wp.sqrt(mesh.strain[number]) * dt / breakdown_strain, dt)
         for axis in range(of.dimensions):
             r = number + axis * g.slots
             if mesh.kind[r] == LIQUID and mesh.wall_area[r] > scalar(0.0):
                 mesh.layer[r] = mesh.layer[r] * wp.exp(-wp.abs(mesh.slip[r]) * dt / breakdown)
+                if wp.static(of.rebuilding):
+                    mesh.layer[r] += rebuilt(rebuild_rate, wp.abs(mesh.slip[r]) * dt / breakdown, dt)
 
     return break_structure

@@ -56,7 +56,9 @@ def find_device(name: str | None) -> wp.Device:
     if name is None:
         return wp.get_device("cuda:0" if wp.is_cuda_available() else "cpu")
     if name.startswith("cuda") and not wp.is_cuda_available():
-        raise DeviceError(f"device = {name!r}: no usable CUDA GPU was found; use one of {', '.join(available)}")
+        raise DeviceError(
+            f"device = {name!r}: no usable CUDA GPU was found on this machine; use one of {', '.join(available)}"
+        )
     try:
         return wp.get_device(name)
     except ValueError as error:

@@ -24,8 +24,11 @@ class Clocked(Protocol):
 class Stepped(Clocked, Protocol):
     """State that a simulation can step."""
 
-    def advance(self, until: float) -> None:
+    def advance(self, until: float, /) -> None:
         """Step the state until its time reaches `until` [s]."""
+
+    def take(self, count: int, /) -> None:
+        """Take `count` steps of the current size."""
 
 
 class SimulationOnDevice(Protocol):

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -20,6 +20,7 @@ Colour = tuple[int, int, int, int]
 GLASS: Colour = (150, 165, 180, 22)
 PISTON: Colour = (190, 110, 60, 255)
 OTHER: Colour = (150, 165, 180, 120)
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -166,7 +167,7 @@ class Display(ABC):
         self._sources[name] = source
         return on_host(source())
 
-    def derived(self, name: Hashable, work: Callable[[], object]) -> Any:
+    def derived(self, name: Hashable, work: Callable[[], T]) -> T:
         """Return the result of `work`, which processes values of the snapshot that is drawn.
 
         The result is stored under `name`, so that it is computed once for all displays of the simulation. Do not write

@@ -6,6 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -110,7 +111,7 @@ class Snapshot:
     steps: int
     found: dict[str, object]
     """Values by name; for a copy that is in flight, the value is the :class:`PendingCopies` object with the copy."""
-    derived: dict[Hashable, object] = field(default_factory=dict[Hashable, object])
+    derived: dict[Hashable, Any] = field(default_factory=dict[Hashable, Any])
     """Results computed from the values, by name, shared by all displays of this snapshot."""
 
     def read(self, name: str) -> object:

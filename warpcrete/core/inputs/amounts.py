@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import math
 import re
+import unicodedata
 from collections.abc import Iterable
 from contextlib import suppress
 
@@ -131,8 +132,14 @@ def _mixed(text: str) -> float:
     return sign * (sum(int(each) for each in whole) + upper / lower)
 
 
+def _plain_digits(text: str) -> str:
+    """Return a text whose decimal digits of any script are replaced by 0 to 9."""
+    return "".join(str(unicodedata.decimal(each)) if each.isdecimal() else each for each in text)
+
+
 def _parsed(text: str, unit: str) -> float:
     """Return a text as a number in `unit`, or NaN if it is not an amount in that unit."""
+    text = text if text.isascii() else _plain_digits(text)
     forms = [pattern.fullmatch(text) for pattern in _compiled(unit)]
     if forms[0]:
         return _decimal(forms[0][1]) * UNITS[unit][forms[0][2] or unit]
@@ -149,7 +156,8 @@ def bare_number(value: object) -> bool:
     """Return whether `value` is a number, or a text that holds a number without a unit."""
     if not isinstance(value, str):
         return isinstance(value, NUMBERS)
-    return len(value) <= LONGEST and re.fullmatch(f"[-+]?(?:{COMMA}|{DECIMAL})", value.strip()) is not None
+    text = _plain_digits(value.strip()) if len(value) <= LONGEST else ""
+    return re.fullmatch(f"[-+]?(?:{COMMA}|{DECIMAL})", text) is not None
 
 
 def is_amount(value: object, unit: str) -> bool:

@@ -136,7 +136,7 @@ class ByName(CompositeRule):
             return kind
         if isinstance(value, str) and value in self.classes:
             return self.classes[value]
-        words = f"must be one of {', '.join(self.classes)}, or package.module:Class for your own class"
+        words = f"must be one of {', '.join(self.classes)}, or 'module:Class' for a class of your own module"
         if not isinstance(value, str):
             refuse(field.name, value, f"{words}, or an object of one of these classes")
         module, colon, name = value.partition(":")
@@ -147,7 +147,7 @@ class ByName(CompositeRule):
 
 def _imported(field: Field, value: str, module: str, name: str) -> type:
     if module not in sys.modules and _from_file.get() and not _trusted.get():
-        refuse(field.name, value, "comes from a file and would run the code of this module",
+        refuse(field.name, value, f"comes from a file, and loading the file would run the code of the module {module}",
                f"if you trust it, import {module} first, or use 'warpcrete --trust ...'")  # fmt: skip
     try:
         with _folder_on_path():
@@ -156,7 +156,7 @@ def _imported(field: Field, value: str, module: str, name: str) -> type:
         if error.name is None or not f"{module}.".startswith(f"{error.name}."):
             raise SceneError(f"{field.name} = {value!r}: cannot be imported: {error}") from error
         refuse(field.name, value, f"there is no module {error.name!r} on Python's path",
-               "start the program in the folder of the module, or set PYTHONPATH to that folder")  # fmt: skip
+               "run the command in the folder of the module, or set PYTHONPATH to this folder")  # fmt: skip
     except Exception as error:  # The import of a user's module may raise any exception.
         said = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise SceneError(f"{field.name} = {value!r}: cannot be imported ({said})") from error
@@ -172,7 +172,7 @@ def _checked(field: Field, found: object, name: str) -> type:
         refuse(field.name, name, f"must be a frozen dataclass that derives from {kind.__module__}:{kind.__name__}")
     missing = sorted(getattr(found, "__abstractmethods__", ()))
     if missing:
-        refuse(field.name, name, f"does not define {', '.join(missing)}", "define them in the class")
+        refuse(field.name, name, f"does not define {', '.join(missing)}", "define these methods in the class")
     return found
 
 

@@ -93,8 +93,9 @@ def _read(path: Path, depth: int) -> NamedConcrete:
         refuse(
             "concrete base",
             str(path),
-            f"is part of a chain of more than {MAXIMUM_CHAIN} bases or of a loop",
-            "shorten the chain of bases",
+            f"is part of a chain of more than {MAXIMUM_CHAIN} files, each with the next one as its 'base', or of a "
+            "loop of files",
+            "shorten the chain, or remove one 'base' of the loop",
         )
     for key in given:
         if key not in KEYS:
@@ -138,7 +139,7 @@ def _base(name: str, path: Path, depth: int) -> NamedConcrete:
     return _read(SHIPPED / f"{name}.yaml", depth + 1)
 
 
-def known_only(section: str, values: Mapping[str, Any], known: Collection[str], name: str) -> dict[str, Any]:
+def known_only(section: str, values: Mapping[str, object], known: Collection[str], name: str) -> dict[str, Any]:
     """Return the values of a section of the concrete `name`; refuse a value whose key is not in `known`."""
     for key in values:
         if key not in known:

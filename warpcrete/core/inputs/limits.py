@@ -69,6 +69,8 @@ LIMITS = {
     "flow_index": Limit(0.1, 4.0, "it is 1 for a Bingham fluid, below 1 if concrete thins, above 1 if it thickens",
                         (0.3, 2.5), "1"),
     "slip_flow_index": Limit(0.1, 4.0, "it is 1 for a linear layer, below 1 for paste that thins", (0.3, 2.5), "1"),
+    "yield_factor": Limit(1e-3, 1e3, "a factor of 1 leaves the yield stresses as they are", (0.1, 10.0), "1"),
+    "viscosity_factor": Limit(1e-3, 1e3, "a factor of 1 leaves the viscosities as they are", (0.1, 10.0), "1"),
     "length": Limit(1e-4, 1e4, "the longest pumping lines are 2000 m", None, "m"),
     "bend_radius": Limit(1e-4, 1e4, "bends of pumping lines have radii of 0.2 to 5 m", (0.02, 50.0), "m"),
     "size_max": Limit(1e-5, 1.0, "coarse aggregate has sizes of 4 to 63 mm", (1e-4, 0.3), "m"),
@@ -138,7 +140,7 @@ def check_velocity(field: str, value: float, velocity: float) -> None:
     limit = LIMITS["velocity"]
     if not velocity <= limit.high:
         refuse(field, value, f"makes the concrete flow at {velocity:.3g} m/s, but at most {limit.high:g} m/s is "
-               f"possible ({limit.why})", "check the units of flow and diameter")  # fmt: skip
+               f"possible ({limit.why})", "check the flow, the diameter and their units")  # fmt: skip
     if velocity > FASTEST:
         warn(f"{field} = {value:g}: makes the concrete flow at {velocity:.3g} m/s, which is unusual: {limit.why}")
 
@@ -157,5 +159,5 @@ def _meant(value: float, unit: str, limit: Limit) -> str:
         return ""  # A number of this size is unusual in any unit.
     for other, factor in UNITS.get(unit, {}).items():
         if factor != 1.0 and low <= abs(value) * factor <= high:
-            return f"{value:g} {other}?"
+            return f"did you mean {value:g} {other}?"
     return ""

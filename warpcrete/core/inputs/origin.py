@@ -65,7 +65,7 @@ def check_files(where: Path, files: Mapping[str, str]) -> None:
         gone = not Path(changed[0]).is_file()
         raise RunFolderError(
             f"'{where}': its scene was made with '{changed[0]}', which {'is missing' if gone else 'has changed'}; "
-            "restore the file, or start a new run"
+            "restore this file, or start a new run"
         )
 
 
@@ -127,8 +127,8 @@ def check_named(scene: Any) -> None:
     made = scene.parameters
     hidden = [name for name, value in made.items() if isinstance(value, str) and value.startswith("__main__:")]
     for name in (*made.unwritable, *hidden):
-        refuse(name, made[name], "cannot be recreated in another run or process",
-               "define its class in a module file, and declare all its fields")  # fmt: skip
+        refuse(name, made[name], "cannot be rebuilt in another run or process",
+               "define the class of this object in a module file, and declare all its fields there")  # fmt: skip
 
 
 def readable(value: object) -> object:

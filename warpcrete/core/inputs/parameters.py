@@ -77,12 +77,20 @@ class OneOf:
 
 @dataclass(frozen=True)
 class Needs:
-    """Rule that a parameter has a meaning only if `test` holds for the value of another parameter, `field`."""
+    """Rule that a parameter has a meaning only if `test` holds for the value of another parameter, `field`.
+
+    If there are further parameters `others`, it is enough that `test` holds for one of them.
+    """
 
     field: str
     test: Callable[[Any], bool]
     words: str
     """Condition for the other parameter, in words that follow its name in a message."""
+    others: tuple[str, ...] = ()
+
+    def holds(self, value: Callable[[str], Any]) -> bool:
+        """Return whether the test holds; `value` returns the value of a parameter by its name."""
+        return any(self.test(value(name)) for name in (self.field, *self.others))
 
 
 @dataclass(frozen=True)
@@ -132,7 +140,7 @@ class Field:
     """True if None is an allowed value."""
     help: str
     rules: tuple[object, ...]
-    default: object
+    default: Any
     """Default value; `dataclasses.MISSING` if there is none."""
     group: str
     """First line of the docstring of the class that declares the field; it is the heading of a group in help texts."""
@@ -152,7 +160,7 @@ class Field:
         """Return those rules of the field that are instances of `kind`."""
         return (rule for rule in self.rules if isinstance(rule, kind))
 
-    def converted(self, value: Any, name: str) -> Any:
+    def converted(self, value: object, name: str) -> Any:
         """Return `value` converted to the field's type; raises :class:`SceneError` if that is impossible.
 
         NumPy numbers become Python numbers, integers become floats if the field is a float, and texts such as "125 mm"
@@ -167,7 +175,7 @@ class Field:
             try:
                 return float(value)
             except OverflowError:
-                refuse(name, value, "is too large to compute with", "use SI units")
+                refuse(name, value, "is too large to compute with", "give a smaller value, in SI units")
         if self.kind is int and isinstance(value, int) and not isinstance(value, bool):
             check_whole(name, value)
         if self.kind is float and isinstance(value, float):
@@ -240,7 +248,7 @@ class Declared:
         return "", ()
 
     @classmethod
-    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, object]:
         """Return parameters that follow from the given ones, such as those of a concrete that is given by name."""
         return {}
 
@@ -248,8 +256,9 @@ class Declared:
         """Refuse parameters that have no effect but differ from their defaults."""
         for name, field in declared_fields(type(self)).items():
             for rule in field.of_kind(Needs):
-                if getattr(self, name) != field.default and not rule.test(getattr(self, rule.field)):
-                    refuse(name, getattr(self, name), f"has no effect unless {rule.field} {rule.words}",
+                if getattr(self, name) != field.default and not rule.holds(lambda each: getattr(self, each)):
+                    either = " or ".join((rule.field, *rule.others))
+                    refuse(name, getattr(self, name), f"has no effect unless {either} {rule.words}",
                            f"leave it out, or change {rule.field}")  # fmt: skip
 
 
@@ -303,7 +312,7 @@ class SceneFunction(Generic[P, S]):
     def __call__(self, *args: P.args, **given: P.kwargs) -> S:
         known = declared_fields(self.parameters)
         if args:
-            refuse("parameters", args, "must be given by name", f"the names are {', '.join(known)}")
+            refuse("parameters", args, "must be given by name, as in name=value", f"the names are {', '.join(known)}")
         values = self.with_objects(self.completed(given))
         for name in values:
             if name not in known:
@@ -323,7 +332,8 @@ class SceneFunction(Generic[P, S]):
             return scene
         except MemoryError as error:
             raise SceneError(
-                f"scene {self.name}: needs more memory than is available; reduce it, or make its bodies or cells larger"
+                f"scene {self.name}: needs more memory than is available; make the scene smaller, or its bodies or "
+                "cells larger"
             ) from error
         except (OverflowError, ZeroDivisionError) as error:
             numbers = {name: value for name, value in values.items()
@@ -332,7 +342,9 @@ class SceneFunction(Generic[P, S]):
             if not numbers:
                 raise
             name = max(numbers, key=lambda each: abs(math.log(abs(numbers[each]))))
-            raise SceneError(f"{name} = {quoted(numbers[name])}: is too large to compute with; use SI units") from error
+            raise SceneError(
+                f"{name} = {quoted(numbers[name])}: is too large to compute with; give a smaller value, in SI units"
+            ) from error
 
     @property
     def name(self) -> str:
@@ -351,7 +363,7 @@ class SceneFunction(Generic[P, S]):
                 unwritable += [] if same else [name]
         return values, tuple(unwritable)
 
-    def fields(self, given: Mapping[str, Any]) -> dict[str, Field]:
+    def fields(self, given: Mapping[str, object]) -> dict[str, Field]:
         """Return the declared fields, and the fields that belong to given values, such as those of a contact law."""
         known = dict(declared_fields(self.parameters))
         for name, field in list(known.items()):
@@ -359,7 +371,7 @@ class SceneFunction(Generic[P, S]):
                 known |= {key: each for key, each in rule.fields(field, given.get(name)).items() if key not in known}
         return known
 
-    def with_objects(self, values: Mapping[str, Any]) -> dict[str, Any]:
+    def with_objects(self, values: Mapping[str, object]) -> dict[str, Any]:
         """Return parameters in which each object is built from the parameters that belong to it.
 
         Raises :class:`SceneError` for a parameter that belongs to no object.
@@ -372,21 +384,22 @@ class SceneFunction(Generic[P, S]):
                     if name.startswith(f"{field.name}_") and name not in declared_fields(self.parameters):
                         value = values.get(field.name)
                         own = ", ".join(rule.fields(field, value))
-                        hint = f"its parameters are {own}" if own else f"leave it out, or change {field.name}"
+                        other = f"leave out {name!r}, or change {field.name!r}"
+                        hint = f"the parameters of {value!r} are {own}" if own else other
                         refuse(name, found[name], f"has no effect with {field.name} = {value!r}", hint)
         return found
 
-    def plain(self, scene: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+    def plain(self, scene: Any, given: Mapping[str, object]) -> dict[str, Any]:
         """Return the arguments that a scene was made of, without parameters that were left at their defaults."""
         names = self.completed(given)
         declared = declared_fields(self.parameters)
         return {name: value for name, value in scene.parameters.items() if name in names or name not in declared}
 
-    def declared(self, given: Mapping[str, Any]) -> Any:
+    def declared(self, given: Mapping[str, object]) -> Any:
         """Return the parameters as an instance of their dataclass: given values, values implied by them, defaults."""
         return self.parameters(**self.with_objects(self.completed(given)))
 
-    def completed(self, given: Mapping[str, Any]) -> dict[str, Any]:
+    def completed(self, given: Mapping[str, object]) -> dict[str, Any]:
         """Return parameters by name, with aliases replaced, together with parameters that follow from the given ones.
 
         For example, the name of a concrete implies its parameters. Implied parameters that have no effect are left out.
@@ -398,7 +411,7 @@ class SceneFunction(Generic[P, S]):
         meant = self._effective(implied | values)
         return values | {name: value for name, value in implied.items() if name in meant}
 
-    def effective_values(self, given: Mapping[str, Any]) -> dict[str, Any]:
+    def effective_values(self, given: Mapping[str, object]) -> dict[str, Any]:
         """Return the given parameters by name, with aliases replaced, without parameters that have no effect."""
         values = self.resolved(given)
         meant = self._effective({**self.parameters.implied(values), **values})
@@ -413,12 +426,12 @@ class SceneFunction(Generic[P, S]):
             if name not in known and any(name.startswith(f"{each}_") for each in composite):
                 return name in self.fields({each: values[each] for each in composite if each in values})
             rules = known[name].of_kind(Needs) if name in known else iter(())
-            return all(rule.test(converted(rule.field)) for rule in rules)
+            return all(rule.holds(converted) for rule in rules)
 
-        def converted(name: str) -> Any:
+        def converted(name: str) -> object:
             return held(name) if name in composite else known[name].converted(held(name), name)
 
-        def held(name: str) -> Any:
+        def held(name: str) -> object:
             return values.get(name, known[name].default)
 
         # Repeat until nothing changes, because a removed parameter may be a condition for other parameters.
@@ -426,12 +439,12 @@ class SceneFunction(Generic[P, S]):
             values = {name: value for name, value in values.items() if meant(name)}
         return values
 
-    def resolved(self, given: Mapping[str, Any]) -> dict[str, Any]:
+    def resolved(self, given: Mapping[str, object]) -> dict[str, Any]:
         """Return parameters by their own names instead of aliases, and texts such as "125 mm" as numbers."""
         return resolved(declared_fields(self.parameters), given)
 
 
-def resolved(known: Mapping[str, Field], given: Mapping[str, Any]) -> dict[str, Any]:
+def resolved(known: Mapping[str, Field], given: Mapping[str, object]) -> dict[str, Any]:
     """Return values of fields by the fields' own names instead of aliases, and texts such as "125 mm" as numbers."""
     values: dict[str, Any] = dict(given)
     for name, field in known.items():
@@ -441,7 +454,12 @@ def resolved(known: Mapping[str, Field], given: Mapping[str, Any]) -> dict[str, 
             if alias.name in values:
                 value = field.number(values.pop(alias.name), alias.name)
                 if name in values:
-                    refuse(alias.name, value, f"is another name of {name}, which is given too", "leave out one of them")
+                    refuse(
+                        alias.name,
+                        value,
+                        f"is another name of {name!r}, which is given too",
+                        f"leave out {alias.name!r} or {name!r}",
+                    )
                 try:
                     values[name] = alias.convert(value) if alias.convert and value is not None else value
                 except TypeError as error:

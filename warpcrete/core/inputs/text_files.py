@@ -82,7 +82,8 @@ def read_mapping(path: Path, field: str) -> dict[str, Any]:
         found = parsed_json(text) if path.suffix.lower() == ".json" else parsed_yaml(text, path)
         if not is_dict(found):
             raise Unreadable(
-                f"contains {_kind_of(found)} instead of 'key: value' lines", "compare it with a shipped file"
+                f"contains {_kind_of(found)} instead of 'key: value' lines",
+                "write one 'key: value' pair per line, as in 'density: 2350 kg/m3'",
             )
     except Unreadable as error:
         refuse(field, str(path), error.reason, error.hint)
@@ -126,15 +127,15 @@ def saved_json(path: Path) -> dict[str, Any]:
 def _checked(path: Path, most: int) -> int:
     """Return the size of a regular file [B]; raises :class:`Unreadable` for other paths and for large files."""
     if "\0" in str(path):
-        raise Unreadable("contains a NUL character", "give the path of a file")
+        raise Unreadable("contains a NUL character", "remove this character, or check that the path is complete")
     try:
         found = os.stat(path)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise Unreadable(f"cannot be read ({reason})", "give the path of a file") from error
+        raise Unreadable(f"cannot be read ({reason})", "check the path") from error
     if not stat.S_ISREG(found.st_mode):
         kind = next((name for test, name in KINDS if test(found.st_mode)), "not a regular file")
-        raise Unreadable(f"cannot be read (it is {kind})", "give the path of a file")
+        raise Unreadable(f"cannot be read, because it is {kind}", "give the path of a file")
     if found.st_size > most:
         raise Unreadable(f"is too large: {found.st_size:,} bytes, at most {most:,} are allowed",
                           "check that it is the right file")  # fmt: skip
@@ -178,15 +179,19 @@ def parsed_json(text: str) -> object:
         found = dict(pairs)
         if len(found) < len(pairs):
             keys = [key for key, _ in pairs]
-            raise Unreadable(f"has the key {next(k for k in keys if keys.count(k) > 1)!r} twice", "remove one of them")
+            raise Unreadable(
+                f"has the key {next(k for k in keys if keys.count(k) > 1)!r} twice", "remove one of the two"
+            )
         return found
 
     def constant(word: str) -> NoReturn:
-        raise Unreadable(f"is not valid JSON: {word} is not a number", "write finite numbers")
+        raise Unreadable(f"is not valid JSON: {word} is not a number", "replace it by a finite number")
 
     def whole(word: str) -> int:
         if len(word) > LONGEST_NUMBER:
-            raise Unreadable(f"contains a number of {len(word)} digits", "write it in the form 1e30")
+            raise Unreadable(
+                f"contains a number of {len(word)} digits", "write the number with an exponent, as in 1e30"
+            )
         return int(word)
 
     try:
@@ -196,7 +201,7 @@ def parsed_json(text: str) -> object:
             f"is not valid JSON: {error.msg}", "write 'key: value' lines in a .yaml file", error.lineno
         ) from error
     except RecursionError as error:
-        raise Unreadable("is nested too deeply", "write plain lists and mappings") from error
+        raise Unreadable("is nested too deeply", "use fewer lists and mappings inside each other") from error
 
 
 def _rows(text: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
@@ -209,18 +214,21 @@ def _rows(text: str) -> tuple[list[str], list[tuple[int, list[str]]]]:
         raise Unreadable(f"is not valid CSV: {error}", "give columns separated by commas", reader.line_num) from error
     found = [(line, row) for line, row in found if any(cell.strip() for cell in row)]
     if not found:
-        raise Unreadable("contains no rows", "write the names of the columns in the first line")
+        raise Unreadable("contains no rows", "write the names of the columns in the first line, and values below them")
     (_, header), rows = found[0], found[1:]
     if len(header) == 1 and ";" in header[0]:
-        raise Unreadable("separates columns by semicolons", "separate them by commas and use decimal points")
+        raise Unreadable(
+            "separates columns by semicolons", "separate columns by commas, and write decimal points, as in 10.3"
+        )
     names = [re.sub(r"\s*\[.*", "", head).strip() for head in header]
     for name in names:
         if name and names.count(name) > 1:
-            raise Unreadable(f"has the column {name!r} twice", "remove one of them")
+            raise Unreadable(f"has the column {name!r} twice", "remove or rename one of the two columns")
     for line, row in rows:
         if len(row) != len(header):
             comma = len(row) > len(header)
             raise Unreadable(f"has {len(row)} values where the header names {len(header)} columns",
-                              "write decimal points, as in 10.3, not commas" if comma else "fill in all columns",
+                              "write decimal points, as in 10.3, not commas" if comma else "write one value for each "
+                                                                                           "column",
                               line)  # fmt: skip
     return header, rows

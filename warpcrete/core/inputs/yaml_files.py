@@ -79,7 +79,7 @@ class DepthLimitedScanner(Scanner):
     def fetch_flow_collection_start(self, *arguments: object, **named: object) -> None:
         """Begin a list or mapping in brackets; raises :class:`Unreadable` if it is nested too deeply."""
         if len(self.flow_context) >= MAXIMUM_DEPTH:
-            raise Unreadable("is nested too deeply", "write plain lists and mappings")
+            raise Unreadable("is nested too deeply", "use fewer lists and mappings inside each other")
         super().fetch_flow_collection_start(*arguments, **named)
 
 
@@ -99,7 +99,7 @@ def parsed_yaml(text: str, path: Path) -> object:
     except Unreadable:
         raise
     except RecursionError as error:
-        raise Unreadable("is nested too deeply", "write plain lists and mappings") from error
+        raise Unreadable("is nested too deeply", "use fewer lists and mappings inside each other") from error
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         reason = " ".join(f"is not valid YAML: {error.problem or error.context or 'it cannot be read'}".split())
@@ -127,9 +127,13 @@ class _Values:
         if isinstance(node.value, str):
             return self._scalar(node, line)
         if not str(node.tag).endswith((":map", ":seq")):
-            raise Unreadable(f"has the tag {node.tag}, which is not supported", "remove it", line)
+            raise Unreadable(f"has the tag {node.tag}, which is not supported", "remove the tag", line)
         if id(node) in self.open:
-            raise Unreadable("has an alias that refers to itself", "write out its contents", line)
+            raise Unreadable(
+                "has an alias (*name) that refers to itself",
+                "replace the alias by the contents that it stands for",
+                line,
+            )
         self.open.add(id(node))
         try:
             if str(node.tag).endswith(":seq"):
@@ -140,23 +144,23 @@ class _Values:
 
     def _list(self, node: Any, line: int) -> FileList:
         if any(isinstance(each, tuple) for each in node.value):
-            raise Unreadable("has the tag !!seq before a mapping", "remove it", line)
+            raise Unreadable("has the tag !!seq before a mapping", "remove the tag", line)
         found = FileList(self.value(each) for each in node.value)
         found.path, found.lines = self.path, [each.start_mark.line + 1 for each in node.value]
         return found
 
     def _mapping(self, node: Any, line: int) -> FileMapping:
         if any(not isinstance(each, tuple) for each in node.value):
-            raise Unreadable("has the tag !!map before a list", "remove it", line)
+            raise Unreadable("has the tag !!map before a list", "remove the tag", line)
         found = FileMapping()
         found.path, found.lines = self.path, {}
         for key, value in node.value:
             line = key.start_mark.line + 1
             if not isinstance(key.value, str) or not str(key.tag).endswith((PLAIN_TAG, ":str")):
-                raise Unreadable("has a key that is not text", "write 'key: value' lines", line)
+                raise Unreadable("has a key that is not text", "write text before the colon, as in 'key: value'", line)
             if key.value in found:
                 raise Unreadable(f"has the key {one_line(key.value, 100)!r} twice, first in line "
-                                  f"{found.lines[key.value]}", "remove one of them", line)  # fmt: skip
+                                  f"{found.lines[key.value]}", "remove one of the two", line)  # fmt: skip
             found[key.value] = self.value(value)
             found.lines[key.value] = line
         return found
@@ -167,7 +171,7 @@ class _Values:
             return text
         if node.tag != PLAIN_TAG:
             tag = str(node.tag).replace("tag:yaml.org,2002:", "!!")
-            raise Unreadable(f"has the tag {tag} before {one_line(text, 60)!r}", "remove it", line)
+            raise Unreadable(f"has the tag {tag} before {one_line(text, 60)!r}", "remove the tag", line)
         if text in WORDS:
             return WORDS[text]
         if NOT_A_NUMBER.fullmatch(text):
@@ -177,12 +181,14 @@ class _Values:
         if not (DECIMAL_PATTERN.fullmatch(text) or INTEGER_PATTERN.fullmatch(text)):
             return text
         if len(text) > LONGEST_NUMBER:
-            raise Unreadable(f"has a number of {len(text)} digits", "write it in the form 1e30", line)
+            raise Unreadable(
+                f"has a number of {len(text)} digits", "write the number with an exponent, as in 1e30", line
+            )
         if INTEGER_PATTERN.fullmatch(text):
             return int(text, {"0o": 8, "0x": 16}.get(text[:2], 10))
         value = float(text)
         if value in (float("inf"), float("-inf")):
-            raise Unreadable(f"has {text}, which is too large for a number", "write a finite number", line)
+            raise Unreadable(f"has {text}, which is too large for a number", "write a number below 1e308", line)
         return value
 
 

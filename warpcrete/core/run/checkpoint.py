@@ -87,10 +87,10 @@ def read(path: Path, scene: object, device: wp.Device, precision: str) -> dict[s
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zipfile.LargeZipFile) as error:
         raise RunFolderError(f"'{path}': is damaged or not a checkpoint; start the run again") from error
     if "text" not in arrays or "digest" not in arrays:
-        raise RunFolderError(f"'{path}': is not a checkpoint of warpcrete")
+        raise RunFolderError(f"'{path}': is not a checkpoint of warpcrete; start the run again")
     wanted = arrays.pop("digest").tobytes()
     if _digest(arrays) != wanted:
-        raise RunFolderError(f"'{path}': is damaged (its contents do not match its digest); start the run again")
+        raise RunFolderError(f"'{path}': is damaged (its contents do not match its checksum); start the run again")
     text = json.loads(arrays.pop("text").tobytes())
     if text.get("warpcrete checkpoint") != FORMAT:
         stored = text.get("warpcrete checkpoint")

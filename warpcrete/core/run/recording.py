@@ -98,7 +98,9 @@ class Recording:
     @staticmethod
     def _warn(recorder: Recorder, error: Exception) -> None:
         reason = " ".join(str(error).split()) or type(error).__name__
-        warnings.warn(f"{class_name_of(recorder)} failed, and the run continues without it: {reason}", stacklevel=2)
+        warnings.warn(
+            f"{class_name_of(recorder)} failed, and the run continues without its output: {reason}", stacklevel=2
+        )
 
 
 def class_name_of(recorder: Recorder) -> str:

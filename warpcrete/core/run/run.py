@@ -19,9 +19,7 @@ from .viewer import LOOPBACK, Viewer, has_screen, screen_viewer, web_viewer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from pandas import DataFrame  # pyright: ignore[reportMissingTypeStubs]
 
 DEFAULT_PLOT_COLUMNS = ("pressure", "spread", "front", "inside")
 """Names of columns in order of preference: by default, a plot shows the first of them that the series contains."""
@@ -86,7 +84,7 @@ class Run:
                 found[name] = number(entry)
         return found
 
-    def table(self) -> Any:
+    def table(self) -> DataFrame:
         """Return the series as a pandas DataFrame in SI units, with one row per sample and `time` [s] as index.
 
         The units of the columns are in `attrs["units"]` of the DataFrame. Raises :class:`WarpcreteError` if pandas is
@@ -139,7 +137,7 @@ class Run:
         """
         if self.folder is None:
             raise RunFolderError(
-                "the run has no folder; run 'warpcrete run SCENE --out FOLDER' to get a folder with a recording"
+                "the run has no folder; only runs with a folder can be shown: run 'warpcrete run SCENE --out FOLDER'"
             )
         opened = viewer(self.folder, web, bind)
         process = opened.start()
@@ -158,7 +156,7 @@ class Run:
         return html_table(rows)
 
 
-def dataframe(columns: Mapping[str, np.ndarray], units: Mapping[str, str], index: str) -> Any:
+def dataframe(columns: Mapping[str, np.ndarray], units: Mapping[str, str], index: str) -> DataFrame:
     """Return columns as a pandas DataFrame, with the column `index` as its index if there is such a column.
 
     The units of the columns are in `attrs["units"]`. Raises :class:`WarpcreteError` if pandas is not installed.
@@ -169,9 +167,9 @@ def dataframe(columns: Mapping[str, np.ndarray], units: Mapping[str, str], index
         raise WarpcreteError(
             "run.table needs pandas; run pip install 'warpcrete[notebook]', or use the arrays in run.series"
         ) from None
-    found: Any = pandas.DataFrame(dict(columns))
+    found = pandas.DataFrame(dict(columns))
     if index in found:
-        found = found.set_index(index)
+        found = found.set_index(index)  # pyright: ignore[reportUnknownMemberType]
     found.attrs["units"] = dict(units)
     return found
 
@@ -184,7 +182,9 @@ def viewer(run: Path, web: bool = False, bind: str = LOOPBACK) -> Viewer:
     """
     recording = run / "run.rrd" if run.is_dir() else run
     if not recording.is_file():
-        raise RunFolderError(f"'{run}': contains no run.rrd; record one with 'warpcrete run SCENE --out {run}'")
+        raise RunFolderError(
+            f"'{run}': contains no recording (run.rrd); record a new run with 'warpcrete run SCENE --out FOLDER'"
+        )
     if not web and not has_screen():
         raise RunFolderError(f"'{run}': no screen was found (DISPLAY is not set); use --web to show the recording in "
                              f"a browser, or open {recording} elsewhere with 'rerun {recording.name}'")  # fmt: skip

@@ -87,7 +87,7 @@ class Simulation:
     kinds: ClassVar[list[type[Simulation]]] = []
     """Subclasses, one for each simulation method."""
     stepper: Stepped
-    """Object with `time` [s], `steps`, and a method `advance(until)` that steps the state to a time [s]."""
+    """State on the device, with its clock."""
     shares_cores = False
     """True if other runs use the cores that the threads of this run leave free."""
 
@@ -107,7 +107,7 @@ class Simulation:
         if wanted is None or not isinstance(scene, wanted):
             known = [wanted] if wanted else [kind.scene_type for kind in Simulation.kinds]
             hint = (
-                "warpcrete.Simulation accepts every scene"
+                "use warpcrete.Simulation, which accepts every scene"
                 if wanted
                 else "create one with a function of warpcrete.scenes"
             )

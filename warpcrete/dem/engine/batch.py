@@ -70,7 +70,8 @@ class Batch(JointArrays):
             refuse(
                 "batch",
                 len(models),
-                "must contain only scenes that need the same features; run the others in a batch of their own",
+                "must contain only scenes that need the same features, such as bonds or mesh walls; run other scenes "
+                "in a batch of their own",
             )
         for s, state in enumerate(states):
             state.attach_to(self, s)

@@ -276,7 +276,7 @@ class JointArrays:
         used = [name for name in PAIR_ARRAYS if name in pair_bytes(self.models[0])]
         if self.features.healing and np.any(wanted > MOST_ROWS):
             raise CapacityError(
-                f"bonds = {wanted.max()}: too many listed pairs may bond; one scene can hold at most "
+                f"bonds = {wanted.max()}: too many pairs of neighbours could form bonds; one scene can hold at most "
                 f"{MOST_ROWS}; use fewer or larger aggregates"
             )
         before, old = self.links, self.capacity.copy()
@@ -317,7 +317,7 @@ class JointArrays:
         most = MAXIMUM_ENTRIES // 2 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES
         if new[-1] > most:
             raise CapacityError(
-                f"{struct}: {self.sphere_count} spheres need {new[-1]} entries, but at most {most} "
+                f"{struct}: {self.sphere_count} spheres need a list of {new[-1]} entries, but at most {most} "
                 "are possible; use fewer spheres"
             )
         for name in names:

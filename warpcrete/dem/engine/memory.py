@@ -80,6 +80,6 @@ def check_memory(model: Model, table: BodyTable) -> None:
         fitting = int(len(table) * MEMORY_FRACTION * free / needed)
         raise CapacityError(
             f"bodies = {len(table)}: need about {needed / 2**30:.3g} GiB on {model.device}, which has "
-            f"{free / 2**30:.3g} GiB free; about {fitting} of them would fit: choose a smaller container or larger "
+            f"{free / 2**30:.3g} GiB free; about {fitting} bodies would fit: choose a smaller container, larger "
             "aggregates, single precision, or a device with more memory"
         )

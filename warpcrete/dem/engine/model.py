@@ -269,7 +269,8 @@ def _bond_kinds(scene: Scene) -> tuple[Bonds, ...]:
         refuse(
             "group_bonds",
             len(scene.group_bonds),
-            f"must be fewer: a scene has at most {MOST_KINDS} kinds of bonds in all",
+            f"must be fewer, because a scene has at most {MOST_KINDS} kinds of bonds in all; use the same bonds for "
+            "several groups",
         )
     return tuple(kinds)
 
@@ -305,7 +306,7 @@ def _law_table(
             "contacts",
             ", ".join(kinds),
             f"must be one type of law for all contacts with {what}",
-            "contacts between bodies may have another type than those with walls",
+            "use one class of contact law between bodies, and one between bodies and walls",
         )
     law = type(met[0])
     table = [contacts.get((a, b), scene.contact) for a in materials for b in materials] or met

@@ -168,7 +168,7 @@ class NeighborLists:
             room = np.maximum(self._room, wanted + wanted // 4)
             if np.any(wanted < 0) or room.sum() > MAXIMUM_ENTRIES:
                 raise CapacityError(
-                    f"neighbour list of {b.sphere_count} spheres has more pairs than 32 bits can "
+                    f"neighbour list of {b.sphere_count} spheres has more pairs than a 32-bit number can "
                     "count; use fewer or larger aggregates"
                 )
             self._room = room

@@ -270,13 +270,14 @@ class Stepper:
                 "masses, stiffnesses and dashpots within the range of single precision, or precision float64"
             )
         if fixed is not None and fixed > stable * max(1.0, self.time_step.safety):
-            what = f"is above the stable step of this scene, {stable:.3g} s"
+            what = f"is above the largest stable time step of this scene, {stable:.3g} s"
             if self.running:
                 raise InstabilityError(
-                    f"t = {self.time:.6g} s: time_step = {fixed!r} {what}; usual cures: a smaller time_step, or none "
+                    f"t = {self.time:.6g} s: time_step = {fixed!r} {what}; usual cures: a smaller time_step, or no "
+                    "time_step "
                     "for an automatic step"
                 )
-            refuse("time_step", fixed, what, "leave it out for an automatic step")
+            refuse("time_step", fixed, what, "use a smaller value, or leave out 'time_step' for an automatic step")
         self._estimated = True
         self.batch.estimated(self.index, self.steps)
         return dt
@@ -290,9 +291,10 @@ class Stepper:
         fixed, radius = self.time_step.fixed, self.state.smallest_radius
         for name, speed in speeds.items():
             if fixed is not None and self.state.sphere_count and speed * fixed > radius:
-                refuse("time_step", fixed, f"moves the wall {name!r} by {speed * fixed:.3g} m a step, further than the "
-                       f"smallest radius, {radius:.3g} m",
-                       "leave it out for an automatic step, or slow down the wall")  # fmt: skip
+                refuse("time_step", fixed, f"moves the wall {name!r} by {speed * fixed:.3g} m per step, further than "
+                                           "the "
+                       f"radius of the smallest sphere, {radius:.3g} m",
+                       "leave out 'time_step' for an automatic step, or slow down the wall")  # fmt: skip
         return max(speeds.values(), default=0.0)
 
     def _steps_since_estimate(self) -> float:

@@ -60,10 +60,11 @@ class Watch:
             raise unstable(
                 time,
                 deepest_sphere(self.model, self.state),
-                f"the overlap is {deepest:.3g} of the overlap that swallows a sphere or brings it behind a wall "
+                f"a sphere overlaps its neighbour or wall by {deepest:.3g} of the overlap at which it would pass "
+                "through "
                 f"(watch.overlap = {limits.overlap:g})",
-                "stiffer contacts, smaller bodies apart at the start, slower walls, or a higher watch.overlap "
-                "(overlap_limit of the scene pipe)",
+                "stiffer contacts, bodies that do not overlap at the start, slower walls, or a higher watch.overlap "
+                "(parameter 'overlap_limit' of the scene pipe)",
             )
         resolution = self._resolution(row)
         if resolution > MAX_ROUNDING:
@@ -72,7 +73,7 @@ class Watch:
                 farthest_body(self.state),
                 f"positions are rounded to {resolution:.2g} of the smallest sphere's radius at {row['reach']:.4g} m "
                 "from the origin",
-                "precision float64, or a scene nearer to the origin",
+                "'precision' float64, or positions nearer to the origin",
             )
         work, free = row["wall_work"] + row["drive_work"], _free(row)
         # A contact law with attraction can make the elastic energy negative. Use its absolute value, because a negative

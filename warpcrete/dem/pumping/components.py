@@ -105,7 +105,12 @@ def sizes_of(given: AggregateParameters, diameter: float) -> Sizes:
     """Return the size distribution of the aggregates; raise SceneError if the largest exceeds the pipe diameter [m]."""
     found = _distribution(given)
     if found.largest >= diameter:
-        refuse("size_max", found.largest, f"must be below the pipe's diameter, {diameter:g} m")
+        refuse(
+            "size_max",
+            found.largest,
+            f"must be below the pipe's diameter, {diameter:g} m",
+            "use smaller aggregates or a wider pipe",
+        )
     return found
 
 
@@ -124,8 +129,8 @@ def _distribution(given: AggregateParameters) -> Sizes:
         pairs = [tuple(map(float, part.split(":"))) for part in given.sizes.split(",")]
         openings, passing = zip(*pairs, strict=True)
     except ValueError:
-        refuse("sizes", given.sizes, "must be gaussian, uniform or a sieve curve",
-               "for example '5:0,10:0.4,20:1' (mm:passing)")  # fmt: skip
+        refuse("sizes", given.sizes, "must be 'gaussian', 'uniform' or a sieve curve",
+               "for example '5:0,10:0.4,20:1', pairs of opening [mm] and share of the mass that passes")  # fmt: skip
     return SieveCurve(tuple(1e-3 * o for o in openings), tuple(passing))
 
 
@@ -136,7 +141,7 @@ def fractions_of(text: str | None) -> tuple[float, ...] | None:
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
-        refuse("fractions", text, "must be numbers joined by commas", "for example '2,1,1,1'")
+        refuse("fractions", text, "must be numbers separated by commas, one for each shape", "for example '2,1,1,1'")
 
 
 MOST_BALLS = 600_000
@@ -189,7 +194,7 @@ def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) 
     count = layers * math.pi * across * across  # `across**2` could raise OverflowError; the product gives inf
     if count > MOST_BALLS:
         refuse("plug_ball", ball, f"would need {count:.2g} balls to plug the pipe",
-               "use larger balls, a plate or no plug")  # fmt: skip
+               "increase 'plug_ball', or set 'plug' to plate or none")  # fmt: skip
     local = []
     for layer in range(layers):
         ring = radius - ball / 2

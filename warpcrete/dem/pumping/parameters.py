@@ -41,11 +41,11 @@ BONDED = Needs("bonds", bool, "is on")
 HYDRATED = Needs("hydration", lambda fraction: fraction > 0, "is above 0")
 FROM_FILE = Needs("wall", lambda wall: wall not in ("analytic", "mesh"), "is a file")
 FACETED = Needs("wall", lambda wall: wall == "mesh", "is mesh")
-OF_MESHES = Needs("shapes", names_meshes, "names meshes")
-SEVERAL = Needs("shapes", lambda shapes: shapes == "reference" or "," in shapes, "names several")
+OF_MESHES = Needs("shapes", names_meshes, "names mesh files")
+SEVERAL = Needs("shapes", lambda shapes: shapes == "reference" or "," in shapes, "names several shapes")
 NORMAL = Needs("sizes", lambda sizes: sizes == "gaussian", "is gaussian")
 RANGED = Needs("sizes", lambda sizes: sizes in ("gaussian", "uniform"), "is gaussian or uniform")
-BY_ITSELF = Needs("bulk_density", lambda bulk: bulk is None, "is not given")
+BY_ITSELF = Needs("bulk_density", lambda bulk: bulk is None, "is left out")
 OF_BALLS = Needs("plug", lambda plug: plug == "balls", "is balls")
 STROKES = Needs("strokes", lambda strokes: strokes > 1, "is 2 or more")
 RESTED = Needs("rest", lambda rest: rest > 0, "is above 0")
@@ -368,35 +368,43 @@ class PipeParameters(
             if self.elbow_radius <= self.radius:
                 refuse("elbow_radius", self.elbow_radius, f"must exceed the pipe's radius, {self.radius:g} m")
             if self.distance > self.arc * (1 + 1e-9):
-                longest = f"must not exceed the bend's arc, {self.arc:.6g} m"
+                longest = f"must not exceed the length of the bend's arc, {self.arc:.6g} m"
                 if self.stroke is not None:
-                    refuse("stroke", self.stroke, f"times {self.strokes} {longest}")
+                    refuse("stroke", self.stroke, f"times {self.strokes} strokes {longest}")
                 refuse("travel", self.travel, longest)
             if self.plug == "plate":
                 refuse(
                     "plug",
                     self.plug,
                     "must not be a plate in a bend, because a plate cannot follow it",
-                    "use balls or none",
+                    "set 'plug' to balls or none",
                 )
         self._check_strokes()
 
     def _check_strokes(self) -> None:
         if self.stroke is not None and self.travel is not None:
             refuse(
-                "travel", self.travel, f"is already set by {self.strokes} strokes of {self.stroke:g} m", "leave out one"
+                "travel",
+                self.travel,
+                f"is already set by {self.strokes} strokes of {self.stroke:g} m",
+                "leave out 'travel' or 'stroke'",
             )
         if self.stops is not None and self.each < 2 * self.ramp * (1 - 1e-12):
             refuse("stroke", self.each, f"must hold two ramps of {self.ramp:g} m, one from rest and one to rest",
-                   "use longer strokes, or a shorter ramp")  # fmt: skip
+                   "use longer strokes, or a shorter 'ramp'")  # fmt: skip
         if self.rest > 0 and self.pause == 0:
-            refuse("rest", self.rest, "needs a stop before the last stroke", "set a pause above 0")
+            refuse(
+                "rest",
+                self.rest,
+                "takes place in the last stop between strokes, and there is no stop",
+                "set 'pause' above 0 and 'strokes' to 2 or more",
+            )
         layer = (
             self.layer_yield or self.layer_viscosity or isinstance(self.wall_contact or self.contact, LubricationLayer)
         )
         if self.rest > 0 and not (self.bonds or layer):
-            refuse("rest", self.rest, "has no effect: there are no bonds, and no lubrication layer on the wall",
-                   "use bonds, or a layer_yield")  # fmt: skip
+            refuse("rest", self.rest, "has no effect, because there are no bonds and no lubrication layer on the wall",
+                   "switch on 'bonds', or set 'layer_yield' above 0")  # fmt: skip
 
     @property
     def is_bend(self) -> bool:

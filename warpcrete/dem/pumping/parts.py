@@ -37,7 +37,7 @@ from .parameters import (
 )
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level", "mesh")
-ALONE = Needs("line", lambda line: line is None, "is not given")
+ALONE = Needs("line", lambda line: line is None, "is left out")
 
 
 def _is_given(value: Any) -> bool:
@@ -78,7 +78,7 @@ class CourseParameters:
         float,
         "Length of the cone to the outlet diameter [m]",
         Needs("outlet_diameter", _is_given, "is given"),
-        Needs("wall", lambda wall: wall is None, "is not given"),
+        Needs("wall", lambda wall: wall is None, "is left out"),
         Above(),
     ] = 0.3
     wall: Annotated[str | None, "Mesh file (STL, OBJ ...) whose bore is the part; the bore begins at the mesh's "
@@ -172,7 +172,9 @@ def course_of(given: PartElements) -> Course:
     if line is not None:
         check_straight_ends(line, given.line)
     if given.unit == "mesh" and given.wall is None and line is None:
-        refuse("unit", given.unit, "needs a mesh file", "set wall to its path, or choose another unit")
+        refuse(
+            "unit", given.unit, "needs a mesh file", "set 'wall' to the path of the mesh file, or choose another 'unit'"
+        )
     parts = _meshed(given) if given.wall is not None else line
     if parts is None:
         axis, bores, middle = _part(given)
@@ -183,7 +185,7 @@ def course_of(given: PartElements) -> Course:
     travel = 2 * diameter if given.travel is None else given.travel
     ramp = 0.5 * travel if given.ramp is None else given.ramp
     if ramp > travel:
-        refuse("ramp", ramp, f"must not exceed the travel, {travel:g} m", "increase travel, or shorten ramp")
+        refuse("ramp", ramp, f"must not exceed the travel, {travel:g} m", "increase 'travel', or reduce 'ramp'")
     first = axis.pieces[0]
     assert isinstance(first, Line)
     start = np.array(axis.start) - travel * np.array(axis.tangent)
@@ -222,18 +224,28 @@ def _meshed(given: PartElements) -> PipeLine:
     """
     assert given.wall is not None
     if given.unit != "mesh":
-        refuse("wall", given.wall, f"needs unit mesh, not {given.unit}", "leave out unit, or use a line with a bore")
+        refuse(
+            "wall",
+            given.wall,
+            f"can only be combined with 'unit' = mesh, not {given.unit}",
+            "set 'unit' to mesh, or give a pipeline file with a part 'bore' as 'line'",
+        )
     if given.outlet_diameter is not None:
         refuse(
             "outlet_diameter",
             given.outlet_diameter,
-            "has no effect with a wall, as the mesh has its own outlet",
+            "has no effect together with 'wall', because the mesh has its own outlet",
             "leave it out",
         )
     mesh = bore_of(("wall", "wall_scale"), Path(given.wall), given.wall_scale)
     wide, outlet = mesh.ends
     if abs(wide / given.diameter - 1) > DIAMETER_TOLERANCE:
-        refuse("diameter", given.diameter, f"differs from that of the mesh, {wide:.4g} m at its start", "leave it out")
+        refuse(
+            "diameter",
+            given.diameter,
+            f"differs from the diameter of the mesh at its start, {wide:.4g} m",
+            "set 'diameter' to this value, or scale the mesh with 'wall_scale'",
+        )
     ends, _ = mesh.axis.at([0.0, mesh.axis.length])
     length, rise = mesh.axis.length, float(ends[1, 2] - ends[0, 2])
     level = float(mesh.axis.at(length)[1][0, 2])
@@ -244,7 +256,7 @@ def _meshed(given: PartElements) -> PipeLine:
     )
     pieces = (Line(given.straight), *mesh.axis.pieces, Line(given.straight))
     line = PipeLine("part", parts, Axis((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), pieces))
-    check_crossing(line, hint="use a shorter straight, or cut the mesh")
+    check_crossing(line, hint="reduce 'straight', or shorten the bore of the mesh")
     return line
 
 
@@ -259,7 +271,7 @@ def _part(given: PartElements) -> tuple[Axis, Bores, tuple[float, float] | None]
     narrows = given.outlet_diameter is not None
     if narrows:
         between("outlet_diameter", given.outlet_diameter, given.diameter / 10, 10 * given.diameter, "m",
-                "change the diameter in several steps")  # fmt: skip
+                "for a larger change, use a 'line' from a file with several parts 'reducer'")  # fmt: skip
     # A taper lies in the middle of a pipe without a bend. In a pipe with a bend, a straight stretch separates bend and
     # taper.
     narrowing = straight + given.taper if narrows else 0.0

@@ -49,7 +49,7 @@ WITH_BONDS = Needs("law", lambda law: law == "bonds", "is bonds")
 WITH_MORTAR = Needs("law", lambda law: law in ("mortar", "plastic"), "is mortar or plastic")
 WITH_PLASTIC = Needs("law", lambda law: law == "plastic", "is plastic")
 WITH_ROLLING = Needs("law", lambda law: law == "rolling", "is rolling")
-BY_ITSELF = Needs("bulk_density", lambda bulk: bulk is None, "is not given")
+BY_ITSELF = Needs("bulk_density", lambda bulk: bulk is None, "is left out")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,11 +199,12 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
         for name, default in (("plate_grip", LawParameters.plate_grip), ("mould_grip", None)):
             if getattr(self, name) != default and self.contact is not None and not self.is_gripped:
                 refuse(name, getattr(self, name), f"has no effect with contact {type(self.contact).__name__}, which "
-                                                  "resists neither sliding nor rolling; laws that do are "
-                                                  f"{', '.join(RESISTANCES)}", "leave it out")  # fmt: skip
+                                                  "resists neither sliding nor rolling; laws that resist are "
+                                                  f"{', '.join(RESISTANCES)}", f"leave out {name!r}, or choose one of "
+                                                                               "these laws")  # fmt: skip
         if self.mould_grip_or_default > self.plate_grip:
             refuse("mould_grip", self.mould_grip, f"must not exceed plate_grip = {self.plate_grip:g}",
-                   "raise plate_grip, or lower mould_grip")  # fmt: skip
+                   "increase 'plate_grip', or reduce 'mould_grip'")  # fmt: skip
 
     @property
     def stiffness(self) -> float:

@@ -186,7 +186,7 @@ def templates(name: str, spheres: int = 10) -> tuple[ClumpTemplate, ...]:
         "shapes",
         name,
         "must be one of " + ", ".join(TEMPLATE_SETS) + ", or the path of a closed mesh",
-        "use 'shape-' with any factor from 1 to 20",
+        "for elongated bodies, write 'shape-' and the ratio of length to width, 1 to 20, as in 'shape-1.5'",
     )
 
 
@@ -216,7 +216,7 @@ def from_mesh(mesh, spheres: int, name: str = "mesh", resolution: int = 32) -> C
     depth = -signed_distance(mesh, points)
     inside = depth > 0
     if inside.sum() < 8:
-        refuse("resolution", resolution, "is too coarse for this mesh", "increase it")
+        refuse("resolution", resolution, "is too coarse for this mesh", "increase 'resolution'")
     points, depth = points[inside], depth[inside]
     # Spheres centred near the surface are small, so the 4,000 deepest points are enough as candidates for centres.
     candidates = np.argsort(-depth)[:4000]

@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ...core.errors import refuse
+from ...core.inputs.amounts import amount
 from ...core.inputs.concretes import NamedConcrete, known_only
 from ...core.inputs.limits import warn
-from ...mix.mix import completed
+from ...mix.mix import FACTORS, completed
 
 SIZES = ("sizes", "size_min", "size_max")
 """Names of the parameters that set the sizes of the aggregates."""
@@ -42,8 +43,8 @@ def elements_of(values: Mapping[str, Any], known: Sequence[str], default: str) -
         section = {**found.elements, **_of_flow(found, layer_given), **found.mix.elements}
     sized = any(size in values or size in section for size in SIZES)
     if found.flow and not sized and (found.mix is not None or not found.elements):
-        warn(f"concrete {found.name} has no sieve curve, so its aggregate gets the scene's default sizes; give a "
-             "sieve curve, for example sizes = '4:0,8:0.4,16:1'")  # fmt: skip
+        warn(f"concrete {found.name} has no sieve curve, so the scene's default sizes apply to its aggregate; give a "
+             "sieve curve, for example 'sizes' = 4:0,8:0.4,16:1 (opening [mm]:share that passes)")  # fmt: skip
     if "density" in values:  # a given density of aggregates replaces the bulk density of the concrete
         section = {key: value for key, value in section.items() if key != "bulk_density"}
     return known_only("elements", section, known, name)
@@ -62,16 +63,17 @@ def _of_flow(found: NamedConcrete, layer_given: bool = False) -> dict[str, Any]:
         refuse(
             "concrete flow",
             ", ".join(missing),
-            f"is missing in {found.name}, but discrete elements need it",
-            "add it to the file's section 'flow', or give the section 'elements'",
+            f"missing in the concrete {found.name!r}, but needed by discrete elements",
+            "add what is missing to the section 'flow' of the concrete's file, or add a section 'elements'",
         )
     for name, plain in (("slip_flow_index", 1.0), ("slip_quadratic_viscosity", 0.0)):
         if flow.get(name, plain) != plain and not layer_given:
             refuse(f"concrete flow {name}", flow[name], "describes a slip layer that discrete elements do not have: "
                    "theirs is linear", "give layer_yield and layer_viscosity in the section 'elements'")  # fmt: skip
+    stiffer, thicker = (amount(f"concrete flow {name}", flow.get(name, plain), "1") for name, plain in FACTORS.items())
     return {
         "bulk_density": flow["density"],
         "wall_friction": 0.0,
-        "layer_yield": flow["slip_yield"] / COVERAGE,
-        "layer_viscosity": flow["slip_viscosity"] / COVERAGE,
+        "layer_yield": stiffer * flow["slip_yield"] / COVERAGE,
+        "layer_viscosity": thicker * flow["slip_viscosity"] / COVERAGE,
     }

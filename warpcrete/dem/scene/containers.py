@@ -179,7 +179,11 @@ class Fill:
         if self.bulk_density is not None:
             positive("bulk_density", self.bulk_density, "kg/m3")
         if (self.solid_fraction is None) == (self.pressure is None):
-            refuse("solid_fraction", self.solid_fraction, "must be given, or else a pressure, but not both")
+            refuse(
+                "solid_fraction",
+                self.solid_fraction,
+                "must be given if there is no packing pressure, and left out otherwise",
+            )
         if self.solid_fraction is not None and not 0.01 <= self.solid_fraction <= 0.8:
             refuse("solid_fraction", self.solid_fraction, "must be in [0.01, 0.8]", "dense mixes pack at 0.55 to 0.7")
         if self.pressure is not None:
@@ -189,7 +193,7 @@ class Fill:
         given = np.ones(len(self.templates)) if self.fractions is None else np.asarray(self.fractions, float)
         wrong = given.shape != (len(self.templates),) or not np.all(np.isfinite(given)) or np.any(given < 0)
         if wrong or not given.sum() > 0:
-            refuse("fractions", self.fractions, f"must be {len(self.templates)} numbers of at least 0, not all 0",
+            refuse("fractions", self.fractions, f"must be {len(self.templates)} numbers, none below 0 and not all 0",
                    "give one fraction for each shape")  # fmt: skip
         object.__setattr__(self, "fractions", tuple((given / given.sum()).tolist()))
         # A long aggregate can lie along the container, so its thickness, not its length, decides whether it fits.
@@ -198,6 +202,6 @@ class Fill:
             refuse(
                 "largest size",
                 self.sizes.largest,
-                f"does not fit the container, which is {self.container.narrowest:g} m across",
+                f"exceeds the width of the container, {self.container.narrowest:g} m",
                 "choose smaller aggregates or a wider pipe",
             )

@@ -141,7 +141,12 @@ class Bodies:
                 if value.shape != (n, width) or not np.all(np.isfinite(value)):
                     refuse(name, f"shape {value.shape}", f"must be finite, shape ({n}, {width})")
                 if name == "orientations" and np.any(np.abs(np.linalg.norm(value, axis=1) - 1) > 1e-3):
-                    refuse(name, "a quaternion not of length 1", "must be unit quaternions x, y, z, w")
+                    refuse(
+                        name,
+                        "a quaternion whose length is not 1",
+                        "must be unit quaternions (x, y, z, w)",
+                        "divide each quaternion by its length",
+                    )
                 object.__setattr__(self, name, value)
 
 
@@ -173,10 +178,10 @@ class TimeStep(Declared):
                 "rounds",
                 self.rounds,
                 "must be a whole number, 1 or more",
-                "leave it out to use as many rounds as needed",
+                "leave out 'rounds' to use as many as needed",
             )
         if self.fixed is not None:
-            positive("time_step", self.fixed, "s", "leave it out for an automatic step")
+            positive("time_step", self.fixed, "s", "leave out the fixed time step for an automatic one")
         if self.interval < 1:
             refuse("interval", self.interval, "must be a whole number of steps, 1 or more")
 
@@ -436,7 +441,7 @@ class Scene(Parametrised):
         one_of("precision", self.precision, PRECISIONS)
         names = [wall.name for wall in self.walls]
         if len(set(names)) != len(names):
-            refuse("walls", names, "must have different names")
+            refuse("walls", names, "must have different names", "give each wall its own name")
         planes = [wall.name for wall in self.walls if isinstance(wall, PlaneWall)]
         if self.pressure is not None and self.pressure.wall not in planes:
             refuse("pressure wall", self.pressure.wall, f"must be a plane wall ({', '.join(planes) or 'none'})")

@@ -23,7 +23,9 @@ class Gaussian:
         positive("mean size", self.mean, "m")
         positive("size deviation", self.deviation, "m")
         if not self.smallest - 3 * self.deviation <= self.mean <= self.largest + 3 * self.deviation:
-            refuse("mean size", self.mean, f"lies far outside the range [{self.smallest:g}, {self.largest:g}] m")
+            refuse(
+                "mean size", self.mean, f"lies far outside the range of sizes, [{self.smallest:g}, {self.largest:g}] m"
+            )
 
     def sample(self, count: int, random: np.random.Generator) -> np.ndarray:
         """Return `count` random sizes [m]."""
@@ -67,15 +69,15 @@ class SieveCurve:
         try:
             openings, passing = np.asarray(self.openings, float), np.asarray(self.passing, float)
         except (TypeError, ValueError):
-            refuse("openings", self.openings, "must be a row of numbers, as must passing")
+            refuse("openings", self.openings, "must be a list of numbers, and so must 'passing'")
         if not np.all(np.isfinite(openings)) or not np.all(np.isfinite(passing)):
-            refuse("openings", self.openings, "must be finite numbers, as must passing")
+            refuse("openings", self.openings, "must contain only finite numbers, and so must 'passing'")
         if openings.ndim != 1 or len(openings) < 2 or len(openings) != len(passing):
-            refuse("openings", self.openings, "must be two or more, with one `passing` fraction each")
+            refuse("openings", self.openings, "must be two or more, with one fraction in 'passing' for each")
         if np.any(openings <= 0) or np.any(np.diff(openings) <= 0):
-            refuse("openings", self.openings, "must be above 0 m and increase")
+            refuse("openings", self.openings, "must be above 0 m, and each must exceed the one before")
         if passing[0] != 0 or passing[-1] != 1 or np.any(np.diff(passing) < 0):
-            refuse("passing", self.passing, "must increase from 0 to 1")
+            refuse("passing", self.passing, "must increase from 0 to 1, without falling in between")
         object.__setattr__(self, "openings", tuple(openings.tolist()))
         object.__setattr__(self, "passing", tuple(passing.tolist()))
 

@@ -42,7 +42,7 @@ class Stations:
 
     def __post_init__(self) -> None:
         if len(self.edges) < 2 or np.any(np.diff(self.edges) <= 0):
-            refuse("station edges", self.edges, "must be two or more numbers that increase")
+            refuse("station edges", self.edges, "must be two or more numbers, each above the one before")
         between("stations", len(self.edges) - 1, 1, 100_000)
 
     @property

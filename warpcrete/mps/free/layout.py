@@ -83,7 +83,7 @@ def free_layout(scene: FreeScene) -> GridLayout:
         refuse(
             "outline",
             scene.outline,
-            "must contain concrete, but walls fill all of it",
+            "must enclose concrete, but walls fill the whole outline",
             "move the outline, or the walls",
         )
     size = float(np.ptp(scene.extent, axis=0).min())

@@ -116,21 +116,26 @@ class FreeScene(Parametrised, FreeSettings):
             positive(name, getattr(self, name), "m")
         between("depth", self.depth, 0, np.inf, "m")
         if self.axial and self.depth:
-            refuse("depth", self.depth, "must be 0 for a flow about an axis; only a flow in space has a depth", "use 0")
+            refuse(
+                "depth",
+                self.depth,
+                "must be 0 for a flow about an axis, because only a flow in space has a depth",
+                "use 0",
+            )
         if self.walls and not self.depth:
             refuse(
                 "walls",
                 f"{len(self.walls)}",
                 "must be empty for a flow in a plane or about an axis",
-                "give the room a depth, or use blocks",
+                "set 'depth' above 0, or use 'blocks' instead",
             )
         for name, kind in self.sides.items():
             one_of("sides", name, [side for pair in SIDES for side in pair])
             one_of(f"sides[{name}]", kind, (WALL, MIRROR, OPEN_SIDE))
             if name in SIDES[1] and not self.depth:
-                refuse("sides", name, "exists only in space", "give the room a depth, or leave it out")
+                refuse("sides", name, "exists only in space", f"set 'depth' above 0, or leave out {name!r}")
             if name == "left" and self.axial:
-                refuse("sides", name, "is the axis and cannot be chosen", "leave it out")
+                refuse("sides", name, "is the axis of the flow and cannot have a condition", f"leave out {name!r}")
         for name in ("outline", "gate", *(f"blocks[{n}]" for n in range(len(self.blocks)))):
             points = self.blocks[int(name[7:-1])] if name.startswith("blocks") else getattr(self, name)
             if name == "gate" and not points:
@@ -141,18 +146,20 @@ class FreeScene(Parametrised, FreeSettings):
                     name,
                     points,
                     "must be three or more corners, each of two finite numbers [m]",
-                    "list the corners in order",
+                    "list the corners in the order in which they follow each other",
                 )
         if self.test:
             self.test.check_dimensions(self.dimensions)
             if self.test.in_space and not self.depth:
-                refuse("depth", self.depth, f"must be above 0 for test {self.test.name!r}", "give half the box's width")
+                refuse(
+                    "depth", self.depth, f"must be above 0 for test {self.test.name!r}", "use half of the box's width"
+                )
         if np.any(np.ptp(self.extent, axis=0) <= 0):
             refuse(
                 "outline",
                 self.outline,
                 f"must lie within the room, {self.width:g} by {self.height:g} m",
-                "move the outline",
+                "move the corners of the outline, or enlarge the room",
             )
         for wall in self.walls:
             if wall.motion is not None:
@@ -166,22 +173,22 @@ class FreeScene(Parametrised, FreeSettings):
             refuse(
                 "lift_speed",
                 self.lift_speed,
-                "must be above 0, because there is a gate to lift",
-                "use about 0.1 m/s, or no gate",
+                "must be above 0, because the scene has a gate that is lifted",
+                "use about 0.1 m/s, or leave out the gate",
             )
         smallest = min(np.ptp(self.extent, axis=0))
         if self.spacing > smallest / 4:
             refuse(
                 "spacing",
                 self.spacing,
-                "must leave at least four cells across the concrete at the start",
+                "is too coarse: at least four cells must fit across the concrete at the start",
                 f"use {smallest / 4:.3g} m or less",
             )
         check_interval(self)
         fall = float(np.sqrt(2 * self.gravity * self.extent[1, 1]))
         if not self.step_error and self.time_step * fall > self.spacing:
             refuse("time_step", self.time_step, f"must be shorter, because concrete that falls at {fall:.3g} m/s "
-                                                "passes more than a cell per step",
+                                                "passes through more than one cell per step",
                    f"use {self.spacing / fall:.2g} s or less")  # fmt: skip
 
     @property

@@ -60,12 +60,12 @@ class FreeSimulation(FlowRun):
         at = f"t = {row['time']:.6g} s"
         for name, value in row.items():
             if not math.isfinite(value):
-                raise InstabilityError(f"{at}: {name} is not a finite number; use a smaller time step")
+                raise InstabilityError(f"{at}: {name} is not a finite number; use a smaller 'time_step'")
         room = self.scene.width - 2 * self.flow.state.layout.spacing
         if self.scene.test and self.scene.test.on_plate and self.flow.steps and reach(self.flow) > room:
             raise InstabilityError(
                 f"{at}: the concrete has reached the edge of the plate, {self.scene.width:g} m from its middle; use a "
-                "larger plate (plate_radius)"
+                "larger plate ('plate_radius')"
             )
 
     @property

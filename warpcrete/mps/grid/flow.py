@@ -308,7 +308,7 @@ class GridFlow(Stepping):
         return [
             self.stage(
                 break_kernel(self.scalar, self.state.layout.kind), self.state.slots, breakdown=scene.breakdown,
-                breakdown_strain=scene.breakdown_strain,
+                breakdown_strain=scene.breakdown_strain, rebuild_rate=scene.rebuild_rate,
             )
         ]  # fmt: skip
 

@@ -167,7 +167,8 @@ def pipe_layout(scene: FluidScene) -> GridLayout:
         kind=GridKind(
             axial=axial,
             periodic=True,
-            thixotropic=scene.gained > 0,
+            thixotropic=scene.is_structured,
+            rebuilding=scene.rebuild_rate > 0,
             law=concrete.bulk_law.name,
             slip_law=concrete.layer_law.name,
         ),

@@ -121,7 +121,7 @@ class PartScene(Parametrised, PartSettings):
             positive(name, getattr(self, name), "m3/s" if name == "flow" else "m")
         pieces = self.axis.pieces
         if isinstance(pieces[0], Arc) or isinstance(pieces[-1], Arc):
-            refuse("axis", pieces, "must begin and end straight")
+            refuse("axis", pieces, "must begin and end with a straight piece")
         begin = 0.0
         for piece in pieces:
             wide = self.bores.at([begin, begin + piece.length])
@@ -135,17 +135,24 @@ class PartScene(Parametrised, PartSettings):
                     1e-3,
                     0.75 * np.pi,
                     "rad",
-                    "use a wider turn, so that the pipe does not cross itself",
+                    "in a sharper turn the pipe would cross itself; use a straight piece instead of a smaller turn",
                 )
                 if np.ptp(wide) > 1e-9 * wide.max():
-                    refuse("bores", wide.tolist(), "must be constant in a bend", "put the taper before or behind it")
+                    refuse(
+                        "bores", wide.tolist(), "must be constant in a bend", "put the taper before or behind the bend"
+                    )
             begin += piece.length
         if self.bores.places[-1] > self.axis.length * (1 + 1e-9):
-            refuse("taper", self.bores.places[-1], f"must end in the part, which is {self.axis.length:g} m long")
+            refuse(
+                "taper",
+                self.bores.places[-1],
+                f"must end before the end of the pipe, which is {self.axis.length:g} m long",
+            )
         object.__setattr__(self, "_bores", self._measured_bores())
         least = 2 * self.narrowest
         if self.spacing > least / MIN_ACROSS:
-            refuse("spacing", self.spacing, f"must leave {MIN_ACROSS} cells across the narrowest bore, {least:.4g} m",
+            refuse("spacing", self.spacing, f"is too coarse: at least {MIN_ACROSS} cells must fit across the narrowest "
+                                            f"bore, {least:.4g} m",
                    f"use {least / MIN_ACROSS:.3g} m or less")  # fmt: skip
         begin, end = self.middle
         for length, at in ((begin, 0.0), (self.axis.length - end, self.axis.length)):
@@ -153,14 +160,14 @@ class PartScene(Parametrised, PartSettings):
             # Lengths are differences of arc lengths and therefore carry rounding errors.
             if length < wanted * (1 - 1e-9):
                 share = "" if end > begin else ", half of the pipe"
-                refuse("straight", length, f"is too short to measure the loss of a straight stretch{share}",
+                refuse("straight", length, f"is too short to measure the pressure loss of straight pipe{share}",
                        f"use {wanted:.3g} m or more")  # fmt: skip
         fastest = self.velocity * (2 * self.radius / least) ** 2
         if not self.step_error and self.time_step * fastest > self.spacing:
             refuse("time_step", self.time_step, f"must be shorter, because concrete that flows at {fastest:.3g} m/s "
-                                                "passes more than a cell per step",
+                                                "passes through more than one cell per step",
                    f"use {self.spacing / fastest:.2g} s or less")  # fmt: skip
-        between("duration", self.duration, self.time_step, np.inf, "s", "use at least one time step")
+        between("duration", self.duration, self.time_step, np.inf, "s", "simulate at least one time step")
         check_interval(self)
 
     def _measured_bores(self) -> tuple[np.ndarray, np.ndarray] | None:
@@ -181,7 +188,7 @@ class PartScene(Parametrised, PartSettings):
         )
         if abs(radii[0] / self.radius - 1) > 0.1:
             refuse("radius", self.radius, f"must equal the mesh's radius at its start, {radii[0]:.4g} m",
-                   "give the mesh's radius, or the scale of its unit (0.001 for mm)")  # fmt: skip
+                   "use this radius, or correct the scale (0.001 for a mesh in millimetres)")  # fmt: skip
         return s, radii
 
     @property

@@ -55,7 +55,7 @@ class PartSimulation(FlowRun):
         for name, value in row.items():
             if not math.isfinite(value):
                 raise InstabilityError(f"t = {row['time']:.6g} s: {name} is not a finite number; use a smaller time "
-                                       "step, or longer straight ends")  # fmt: skip
+                                       "step, or longer straight pipes at the two ends ('straight')")  # fmt: skip
 
     def ended_early(self) -> bool:
         """Return whether the frictional pressure has not changed over two successive periods of `SAMPLES` steps."""

@@ -133,7 +133,7 @@ def _record(folder: Path) -> dict[str, Any]:
     record = read_record(folder / RECORD)
     if set(record) - {"files"} != {"targets", "settings", "rounds"}:
         raise RunFolderError(
-            f"'{folder / RECORD}': is not the record of a calibration; give the folder of a calibration"
+            f"'{folder / RECORD}': was not written by 'warpcrete calibrate'; give the folder of a calibration"
         )
     check_files(folder / RECORD, record.get("files", {}))
     return record
@@ -209,7 +209,8 @@ def run_round(
         if study.lost:
             raise WarpcreteError(
                 f"trial {study.lost[0]}: {study.failures[study.lost[0]]}; {len(study.lost)} of {len(study.cases)} "
-                f"runs were lost in this way; continue with 'warpcrete calibrate --resume {calibration.folder}'"
+                "runs were lost for such reasons; run them again with 'warpcrete calibrate --resume "
+                f"{calibration.folder}'"
             )
         _store_results(study, trials, calibration.task.groups[group])
     return True
@@ -278,15 +279,15 @@ def _update_posterior(calibration: Calibration, seed: int) -> None:
         why = next((trial.failure for trial in searched if trial.failure), "the scene does not measure it there")
         if count == 0:
             raise WarpcreteError(
-                f"the {target.label} is missing in all {len(searched)} runs; reason in the first: "
-                f"{why}; use other ranges"
+                f"the {target.label} is missing in all {len(searched)} runs; reason in the first run: "
+                f"{why}; use other ranges under 'vary'"
             )
         if count < MIN_VALUES and len(searched) < calibration.record["settings"]["trials"]:
             return
         if count < MIN_VALUES:
             raise WarpcreteError(
                 f"the {target.label} was found in only {count} of {len(searched)} runs; reason in the first run "
-                f"without it: {why}; use other ranges, or continue with more trials"
+                f"without it: {why}; use other ranges under 'vary', or continue with more trials"
             )
     before = calibration.posterior
     calibration.posterior = now = posterior(calibration.task, points, values, seed)

@@ -157,34 +157,44 @@ def task_of(raw: Mapping[str, Any], modules: Mapping[str, Any], folder: Path | N
     for key in raw:
         if key not in KEYS:
             with errors_located_at(raw, key):
-                refuse("targets", key, "is not a key of a file of targets", known_names(key, KEYS))
+                refuse("targets", key, "is not a key of the file of targets", known_names(key, KEYS))
     base = raw.get("base")
     if base is not None:
         concrete(str(base))
     vary, listed = raw.get("vary"), raw.get("targets")
     if not isinstance(vary, Mapping) or not vary:
         refuse(
-            "vary", vary, "must contain one parameter or more, each with its range", "for example 'friction: [0, 0.5]'"
+            "vary", vary, "must list one or more parameters, each with its range", "for example 'friction: [0, 0.5]'"
         )
     if not isinstance(listed, Sequence) or isinstance(listed, str) or not listed:
         refuse(
             "targets",
             listed,
             "must be a list of one or more targets",
-            "'- {scene: ..., quantity: ..., value: ..., uncertainty: ...}'",
+            "for example '- {scene: slump, quantity: spread, value: 550 mm, uncertainty: 5%}'",
         )
     targets = []
     for place, each in enumerate(listed):
         with errors_located_at(listed, place):
             targets.append(_target(place + 1, each, modules, vary, folder or Path()))
     if base is not None and not any("concrete" in _known(modules, target.scene) for target in targets):
-        refuse("base", base, "is not used by the scene of any target", "leave it out")
+        refuse(
+            "base",
+            base,
+            "has no effect, because no scene of the targets has a parameter 'concrete'",
+            "leave out 'base'",
+        )
     free = []
     for name, given in vary.items():
         with errors_located_at(vary, name):
             free.append(_free(str(name), given, _field(str(name), targets, modules)))
     if all(target.held_out for target in targets):
-        refuse("held_out", True, "must not be set for every target", "fit at least one target")
+        refuse(
+            "held_out",
+            True,
+            "must not be true for all targets, because at least one must be fitted",
+            "leave out 'held_out' for one target",
+        )
     task = Task(None if base is None else str(base), tuple(free), tuple(targets))
     checked = []
     for place, target in enumerate(targets):
@@ -202,13 +212,13 @@ def _known(modules: Mapping[str, Any], scene: str) -> Mapping[str, Field]:
 def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[str, Any], folder: Path) -> Target:
     called = f"target {place}"
     if not isinstance(given, Mapping):
-        refuse(called, given, "must be 'key: value' pairs", f"the keys are {', '.join(TARGET_KEYS)}")
+        refuse(called, given, "must consist of 'key: value' pairs", f"possible keys are {', '.join(TARGET_KEYS)}")
     for key in given:
         if key not in TARGET_KEYS:
             refuse(called, key, "is not a key of a target", known_names(key, TARGET_KEYS))
     missing = [key for key in TARGET_KEYS[:4] if given.get(key) is None]
     if missing:
-        refuse(called, dict(given), f"must have {', '.join(missing)}")
+        refuse(called, dict(given), f"has no {', '.join(missing)}", "add what is missing")
     if not isinstance(given["scene"], str) or given["scene"] not in modules:
         refuse(f"{called} scene", given["scene"], f"must be one of {', '.join(modules)}",
                suggested(given["scene"], modules))  # fmt: skip
@@ -217,7 +227,9 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
         refuse(f"{called} value", value, "must be a finite number, in SI units or with its unit")
     parameters = given.get("parameters") or {}
     if not isinstance(parameters, Mapping):
-        refuse(f"{called} parameters", parameters, "must be 'name: value' pairs")
+        refuse(
+            f"{called} parameters", parameters, "must consist of 'name: value' pairs", "for example {yield_stress: 50}"
+        )
     parameters = modules[given["scene"]].scene.resolved(parameters)
     for name, field in _known(modules, given["scene"]).items():
         files = [rule for rule in field.of_kind(FileIf) if isinstance(parameters.get(name), str)]
@@ -225,7 +237,12 @@ def _target(place: int, given: Any, modules: Mapping[str, Any], vary: Mapping[st
             parameters[name] = os.path.realpath(folder / parameters[name])
     for name in vary:
         if name in parameters:
-            refuse(f"{called} parameters", name, "cannot be both given here and varied", "leave out one of the two")
+            refuse(
+                f"{called} parameters",
+                name,
+                "cannot be both given here and varied",
+                f"leave out {name!r} here or under 'vary'",
+            )
     held = given.get("held_out", False)
     if not isinstance(held, bool):
         refuse(f"{called} held_out", held, "must be true or false")
@@ -270,7 +287,12 @@ def _field(name: str, targets: Sequence[Target], modules: Mapping[str, Any]) -> 
                suggested(name, {key for each in known for key in each}) or
                "'warpcrete run SCENE --help' lists them")  # fmt: skip
     if {field.kind for field in fields} - {int, float} or name == "seed":
-        refuse("vary", name, "must be a numeric parameter other than the seed")
+        refuse(
+            "vary",
+            name,
+            "cannot be varied, because only numeric parameters other than the seed can",
+            "leave out this parameter",
+        )
     return next((field for field in fields if field.kind is int), fields[0])
 
 
@@ -280,23 +302,28 @@ def _free(name: str, given: Any, field: Field) -> FreeParameter:
     scale = None
     if isinstance(given, Mapping):
         if set(given) - {"low", "high", "scale"} or not {"low", "high"} <= set(given):
-            refuse(called, dict(given), "must have low and high, and may have scale")
+            refuse(
+                called,
+                dict(given),
+                "must have 'low' and 'high', and may have 'scale'",
+                "for example {low: 0.1, high: 1, scale: log}",
+            )
         scale, given = given.get("scale"), [given["low"], given["high"]]
     numbers = isinstance(given, Sequence) and not isinstance(given, str) and len(given) == 2
     if numbers:
         given = [field.number(each, called) for each in given]
     if not numbers or not all(isinstance(e, int | float) and not isinstance(e, bool) and math.isfinite(e)
                               for e in given):  # fmt: skip
-        refuse(called, given, "must be [low, high], two finite numbers")
+        refuse(called, given, "must be two finite numbers, the lowest and the highest value", "for example [0.1, 1]")
     for each in given:
         field.check_limits(field.converted(each, called), called)
     low, high = map(float, given)
     if not low < high:
-        refuse(called, [low, high], "must be [low, high] with low below high", f"did you mean [{high:g}, {low:g}]?")
+        refuse(called, [low, high], "must begin with the lower number", f"did you mean [{high:g}, {low:g}]?")
     if scale not in (None, "log", "linear"):
         refuse(f"{called} scale", scale, "must be log or linear")
     if scale == "log" and low <= 0:
-        refuse(called, [low, high], "must be above 0 for a logarithmic scale", "use scale: linear")
+        refuse(called, [low, high], "must be above 0 for a logarithmic scale", "write 'scale: linear'")
     return FreeParameter(
         name, low, high, scale == "log" or (scale is None and low > 0 and high / low >= LOG_SCALE_RATIO), whole
     )

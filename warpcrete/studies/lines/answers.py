@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,15 +38,18 @@ def pressure_text(pressure: float) -> str:
     return f"{pressure / 1e5:.4g} bar ({pressure / 1e6:.3g} MPa)"
 
 
-def band_sentences(band: Band) -> list[str]:
-    """Return sentences that split the width of a band of pressure [Pa] by its causes, largest first, with advice."""
+def band_sentences(band: Band, without_advice: Collection[str] = ()) -> list[str]:
+    """Return sentences that split the width of a band of pressure [Pa] by its causes, largest first, with advice.
+
+    Causes in `without_advice` get none, because they were measured.
+    """
     shares = sorted(band.shares.items(), key=lambda item: -item[1])
     found = []
     for place, (cause, share) in enumerate(shares):
         if place and share < LEAST_SHARE:
             break
         span = "" if place else f" of the band of {band.low / 1e5:.3g} to {band.high / 1e5:.3g} bar"
-        advice = ADVICE.get(cause)
+        advice = None if cause in without_advice else ADVICE.get(cause)
         found.append(
             f"{100 * share:.0f} %{span} {'of it comes' if place else 'comes'} from the {cause}"
             + (f"; {advice}" if advice else "")

@@ -248,7 +248,7 @@ def run_elements(
             "known",
             str(known),
             "is not the folder of a line with simulated parts",
-            "give one that contains a folder 'parts'",
+            "give the folder of an earlier 'warpcrete line', which contains a folder 'parts'",
         )
     kinds = dict(_kinds(line))
     jobs = []
@@ -378,8 +378,8 @@ def _seed_result(kinds: Mapping[Any, Part], runs: Mapping[Any, Run]) -> SeedResu
                 refuse(
                     "part",
                     part.label,
-                    "must contain more slices that are full of aggregates, to measure its "
-                    "pressure loss; make the part longer",
+                    "is too short to measure its pressure loss, because too few slices are full of "
+                    "aggregates; make the part longer",
                 )
             tables.setdefault(part.diameter, []).append(columns)
             densities.append(float(np.nanmean(columns["bulk_density"])))
@@ -388,8 +388,8 @@ def _seed_result(kinds: Mapping[Any, Part], runs: Mapping[Any, Run]) -> SeedResu
             refuse(
                 "part",
                 part.label,
-                "must contain more slices that are full of aggregates, to measure its "
-                "pressure loss; make the part longer",
+                "is too short to measure its pressure loss, because too few slices are full of "
+                "aggregates; make the part longer",
             )
         else:
             ratios[key] = number(run.result["middle_ratio"])

@@ -157,7 +157,7 @@ def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Ta
             field = f"{path.name}, line {row}: {name}"
             values[name] = amount(field, f"{cells[place].strip()} {unit}".strip(), COLUMNS[name])
             if name in ("pressure", "flow"):
-                positive(field, values[name], COLUMNS[name], "leave out taps without pressure")
+                positive(field, values[name], COLUMNS[name], "leave out rows without pressure")
                 check_limit(field, values[name], COLUMNS[name], name)
         if "part" in values:
             field, last = f"{path.name}, line {row}: part", len(line.parts)
@@ -166,7 +166,7 @@ def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Ta
             values["place"] = float(starts[int(values["part"]) - 1])
         field = f"{path.name}, line {row}: place"
         between(field, values["place"], 0.0, float(np.nextafter(starts[-1], 0.0)), "m",
-                "the distance from the pump, before the open end of the line")  # fmt: skip
+                "'place' is the distance from the pump along the line, and must lie before the open end")  # fmt: skip
         check_velocity(f"{path.name}, line {row}: flow", values["flow"], 4 * values["flow"] / (math.pi * narrow**2))
         found.append(Tap(values["place"], values["pressure"], values["flow"], row))
     return tuple(found)
@@ -243,7 +243,7 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
             refuse(
                 f"fit, line {tap.row}: pressure", tap.pressure,
                 f"must exceed the weight of the concrete above the tap, {weight:.5g} Pa",
-                "check place, unit and zero of the gauge, and the density",
+                "check the place of the gauge, its unit and zero point, and the density of the concrete",
             )  # fmt: skip
     start = np.array([concrete.slip_viscosity, concrete.slip_yield, 1.0])
     bends = any(_is_free(part) for part in line.parts)
@@ -303,7 +303,8 @@ def _check_count(taps: Sequence[Tap], free: Sequence[int]) -> None:
     """Refuse points that are too few to determine the free constants with a band."""
     if len(taps) <= len(free):
         names = " and ".join(filter(None, (", ".join(NAMES[k] for k in free[:-1]), NAMES[free[-1]])))
-        refuse("fit", f"{len(taps)} points", f"must be at least {len(free) + 1} to determine {names} with a band",
+        counted = f"{len(taps)} point{'s' if len(taps) != 1 else ''}"
+        refuse("fit", counted, f"must be at least {len(free) + 1} to determine {names} with a band",
                "measure at more places, or at other flows")  # fmt: skip
 
 

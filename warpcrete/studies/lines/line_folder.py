@@ -32,7 +32,7 @@ def line_folder(out: Path | None, asked: Mapping[str, Any]) -> Iterator[None]:
     record = out / LINE_RECORD
     known = json.loads(json.dumps(asked))
     if record.is_file() and read_json(record) != known:
-        raise RunFolderError(f"out = '{out}': contains another, unfinished line; choose a new folder")
+        raise RunFolderError(f"out = '{out}': contains the unfinished results of another line; choose a new folder")
     with locked_folder(out, LINE_RECORD) if record.is_file() else new_folder(out):
         if not record.is_file():
             write_json(record, known)

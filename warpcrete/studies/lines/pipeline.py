@@ -30,18 +30,24 @@ def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> Non
     """
     pipe = getattr(scene, "pipe", None)
     if pipe is None:
-        refuse("pipeline", scene.name, "needs a straight unit of discrete elements (Eq. 13)", "use the scene pipe")
+        refuse(
+            "pipeline",
+            scene.name,
+            "needs a straight pipe of discrete elements (Eq. 13 of Zhan et al. 2019)",
+            "use the scene pipe",
+        )
     one_of("unit", pipe.name, STRAIGHT_UNITS)
     if not past_ramp(scene, pipe.travel):
         refuse(
             "travel", pipe.travel, "is too short for a plateau of the pressure, which Eq. 13 needs (ramp "
                                    f"{pipe.ramp:g} m)",
-            f"move the piston {pipe.ramp / (1 - WINDOW):.3g} m or more, or shorten the ramp",
+            f"set 'travel' to {pipe.ramp / (1 - WINDOW):.3g} m or more, or reduce 'ramp'",
         )  # fmt: skip
     if other is not None:
         if not other.get("finished") or "plateau_pressure" not in other or "concrete_length" not in other:
             raise RunFolderError(
-                f"pipeline_other = '{source}': is not a finished pipe run with a plateau; give the folder of one"
+                f"pipeline_other = '{source}': is not a finished run of the scene pipe with a constant pressure at its "
+                "end; give the folder of such a run"
             )
         one_of("unit of pipeline_other", other.get("unit"), [u for u in STRAIGHT_UNITS if u != pipe.name])
 

@@ -13,7 +13,7 @@ import numpy as np
 from ...core.drawing.html import html_table
 from ...core.run.run import dataframe
 from ...core.units import quantity
-from ...mps.mixes import CONSTANTS
+from ...mps.mixes import CONCRETE_CONSTANTS
 from ...theory.bands import Band, combined
 from ...theory.pipe import Concrete, after_rest
 from .answers import EFFICIENCY, PumpMargin, band_sentences, motor_power, pressure_text
@@ -282,7 +282,7 @@ class LineResult:
         return {
             "line": self.line.name,
             "source": self.line.source,
-            "concrete": {"name": self.concrete.name, **{name: getattr(self.concrete, name) for name in CONSTANTS}},
+            "concrete": {name: getattr(self.concrete, name) for name in ("name", *CONCRETE_CONSTANTS)},
             "flow": quantity(self.flow, "m3/s"),
             "length": quantity(self.line.length, "m"),
             "rise": quantity(self.line.rise, "m"),
@@ -329,13 +329,18 @@ def lines_of(result: LineResult, practice: bool = False) -> list[str]:
     With `practice`, a table compares the result with rules of practice.
     """
     band = result.band()
+    fitted = () if result.fit is None else ("slip layer", "bends")
     found = [
         f"**{result.line.name}**: {result.line.length:.4g} m, {result.line.rise:.4g} m up, {result.concrete.name} at "
         f"{3600 * result.flow:.4g} m3/h",
         "",
         f"- pressure at the pump {pressure_text(result.pressure)}; {band.low / 1e5:.4g} to {band.high / 1e5:.4g} bar",
-        *(f"- {sentence}" for sentence in band_sentences(band)),
-        f"- with bends and reducers as straight pipe, {pressure_text(result.theory)} (theory)",
+        *(f"- {sentence}" for sentence in band_sentences(band, fitted)),
+        *(
+            [f"- with bends and reducers as straight pipe, {pressure_text(result.theory)} (theory)"]
+            if result.simulated or result.theory != result.pressure
+            else []
+        ),
         f"- power into the concrete {result.power / 1e3:.3g} kW, of the pump's motor {result.motor_power / 1e3:.3g} kW "
         f"(efficiency {EFFICIENCY:.2f}: bar times m3/h over 25)",
         f"- the line holds {result.volume:.3g} m3, and concrete passes it in {_time(result.residence_time)}",

@@ -10,7 +10,7 @@ from typing import Any
 from ...core.errors import between, refuse
 from ...core.run.files import check_new, read_json
 from ...core.units import number
-from ...mps.mixes import CONSTANTS
+from ...mps.mixes import CONCRETE_CONSTANTS
 from ...record.checks import failed_checks
 from ...scenes import modules
 from ...theory.pipe import Concrete
@@ -68,7 +68,7 @@ def run_line(
             "known",
             str(known),
             "is not the folder of a line with simulated parts",
-            "give one that contains a folder 'parts'",
+            "give the folder of an earlier 'warpcrete line', which contains a folder 'parts'",
         )
     if not simulate:
         return line_by_theory(line, concrete, flow, out=out, layer_factor=layer_factor, variants=variants, stop=stop)
@@ -121,7 +121,7 @@ def run_line(
 def _scene_of_part(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str, dict[str, Any]]:
     """Return the scene's name and the parameters that simulate a kind of part without weight."""
     concrete = with_layer_factor(concrete, part.layer)
-    own = {"concrete": "own", **{name: getattr(concrete, name) for name in CONSTANTS}}
+    own = {"concrete": "own", **{name: getattr(concrete, name) for name in CONCRETE_CONSTANTS}}
     own |= {"diameter": part.diameter, "flow": flow, "gravity": 0.0}
     if part.is_by_length:
         spacing = part.diameter / TUBE_CELLS

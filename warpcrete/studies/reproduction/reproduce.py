@@ -74,7 +74,7 @@ def _continue(folder: Path, processes: int | None, progress: Progress | None) ->
     record = read_record(folder / RECORD)
     if not {"paper", "quick", "seeds", "device"} <= set(record) or record["paper"] not in ("zhan", "xu"):
         raise RunFolderError(
-            f"'{folder / RECORD}': is not the record of a reproduction; give the folder of a reproduction"
+            f"'{folder / RECORD}': was not written by 'warpcrete reproduce'; give the folder of a reproduction"
         )
     reproduction = Reproduction(folder, record["paper"], record["quick"], record["seeds"], record["device"],
                          tuple(record.get("columns", ())), tuple(record.get("rows", ())))  # fmt: skip
@@ -110,20 +110,22 @@ def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
     """
     columns, rows = [*CONCRETES, *OPEN_ASSUMPTIONS], [UNITS_ROW, *(row.name for row in ZHAN)]
     if only and paper != "zhan":
-        refuse("only", list(only), "can be used with paper zhan only", "leave it out")
+        refuse("only", list(only), "has an effect for the paper zhan only", "leave out 'only'")
     for name in only:
         one_of("only", name, [*columns, *rows])
     columns, rows = [name for name in columns if name in only], [name for name in rows if name in only]
     if columns and rows and not any(row in rows_of(column) for column in columns for row in rows):
         refuse("only", list(only), "selects no runs",
-               f"{columns[0]} is run with {', '.join(rows_of(columns[0]))}")  # fmt: skip
+               f"combine {columns[0]} with {', '.join(rows_of(columns[0]))}")  # fmt: skip
     return columns, rows
 
 
 def _results(folder: Path, paper: str, quick: bool) -> dict[str, Any]:
     """Return the results in the folder of an earlier reproduction of the same paper, without failed runs."""
     if not (folder / RECORD).is_file() or not (folder / "results.json").is_file():
-        raise RunFolderError(f"known = '{folder}': contains no results of a reproduction")
+        raise RunFolderError(
+            f"known = '{folder}': contains no results of a reproduction; give a folder made by 'warpcrete reproduce'"
+        )
     record = read_record(folder / RECORD)
     if (record.get("paper"), record.get("quick")) != (paper, quick):
         refuse("known", str(folder), "contains results of "

@@ -92,7 +92,8 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
     record = read_json(file)
     if record.get("scene") != name:
         raise RunFolderError(
-            f"trade = '{trade}': measures the scene {record.get('scene')!r}, not {name!r}; give a trade of this scene"
+            f"trade = '{trade}': measures the scene {record.get('scene')!r}, not {name!r}; give the folder of a trade "
+            f"of {name!r}"
         )
     try:
         promises = [p for p in record.get("promises", []) if p["setting"] is not None]
@@ -107,11 +108,13 @@ def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accura
             f"'{file}': is not the record of a trade ({type(error).__name__}: {error}); give the folder of a trade"
         ) from error
     if best is None:
-        raise RunFolderError(f"trade = '{trade}': has no result yet; continue it with 'warpcrete trade --resume'")
+        raise RunFolderError(
+            f"trade = '{trade}': has no result yet; finish the trade with 'warpcrete trade --resume {trade}'"
+        )
     if chosen is None:
         refuse("accuracy", f"{100 * accuracy:g} %", f"was not reached: this trade guarantees {100 * best:.2g} % at "
                                                     "best",
-               "use that accuracy, or continue the trade")  # fmt: skip
+               f"use {100 * best:.2g} % or more, or continue the trade with 'warpcrete trade --resume'")  # fmt: skip
     own = module.scene.resolved(given)
     knobs = {knob.name: knob for knob in module.trading.knobs(module.scene.declared(own))}
     changes: dict[str, Any] = {}

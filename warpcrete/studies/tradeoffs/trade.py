@@ -81,7 +81,12 @@ def run_trade(
     check_scheduler(scheduler, workers)
     trading = getattr(module, "trading", None)
     if trading is None:
-        refuse("scene", scene_name, "has no settings that a trade could vary", "define `trading` in the scene's file")
+        refuse(
+            "scene",
+            scene_name,
+            "has no settings that a trade could vary",
+            "use a scene that has such settings, or define the variable 'trading' in the scene's file",
+        )
     scene = module.scene(**(base or {}))
     check_named(scene)
     given = module.scene.declared(base or {})
@@ -90,17 +95,17 @@ def run_trade(
     chosen = list(quantities or trading.quantities)
     for name in chosen:
         if name not in known:
-            refuse("quantity", name, f"must be among {', '.join(known)}")
+            refuse("quantity", name, f"must be one of {', '.join(known)}")
         if trading.closed_form(given) and f"{name}_error" not in known:
-            refuse("quantity", name, "has no closed form for comparison",
+            refuse("quantity", name, "has no exact solution for comparison",
                    f"use {' or '.join(n for n in known if f'{n}_error' in known)}")  # fmt: skip
     all_knobs = [knob.name for knob in trading.knobs(given) if len(knob.levels) > 1]
     for name in knobs or ():
         if name not in all_knobs:
-            refuse("knob", name, f"must be among {', '.join(all_knobs)}")
+            refuse("knob", name, f"must be one of {', '.join(all_knobs)}")
     seeded = _random(scene)
     if repeat is not None and repeat > 1 and not seeded:
-        refuse("repeat", repeat, "must be 1, because nothing in this scene is random", "leave it out")
+        refuse("repeat", repeat, "must be 1, because nothing in this scene is random", "leave out 'repeat'")
     if repeat is not None and repeat > MAX_CASES:
         refuse("repeat", repeat, f"must be at most {MAX_CASES}")
     if repeat is not None and repeat < (2 if seeded else 1):
@@ -155,8 +160,8 @@ def _check_cores(scheduler: str | None, workers: int | None, device: str | None,
     between("threads", 1 if threads is None else threads, 1, float("inf"))
     if scheduler == "local" and workers and workers * (threads or 1) > cores and not find_device(device).is_cuda:
         refuse(
-            "workers", workers, f"and threads = {threads} need more cores than the {cores} of this machine",
-            "use fewer, because runs that share cores give wrong times",
+            "workers", workers, f"times 'threads' = {threads} exceeds the {cores} cores of this machine",
+            "use fewer workers or threads, because runs that share cores give wrong times",
         )  # fmt: skip
 
 
@@ -206,7 +211,7 @@ def resume_trade(
         if cluster is not None and (here := cluster.hardware(device)) != trade.hardware:
             raise RunFolderError(
                 f"'{folder}': contains times of {trade.hardware}, but the workers have {here}, so "
-                "times cannot be compared; use the same hardware"
+                "times cannot be compared; use the same hardware, or start a new trade"
             )
         return _continue(trade, budget, cluster, progress)
 
@@ -239,7 +244,7 @@ def _measure(trade: Trade, tell: Tell) -> None:
 def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
     if not trade.run(given, trade.seeds[:1], tell):
         if given.failure:
-            refuse("scene", trade.scene_name, f"does not run as given: {given.failure}")
+            refuse("scene", trade.scene_name, f"fails with the given parameters: {given.failure}")
         return
     needed = trade.rounds(2 * len(trade.seeds)) * given.cost
     # If the study was resumed and nothing was run in this call, `spent` is 0. A few further runs may then be enough.
@@ -253,8 +258,8 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
         refuse(
             "quantity",
             missing[0],
-            "is missing in the result of the scene as given",
-            "choose another quantity, or change the scene",
+            "is missing in the result of the scene with the given parameters",
+            "choose another quantity, or change the parameters",
         )
     if not trade.run(given, trade.seeds, tell):
         return

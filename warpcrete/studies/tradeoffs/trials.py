@@ -44,7 +44,8 @@ def run_worker_job(
     here = hardware(record["device"])
     if here != record["hardware"]:
         raise WarpcreteError(
-            f"scheduler: has a worker on {here}, but this trade measured times on {record['hardware']}, which cannot "
+            f"scheduler: has a worker on {here}, but this trade measured times on {record['hardware']}, and the two "
+            "cannot "
             "be compared; use workers of one kind"
         )
     found: list[Any] = []

@@ -85,7 +85,12 @@ def read_cases(path: Path) -> list[Case]:
             one_of("key of a file of cases", key, FILE_KEYS)
     entries = given.get("cases")
     if not isinstance(entries, Sequence) or isinstance(entries, str) or not entries:
-        refuse("cases", entries, "must be a list of measured cases", "see the shipped files for examples")
+        refuse(
+            "cases",
+            entries,
+            "must be a list of measured cases",
+            "for example '- {id: a, kind: slump, source: smith, measured: 200 mm}'",
+        )
     found = []
     for number, entry in enumerate(entries):
         with errors_located_at(entries, number):
@@ -99,12 +104,12 @@ def read_cases(path: Path) -> list[Case]:
 
 def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], folder: Path) -> Case:
     if not isinstance(given, Mapping):
-        refuse("case", given, "must hold 'key: value' lines")
+        refuse("case", given, "must consist of 'key: value' lines")
     for key in given:
         one_of("key of a case", key, KEYS)
     for key in ("id", "kind", "source", "measured"):
         if key not in given:
-            refuse("case", str(given.get("id", "")), f"has no {key}", "add it")
+            refuse("case", str(given.get("id", "")), f"has no {key!r}", f"add '{key}: ...'")
     one_of("case kind", given["kind"], UNITS)
     one_of("case source", given["source"], sources)
     unit = UNITS[given["kind"]]

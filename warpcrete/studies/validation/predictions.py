@@ -32,7 +32,7 @@ def mix_of_case(case: Case, section: Mapping[str, object] | None = None) -> Mix:
 def _number(case: Case, key: str, unit: str) -> float:
     """Return an entry of a case's section `test` in `unit`."""
     if key not in case.test:
-        refuse("case test", case.name, f"has no {key}", "add it")
+        refuse("case test", case.name, f"has no {key!r}", f"add '{key}: ...' to the test")
     return amount(f"case test: {key}", case.test[key], unit)
 
 

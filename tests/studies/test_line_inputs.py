@@ -1,0 +1,77 @@
+"""Lines from a few options, without any file: values, and one line for each missing or impossible option."""
+
+import json
+import math
+
+import pytest
+from click.testing import CliRunner
+
+from warpcrete.cli.main import cli
+from warpcrete.mix.layer import slump_layer
+from warpcrete.mix.mix import mix_of
+from warpcrete.theory.pipe import Line, steady
+
+PIPE = ["--diameter", "125mm", "--length", "190m", "--rise", "20 m", "--flow", "30m3/h"]
+
+
+def called(*words):
+    return CliRunner().invoke(cli, ["line", *words])
+
+
+def test_a_slump_and_a_straight_pipe_suffice(tmp_path):
+    """The pressure is that of the closed form for the layer of JGJ/T 10, and the weight of 2,350 kg/m3."""
+    done = called("--slump", "180mm", "--stone", "20mm", *PIPE, "--out", str(tmp_path / "out"))
+    assert done.exit_code == 0, done.output
+    mix = mix_of({"density": 2350, "slump": "180 mm"})
+    eta, tau = slump_layer(0.18)
+    assert (mix.concrete.slip_viscosity, mix.concrete.slip_yield) == pytest.approx((eta, tau))
+    friction = steady(mix.concrete, Line(radius=0.0625, length=190.0, rise=0.0), 30 / 3600).pressure
+    record = json.loads((tmp_path / "out" / "line.json").read_text())
+    assert record["pressure"]["value"] == pytest.approx(friction + 2350 * 9.81 * 20, rel=1e-9)
+    assert record["pressure_low"]["value"] < record["pressure"]["value"] / 1.4
+    assert "slump 180mm at 30 m3/h" in done.output and "20 mm in 125 mm is 0.16" in done.output
+    assert "bends, reducers and hoses are not counted" in done.output
+
+
+def test_us_units_and_a_spread_suffice_as_well():
+    """The same line in US units and in metres has the same pressure."""
+    us = called(
+        "--spread", "24 in", "--diameter", "5 in", "--length", "600 ft", "--rise", "-30 ft", "--flow", "40 yd3/hr"
+    )
+    si = called("--spread", "609.6 mm", "--diameter", "127 mm", "--length", "182.88 m", "--rise", "-9.144 m",
+                "--flow", f"{40 * 0.764554857984} m3/h")  # fmt: skip
+    pressures = [done.output.split("pressure at the pump ")[1].split(" bar")[0] for done in (us, si)]
+    assert us.exit_code == si.exit_code == 0 and pressures[0] == pressures[1]
+    assert math.isfinite(float(pressures[0]))
+
+
+def test_a_slump_replaces_the_concrete_of_a_file():
+    own, other = called("burj-khalifa"), called("burj-khalifa", "--slump", "220 mm")
+    assert own.exit_code == other.exit_code == 0 and "slump 220 mm at" in other.output and "no1 at" in own.output
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ([], "line: is missing; give its file, or a straight line as --diameter '125 mm'"),
+        (["--diameter", "5 in"], "length: is missing; a line without a file needs it"),
+        (["--length", "5 m"], "diameter: is missing; a line without a file needs it"),
+        (["--slump", "180mm", "--diameter", "125mm", "--length", "190m"], "flow: is missing; set it in the file"),
+        (PIPE, "concrete: is missing; set it in the file of the line, with --concrete no1 or a file, or with --slump"),
+        (["--slump", "180mm", *PIPE, "--rise", "200 m"], "rise = 200.0: must be in [-190, 190] m"),
+        (["--slump", "180 m", *PIPE], "mix slump = 180.0: must be in [0.01, 0.29] m"),
+        (["--slump", "18", *PIPE], "mix slump = 18.0: must be in"),
+        (["--slump", "30mm", "--spread", "700mm", *PIPE], "contradicts 1480 (591 to 2110) Pa from slump of 30 mm"),
+        (["--slump", "180mm", "--stone", "2mm", *PIPE], "stone = 0.002: must be at least 0.008 m"),
+        (["--slump", "180mm", "--stone", "130mm", *PIPE], "largest_stone = 0.13: does not pass through part 1"),
+        (["--slump", "180mm", "--concrete", "no1", *PIPE], "slump: cannot be given together with --concrete"),
+        (["--slump", "180mm", *PIPE, "--simulate"], "slump: alone suffices for an answer by theory only"),
+        (["--slump", "180mm", *PIPE, "--length", "190 l"], "length = '190 l': must be a number with one of m, mm"),
+        (["burj-khalifa", "--length", "3 m"], "length: cannot be given together with the file of a line"),
+        (["--slump", "180mm", *PIPE, "--diameter", "0"], "diameter = 0.0: must be a finite number above 0 m"),
+    ],
+)
+def test_options_that_are_missing_or_impossible_are_told_in_one_line(words, says):
+    done = called(*words)
+    text = str(done.exception) if done.exit_code == 1 else done.output
+    assert done.exit_code != 0 and says in text

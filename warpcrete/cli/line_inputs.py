@@ -1,0 +1,144 @@
+"""Line and concrete of the command `warpcrete line`: from files, or from a few options alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import click
+
+from ..core.errors import between, positive, refuse
+from ..core.inputs.amounts import amount
+from ..core.inputs.limits import check_limit, check_velocity
+from ..geometry.axis import Axis, Line
+from ..geometry.pumps import pump_of
+from ..mix.mix import Mix, mix_named, mix_of
+from ..mps.mixes import concrete_of
+from ..studies.lines.losses import Part, PipeLine, read_line, with_stone
+from ..theory.pipe import Concrete
+
+DENSITY = 2350.0
+"""Density of a concrete of which only the slump or the spread is known [kg/m3]."""
+FINEST = 4e-3
+"""Smallest coarse aggregate of a concrete of which only the largest stone is known [m]."""
+SHAPE = ("diameter", "length", "rise")
+"""Options that describe a straight line without a file."""
+EXAMPLE = "--diameter '125 mm' --length '190 m' --rise '20 m'"
+
+
+@dataclass(frozen=True)
+class LineInputs:
+    """What the command computes: a line, a concrete and a flow."""
+
+    line: PipeLine
+    name: str
+    """Name or file of the concrete, or its slump or spread in words."""
+    mix: Mix | None
+    """Mix of the concrete; None for a concrete without a mix."""
+    flow: float | None
+    """Volume flow [m3/s]; None if neither the line nor an option states it."""
+
+    guessed: bool = False
+    """True if the concrete is known by its slump or spread alone."""
+
+    @property
+    def concrete(self) -> Concrete:
+        """Concrete as a flow."""
+        return self.mix.concrete if self.guessed and self.mix is not None else concrete_of(self.name)
+
+
+def line_inputs(line: str | None, settings: Mapping[str, Any]) -> LineInputs:
+    """Return line, concrete and flow as the options of the command state them.
+
+    Raises :class:`SceneError` for an impossible value, and `click.UsageError` for a missing or superfluous option.
+    """
+    given = _straight(settings) if line is None else _from_file(line, settings)
+    given = _with_pump(given, {key: settings[f"pump_{key}"] for key in ("pressure", "flow", "power")})
+    stone = _amount("stone", settings, "m", "size_max")
+    guess = _guessed(settings, stone)
+    name = guess.name if guess is not None else settings["concrete"] or given.concrete
+    if name is None:
+        raise click.UsageError("concrete: is missing; set it in the file of the line, with --concrete no1 or a file, "
+                               "or with --slump '180 mm'")  # fmt: skip
+    mix = guess if guess is not None else mix_named(str(name))
+    if stone is not None:
+        given = with_stone(given, stone)
+    elif mix is not None and given.largest_stone is None:
+        given = with_stone(given, mix.given.largest)
+    return LineInputs(given, str(name), mix, _flow(settings, given), guess is not None)
+
+
+def _amount(name: str, settings: Mapping[str, Any], unit: str, limited: str = "") -> float | None:
+    """Return an option as a positive number in `unit`, or None if it is missing."""
+    if settings[name] is None:
+        return None
+    found = amount(name, settings[name], unit)
+    positive(name, found, unit)
+    check_limit(name, found, unit, limited or name)
+    return found
+
+
+def _from_file(line: str, settings: Mapping[str, Any]) -> PipeLine:
+    """Return the line of a file; options of a line without a file are refused."""
+    for name in SHAPE:
+        if settings[name] is not None:
+            raise click.UsageError(f"{name}: cannot be given together with the file of a line; leave out one of them")
+    return read_line(line)
+
+
+def _straight(settings: Mapping[str, Any]) -> PipeLine:
+    """Return a straight line from options."""
+    if all(settings[name] is None for name in SHAPE):
+        raise click.UsageError(f"line: is missing; give its file, or a straight line as {EXAMPLE}")
+    diameter, length = _amount("diameter", settings, "m"), _amount("length", settings, "m")
+    for name, value in (("diameter", diameter), ("length", length)):
+        if value is None:
+            raise click.UsageError(f"{name}: is missing; a line without a file needs it, as in {EXAMPLE}")
+    assert diameter is not None and length is not None
+    rise = 0.0
+    if settings["rise"] is not None:
+        rise = amount("rise", settings["rise"], "m")
+        between("rise", rise, -length, length, "m", "it is the height gained over the whole length")
+    slope = rise / length
+    axis = Axis((0.0, 0.0, 0.0), (math.sqrt(1 - slope * slope), 0.0, slope), (Line(length),))
+    return PipeLine("straight line", (Part(1, "straight", diameter, length, rise, diameter),), axis)
+
+
+def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
+    """Return the mix of a concrete of which only slump or spread are known, or None if neither is given."""
+    cones = {name: settings[name] for name in ("slump", "spread") if settings[name] is not None}
+    if not cones:
+        return None
+    if settings["concrete"] is not None:
+        raise click.UsageError(f"{next(iter(cones))}: cannot be given together with --concrete; state it in its file")
+    entries: dict[str, Any] = {"density": DENSITY, **cones}
+    if stone is not None:
+        if stone < 2 * FINEST:
+            refuse("stone", stone, f"must be at least {2 * FINEST:g} m", "leave it out for mortar")
+        entries["sizes"] = [FINEST, stone]
+    return mix_of(entries, name=", ".join(f"{name} {value}" for name, value in cones.items()))
+
+
+def _flow(settings: Mapping[str, Any], line: PipeLine) -> float | None:
+    """Return the flow [m3/s] that an option states, or else that of the line."""
+    rate = _amount("flow", settings, "m3/s")
+    if rate is None:
+        if line.flow is None and settings["fit"] is None:
+            raise click.UsageError("flow: is missing; set it in the file of the line, or with --flow '30 m3/h'")
+        return line.flow
+    narrow = min(part.narrow for part in line.parts)
+    check_velocity("flow", rate, 4 * rate / (math.pi * narrow**2))
+    return rate
+
+
+def _with_pump(line: PipeLine, limits: Mapping[str, str | None]) -> PipeLine:
+    """Return the line with the pump that options state, which replace entries of the line's own pump."""
+    stated = {key: value for key, value in limits.items() if value is not None}
+    if not stated:
+        return line
+    if line.pump is not None:
+        own = {key: getattr(line.pump, key) for key in limits if getattr(line.pump, key) is not None}
+        stated = {**own, **stated}
+    return replace(line, pump=pump_of(stated))

@@ -1,0 +1,148 @@
+"""Parts of a pipeline, and the pipeline that they form."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from .axis import Axis
+from .bores import Bores
+from .mesh_bores import MeshBore
+from .pumps import Pump
+
+BLOCKING_RATIO = 3.0
+"""Ratio of pipe diameter to largest stone below which pipes are known to block. ACI 304.2R requires 3 for crushed
+stone."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One part of a pipeline: a straight pipe, bend, reducer, hose, valve or the bore of a mesh."""
+
+    number: int
+    """Number of the part in its pipeline, counted from 1."""
+    kind: str
+    diameter: float
+    """Inner diameter at the start of the part [m]."""
+    length: float
+    """Length of the part's axis [m]."""
+    rise: float
+    """Height of the part's end above its start [m]."""
+    outlet: float
+    """Inner diameter at the end of the part [m]."""
+    radius: float = 0.0
+    """Radius of a bend's centreline [m]; 0 for other parts."""
+    angle: float = 0.0
+    """Angle of a bend [degrees]; 0 for other parts."""
+    relative_loss: float = 1.0
+    """Friction of a hose by the program's model, relative to straight pipe of its length; 1 for other parts."""
+    layer: float = 1.0
+    """Resistance of the slip layer in a hose relative to that in a pipe; 1 for other parts."""
+    mesh: MeshBore | None = None
+    """Bore that a mesh file describes; None for other parts."""
+    factor: float | None = None
+    """Friction that the file states, relative to straight pipe of the part's length and bores; None if it states
+    none."""
+    factor_range: tuple[float, float] | None = None
+    """Range of the stated friction, if it was fitted to measured pressures; None if it has no range."""
+
+    @property
+    def relative(self) -> float:
+        """Friction relative to straight pipe: as the file states, or else by the model of hoses."""
+        return self.relative_loss if self.factor is None else self.factor
+
+    @property
+    def narrow(self) -> float:
+        """Smallest clear width across the part's axis [m]."""
+        return min(self.diameter, self.outlet, self.mesh.narrowest if self.mesh else math.inf)
+
+    @property
+    def is_by_length(self) -> bool:
+        """Return whether the part's pressure loss is proportional to its length."""
+        return self.kind in ("straight", "hose", "valve")
+
+    @property
+    def label(self) -> str:
+        """Short description of the part in words."""
+        if self.kind == "bend":
+            return f"bend of {self.angle:g} degrees, radius {self.radius:g} m"
+        if self.kind == "reducer":
+            return f"{1e3 * self.diameter:g} to {1e3 * self.outlet:g} mm"
+        if self.mesh:
+            return f"bore of {Path(self.mesh.file).name}, {1e3 * self.narrow:.4g} mm at its narrowest"
+        if self.kind == "hose":
+            return f"hose, rises {self.rise:.3g} m"
+        if self.kind == "valve":
+            return "valve"
+        slope = self.rise / self.length
+        way = {1.0: " up", -1.0: " down", 0.0: ""}.get(round(slope, 9), f", rises {self.rise:.3g} m")
+        return f"straight{way}"
+
+    @property
+    def loss_key(self) -> tuple[Any, ...]:
+        """Key that is equal for parts with equal pressure loss, or for straight parts with equal loss per metre."""
+        if self.is_by_length:
+            return ("straight", self.diameter, self.layer)
+        shape = self.mesh.digest if self.mesh else ""
+        return (self.kind, self.diameter, self.outlet, self.length, self.radius, self.angle, shape)
+
+
+@dataclass(frozen=True)
+class PipeLine:
+    """Pipeline: a sequence of parts and their common axis in space, in SI units."""
+
+    name: str
+    parts: tuple[Part, ...]
+    axis: Axis
+    flow: float | None = None
+    """Volume flow [m3/s]."""
+    concrete: str | None = None
+    largest_stone: float | None = None
+    """Diameter of the largest stone in the concrete [m]."""
+    source: str = ""
+    recorded: float | None = None
+    """Pressure recorded at the pump [Pa]."""
+    pump: Pump | None = None
+    """Data sheet of the pump."""
+
+    @property
+    def length(self) -> float:
+        """Length of the line along its axis [m]."""
+        return sum(part.length for part in self.parts)
+
+    @property
+    def rise(self) -> float:
+        """Height of the pipeline's end above its start [m]."""
+        return sum(part.rise for part in self.parts)
+
+    @property
+    def bores(self) -> Bores:
+        """Inner radii along the axis; for a cross-section of a mesh, the radius of the circle of equal area."""
+        return self._profile("radii")
+
+    @property
+    def clear(self) -> Bores:
+        """Radii of the largest circles about the axis that do not touch the wall, along the axis."""
+        return self._profile("least")
+
+    def _profile(self, of: str) -> Bores:
+        begin, places, radii = 0.0, [0.0], [self.parts[0].diameter / 2]
+        for part in self.parts:
+            if part.mesh:
+                places += [begin + place for place in part.mesh.places]
+                radii += getattr(part.mesh, of)
+            begin += part.length
+            places.append(begin)
+            radii.append(part.outlet / 2)
+        return Bores(tuple(places), tuple(radii))
+
+    def remarks(self) -> list[str]:
+        """Return warnings for the user about the pipeline, for example about stones that may block a narrow part."""
+        found = []
+        narrow = min(part.narrow for part in self.parts)
+        if self.largest_stone and narrow < BLOCKING_RATIO * self.largest_stone:
+            found.append(f"stones of {1e3 * self.largest_stone:g} mm in a bore of {1e3 * narrow:.6g} mm may block: "
+                         f"the bore is narrower than {BLOCKING_RATIO:g} of them")  # fmt: skip
+        return found
