@@ -198,7 +198,9 @@ def test_hydration_takes_the_fraction_asked_for(start):
     assert abs(hydrated - 0.2 * made) < 4 * math.sqrt(made * 0.2 * 0.8)
     # Bonds of a sphere are chosen independently of one another: of three, all are taken once in 125.
     i, j, entry = listed_pairs(stepper.state)
-    number, taken = stepper.state.spheres.id.numpy(), bonds_of(stepper.state)[0][entry] == 2
+    kind = bonds_of(stepper.state)[0][entry]
+    i, j, taken = i[kind > 0], j[kind > 0], kind[kind > 0] == 2  # Lists also hold pairs that do not touch.
+    number = stepper.state.spheres.id.numpy()
     for ends in (np.minimum(number[i], number[j]), np.maximum(number[i], number[j])):
         count, chosen = np.bincount(ends), np.bincount(ends, taken)
         assert (count == 3).sum() == 11**3 and 0 < (chosen[count == 3] == 3).sum() < 30

@@ -17,7 +17,7 @@ def test_a_run_launches_nothing_that_was_not_loaded_with_the_rest(device, shapes
     """Each alone would be compiled by one thread while the others wait."""
     together: set[tuple[int, int]] = set()
     apart: list[tuple[str, int, int]] = []
-    load_one, load_any = wp.load_module, wp.Module.load
+    load_one, load_any = launching.load_module, wp.Module.load
 
     def loads(module, device, block_dim):
         together.add((id(module), block_dim))
@@ -29,7 +29,7 @@ def test_a_run_launches_nothing_that_was_not_loaded_with_the_rest(device, shapes
         return load_any(self, device, block_dim, *arguments, **named)
 
     monkeypatch.setattr(launching, "default_threads", lambda: 1)
-    monkeypatch.setattr(wp, "load_module", loads)
+    monkeypatch.setattr(launching, "load_module", loads)
     monkeypatch.setattr(wp.Module, "load", load_module)
     scene = scenes.pipe(shapes=shapes, hydration=0.1, hydration_modulus=2e6, **SMALL | dict(travel=0.002, settle=0.01))
     Simulation(scene, device=device).run()

@@ -413,7 +413,7 @@ def test_elements_have_no_layer_that_is_not_linear(tmp_path):
         ({"concrete": {"yield_stress": 40, "flow_index": 1.3}}, "mix viscosity = None: must be stated beside a flow"),
         ({"viscometer": [[2, 140], [5, 260]], "concrete": {"flow_index": 1.3}}, "mix viscosity = None: must be stated"),
         ({"concrete": {"yield_stress": 40, "viscosity": 25, "flow_index": 9}}, "mix concrete: flow_index = 9.0: is"),
-        ({"spread": 0.6, "layer": {"flow_index": 0.7}}, "mix layer = {'flow_index': 0.7}: must have yield_stress and"),
+        ({"spread": 0.6, "layer": {"flow_index": 0.7}}, "mix layer = {'flow_index': 0.7}: must have 'yield_stress'"),
         ({"concrete": {"yield_stress": 40, "viscosity": 25, "flow_index": 1.2, "quadratic_viscosity": 1}},
          "flow_index = 1.2: cannot be combined with quadratic_viscosity"),
     ],

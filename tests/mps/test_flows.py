@@ -256,7 +256,9 @@ def test_the_type_of_a_scene_says_which_method_simulates_it():
     assert isinstance(warpcrete.Simulation(flow, device="cpu"), FluidSimulation)
     assert isinstance(warpcrete.Simulation(pipe, device="cpu"), ElementSimulation)
     for kind, scene, wanted in ((FluidSimulation, pipe, "FluidScene"), (ElementSimulation, flow, "Scene")):
-        with pytest.raises(SceneError, match=f"scene = '{type(scene).__name__}': must be a {wanted}; warpcrete.Simul"):
+        with pytest.raises(
+            SceneError, match=f"scene = '{type(scene).__name__}': must be a {wanted}; use warpcrete.Simul"
+        ):
             kind(scene)
     with pytest.raises(SceneError, match="scene = 'dict': must be a ") as refused:
         warpcrete.Simulation({})

@@ -208,10 +208,10 @@ def test_steady_structure_bears_its_closed_form(device, name, power):
 @pytest.mark.parametrize(
     "bad, message",
     [
-        (dict(ends="piston", rebuild_rate=0.5), "rebuild_rate = 0.5: works only on a grid"),
+        (dict(ends="piston", rebuild_rate=0.5), "rebuild_rate = 0.5: needs cells of a grid"),
         (dict(ends="periodic", rebuild_rate=-1.0), "rebuild_rate = -1.0: must be"),
-        (dict(ends="periodic", breakdown=0.3), "breakdown = 0.3: has no effect unless rest or rebuild_rate is above 0"),
-        (dict(aggregates=True, rebuild_rate=0.5), "rebuild_rate = 0.5: works only on a grid"),
+        (dict(ends="periodic", breakdown=0.3), "breakdown = 0.3: has no effect unless 'rest' or 'rebuild_rate' is"),
+        (dict(aggregates=True, rebuild_rate=0.5), "rebuild_rate = 0.5: needs cells of a grid"),
     ],
 )
 def test_structure_that_cannot_rebuild_is_refused_in_one_line(bad, message):

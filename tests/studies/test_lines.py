@@ -301,7 +301,7 @@ def test_the_command_adds_up_a_line(tmp_path):
     assert f"{more.pressure / 1e5:.4g} bar" in other.output and more.pressure > theory.pressure
     path.write_text("diameter: 125 mm\nconcrete: no1\nparts:\n  - straight: 10 m\n")
     refused = CliRunner().invoke(cli, ["line", str(path), "--theory"])
-    assert refused.exit_code == 2 and "flow: is missing; set 'flow' in the file of the line, or add" in refused.output
+    assert refused.exit_code == 2 and "flow: is missing" in refused.output
     (tmp_path / "else").mkdir()
     (tmp_path / "else" / "file").write_text("")
     taken = CliRunner().invoke(

@@ -9,7 +9,7 @@ from test_batch import SMALL
 import warpcrete
 from warpcrete import RunFolderError
 from warpcrete.core.run.method import Quantity
-from warpcrete.studies.cases import Case
+from warpcrete.studies.cases import MAX_NAME_LENGTH, Case, short_name
 from warpcrete.studies.study import Study, run_study
 from warpcrete.studies.study_table import columns_of, write_parquet
 
@@ -98,3 +98,11 @@ def test_a_study_comes_back_with_its_runs(tmp_path):
     (out / "study.json").write_text('{"scene": "none"}')
     with pytest.raises(RunFolderError, match="names a scene that this version does not have"):
         warpcrete.load(out)
+
+
+def test_names_of_folders_stay_short_and_different():
+    """Names of the carried settings of a trade name every constant of a concrete."""
+    long = "-".join(f"constant_{k}={k}" for k in range(40))
+    names = {short_name(long), short_name(long + "-last=1"), short_name(long + "-last=2")}
+    assert len(names) == 3 and {len(each) for each in names} == {MAX_NAME_LENGTH}
+    assert short_name("concrete=no2-spacing=0.02") == "concrete=no2-spacing=0.02"

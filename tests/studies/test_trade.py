@@ -254,7 +254,7 @@ def test_the_command(tmp_path):
         (("trade", "channel", "--budget", "5 apples"), "must be a time such as 90s, 20min or 2h"),
         (("trade", "chanel"), "scene = 'chanel': must be one of"),
         (("trade", "channel", "--spacing", "0.01", "0.02"), "takes one value"),
-        (("trade", "--resume", tmp_path), "is not a folder made by 'warpcrete trade'"),
+        (("trade", "--resume", tmp_path), "is not the folder of a trade"),
         (("trade", "channel", "--resume", tmp_path / "t"), "continues with its own settings"),
     ):
         done = command(*words)
@@ -356,7 +356,7 @@ def test_a_run_for_an_accuracy(flow_trade, tmp_path):
     for words, message in (
         (("--trade", folder), "has no effect without --accuracy"),
         (("--accuracy", "much", "--trade", folder), "must be a percentage"),
-        (("--accuracy", "5%", "--trade", tmp_path), "is not a folder made by 'warpcrete trade'"),
+        (("--accuracy", "5%", "--trade", tmp_path), "is not the folder of a trade"),
     ):
         done = command("run", "channel", *words, *bare)
         assert done.returncode == 2 and message in done.stderr and len(done.stderr.strip().splitlines()) == 1

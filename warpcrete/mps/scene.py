@@ -212,8 +212,8 @@ class FluidScene(Parametrised, FlowSettings):
                 refuse(
                     name,
                     getattr(self, name),
-                    "works only on a grid, which can track the breakdown of the structure",
-                    "use ends = periodic, or 0",
+                    "needs cells of a grid, because particles cannot track the breakdown of the structure",
+                    f"set 'ends' to periodic, or {name!r} to 0",
                 )
         if self.ends == "piston" and self.step_error:
             refuse("step_error", self.step_error, "needs cells of a grid, because a column of particles on a piston "

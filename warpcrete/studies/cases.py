@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import math
 from collections.abc import Mapping, Sequence
@@ -10,7 +11,8 @@ from typing import Any
 
 from ..core.errors import refuse
 
-MAX_NAME_LENGTH = 120  # maximum length of a run folder's name [characters]
+MAX_NAME_LENGTH = 120
+"""Maximum length of a run folder's name [characters]; file systems allow 255 bytes."""
 MAX_CASES = 10_000
 """Maximum number of cases in a study, because every case fills a folder and appears in the tables and the figure."""
 
@@ -69,6 +71,13 @@ def cases_of(
             name = f"{len(cases) + 1:03d}-{text}"[:MAX_NAME_LENGTH]
             cases.append(Case(name, dict(point), {**base, **point, **seeds}))
     return cases
+
+
+def short_name(words: str) -> str:
+    """Return the name of a folder that is not too long: a long one is cut and ends in a hash of all words."""
+    if len(words) <= MAX_NAME_LENGTH:
+        return words
+    return f"{words[: MAX_NAME_LENGTH - 11]}-{hashlib.sha256(words.encode()).hexdigest()[:10]}"
 
 
 def _all_combinations(varied: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:

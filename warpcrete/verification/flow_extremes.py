@@ -139,7 +139,7 @@ MUST: dict[str, str] = {
     for name, reason in (
         ("spacing of 2 across", "at least 4 are needed"),
         ("time step 0.1 s", "half a particle"),
-        ("a column one spacing long", "must hold 8 particles"),
+        ("a column one spacing long", "must be at least 8 times"),
         ("aggregate 0.6", "does not fit"),
         ("no slip for 1 s", ""),
         ("a concrete that shears, for 1 s", ""),

@@ -257,9 +257,9 @@ class Declared:
         for name, field in declared_fields(type(self)).items():
             for rule in field.of_kind(Needs):
                 if getattr(self, name) != field.default and not rule.holds(lambda each: getattr(self, each)):
-                    either = " or ".join((rule.field, *rule.others))
+                    either = " or ".join(map(repr, (rule.field, *rule.others)))
                     refuse(name, getattr(self, name), f"has no effect unless {either} {rule.words}",
-                           f"leave it out, or change {rule.field}")  # fmt: skip
+                           f"leave out {name!r}, or change {rule.field!r}")  # fmt: skip
 
 
 def _listed(fields: Iterable[Field]) -> str:

@@ -19,7 +19,7 @@ from ...core.run.method import Quantity
 from ...core.run.run_loop import Run
 from ...methods import Simulation, method_of
 from ...record.recorders import recorders_of
-from ..cases import Case, name_part
+from ..cases import Case, name_part, short_name
 from ..cluster import Cluster, WorkerLost
 from ..running import FAILED, previous_outcome
 from .fronts import Error, difference, prediction_bound
@@ -273,9 +273,10 @@ class Trade:
         return not point.failure and all(seed in point.results for seed in seeds)
 
     def _folder(self, point: Setting, seed: int) -> Path:
-        changed = {k: v for k, v in sorted(point.parameters.items()) if self.base.get(k, ...) != v}
+        # A parameter that is missing in the base and None at this setting is the same.
+        changed = {k: v for k, v in sorted(point.parameters.items()) if self.base.get(k) != v}
         words = "-".join(f"{name}={name_part(value)}" for name, value in changed.items()) or "given"
-        words = "-".join([*point.variant.split(), words])
+        words = short_name("-".join([*point.variant.split(), words]))
         return self.folder / "runs" / (f"{words}-seed={seed}" if self.has_seeds else words)
 
     def _parameters(self, point: Setting, seed: int) -> dict[str, Any]:
