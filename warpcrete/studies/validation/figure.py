@@ -8,7 +8,7 @@ from typing import Any
 from .comparison import Comparison
 from .kinds import KINDS
 
-COLUMNS = 4
+COLUMNS = 5
 """Number of panels in a row of the figure."""
 STYLES = (
     (False, False, {"marker": "o", "color": "C0", "markerfacecolor": "white", "label": "others, with band"}),
@@ -26,12 +26,14 @@ def draw(comparisons: Sequence[Comparison]) -> Any:
 
     kinds = [kind for kind in KINDS if any(each.case.kind == kind for each in comparisons)]
     rows = -(-len(kinds) // COLUMNS)
-    figure = Figure(figsize=(3.2 * min(len(kinds), COLUMNS), 3.3 * rows), layout="constrained")
+    figure = Figure(figsize=(2.9 * min(len(kinds), COLUMNS), 3.1 * rows), layout="constrained")
     for place, kind in enumerate(kinds):
         axes = figure.add_subplot(rows, min(len(kinds), COLUMNS), place + 1)
         _panel(axes, kind, [each for each in comparisons if each.case.kind == kind])
-    handles = figure.axes[0].get_legend_handles_labels() if figure.axes else ([], [])
-    figure.legend(*handles, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
+    shown = {}
+    for axes in figure.axes:
+        shown |= dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True))
+    figure.legend(list(shown.values()), list(shown), loc="outside lower center", ncols=5, frameon=False, fontsize=9)
     return figure
 
 
@@ -47,6 +49,8 @@ def _panel(axes: Any, kind: str, own: Sequence[Comparison]) -> None:
                       label="within a factor of two")  # fmt: skip
     for held, simulated, style in STYLES:
         chosen = [each for each in own if each.simulated == simulated and (simulated or each.held_out == held)]
+        if not chosen:
+            continue
         ends = [
             [max(x.band.value - x.band.low, 0.0) for x in chosen],
             [max(x.band.high - x.band.value, 0.0) for x in chosen],
