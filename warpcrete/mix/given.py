@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ..core.errors import between, one_of, positive, refuse, suggested
-from ..core.inputs.amounts import amount, bare_number, is_amount
-from ..core.inputs.limits import check_limit
+from ..core.errors import between, one_of, positive, refuse
+from ..core.inputs.amounts import amount, is_amount
 from ..core.inputs.text_files import errors_located_at
 from .ingredients import (
     MIN_AMOUNT,
@@ -22,21 +21,10 @@ from .ingredients import (
     sand_and_stone_masses,
     water_mass,
 )
-from .points import PUMPED, read_points
+from .measurements import CONCRETE_UNITS, SHEARED, UNITS, Layer, Measured, read_constants, read_layer, read_pairs
+from .stones import read_shape, read_sieve, read_sizes
 
 T = TypeVar("T")
-
-UNITS = {"yield_stress": "Pa", "viscosity": "Pa s"}
-CONCRETE_UNITS = {**UNITS, "flow_index": "1", "quadratic_viscosity": "Pa s2"}
-LAYER_UNITS = {"yield_stress": "Pa", "viscosity": "Pa s/m", "flow_index": "1", "quadratic_viscosity": "Pa s2/m2"}
-"""Measured constants of concrete and slip layer, with their SI units; the last two belong to other laws than
-Bingham's."""
-SLIPPED = {"speed": "m/s", "stress": "Pa"}
-SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity", "flow_index": "slip_flow_index",
-        "quadratic_viscosity": "slip_quadratic_viscosity"}  # fmt: skip
-"""Names of a slip layer's constants in the table of limits."""
-SHEARED = {"rate": "1/s", "stress": "Pa"}
-"""Columns of points measured with a viscometer, with their SI units."""
 
 
 @dataclass(frozen=True)
@@ -93,12 +81,6 @@ OTHERS = {
 KEYS = ("density", "air", "parts", "volume", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete",
         "mortar", "viscometer", "slump", "spread", "t500", "water_binder", "thickener", "layer", "voids",
         "fine_sand")  # fmt: skip
-SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crushed": "reference",
-          "angular": "reference", "reference": "reference"}  # fmt: skip
-"""Words for the shape of stones, with the shapes that discrete elements use for them. A numeric shape factor stands for
-a row of spheres."""
-FINEST, COARSEST = 1e-3, 0.3
-"""Smallest and largest size of stones that count as coarse aggregate [m]."""
 PACKING = 0.57
 """Volume fraction of equal spheres in random loose packing (Mahaut et al. 2008); no concrete has more coarse
 aggregate."""
@@ -116,31 +98,6 @@ DENSITY_TOLERANCE = 0.03
 """Relative difference allowed between two densities that should be equal."""
 MORTARS = (1200.0, 2800.0)
 """Smallest and largest density of mortar that is possible [kg/m3]."""
-
-
-@dataclass(frozen=True)
-class Measured:
-    """Measured constants by name, with a common relative uncertainty, which is None if not stated."""
-
-    values: Mapping[str, float] = field(default_factory=dict)
-    uncertainty: float | None = None
-
-
-@dataclass(frozen=True)
-class Layer:
-    """Measurements of the slip layer: constants, points from a pipe, or points from a tribometer."""
-
-    constants: Measured | None = None
-    pipe_points: tuple[list[float], list[float]] | None = None
-    """Flows [m3/s] and pressures [Pa] measured on a pipe of the given dimensions."""
-    diameter: float = 0.0
-    length: float = 0.0
-    rise: float = 0.0
-    """Height of the pipe's end above its start [m]."""
-    tribometer_points: tuple[list[float], list[float]] | None = None
-    """Speeds [m/s] and stresses [Pa] measured with a tribometer."""
-    pipe: bool = False
-    """True if `constants` were fitted to pressures of a pipe, False if a tribometer measured them."""
 
 
 @dataclass(frozen=True)
@@ -240,7 +197,7 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
     with errors_located_at(given, "aggregate"):
         share = _share(given["aggregate"], heavy) if "aggregate" in given else None
     with errors_located_at(given, "mortar"):
-        mortar = _constants("mortar", given.get("mortar", {}), {**UNITS, "density": "kg/m3"})
+        mortar = read_constants("mortar", given.get("mortar", {}), {**UNITS, "density": "kg/m3"})
     if mortar.values and share is None:
         refuse(
             "mix mortar",
@@ -263,16 +220,17 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
         summed=summed,
         share=share,
         aggregate_density=heavy,
-        sieve=_entry(given, "sieve", _sieve),
-        sizes=_entry(given, "sizes", _sizes),
-        shape=_entry(given, "shape", _shape),
-        concrete=_entry(given, "concrete", lambda found: _constants("concrete", found, CONCRETE_UNITS)) or Measured(),
+        sieve=_entry(given, "sieve", read_sieve),
+        sizes=_entry(given, "sizes", read_sizes),
+        shape=_entry(given, "shape", read_shape),
+        concrete=_entry(given, "concrete", lambda found: read_constants("concrete", found, CONCRETE_UNITS))
+        or Measured(),
         mortar=mortar,
-        viscometer_points=_entry(given, "viscometer", lambda found: _pairs("viscometer", found, SHEARED, folder)),
+        viscometer_points=_entry(given, "viscometer", lambda found: read_pairs("viscometer", found, SHEARED, folder)),
         slump=_number(given, "slump"),
         spread=spread,
         t500=t500,
-        layer=_entry(given, "layer", lambda found: _layer(found, folder)) or Layer(),
+        layer=_entry(given, "layer", lambda found: read_layer(found, folder)) or Layer(),
         paste_solids=_paste_solids(given),
         sand_and_stone=_sand_and_stone(given),
         thickener=_thickener(given),
@@ -455,167 +413,3 @@ def _check_parts(density: float, share: float, heavy: float, own: float | None) 
             f"{words}, but the density of the mortar is given as {own:g} kg/m3",
             "correct or leave out one of the two densities",
         )
-
-
-def _sieve(given: Any) -> tuple[tuple[float, float], ...]:
-    """Return sieve openings [m] with passing fractions, from openings in millimetres and fractions or percentages."""
-    example = "for example {4: 0, 8: 0.4, 16: 1}: opening [mm] and share of the mass that passes"
-    if not isinstance(given, Mapping) or len(given) < 2:
-        refuse("mix sieve", given, "must have two or more openings, each with the share that passes", example)
-    opened = {amount("mix sieve: opening", f"{key} mm" if bare_number(key) else key, "m"): value
-              for key, value in given.items()}  # fmt: skip
-    widest = max(opened)
-    if widest > COARSEST:
-        refuse("mix sieve: opening", f"{1e3 * widest:g} mm", f"must be at most {1e3 * COARSEST:g} mm",
-               "openings without a unit are in mm")  # fmt: skip
-    if len({isinstance(value, str) for value in opened.values()}) > 1:
-        refuse("mix sieve", dict(given), "mixes shares with and without a unit", example)
-    passing = [amount("mix sieve: passing", value, "1") for value in opened.values()]
-    if passing[-1] == 100:
-        passing = [value / 100 for value in passing]
-    openings = list(opened)
-    if len(openings) < len(given) or openings != sorted(openings) or openings[0] <= 0:
-        refuse("mix sieve", given, "must have increasing openings above 0", example)
-    if passing != sorted(passing):
-        fall = next(k for k in range(1, len(passing)) if passing[k] < passing[k - 1])
-        refuse("mix sieve", given, f"falls from {passing[fall - 1]:g} at {1e3 * openings[fall - 1]:g} mm to "
-               f"{passing[fall]:g} at {1e3 * openings[fall]:g} mm: the share must not fall", example)  # fmt: skip
-    if passing[0] != 0 or passing[-1] != 1:
-        refuse("mix sieve", given, "must rise from 0 to 1, or to 100 for per cent", example)
-    if openings[0] < FINEST:
-        refuse("mix sieve", given, f"begins below {1e3 * FINEST:g} mm, but sand belongs to the mortar in both methods",
-               "give the curve of the coarse aggregate alone, without sand")  # fmt: skip
-    return tuple(zip(openings, passing, strict=True))
-
-
-def _sizes(given: Any) -> tuple[float, float]:
-    if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
-        refuse("mix sizes", given, "must be the smallest and the largest size", "for example [5 mm, 20 mm]")
-    low, high = (amount("mix sizes", each, "m") for each in given)
-    between("largest of mix sizes", high, FINEST, COARSEST, "m", "write millimetres as in '20 mm'")
-    between(
-        "smallest of mix sizes",
-        low,
-        FINEST,
-        high,
-        "m",
-        "write the smaller size first, and leave out finer grains, which belong to the mortar",
-    )
-    return low, high
-
-
-def _shape(given: Any) -> str:
-    if isinstance(given, int | float) and not isinstance(given, bool):
-        between("mix shape", given, 1, 20)
-        return f"shape-{given:g}" if given > 1 else "spheres"
-    if not isinstance(given, str) or given not in SHAPES:
-        refuse("mix shape", given, f"must be one of {', '.join(SHAPES)}",
-               suggested(given, SHAPES) or "or give the ratio of longest to shortest width, 1 to 20")  # fmt: skip
-    return SHAPES[given]
-
-
-def _constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:
-    """Return the measured constants of a section of the mix."""
-    if not isinstance(given, Mapping):
-        refuse(
-            f"mix {name}",
-            given,
-            "must consist of 'key: value' lines",
-            f"possible keys are {', '.join(units)} and uncertainty",
-        )
-    for key in given:
-        one_of(f"mix {name}: key", key, (*units, "uncertainty"))
-    values = {key: amount(f"mix {name}: {key}", given[key], unit) for key, unit in units.items() if key in given}
-    for key, value in values.items():
-        if key == "yield_stress":
-            between(f"mix {name}: {key}", value, 0, 1e5, units[key])
-        else:
-            positive(f"mix {name}: {key}", value, units[key])
-        check_limit(f"mix {name}: {key}", value, units[key], SLIP.get(key, key) if name == "layer" else key)
-    off = None
-    if "uncertainty" in given:
-        off = amount(f"mix {name}: uncertainty", given["uncertainty"], "1")
-        between(
-            f"mix {name}: uncertainty",
-            off,
-            0,
-            0.9,
-            "",
-            "give the uncertainty relative to the values, for example '15 %'",
-        )
-    return Measured(values, off)
-
-
-def _layer(given: Any, folder: Path) -> Layer:
-    """Return the slip layer from constants, from points of a pipe or from points of a tribometer."""
-    if not isinstance(given, Mapping):
-        refuse(
-            "mix layer",
-            given,
-            "must consist of 'key: value' lines",
-            "for example {yield_stress: 20 Pa, viscosity: 900 Pa s/m}",
-        )
-    if not given:
-        return Layer()
-    if "points" in given:
-        for key in given:
-            one_of("mix layer: key", key, ("points", "diameter", "length", "rise"))
-        found = {}
-        for key in ("diameter", "length"):
-            if key not in given:
-                refuse(
-                    f"mix layer: {key}",
-                    None,
-                    f"must be the {key} of the pipe in which the points were measured",
-                    f"add it, for example '{key}: {'125 mm' if key == 'diameter' else '10 m'}'",
-                )
-            found[key] = amount(f"mix layer: {key}", given[key], "m")
-            positive(f"mix layer: {key}", found[key], "m")
-            check_limit(f"mix layer: {key}", found[key], "m", key)
-        found["rise"] = amount("mix layer: rise", given.get("rise", 0), "m")
-        between(
-            "mix layer: rise",
-            found["rise"],
-            -found["length"],
-            found["length"],
-            "m",
-            "'rise' is the height of the pipe's end above its start",
-        )
-        return Layer(pipe_points=_pairs("layer: points", given["points"], PUMPED, folder), **found)
-    if "tribometer" in given:
-        for key in given:
-            one_of("mix layer: key", key, ("tribometer",))
-        return Layer(tribometer_points=_pairs("layer: tribometer", given["tribometer"], SLIPPED, folder))
-    source = given.get("from", "tribometer")
-    one_of("mix layer: from", source, ("tribometer", "pipe"))
-    own = {key: value for key, value in given.items() if key != "from"}
-    constants = _constants("layer", own, LAYER_UNITS)
-    if not set(UNITS) <= set(constants.values):
-        refuse(
-            "mix layer",
-            dict(given),
-            "must have 'yield_stress' and 'viscosity', or 'points', or 'tribometer'",
-            "for example {yield_stress: 20 Pa, viscosity: 900 Pa s/m}",
-        )
-    return Layer(constants, pipe=source == "pipe")
-
-
-def _pairs(name: str, given: Any, columns: Mapping[str, str], folder: Path) -> tuple[list[float], list[float]]:
-    """Return two columns of points, from a CSV file in the mix's folder or from pairs in SI units or with units."""
-    if isinstance(given, str):
-        one, other = read_points(folder / given, columns, f"mix {name}")
-    else:
-        words = " and ".join(f"{each} [{unit}]" for each, unit in columns.items())
-        if not isinstance(given, Sequence) or not all(isinstance(p, Sequence) and len(p) == 2 for p in given):
-            refuse(f"mix {name}", given, f"must be pairs of {words}, or the path of a .csv file")
-        (x, x_unit), (y, y_unit) = columns.items()
-        one = [amount(f"mix {name}: {x}", pair[0], x_unit) for pair in given]
-        other = [amount(f"mix {name}: {y}", pair[1], y_unit) for pair in given]
-    if len(set(one)) < 2:
-        refuse(
-            f"mix {name}",
-            one,
-            "must have two or more different values",
-            "add points that were measured at other values",
-        )
-    return one, other

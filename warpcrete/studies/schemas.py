@@ -23,6 +23,7 @@ from ..geometry.line_entries import TEXTS as LINE_TEXTS
 from ..geometry.pumps import PUMP
 from ..methods import METHODS
 from ..mix import given as mixes
+from ..mix import measurements, stones
 from ..mix.mix import FACTORS
 from ..mix.points import PUMPED
 from ..mps.column import ConcreteParameters
@@ -225,7 +226,7 @@ def _mix_section() -> Schema:
     amounts = {name: quantity(each.unit, each.help) for name, each in mixes.NUMBERS.items()}
     constants, of_concrete, of_layer = (
         {name: quantity(unit, name.replace("_", " ")) for name, unit in units.items()}
-        for units in (mixes.UNITS, mixes.CONCRETE_UNITS, mixes.LAYER_UNITS)
+        for units in (measurements.UNITS, measurements.CONCRETE_UNITS, measurements.LAYER_UNITS)
     )
     off = {"uncertainty": quantity("1", "uncertainty of the values, as '15 %'")}
     passing = quantity("1", "fraction of the mass that passes")
@@ -237,10 +238,10 @@ def _mix_section() -> Schema:
         "sieve": {"type": "object", "minProperties": 2, "additionalProperties": passing,
                   "propertyNames": {"pattern": text_pattern("m")}},
         "sizes": {"type": "array", "items": quantity("m", "diameter"), "minItems": 2, "maxItems": 2},
-        "shape": {"anyOf": [{"enum": list(mixes.SHAPES)}, {"type": "number", "minimum": 1, "maximum": 20}]},
+        "shape": {"anyOf": [{"enum": list(stones.SHAPES)}, {"type": "number", "minimum": 1, "maximum": 20}]},
         "concrete": _object(of_concrete | off),
         "mortar": _object(constants | off | {"density": quantity("kg/m3", "density")}),
-        "viscometer": _points(mixes.SHEARED),
+        "viscometer": _points(measurements.SHEARED),
         "thickener": {"type": "boolean"},
         "layer": {"anyOf": [
             _object({**of_layer, "viscosity": quantity("Pa s/m", "viscosity divided by thickness"), **off,
@@ -249,7 +250,7 @@ def _mix_section() -> Schema:
             _object({"points": _points(PUMPED), **{name: quantity("m", f"{name} of the pipe")
                                                    for name in ("diameter", "length", "rise")}}, "",
                     ["points", "diameter", "length"]),
-            _object({"tribometer": _points(mixes.SLIPPED)}, "", ["tribometer"]),
+            _object({"tribometer": _points(measurements.SLIPPED)}, "", ["tribometer"]),
         ]},
     }  # fmt: skip
     others = {name: special[name] | {"description": text} for name, text in mixes.OTHERS.items()}

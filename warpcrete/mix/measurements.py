@@ -1,0 +1,157 @@
+"""Measurements that a mix states: constants of concrete, mortar and slip layer, and points of instruments."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..core.errors import between, one_of, positive, refuse
+from ..core.inputs.amounts import amount
+from ..core.inputs.limits import check_limit
+from .points import PUMPED, read_points
+
+UNITS = {"yield_stress": "Pa", "viscosity": "Pa s"}
+CONCRETE_UNITS = {**UNITS, "flow_index": "1", "quadratic_viscosity": "Pa s2"}
+LAYER_UNITS = {"yield_stress": "Pa", "viscosity": "Pa s/m", "flow_index": "1", "quadratic_viscosity": "Pa s2/m2"}
+"""Measured constants of concrete and slip layer, with their SI units; the last two belong to other laws than
+Bingham's."""
+SLIPPED = {"speed": "m/s", "stress": "Pa"}
+SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity", "flow_index": "slip_flow_index",
+        "quadratic_viscosity": "slip_quadratic_viscosity"}  # fmt: skip
+"""Names of a slip layer's constants in the table of limits."""
+SHEARED = {"rate": "1/s", "stress": "Pa"}
+"""Columns of points measured with a viscometer, with their SI units."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Measured constants by name, with a common relative uncertainty, which is None if not stated."""
+
+    values: Mapping[str, float] = field(default_factory=dict)
+    uncertainty: float | None = None
+
+
+@dataclass(frozen=True)
+class Layer:
+    """Measurements of the slip layer: constants, points from a pipe, or points from a tribometer."""
+
+    constants: Measured | None = None
+    pipe_points: tuple[list[float], list[float]] | None = None
+    """Flows [m3/s] and pressures [Pa] measured on a pipe of the given dimensions."""
+    diameter: float = 0.0
+    length: float = 0.0
+    rise: float = 0.0
+    """Height of the pipe's end above its start [m]."""
+    tribometer_points: tuple[list[float], list[float]] | None = None
+    """Speeds [m/s] and stresses [Pa] measured with a tribometer."""
+    pipe: bool = False
+    """True if `constants` were fitted to pressures of a pipe, False if a tribometer measured them."""
+
+
+def read_constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:
+    """Return the measured constants of a section of the mix."""
+    if not isinstance(given, Mapping):
+        refuse(
+            f"mix {name}",
+            given,
+            "must consist of 'key: value' lines",
+            f"possible keys are {', '.join(units)} and uncertainty",
+        )
+    for key in given:
+        one_of(f"mix {name}: key", key, (*units, "uncertainty"))
+    values = {key: amount(f"mix {name}: {key}", given[key], unit) for key, unit in units.items() if key in given}
+    for key, value in values.items():
+        if key == "yield_stress":
+            between(f"mix {name}: {key}", value, 0, 1e5, units[key])
+        else:
+            positive(f"mix {name}: {key}", value, units[key])
+        check_limit(f"mix {name}: {key}", value, units[key], SLIP.get(key, key) if name == "layer" else key)
+    off = None
+    if "uncertainty" in given:
+        off = amount(f"mix {name}: uncertainty", given["uncertainty"], "1")
+        between(
+            f"mix {name}: uncertainty",
+            off,
+            0,
+            0.9,
+            "",
+            "give the uncertainty relative to the values, for example '15 %'",
+        )
+    return Measured(values, off)
+
+
+def read_layer(given: Any, folder: Path) -> Layer:
+    """Return the slip layer from constants, from points of a pipe or from points of a tribometer."""
+    if not isinstance(given, Mapping):
+        refuse(
+            "mix layer",
+            given,
+            "must consist of 'key: value' lines",
+            "for example {yield_stress: 20 Pa, viscosity: 900 Pa s/m}",
+        )
+    if not given:
+        return Layer()
+    if "points" in given:
+        for key in given:
+            one_of("mix layer: key", key, ("points", "diameter", "length", "rise"))
+        found = {}
+        for key in ("diameter", "length"):
+            if key not in given:
+                refuse(
+                    f"mix layer: {key}",
+                    None,
+                    f"must be the {key} of the pipe in which the points were measured",
+                    f"add it, for example '{key}: {'125 mm' if key == 'diameter' else '10 m'}'",
+                )
+            found[key] = amount(f"mix layer: {key}", given[key], "m")
+            positive(f"mix layer: {key}", found[key], "m")
+            check_limit(f"mix layer: {key}", found[key], "m", key)
+        found["rise"] = amount("mix layer: rise", given.get("rise", 0), "m")
+        between(
+            "mix layer: rise",
+            found["rise"],
+            -found["length"],
+            found["length"],
+            "m",
+            "'rise' is the height of the pipe's end above its start",
+        )
+        return Layer(pipe_points=read_pairs("layer: points", given["points"], PUMPED, folder), **found)
+    if "tribometer" in given:
+        for key in given:
+            one_of("mix layer: key", key, ("tribometer",))
+        return Layer(tribometer_points=read_pairs("layer: tribometer", given["tribometer"], SLIPPED, folder))
+    source = given.get("from", "tribometer")
+    one_of("mix layer: from", source, ("tribometer", "pipe"))
+    own = {key: value for key, value in given.items() if key != "from"}
+    constants = read_constants("layer", own, LAYER_UNITS)
+    if not set(UNITS) <= set(constants.values):
+        refuse(
+            "mix layer",
+            dict(given),
+            "must have 'yield_stress' and 'viscosity', or 'points', or 'tribometer'",
+            "for example {yield_stress: 20 Pa, viscosity: 900 Pa s/m}",
+        )
+    return Layer(constants, pipe=source == "pipe")
+
+
+def read_pairs(name: str, given: Any, columns: Mapping[str, str], folder: Path) -> tuple[list[float], list[float]]:
+    """Return two columns of points, from a CSV file in the mix's folder or from pairs in SI units or with units."""
+    if isinstance(given, str):
+        one, other = read_points(folder / given, columns, f"mix {name}")
+    else:
+        words = " and ".join(f"{each} [{unit}]" for each, unit in columns.items())
+        if not isinstance(given, Sequence) or not all(isinstance(p, Sequence) and len(p) == 2 for p in given):
+            refuse(f"mix {name}", given, f"must be pairs of {words}, or the path of a .csv file")
+        (x, x_unit), (y, y_unit) = columns.items()
+        one = [amount(f"mix {name}: {x}", pair[0], x_unit) for pair in given]
+        other = [amount(f"mix {name}: {y}", pair[1], y_unit) for pair in given]
+    if len(set(one)) < 2:
+        refuse(
+            f"mix {name}",
+            one,
+            "must have two or more different values",
+            "add points that were measured at other values",
+        )
+    return one, other

@@ -1,0 +1,73 @@
+"""Sizes and shapes of the coarse aggregate, as a mix states them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ..core.errors import between, refuse, suggested
+from ..core.inputs.amounts import amount, bare_number
+
+SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crushed": "reference",
+          "angular": "reference", "reference": "reference"}  # fmt: skip
+"""Words for the shape of stones, with the shapes that discrete elements use for them. A numeric shape factor stands for
+a row of spheres."""
+FINEST, COARSEST = 1e-3, 0.3
+"""Smallest and largest size of stones that count as coarse aggregate [m]."""
+
+
+def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
+    """Return sieve openings [m] with passing fractions, from openings in millimetres and fractions or percentages."""
+    example = "for example {4: 0, 8: 0.4, 16: 1}: opening [mm] and share of the mass that passes"
+    if not isinstance(given, Mapping) or len(given) < 2:
+        refuse("mix sieve", given, "must have two or more openings, each with the share that passes", example)
+    opened = {amount("mix sieve: opening", f"{key} mm" if bare_number(key) else key, "m"): value
+              for key, value in given.items()}  # fmt: skip
+    widest = max(opened)
+    if widest > COARSEST:
+        refuse("mix sieve: opening", f"{1e3 * widest:g} mm", f"must be at most {1e3 * COARSEST:g} mm",
+               "openings without a unit are in mm")  # fmt: skip
+    if len({isinstance(value, str) for value in opened.values()}) > 1:
+        refuse("mix sieve", dict(given), "mixes shares with and without a unit", example)
+    passing = [amount("mix sieve: passing", value, "1") for value in opened.values()]
+    if passing[-1] == 100:
+        passing = [value / 100 for value in passing]
+    openings = list(opened)
+    if len(openings) < len(given) or openings != sorted(openings) or openings[0] <= 0:
+        refuse("mix sieve", given, "must have increasing openings above 0", example)
+    if passing != sorted(passing):
+        fall = next(k for k in range(1, len(passing)) if passing[k] < passing[k - 1])
+        refuse("mix sieve", given, f"falls from {passing[fall - 1]:g} at {1e3 * openings[fall - 1]:g} mm to "
+               f"{passing[fall]:g} at {1e3 * openings[fall]:g} mm: the share must not fall", example)  # fmt: skip
+    if passing[0] != 0 or passing[-1] != 1:
+        refuse("mix sieve", given, "must rise from 0 to 1, or to 100 for per cent", example)
+    if openings[0] < FINEST:
+        refuse("mix sieve", given, f"begins below {1e3 * FINEST:g} mm, but sand belongs to the mortar in both methods",
+               "give the curve of the coarse aggregate alone, without sand")  # fmt: skip
+    return tuple(zip(openings, passing, strict=True))
+
+
+def read_sizes(given: Any) -> tuple[float, float]:
+    if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
+        refuse("mix sizes", given, "must be the smallest and the largest size", "for example [5 mm, 20 mm]")
+    low, high = (amount("mix sizes", each, "m") for each in given)
+    between("largest of mix sizes", high, FINEST, COARSEST, "m", "write millimetres as in '20 mm'")
+    between(
+        "smallest of mix sizes",
+        low,
+        FINEST,
+        high,
+        "m",
+        "write the smaller size first, and leave out finer grains, which belong to the mortar",
+    )
+    return low, high
+
+
+def read_shape(given: Any) -> str:
+    if isinstance(given, int | float) and not isinstance(given, bool):
+        between("mix shape", given, 1, 20)
+        return f"shape-{given:g}" if given > 1 else "spheres"
+    if not isinstance(given, str) or given not in SHAPES:
+        refuse("mix shape", given, f"must be one of {', '.join(SHAPES)}",
+               suggested(given, SHAPES) or "or give the ratio of longest to shortest width, 1 to 20")  # fmt: skip
+    return SHAPES[given]
