@@ -103,8 +103,8 @@ def contact_kernel(
             else:
                 block = block + BLOCK
                 if wp.static(dissipation):
-                    # The lanes are evaluated after each block, so that a sphere's energy losses are added up block by
-                    # block.
+                    # Compute the forces of the collected contacts after each block of list entries, so that a sphere's
+                    # energy losses are added up block by block.
                     full = block < end
                 if block >= end:
                     i = i + 1

@@ -135,7 +135,7 @@ def serial_rows(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNam
 
 @functools.cache
 def serial_solver(scalar, dimensions: int, vector: bool, rigid: bool = False):
-    """Build the CPU kernel that does a whole solve and adds the solution to `x`; each thread launches one task.
+    """Build the CPU kernel that does a whole solve and adds the solution to `x`; each host thread launches it once.
 
     The rows are divided into `parts` chunks. A thread processes the chunks from `lower` to `upper`, and `workers`
     threads take part.

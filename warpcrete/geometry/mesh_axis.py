@@ -113,7 +113,7 @@ def _square(queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, ahea
 def _extended_to_end(
     queries: SurfaceQueries, points: np.ndarray, radii: np.ndarray, tangents: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Move the last cross-section towards the bore's end, while the cross-section stays closed and keeps its size."""
+    """Move the last cross-section towards the bore's end, as far as it remains closed and of the same size."""
     bend = (tangents[-1] - tangents[-2]) / np.linalg.norm(points[-1] - points[-2])
     step, far, found = 0.5 * ADVANCE * radii[-1], 0.0, None
     while step > MIN_END_STEP / 4 * radii[-1]:

@@ -101,8 +101,8 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
         over one cell. If a plug ends within the cells, `rate` is larger than the shear rate at the corner itself.
         """
         viscosity = apparent(g, rate)
-        # This is the stress at the corner if no plug ends within the cells. It follows from the two straight lines that
-        # approximate the shear rate as a function of the stress.
+        # Estimate the stress at the cells' common corner as if the edge of the plug were not inside these cells. Two
+        # straight lines approximate the shear rate as a function of the stress.
         most = wp.min(
             rate * unyielded_viscosity(g),
             g.yield_stress + g.viscosity * (rate - g.yield_stress / unyielded_viscosity(g)),

@@ -42,7 +42,8 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     scalar = bytes_of(model.scalar)
     # Add the neighbour list, the previous list (source of contact history), the starts of its rows, and the cell grid.
     listing = 2 * listed * pair + 8 * 4 + 3 * scalar + 24
-    # Add the loads of bonds, two per bond in a half list. If bonds heal, the pair arrays above already contain loads.
+    # Count the memory for the loads of bonds (forces and moments), which half lists store twice per bond. If bonds may
+    # heal, every pair already has room for its load.
     if model.features.bonds and not model.features.healing:
         listing += (2 if model.features.half_list else 1) * BONDS_PER_SPHERE * 8 * scalar
     estimate = 4 * 6 * scalar

@@ -256,8 +256,8 @@ class NeighborLists:
     def _phases(self, sorted_now: bool, searchers: int) -> list[Phase]:
         """Return the phases of a rebuild, in the only order in which they may run.
 
-        No phase changes the current lists before `starts`. A device that finds its arrays too small therefore stops
-        after `count` and leaves the rebuild to the host, which reads the lengths of the lists after `starts`.
+        No phase before `starts` changes the current lists. A device that finds its arrays too small therefore stops
+        after `count`, and the host repeats the rebuild: it reads the lengths of the lists once `starts` has run.
         """
         b, n = self.batch, self.batch.sphere_count
         old_place = self._old_place if sorted_now else self._identity

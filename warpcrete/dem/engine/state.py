@@ -31,9 +31,9 @@ OF_BATCH = {
     "spheres": ("scene", "clear"),
     "walls": ("scene", "table", "rest_position", "step_force"),
 }
-"""Arrays in the structs of STRUCTS that a state lacks and a batch adds, by struct.
+"""Arrays that only a batch has and a state does not store, by struct of STRUCTS.
 
-They follow from the models, or their values are needed only within a step.
+A batch can calculate their values from its models, or the values are needed only within a step.
 """
 NUMBERS = (
     "body_count", "sphere_count", "largest_radius", "smallest_radius", "mean_radius", "total_mass", "chunks",

@@ -373,8 +373,8 @@ def plastic_law(given: VesselParameters) -> PlasticMortar:
     With the contact's direction n and the strain rate tensor D, a contact dissipates its yield stress times |D n|,
     whose mean is pi/8. It also dissipates its viscosity over the shell thickness times |D n|^2, whose mean is 1/6.
 
-    The tension of the shells was fitted to the slump of a cone with a yield stress of 1000 Pa. With a tension of 2.5
-    the cone slumps by 120 mm, and with 3.5 it stands whole. For comparison, the closed form of a tall cone gives 78 mm,
+    The tension of the shells, in units of the yield stress, is a choice: it was varied for a cone with a yield stress
+    of 1000 Pa. With a tension of 2.5 the cone slumps by 120 mm, and with 3.5 it stands whole. For comparison, the closed form of a tall cone gives 78 mm,
     and the implicit material points of Newton 1.8 give 104 mm. At other yield stresses the slumps are predictions
     without a fit.
     """

@@ -114,7 +114,7 @@ class GridLayout:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of arrays over the cells and their frame, last axis first."""
+        """Shape of arrays over the cells and one layer of cells around them, last axis first."""
         return tuple(n + 2 for n in reversed(self.cells))
 
     @property

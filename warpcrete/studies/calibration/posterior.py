@@ -76,7 +76,7 @@ class Posterior:
     samples: np.ndarray
     """Samples of the posterior as points of the unit cube, shape (n, free)."""
     best: np.ndarray
-    """Likeliest point of the unit cube, shape (free,)."""
+    """Likeliest values of the free parameters, each scaled to 0 to 1 over its range, shape (free,)."""
 
     def predicted(self, target: Target, points: np.ndarray | None = None) -> tuple[float, float]:
         """Return the mean and standard deviation of a target's quantity; NaN without an emulator.
