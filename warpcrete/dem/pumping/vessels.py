@@ -374,9 +374,9 @@ def plastic_law(given: VesselParameters) -> PlasticMortar:
     whose mean is pi/8. It also dissipates its viscosity over the shell thickness times |D n|^2, whose mean is 1/6.
 
     The tension of the shells, in units of the yield stress, is a choice: it was varied for a cone with a yield stress
-    of 1000 Pa. With a tension of 2.5 the cone slumps by 120 mm, and with 3.5 it stands whole. For comparison, the closed form of a tall cone gives 78 mm,
-    and the implicit material points of Newton 1.8 give 104 mm. At other yield stresses the slumps are predictions
-    without a fit.
+    of 1000 Pa. With a tension of 2.5 the cone slumps by 120 mm, and with 3.5 it stands whole. For comparison, the
+    closed form of a tall cone gives 78 mm, and the implicit material points of Newton 1.8 give 104 mm. At other yield
+    stresses the slumps are predictions without a fit.
     """
     filled = 0.75 * CONTACTS * given.packed
     return PlasticMortar(
