@@ -17,6 +17,8 @@ PUMP = {
     "power": ("W", "Power of the motor"),
 }
 """Entries of a pump, with their units and meaning. A pump given as a single value states its pressure."""
+WEAKEST = 1e5
+"""Smallest pressure of a pump [Pa]; a smaller number is most likely in bar or MPa without its unit."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,9 @@ def pump_of(given: Any, field: str = "pump") -> Pump:
             found[key] = amount(called, value, unit)
             positive(called, found[key], unit)
             check_limit(called, found[key], unit, key)
+            if key == "pressure" and found[key] < WEAKEST:
+                refuse(called, found[key], f"must be at least {WEAKEST:g} Pa; concrete pumps deliver 30 to 400 bar",
+                       "write the unit, for example '70 bar'")  # fmt: skip
     if "pressure" not in found:
         refuse(
             field,

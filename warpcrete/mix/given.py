@@ -91,6 +91,9 @@ BINDER = 3000.0
 and fly ash 2250 kg/m3."""
 USUAL_AIR = 0.02
 """Air content assumed if the mix states none, share of the volume."""
+DENSEST_PASTE = 0.75
+"""Largest share of powder in the volume of the paste. A water-binder ratio of 0.12, the least that is ever used, has
+0.74."""
 PASTE_TOLERANCE = 0.08
 """Largest difference between two shares of powder in the paste, from the ratio of water to binder and from the parts;
 the powder's density accounts for up to 0.07."""
@@ -261,6 +264,10 @@ def _paste_solids(given: Mapping[str, Any]) -> float | None:
     ratio = _number(given, "water_binder")
     powder, liquid = paste_volumes(_masses(given))
     found = powder / (powder + liquid) if powder > 0 and liquid > 0 else None
+    if found is not None and found > DENSEST_PASTE:
+        refuse("mix parts", f"{water_mass(_masses(given)):.4g} kg/m3 of water", "is too little for the powder: "
+               f"{100 * found:.3g} % of the paste would be solid, and {100 * DENSEST_PASTE:g} % is the most that flows",
+               "check the amount of water and its unit")  # fmt: skip
     if ratio is None:
         return found
     stated = 1 / (1 + ratio * BINDER / 1000)
@@ -344,6 +351,9 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool]:
     masses, load = {}, _number(given, "volume")
     for name, value in parts.items():
         with errors_located_at(parts, name):
+            if value is None and str(name)[:1].isdigit():
+                refuse("mix parts", str(name), "is an amount without a name; a comma inside braces separates entries",
+                       "write 1420 lb/yd3 without a comma, or one ingredient per line")  # fmt: skip
             masses[str(name)] = mass_per_volume(str(name), value, load)
             between(
                 f"mix parts: {name}",

@@ -11,7 +11,7 @@ from ..core.inputs.amounts import amount, is_amount, unit_names
 from ..core.inputs.limits import warn
 
 DENSITIES = {
-    **dict.fromkeys(("cement", "clinker", "cem", "opc", "binder", "powder"), 3100.0),
+    **dict.fromkeys(("cement", "clinker", "cem", "opc", "type", "binder", "powder"), 3100.0),
     **dict.fromkeys(("slag", "ggbs", "ggbfs"), 2900.0),
     **dict.fromkeys(("limestone", "filler", "lime", "marble", "quartz", "metakaolin", "pozzolan", "trass"), 2700.0),
     **dict.fromkeys(("ash", "flyash", "pfa", "silica", "microsilica", "fume"), 2250.0),
@@ -33,8 +33,8 @@ VARIABLE = ("lightweight", "light", "expanded", "clay", "pumice", "perlite", "re
 """Words for ingredients whose density varies too much for a calculation of their volume."""
 MIN_AMOUNT = 0.01
 """Smallest amount of an ingredient [kg/m3]; admixtures amount to 0.1 kg/m3 and more."""
-POWDERS = ("cement", "clinker", "cem", "opc", "binder", "powder", "slag", "ggbs", "ggbfs", "limestone", "filler",
-           "lime", "marble", "quartz", "metakaolin", "pozzolan", "trass", "ash", "flyash", "pfa", "silica",
+POWDERS = ("cement", "clinker", "cem", "opc", "type", "binder", "powder", "slag", "ggbs", "ggbfs", "limestone",
+           "filler", "lime", "marble", "quartz", "metakaolin", "pozzolan", "trass", "ash", "flyash", "pfa", "silica",
            "microsilica", "fume")  # fmt: skip
 """Words for ingredients whose grains are finer than sand and belong to the paste."""
 LIQUIDS = ("water", "ice", "superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "admixture",
@@ -45,6 +45,8 @@ PLASTICIZERS = ("superplasticizer", "superplasticiser", "plasticizer", "plastici
 """Words for admixtures that make a concrete flow."""
 THICKENERS = ("vma", "stabilizer", "stabiliser", "modifier")
 """Words for viscosity-modifying admixtures."""
+UNKNOWN_MASS = 20.0
+"""Mass [kg/m3] above which an unknown ingredient may be powder, so that the paste is unknown; admixtures have less."""
 POSSIBLE_VOLUMES = (0.88, 1.05)
 """Smallest and largest possible volume of all ingredients in a cubic metre [m3/m3]; air fills the rest, and densities
 vary."""
@@ -108,7 +110,8 @@ def _noun(name: str) -> str:
 def paste_volumes(parts: Mapping[str, float]) -> tuple[float, float]:
     """Return the volumes of powder and of liquid in a cubic metre of concrete [m3], without air.
 
-    `parts` are the ingredients [kg/m3]. Both volumes are 0 if there is no water.
+    `parts` are the ingredients [kg/m3]. Both volumes are 0 if there is no water, or if so much is unknown that it may
+    be powder.
     """
     powder, liquid, water = 0.0, 0.0, False
     for name, mass in parts.items():
@@ -118,6 +121,8 @@ def paste_volumes(parts: Mapping[str, float]) -> tuple[float, float]:
         elif noun in LIQUIDS:
             liquid += mass / DENSITIES[noun]
             water = water or noun in ("water", "ice")
+        elif not noun and mass > UNKNOWN_MASS and not any(word in VARIABLE for word in _words(name)):
+            return 0.0, 0.0
     return (powder, liquid) if water else (0.0, 0.0)
 
 
@@ -159,7 +164,10 @@ def density_of(name: str) -> float | None:
     meant = suggested(name, DENSITIES)
     if meant:
         refuse("mix parts", name, "is not a known ingredient", meant)
-    warn(f"mix parts: {quoted(name)} is not a known ingredient, so the sum of the volumes cannot be checked")
+    warn(
+        f"mix parts: {quoted(name)} is not a known ingredient: it counts neither as powder nor as stone, and the "
+        "sum of the volumes cannot be checked; use a name such as 'cement', 'fly ash', 'sand' or 'gravel'"
+    )
     return None
 
 

@@ -32,7 +32,7 @@ UNITS = {
           "'": FOOT, "\u2019": FOOT, "\u2032": FOOT, "yd": YARD},
     "m2": {"m2": 1.0, "m²": 1.0, "cm2": 1e-4, "mm2": 1e-6, "in2": INCH**2, "ft2": FOOT**2},
     "m3": {"m3": 1.0, "m³": 1.0, "l": 1e-3, "L": 1e-3, "cm3": 1e-6, "yd3": YARD**3, "yd³": YARD**3, "cy": YARD**3,
-           "ft3": FOOT**3, "gal": GALLON},
+           "ft3": FOOT**3, "gal": GALLON, "fl oz": GALLON / 128, "floz": GALLON / 128, "oz": GALLON / 128},
     "m3/s": {"m3/s": 1.0, "m3/h": 1 / 3600, "m³/h": 1 / 3600, "m3/hr": 1 / 3600, "m³/s": 1.0, "m3/min": 1 / 60,
              "m³/min": 1 / 60, "l/s": 1e-3, "L/s": 1e-3, "l/min": 1e-3 / 60, "L/min": 1e-3 / 60, "l/h": 1e-3 / 3600,
              "L/h": 1e-3 / 3600, "cm3/s": 1e-6, "yd3/h": YARD**3 / 3600, "yd³/h": YARD**3 / 3600,

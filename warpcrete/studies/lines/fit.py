@@ -18,6 +18,7 @@ from ...core.inputs.text_files import read_rows
 from ...core.units import quantity
 from ...theory.fits import student_t
 from ...theory.pipe import Concrete
+from .fittings import MODEL_ERRORS
 from .losses import GRAVITY, Part, PipeLine, straight_friction
 
 NAMES = ("slip viscosity", "slip yield", "factor of bends")
@@ -366,6 +367,12 @@ def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
     ]
     if bends and bends[0].fitted:
         found += ["and for every bend of the line's file:", "", f"    factor: {bends[0].value:.3g}", ""]
+        low, high = MODEL_ERRORS["bend"].low, MODEL_ERRORS["bend"].high
+        if not low <= bends[0].value <= high:
+            share = sum(part.length for part in line.parts if part.kind == "bend") / line.length
+            found += [f"The factor lies outside the {low:g} to {high:g} that published measurements found. Bends make "
+                      f"{100 * share:.2g} % of the length of this line, so one wrong gauge or place explains such a "
+                      "factor: check the taps before you use it.", ""]  # fmt: skip
     found += ["| place [m] | flow [m3/h] | measured [bar] | fitted [bar] | deviation [bar] |", "|---|---|---|---|---|"]
     for tap, fitted, each in zip(fit.taps, fit.pressures, off, strict=True):
         cells = (f"{tap.place:.4g}", f"{3600 * tap.flow:.4g}", f"{tap.pressure / 1e5:.4g}", f"{fitted / 1e5:.4g}",
