@@ -245,10 +245,8 @@ def subcycled_struct(scalar):
         higher: wp.array(dtype=wp.int32)  # higher permanent number of the pair's two spheres
         # rows of the pair's two bodies in this struct, and rows in `force` of the pair's forces on these bodies
         ends: wp.array(dtype=wp.vec4i)
-        lower_offset: wp.array(dtype=t.vec4)  # sphere with the lower index: centre in the body's frame, and radius [m]
-        higher_offset: wp.array(
-            dtype=t.vec4
-        )  # sphere with the higher index: centre in the body's frame, and radius [m]
+        lower_offset: wp.array(dtype=t.vec4)  # sphere of lower index: centre in the body's frame, radius [m]
+        higher_offset: wp.array(dtype=t.vec4)  # sphere of higher index: centre in the body's frame, radius [m]
         law: wp.array(dtype=wp.int32)  # row of the pair's contact parameters
         entry: wp.array(dtype=wp.int32)  # index of the neighbour list entry that holds the pair
         copy: wp.array(dtype=wp.int32)  # index of the second list entry that holds the pair, or -1
