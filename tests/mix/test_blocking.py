@@ -69,7 +69,7 @@ def test_paste_fills_the_voids():
     assert verdicts(parts=lean, aggregate="1190 kg/m3")["paste and voids"].verdict == "risky"
     measured = verdicts(parts=lean, aggregate="1190 kg/m3", voids="30 %")["paste and voids"]
     assert measured.verdict == "blocks" and "measured" in measured.found
-    # By hand: 0.777 m3 of aggregate at 28 % of voids has 302 l/m3 of them.
+    # Calculated by hand: 0.777 m3 of aggregate with 28 % of voids contains 302 l/m3 of voids.
     aggregate = 1 - 210 / 3100 - 0.13 - 0.02
     assert f"{1e3 * aggregate * 0.28 / 0.72:.3g}" in measured.found
     assert verdicts(parts=lean, aggregate="1190 kg/m3", voids="15 %")["paste and voids"].verdict == "fine"

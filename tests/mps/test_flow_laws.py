@@ -296,7 +296,7 @@ def test_viscosities_stay_finite_and_positive_at_rest():
                 assert found == pytest.approx(20.0 * rate ** (index - 1), rel=1e-4)
 
 
-# What is refused, and what is warned about.
+# Refused values, and values that cause a warning.
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,7 @@ def test_the_yield_stress_follows_from_the_length_short_of_the_far_end(name):
 
 
 def test_elements_of_mortar_stand_beside_closed_forms_and_others_do_not():
-    """The same forms as of the flow, of the bulk's density."""
+    """Elements report the closed forms that a flow reports, for the density of the filled vessel."""
     mortar = vessel("lcpc-dem", law="mortar", yield_stress=200.0, bulk_density=2300.0).run()
     wanted = method_of(scenes.lcpc()).expected(scenes.lcpc(**OWN))
     told = dict(report_of(method_of(mortar.scene).quantities, mortar))

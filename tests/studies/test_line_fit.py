@@ -123,7 +123,7 @@ def test_files_of_taps_that_are_wrong_are_refused(tmp_path, text, says):
 
 
 def test_the_command_fits_a_trial_line(tmp_path):
-    """What the fit says to write into the mix gives the pressures of the trial line."""
+    """A mix with the layer that the fit prints gives the pressures of the trial line."""
     rows = ["part,pressure [psi],flow [yd3/h]"]
     for tap in taps(noise=1e4, parts=(0, 1, 3, 4)):
         part = [0, 1, 3, 4].index(next(k for k in (0, 1, 3, 4) if tap.place <= KNOWN.axis.length

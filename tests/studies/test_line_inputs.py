@@ -34,7 +34,7 @@ def test_a_slump_and_a_straight_pipe_suffice(tmp_path):
 
 
 def test_us_units_and_a_spread_suffice_as_well():
-    """The same line in US units and in metres has the same pressure."""
+    """A line in US units has the pressure of the equal line in metres."""
     us = called(
         "--spread", "24 in", "--diameter", "5 in", "--length", "600 ft", "--rise", "-30 ft", "--flow", "40 yd3/hr"
     )

@@ -142,7 +142,7 @@ def test_a_long_box_tells_its_yield_stress(tau):
     assert near / a + width / (2 * a) * math.log(width / (width + 2 * near)) == pytest.approx(reach, rel=1e-4)
     assert width / a * box_slope(near, width)[1] == pytest.approx(volume, rel=1e-4)
     assert box_yield_stress(reach, volume, width, rho) == pytest.approx(tau, rel=1e-4)
-    # Of a wide box only the floor holds the concrete: tau = rho g h0^2 / (2 L), and h0 is 3/2 of the mean depth.
+    # In a wide box only the floor holds the concrete: tau = rho g h0^2 / (2 L), and h0 is 3/2 of the mean depth.
     wide, mean = 1e3, volume / (width * reach)
     found = box_yield_stress(reach, mean * wide * reach, wide, rho)
     assert found == pytest.approx(rho * g * (1.5 * mean) ** 2 / (2 * reach), rel=1e-3)

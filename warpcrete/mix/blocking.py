@@ -67,7 +67,7 @@ class RuleVerdict:
     found: str
     """The numbers on which the verdict is based."""
     change: str
-    """What to change, or which entry would answer the question; empty if the verdict is 'fine'."""
+    """Advice on the mix or the line, or the entry that would answer the question; empty if the verdict is 'fine'."""
     source: str
 
     @property

@@ -6,6 +6,7 @@ The method of moving particles and the flow on a grid are both verified.
 from __future__ import annotations
 
 from ..mps.column import FlowParameters, column_scene
+from ..mps.scene import FluidScene
 from ..mps.simulation import FluidSimulation
 from ..theory.pipe import CONCRETES
 from .case import Case, Row
@@ -54,17 +55,20 @@ def _sheared(dimensions: int, device: str, precision: str) -> list[Row]:
             concrete="own", density=2400.0, viscosity=viscosity, yield_stress=number * viscosity * speed / radius,
             slip_viscosity=layer, slip_yield=0.0, ends="periodic", length=0.06, spacing=5e-3, duration=0.3,
         )  # fmt: skip
-        result = FluidSimulation(
-            column_scene("flow", dimensions, given), device=device, precision=precision
-        ).run().result  # fmt: skip
         name = f"Bn {number:g}" + (", slips" if layer < 1e6 else "")
-        found += [
-            Row(f"{name}: wall's stress", result["wall_stress"]["value"], result["wall_stress_theory"]["value"],
-                SHEARED["wall"], "Pa"),
-            Row(f"{name}: profile, rms over mean", result["profile_error"], 0.0, SHEARED["profile"], scale=1.0),
-            Row(f"{name}: balance of forces", result["force_balance_error"], 0.0, SHEARED["balance"], scale=1.0),
-        ]  # fmt: skip
+        found += _rows(name, column_scene("flow", dimensions, given), device, precision)
     return found
+
+
+def _rows(name: str, scene: FluidScene, device: str, precision: str) -> list[Row]:
+    """Run a sheared flow; return the errors of its wall stress, velocity profile and balance of forces."""
+    result = FluidSimulation(scene, device=device, precision=precision).run().result
+    return [
+        Row(f"{name}: wall's stress", result["wall_stress"]["value"], result["wall_stress_theory"]["value"],
+            SHEARED["wall"], "Pa"),
+        Row(f"{name}: profile, rms over mean", result["profile_error"], 0.0, SHEARED["profile"], scale=1.0),
+        Row(f"{name}: balance of forces", result["force_balance_error"], 0.0, SHEARED["balance"], scale=1.0),
+    ]  # fmt: skip
 
 
 def sheared_channel(device: str, precision: str) -> list[Row]:
@@ -99,14 +103,7 @@ def _other_laws(dimensions: int, device: str, precision: str) -> list[Row]:
             concrete="own", density=2400.0, viscosity=viscosity, yield_stress=76.0, slip_viscosity=layer,
             slip_yield=20.0 if slips else 0.0, ends="periodic", length=0.06, spacing=5e-3, duration=0.3, **law,
         )  # fmt: skip
-        scene = column_scene("flow", dimensions, given)
-        result = FluidSimulation(scene, device=device, precision=precision).run().result
-        found += [
-            Row(f"{name}: wall's stress", result["wall_stress"]["value"], result["wall_stress_theory"]["value"],
-                SHEARED["wall"], "Pa"),
-            Row(f"{name}: profile, rms over mean", result["profile_error"], 0.0, SHEARED["profile"], scale=1.0),
-            Row(f"{name}: balance of forces", result["force_balance_error"], 0.0, SHEARED["balance"], scale=1.0),
-        ]  # fmt: skip
+        found += _rows(name, column_scene("flow", dimensions, given), device, precision)
     return found
 
 

@@ -26,7 +26,7 @@ def pairs_of(
     j = np.where(other >= 0, other, -1 - other)
     once = other >= 0
     if chunks is not None:
-        # Of the two entries of a pair, the one with a positive index counts. In half lists, a pair inside a chunk has
+        # A pair has two entries, and the one with a positive index counts. In half lists, a pair inside a chunk has
         # only one entry, which therefore counts with either sign.
         once |= np.searchsorted(chunks, i, "right") == np.searchsorted(chunks, j, "right")
     return i[once], j[once], np.flatnonzero(once)

@@ -124,7 +124,7 @@ class SeedResult:
     density: float
     """Bulk density of the elements that fill the pipe [kg/m3]."""
     blocked: Mapping[tuple[Any, ...], bool] = field(default_factory=dict)
-    """Whether the simulation of each kind of part was blocked."""
+    """True for each kind of part whose simulation was blocked."""
 
     def is_blocked(self, part: Part) -> bool:
         """Return whether the simulation of a part, or of straight pipe of its diameter, was blocked."""

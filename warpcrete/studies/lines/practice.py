@@ -38,7 +38,7 @@ class PracticeRow:
     pressures: dict[str, float]
     """Pressures [Pa] by kind of part; weight counts with the part that rises."""
     implies: str
-    """What the rule means for friction and weight."""
+    """Friction and weight that the rule implies, in words."""
     source: str = ""
 
     @property

@@ -29,7 +29,7 @@ class BlockingComparison:
 
     @property
     def agrees(self) -> bool:
-        """Whether the rules warn of a concrete that blocked, and not of one that did not block."""
+        """True if the rules warn of a concrete that blocked, or do not warn of one that did not block."""
         return (self.verdict in BAD) == self.blocked
 
 

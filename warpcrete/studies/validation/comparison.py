@@ -31,7 +31,7 @@ class Comparison:
 
     @property
     def inside(self) -> bool:
-        """Whether the measured value lies in the band."""
+        """True if the measured value lies in the band."""
         return self.band.contains(self.measured)
 
 
