@@ -45,9 +45,13 @@ def _measure(concrete: Specimen, size: Sizes) -> dict[str, float]:
     return {"near_depth": near, "front": max(concrete.front(), size["column_length"])}
 
 
-def _at_rest(k: Outcome) -> tuple[float, float, float]:
-    """Return the depths at both ends [m] and the length that the concrete covers [m], without inertia."""
-    return box_at_rest(k.whole, k.size["length"], k.size["width"], k.concrete.yield_stress, k.density, k.gravity)
+def _at_rest(k: Outcome, place: int) -> float | None:
+    """Return the depth at the near end, that at the far end, or the length that concrete covers, by `place` [m].
+
+    The result is None for concrete so stiff that it would not spread beyond the column in which it starts.
+    """
+    found = box_at_rest(k.whole, k.size["length"], k.size["width"], k.concrete.yield_stress, k.density, k.gravity)
+    return found[place] if found[2] > k.size["column_length"] else None
 
 
 def _yield_stress(k: Outcome) -> float | None:
@@ -72,8 +76,8 @@ LCPC_BOX = StandardTest(
         Quantity("apparent_yield_stress", "Pa", _yield_stress, "yield stress from L", None, True),
     ),
     forms=(
-        ClosedForm("spread_length", "theory", "slow flow", lambda k: _at_rest(k)[2]),
-        ClosedForm("h0", "theory", "slow flow", lambda k: _at_rest(k)[0]),
+        ClosedForm("spread_length", "theory", "slow flow", lambda k: _at_rest(k, 2)),
+        ClosedForm("h0", "theory", "slow flow", lambda k: _at_rest(k, 0)),
         ClosedForm("apparent_yield_stress", "given", "given", lambda k: k.concrete.yield_stress),
     ),
     in_space=True,

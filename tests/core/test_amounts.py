@@ -67,7 +67,7 @@ def test_every_unit_is_read_by_all_its_names(unit):
 
 
 def test_long_texts_take_no_time():
-    begin = time.perf_counter()
+    begin = time.process_time()
     for text in (
         "1" * LONGEST,
         "1," * 50,
@@ -81,7 +81,7 @@ def test_long_texts_take_no_time():
         for unit in ("m", "Pa"):
             with pytest.raises(SceneError) if text.strip() not in ("1" * LONGEST, "1") else _nothing():
                 amount("it", text, unit)
-    assert time.perf_counter() - begin < 0.5
+    assert time.process_time() - begin < 0.5
 
 
 def test_digits_of_other_scripts_are_digits():

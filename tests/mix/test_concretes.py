@@ -154,3 +154,19 @@ def test_the_command_takes_a_file(tmp_path):
     assert first != other  # an option goes before the file
     done = command("explain", "pipe", "--concrete", tmp_path / "not.yaml")
     assert done.returncode == 2 and done.stderr.count("\n") == 1 and "not.yaml" in done.stderr
+
+
+def test_a_flow_section_with_units_also_gives_elements(tmp_path):
+    path = tmp_path / "a.yaml"
+    head = "flow: {density: 2350 kg/m3, viscosity: 30 Pa s, yield_stress: 90 Pa, slip_viscosity: 600 Pa s/m, "
+    head += "slip_yield: "
+    path.write_text(head + "40 Pa, slip_flow_index: 1, yield_factor: 2}\n", encoding="utf-8")
+    kept = scenes.pipe(concrete=path).parameters
+    assert kept["bulk_density"] == 2350 and kept["layer_yield"] == pytest.approx(2 * 40 / COVERAGE)
+    assert kept["layer_viscosity"] == pytest.approx(600 / COVERAGE)
+    for more, says in (("yield_factor: 0", "yield_factor = 0.0: must be a finite number above 0"),
+                       ("densty: 3", "densty': is an unknown parameter")):  # fmt: skip
+        path.write_text(head + f"40 Pa, {more}}}\n", encoding="utf-8")
+        for make in (scenes.pipe, scenes.tube):
+            with pytest.raises(SceneError, match=says):
+                make(concrete=path)

@@ -11,6 +11,8 @@ from typing import NoReturn
 
 import numpy as np
 
+from .narrowing import is_number
+
 LONGEST_VALUE = 160
 """Maximum number of characters of a value or of a field's name that a message quotes."""
 LONGEST_MESSAGE = 2000
@@ -140,13 +142,13 @@ def known_names(word: object, known: Iterable[object]) -> str:
 
 def positive(field: str, value: float, unit: str = "", hint: str = "") -> None:
     """Raise :class:`SceneError` unless `value` is a finite number above zero."""
-    if not _is_number(value) or not math.isfinite(value) or value <= 0:
+    if not is_number(value) or not math.isfinite(value) or value <= 0:
         refuse(field, value, f"must be a finite number above 0{' ' + unit if unit else ''}", hint)
 
 
 def between(field: str, value: float, lower: float, upper: float, unit: str = "", hint: str = "") -> None:
     """Raise :class:`SceneError` unless `value` is a finite number in [lower, upper]."""
-    if not _is_number(value) or not math.isfinite(value) or not lower <= value <= upper:
+    if not is_number(value) or not math.isfinite(value) or not lower <= value <= upper:
         span = f"in [{lower:g}, {upper:g}]" if math.isfinite(upper) else f"finite and at least {lower:g}"
         if not math.isfinite(lower):
             span = "a finite number"
@@ -169,7 +171,3 @@ def vector(field: str, value: object) -> tuple[float, float, float]:
     if array.shape != (3,) or not np.all(np.isfinite(array)):
         refuse(field, value, "must be three finite numbers")
     return (float(array[0]), float(array[1]), float(array[2]))
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)

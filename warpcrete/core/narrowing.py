@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, SupportsFloat, TypeGuard
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ def is_set(value: object) -> TypeGuard[set[object]]:
     return isinstance(value, set)
 
 
-def is_number(value: object) -> TypeGuard[SupportsFloat]:
+def is_number(value: object) -> TypeGuard[float]:
     """Return whether a value is a number of Python or NumPy; True and False are none."""
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 

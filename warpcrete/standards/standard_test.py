@@ -107,7 +107,7 @@ class ClosedForm:
         return f"{self.quantity}_{self.suffix}"
 
     def value(self, known: Outcome) -> float | None:
-        """Return the predicted value; None where the form does not hold, or for a concrete that is no Bingham fluid."""
+        """Return the predicted value; None where the form does not hold, or if the concrete is unknown."""
         return None if known.concrete is None else self.of(known)
 
 

@@ -254,9 +254,8 @@ def _start_cluster(scheduler: str, workers: int | None, device: str | None, thre
                 # A SLURM job may wait in the queue for hours, and the user expects that, so there is no time limit.
                 client.wait_for_workers(1, timeout=None if scheduler == "slurm" else CONNECT_TIMEOUT)
             except TimeoutError as error:
-                raise WarpcreteError(
-                    f"scheduler = {scheduler!r}: has no workers; start workers with 'dask worker {scheduler}'"
-                ) from error
+                hint = "try again" if scheduler == "local" else f"start workers with 'dask worker {scheduler}'"
+                raise WarpcreteError(f"scheduler = {scheduler!r}: has no workers; {hint}") from error
             yield Cluster(client, scheduler, workers)
     finally:
         if dask_cluster is not None:

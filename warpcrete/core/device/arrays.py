@@ -185,5 +185,8 @@ class KernelModule(Protocol):
 
 
 def declared(struct: Struct) -> Struct:
-    """Return a struct as a :class:`Struct`, because Warp leaves the types of its members open."""
+    """Return a struct as a :class:`Struct`, because Warp leaves the types of its members open.
+
+    An annotation does not suffice: the type checker keeps the unknown type of the assigned value.
+    """
     return struct

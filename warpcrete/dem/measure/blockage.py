@@ -14,6 +14,7 @@ from ...geometry.meshes import rays
 from ...geometry.walls import MeshWall, PipeWall
 from ..engine.model import Model
 from ..engine.state import State
+from ..scene.slices import varying_bores
 from .probes import pair_forces
 
 PARTS = 20
@@ -27,10 +28,11 @@ The window is the travel of the piston during which a part of the concrete must 
 for the pipe to count as blocked.
 """
 STANDING_RATIO = 0.2
-"""Ratio of the advance of a part of the concrete to that of the piston, below which the part counts as standing still.
+"""Ratio of the advance of a part of the concrete to that of the piston, both by volume, below which the part counts as
+standing still.
 
-In runs without blockage the ratio was at least 0.9 for all parts once they moved. Behind a widening to twice the
-diameter it is 0.25, because the volume flow is constant. In a closed pipe the last part still advances by the
+In runs without blockage the ratio was at least 0.9 for all parts once they moved. Advances count by volume, so a
+widening of the bore does not lower the ratio. In a closed pipe the last part still advances by the
 compression of the concrete ahead of it.
 """
 GRADIENT = 200e3
@@ -49,8 +51,7 @@ class BlockageWatch:
         pipe, blockage = model.scene.pipe, model.scene.blockage
         assert pipe is not None and blockage is not None
         self.axis, self.radius = pipe.axis, pipe.radius
-        stations = model.scene.stations
-        self.bores = stations.bores if stations is not None and not stations.bores.is_straight else None
+        self.bores = varying_bores(model.scene.stations)
         """Radii of a pipe whose width changes along its axis, otherwise None."""
         self.window = blockage.travel or blockage_travel(2 * pipe.radius, pipe.concrete_length, model.stress_scale)
         """Piston travel during which a part of the concrete must stand still in a blocked pipe [m]."""
@@ -80,7 +81,7 @@ class BlockageWatch:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the recorded blockage and the data for the next check from a `state_dict`."""
         self.found, self._places = dict(state["found"]), np.array(state["places"])
-        self.slowest = float(state.get("slowest", np.nan))
+        self.slowest = float(state["slowest"])
         self._checked_travel, self._pressure = float(state["looked"]), float(state["pressure"])
         self._stand_travel = None if state["standing"] is None else float(state["standing"])
 

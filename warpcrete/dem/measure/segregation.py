@@ -11,6 +11,7 @@ from ...core.run.method import Quantity
 from ...geometry.bores import Bores
 from ..engine.model import Model
 from ..engine.state import State
+from ..scene.slices import varying_bores
 
 UNITS = dict.fromkeys(
     ("aggregate_inner", "aggregate_outer", "aggregate_front", "aggregate_rear", "large_inner", "large_outer", "mixing"),
@@ -153,9 +154,7 @@ def row_of(model: Model, state: State) -> dict[str, float]:
     """Return the values of the segregation columns for the present state of a scene with a pipe."""
     pipe = model.scene.pipe
     assert pipe is not None
-    stations = model.scene.stations
-    varies = stations is not None and not stations.bores.is_straight
-    return measured(pipe.axis, stations.bores if stations and varies else pipe.radius, stones_of(state))
+    return measured(pipe.axis, varying_bores(model.scene.stations) or pipe.radius, stones_of(state))
 
 
 def _at(name: str, place: int) -> Callable[[Any], float | None]:

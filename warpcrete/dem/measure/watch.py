@@ -64,7 +64,7 @@ class Watch:
                 "through "
                 f"(watch.overlap = {limits.overlap:g})",
                 "stiffer contacts, bodies that do not overlap at the start, slower walls, or a higher watch.overlap "
-                "(parameter 'overlap_limit' of the scene pipe)",
+                "(the scene's parameter 'overlap_limit')",
             )
         resolution = self._resolution(row)
         if resolution > MAX_ROUNDING:

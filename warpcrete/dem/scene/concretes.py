@@ -6,11 +6,11 @@ import os
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ...core.errors import refuse
+from ...core.errors import positive, refuse
 from ...core.inputs.amounts import amount
 from ...core.inputs.concretes import NamedConcrete, known_only
 from ...core.inputs.limits import warn
-from ...mix.mix import FACTORS, completed
+from ...mix.mix import FACTORS, UNITS, completed
 
 SIZES = ("sizes", "size_min", "size_max")
 """Names of the parameters that set the sizes of the aggregates."""
@@ -57,7 +57,11 @@ def _of_flow(found: NamedConcrete, layer_given: bool = False) -> dict[str, Any]:
     1). Raises :class:`SceneError` for a slip layer of another law than Bingham's, which elements do not have, unless
     `layer_given` says that other values replace it.
     """
-    flow = found.flow
+    known = known_only("flow", found.flow, UNITS, found.name)
+    flow = {key: amount(f"concrete flow {key}", value, UNITS[key]) for key, value in known.items()}
+    for name in FACTORS:
+        if name in flow:
+            positive(f"concrete flow {name}", flow[name])
     missing = [name for name in ("density", "slip_viscosity", "slip_yield") if name not in flow]
     if missing:
         refuse(
@@ -70,7 +74,7 @@ def _of_flow(found: NamedConcrete, layer_given: bool = False) -> dict[str, Any]:
         if flow.get(name, plain) != plain and not layer_given:
             refuse(f"concrete flow {name}", flow[name], "describes a slip layer that discrete elements do not have: "
                    "theirs is linear", "give layer_yield and layer_viscosity in the section 'elements'")  # fmt: skip
-    stiffer, thicker = (amount(f"concrete flow {name}", flow.get(name, plain), "1") for name, plain in FACTORS.items())
+    stiffer, thicker = (flow.get(name, plain) for name, plain in FACTORS.items())
     return {
         "bulk_density": flow["density"],
         "wall_friction": 0.0,

@@ -79,3 +79,8 @@ class Stations:
     def can_fit_losses(self) -> bool:
         """True if every straight stretch has enough slices to fit a line through its measurements."""
         return all(np.count_nonzero(self.clear(*ends)) >= FEWEST for ends in self.straights)
+
+
+def varying_bores(stations: Stations | None) -> Bores | None:
+    """Return the bores of a pipe whose width changes along its axis; None for a straight pipe or without stations."""
+    return None if stations is None or stations.bores.is_straight else stations.bores

@@ -273,8 +273,11 @@ class Trade:
         return not point.failure and all(seed in point.results for seed in seeds)
 
     def _folder(self, point: Setting, seed: int) -> Path:
-        # A parameter that is missing in the base and None at this setting is the same.
-        changed = {k: v for k, v in sorted(point.parameters.items()) if self.base.get(k) != v}
+        # The base leaves out parameters with default values; None is the default of many that a setting writes out.
+        fields = declared_fields(self.module.scene.parameters)
+        plain = {name for name, field in fields.items() if field.default is None}
+        changed = {k: v for k, v in sorted(point.parameters.items())
+                   if self.base.get(k, None if k in plain else ...) != v}  # fmt: skip
         words = "-".join(f"{name}={name_part(value)}" for name, value in changed.items()) or "given"
         words = short_name("-".join([*point.variant.split(), words]))
         return self.folder / "runs" / (f"{words}-seed={seed}" if self.has_seeds else words)
