@@ -55,8 +55,8 @@ def _second(file: ModuleType) -> ModuleType:
     """
     name = f"{file.__name__}_dem"
     if name not in sys.modules:
-        title = (file.__doc__ or "").partition("\n")[0].replace("as a 3D flow on a grid", "by discrete elements")
-        module = sys.modules[name] = ModuleType(name, title)
+        head = (file.__doc__ or "").partition("\n")[0]
+        module = sys.modules[name] = ModuleType(name, f"{head.rpartition(', ')[0]}, by discrete elements.")
         for part in ("scene", "check", "trading"):
             if hasattr(file, f"{part}_dem"):
                 setattr(module, part, getattr(file, f"{part}_dem"))

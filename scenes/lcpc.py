@@ -48,19 +48,19 @@ def _measure(concrete: Specimen, size: Sizes) -> dict[str, float]:
 def _at_rest(k: Outcome, place: int) -> float | None:
     """Return the depth at the near end, that at the far end, or the length that concrete covers, by `place` [m].
 
-    The result is None for concrete so stiff that it would not spread beyond the column in which it starts.
+    The result is None for concrete so stiff that it would rest deeper than the column in which it starts.
     """
     found = box_at_rest(k.whole, k.size["length"], k.size["width"], k.concrete.yield_stress, k.density, k.gravity)
-    return found[place] if found[2] > k.size["column_length"] else None
+    return found[place] if found[0] < k.whole / (k.size["column_length"] * k.size["width"]) else None
 
 
 def _yield_stress(k: Outcome) -> float | None:
     """Return the yield stress that follows from the spread length [Pa].
 
-    It is None if the concrete reached the far end, or if its weight is not known.
+    It is None if the concrete did not spread or reached the far end, or if its weight is not known.
     """
     reach = k.last("front")
-    if reach > k.size["length"] - AT_THE_END or not k.density * k.whole:
+    if not k.size["column_length"] < reach <= k.size["length"] - AT_THE_END or not k.density * k.whole:
         return None
     return box_yield_stress(reach, k.whole, k.size["width"], k.density, k.gravity)
 

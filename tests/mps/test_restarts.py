@@ -10,7 +10,9 @@ from click.testing import CliRunner
 from warpcrete import SceneError, Simulation, scenes
 from warpcrete.cli.main import cli
 from warpcrete.core.run.run_loop import Recorder
-from warpcrete.studies.lines.losses import line_of, restart
+from warpcrete.studies.lines.losses import line_of
+from warpcrete.studies.lines.result import Stop
+from warpcrete.studies.lines.run import run_line
 from warpcrete.theory.pipe import Concrete
 
 PLUG = dict(
@@ -136,15 +138,17 @@ def test_rests_that_cannot_be_are_refused_in_one_line(bad, message):
 
 
 def test_a_line_restarts_as_the_sum_of_its_parts():
-    line = line_of({"parts": [{"straight": "10 m"}, {"bend": {"to": "up", "radius": "0.5 m"}}, {"straight": "5 m"}],
+    line = line_of({"parts": [{"straight": "10 m"}, {"bend": {"to": "up", "radius": "0.5 m", "factor": 1}},
+                              {"straight": "5 m"}],
                     "diameter": "100 mm"})  # fmt: skip
     plug = Concrete(density=2400, viscosity=30, yield_stress=500, slip_viscosity=1000, slip_yield=20)
     length, rise = 15 + 0.25 * math.pi, 5.5
     weight = 2400 * 9.81 * rise
-    assert restart(line, plug, 600.0, 0.3) == pytest.approx(weight + 4 * 200 / 0.1 * length, rel=1e-9)
+    stopped = run_line(line, plug, 2e-3, simulate=False, stop=Stop(600.0, 0.3))
+    assert stopped.restart().value == pytest.approx(weight + 4 * 200 / 0.1 * length, rel=1e-9)
     speed = 2e-3 / (math.pi * 0.05**2)
     moving = weight + 4 * (200 + 1000 * speed) / 0.1 * length
-    assert restart(line, plug, 600.0, 0.3, 2e-3) == pytest.approx(moving, rel=1e-9)
+    assert stopped.restart(2e-3).value == pytest.approx(moving, rel=1e-9)
     found = CliRunner().invoke(cli, ["line", "burj-khalifa", "--theory", "--rest", "600", "--thixotropy", "0.3"])
     words = "after 10 min of rest, with a yield stress that grows by 0.3 Pa/s (theory), it starts to move at 198.2 ("
     assert found.exit_code == 0 and words in found.output

@@ -13,7 +13,7 @@ from warpcrete.cli.main import cli
 from warpcrete.geometry.pumps import Pump, pump_of
 from warpcrete.studies.lines.answers import EFFICIENCY, band_sentences
 from warpcrete.studies.lines.fittings import METHODS_ON_BENDS, MODEL_ERRORS, VALVE_PRESSURE, library_factor
-from warpcrete.studies.lines.losses import line_of, restart
+from warpcrete.studies.lines.losses import line_of
 from warpcrete.studies.lines.result import Stop, lines_of
 from warpcrete.studies.lines.run import run_line
 from warpcrete.theory.bands import Band
@@ -195,10 +195,8 @@ def test_a_restart_has_a_band():
     found = pumped({"straight": 100}, stop=stop)
     at_rest, flowing = found.restart(), found.restart(FLOW)
     assert at_rest.value == pytest.approx(4 * 350 * 100 / 0.125)
-    assert at_rest.value == pytest.approx(restart(found.line, PLUG, 600, 0.5), rel=1e-12)
     assert (at_rest.low, at_rest.high) == pytest.approx((4 * 110 * 100 / 0.125, 4 * 650 * 100 / 0.125))
     assert at_rest.shares == {"thixotropy": 1.0}
-    assert flowing.value == pytest.approx(restart(found.line, PLUG, 600, 0.5, FLOW), rel=1e-12)
     assert flowing.value == pytest.approx(at_rest.value + found.pressure - 4 * 50 * 100 / 0.125)
     both = pumped({"straight": 100}, {"bend": "left"}, stop=Stop(600.0, 0.5), factor=2.0).restart(FLOW)
     assert set(both.shares) == {"slip layer", "bends"} and both.low < both.value < both.high

@@ -40,8 +40,10 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
     growth = growth_of(rest, grown)
     stop = None if rest is None else Stop(rest, growth, THIXOTROPY_BAND if grown is None else None)
     given = line_inputs(line, settings)
-    if settings["blocking"] is not None and out is None:
-        out = next_folder("line")
+    if settings["blocking"] is not None:
+        if given.guessed:
+            raise click.UsageError("blocking: needs the file of a concrete; write a mix, and give it as --concrete")
+        out = out or next_folder("line")
     if simulate or method != "flow":
         if _simulated(given, method, out, stop, settings):
             raise SystemExit(CHECK_FAILED)
@@ -52,6 +54,9 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         click.echo("\n" + "\n".join(fit_lines(fit, pipes)))
         pipes, layer, concrete = fit.line(pipes), {"variants": fit.variants(concrete)}, fit.concrete(concrete)
         if given.flow is None:
+            needs = [name for name in ("rest", "blocking", "pump_pressure") if settings[name] is not None]
+            if out is not None or settings["practice"] or needs:
+                raise click.UsageError("flow: is missing; an answer beyond the fit needs it, as in --flow '30 m3/h'")
             return
     assert given.flow is not None
     asked = {"line": pipes.name, "parts": fingerprint(pipes.parts), "concrete": given.name, "flow": given.flow}
@@ -137,10 +142,6 @@ def _judge_blocking(line: PipeLine, given: LineInputs, folder: Path | None, sett
     """Print the rules against blocking and, if the option asks for it, the simulated probability of a blockage."""
     print_rules(line, given.mix, folder)
     if settings["blocking"] is not None and folder is not None:
-        if given.guessed:
-            raise click.UsageError(
-                "blocking: needs the file of a concrete; write a mix file, and give it as --concrete"
-            )
         assert given.flow is not None
         importlib.import_module(f"{__package__}.line_blocked").run(line, given.name, given.flow, folder, settings)
 

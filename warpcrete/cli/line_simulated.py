@@ -65,7 +65,8 @@ def _print(
     if packed is not None:
         others = {} if found is None else {"flow": [x.friction for x in found.losses]}
         if completed(name).flow:
-            others["theory"] = [friction(part, concrete_of(name), rate) for part in line.parts]
+            concrete = concrete_of(name)
+            others["theory"] = [friction(part, concrete, rate) for part in line.parts]
         text = element_table_lines(packed, others)
         click.echo("\n" + "\n".join(text))
         with atomic_file(folder / "line-dem.md") as partial:

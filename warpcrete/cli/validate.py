@@ -48,4 +48,4 @@ def run(
     if out is not None:
         with new_folder(out):
             found.write(out)
-        click.echo(f"written: {out / 'validation.md'}, {out / 'validation.png'}")
+        click.echo(f"written: {out / 'validation.md'}")

@@ -196,7 +196,7 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
         refuse("mix sizes", given["sizes"], "is given together with 'sieve'", "leave out 'sizes' or 'sieve'")
     heavy = _number(given, "aggregate_density") or GRAVEL
     with errors_located_at(given, "parts" if "parts" in given else "density"):
-        density, summed = _density(given, heavy)
+        density, summed, masses = _density(given, heavy)
     with errors_located_at(given, "aggregate"):
         share = _share(given["aggregate"], heavy) if "aggregate" in given else None
     with errors_located_at(given, "mortar"):
@@ -234,12 +234,12 @@ def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
         spread=spread,
         t500=t500,
         layer=_entry(given, "layer", lambda found: read_layer(found, folder)) or Layer(),
-        paste_solids=_paste_solids(given),
-        sand_and_stone=_sand_and_stone(given),
+        paste_solids=_paste_solids(given, masses),
+        sand_and_stone=_sand_and_stone(given, masses),
         thickener=_thickener(given),
-        parts=_masses(given),
-        paste_share=_paste_share(given),
-        water_binder=_water_binder(given),
+        parts=masses,
+        paste_share=_paste_share(given, masses),
+        water_binder=_water_binder(given, masses),
         voids=_number(given, "voids"),
         fine_sand=_number(given, "fine_sand"),
     )
@@ -253,19 +253,13 @@ def _entry(given: Mapping[str, Any], name: str, read: Callable[[Any], T]) -> T |
         return read(given[name])
 
 
-def _masses(given: Mapping[str, Any]) -> dict[str, float]:
-    """Return the ingredients of a cubic metre [kg/m3] by their names."""
-    load = _number(given, "volume")
-    return {str(name): mass_per_volume(str(name), x, load) for name, x in given.get("parts", {}).items()}
-
-
-def _paste_solids(given: Mapping[str, Any]) -> float | None:
+def _paste_solids(given: Mapping[str, Any], masses: Mapping[str, float]) -> float | None:
     """Return the share of powder in the paste's volume, from the ingredients or from the ratio of water to binder."""
     ratio = _number(given, "water_binder")
-    powder, liquid = paste_volumes(_masses(given))
+    powder, liquid = paste_volumes(masses)
     found = powder / (powder + liquid) if powder > 0 and liquid > 0 else None
     if found is not None and found > DENSEST_PASTE:
-        refuse("mix parts", f"{water_mass(_masses(given)):.4g} kg/m3 of water", "is too little for the powder: "
+        refuse("mix parts", f"{water_mass(masses):.4g} kg/m3 of water", "is too little for the powder: "
                f"{100 * found:.3g} % of the paste would be solid, and {100 * DENSEST_PASTE:g} % is the most that flows",
                "check the amount of water and its unit")  # fmt: skip
     if ratio is None:
@@ -278,23 +272,23 @@ def _paste_solids(given: Mapping[str, Any]) -> float | None:
     return found or stated
 
 
-def _sand_and_stone(given: Mapping[str, Any]) -> float | None:
+def _sand_and_stone(given: Mapping[str, Any], masses: Mapping[str, float]) -> float | None:
     """Return the share of sand and stones in the volume of the concrete; None if the ingredients do not tell it."""
-    powder, liquid = paste_volumes(_masses(given))
+    powder, liquid = paste_volumes(masses)
     air = _number(given, "air")
-    return 1 - powder - liquid - (USUAL_AIR if air is None else air) if powder > 0 and liquid > 0 else None
+    rest = 1 - powder - liquid - (USUAL_AIR if air is None else air)
+    return max(rest, 0.0) if powder > 0 and liquid > 0 else None
 
 
-def _paste_share(given: Mapping[str, Any]) -> float | None:
+def _paste_share(given: Mapping[str, Any], masses: Mapping[str, float]) -> float | None:
     """Return the share of powder and liquid in the volume of the concrete; None if the ingredients do not tell it."""
-    powder, liquid = paste_volumes(_masses(given))
+    powder, liquid = paste_volumes(masses)
     return powder + liquid if powder > 0 and liquid > 0 else None
 
 
-def _water_binder(given: Mapping[str, Any]) -> float | None:
+def _water_binder(given: Mapping[str, Any], masses: Mapping[str, float]) -> float | None:
     """Return the mass of water over that of powder, as stated or from the ingredients."""
-    parts = _masses(given)
-    powder, water = powder_mass(parts), water_mass(parts)
+    powder, water = powder_mass(masses), water_mass(masses)
     return _number(given, "water_binder") or (water / powder if powder > 0 and water > 0 else None)
 
 
@@ -325,8 +319,8 @@ def _number(given: Mapping[str, Any], name: str) -> float | None:
     return found
 
 
-def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool]:
-    """Return the concrete's density [kg/m3], and whether it is the sum of its ingredients.
+def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[str, float]]:
+    """Return the concrete's density [kg/m3], whether it is the sum of its ingredients, and these [kg/m3] by name.
 
     `heavy` is the density of the coarse aggregate [kg/m3].
     """
@@ -339,7 +333,7 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool]:
                 "must be given for the concrete",
                 "add, for example, 'density: 2350 kg/m3', or list the ingredients as 'parts'",
             )
-        return own, False
+        return own, False, {}
     parts = given["parts"]
     if not isinstance(parts, Mapping) or not parts:
         refuse(
@@ -383,7 +377,7 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool]:
             "whole load",
         )
     check_volume(masses, heavy, air)
-    return (own, False) if own is not None else (total, True)
+    return (total, True, masses) if own is None else (own, False, masses)
 
 
 def _share(given: Any, heavy: float) -> float:

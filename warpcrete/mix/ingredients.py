@@ -20,7 +20,7 @@ DENSITIES = {
                      "basalt", "crushed", "coarse", "fine", "pebbles"), 2650.0),
     **dict.fromkeys(("superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "admixture", "admixtures",
                      "retarder", "accelerator", "entrainer", "stabilizer", "stabiliser", "modifier", "vma", "pce",
-                     "sp", "latex"), 1100.0),
+                     "sp", "latex", "agent"), 1100.0),
     **dict.fromkeys(("steel", "fibres", "fibers", "fibre", "fiber"), 7850.0),
     **dict.fromkeys(("barite", "baryte"), 4200.0),
     **dict.fromkeys(("magnetite", "hematite"), 4900.0),
@@ -39,8 +39,10 @@ POWDERS = ("cement", "clinker", "cem", "opc", "type", "binder", "powder", "slag"
 """Words for ingredients whose grains are finer than sand and belong to the paste."""
 LIQUIDS = ("water", "ice", "superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "admixture",
            "admixtures", "retarder", "accelerator", "entrainer", "stabilizer", "stabiliser", "modifier", "vma", "pce",
-           "sp", "latex")  # fmt: skip
+           "sp", "latex", "agent")  # fmt: skip
 """Words for the liquids of the paste: water and dissolved admixtures."""
+ROCKS = ("limestone", "marble", "quartz")
+"""Words that mean powder alone, and aggregate if it is crushed or has a grain size."""
 PLASTICIZERS = ("superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "pce", "sp")
 """Words for admixtures that make a concrete flow."""
 THICKENERS = ("vma", "stabilizer", "stabiliser", "modifier")
@@ -64,8 +66,9 @@ def _words(name: str) -> list[str]:
 
 
 def is_thickener(name: str) -> bool:
-    """Return whether an ingredient is a viscosity-modifying admixture."""
-    return any(word in THICKENERS for word in _words(name))
+    """Return whether an ingredient is a viscosity-modifying admixture; a hydration stabilizer is a retarder."""
+    words = _words(name)
+    return "hydration" not in words and any(word in THICKENERS or word.startswith("viscosity") for word in words)
 
 
 def is_plasticizer(name: str) -> bool:
@@ -103,8 +106,15 @@ def sand_and_stone_masses(parts: Mapping[str, float]) -> tuple[float, float]:
 
 
 def _noun(name: str) -> str:
-    """Return the last known word of an ingredient's name, which says what it is; empty if no word is known."""
-    return next((word for word in reversed(_words(name)) if word in DENSITIES), "")
+    """Return the word of an ingredient's name that says what it is, usually the last known one; empty if none is known.
+
+    Limestone sand is sand, silica fume is powder, and limestone that is crushed or has a grain size ("limestone 8/16")
+    is aggregate. "Type" stands for cement only if there is no other word, as in "Type I/II".
+    """
+    known = [word for word in _words(name) if word in DENSITIES]
+    noun = ([word for word in known if word != "type"] or known or [""])[-1]
+    stony = "crushed" in known or re.search(r"\d\s*[/-]\s*\d", name) is not None
+    return "aggregate" if noun in ROCKS and stony else noun
 
 
 def paste_volumes(parts: Mapping[str, float]) -> tuple[float, float]:
@@ -115,7 +125,7 @@ def paste_volumes(parts: Mapping[str, float]) -> tuple[float, float]:
     """
     powder, liquid, water = 0.0, 0.0, False
     for name, mass in parts.items():
-        noun = _noun(name)  # limestone sand is sand, and silica fume is powder
+        noun = _noun(name)
         if noun in POWDERS:
             powder += mass / DENSITIES[noun]
         elif noun in LIQUIDS:
@@ -137,15 +147,14 @@ def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
     whole = is_amount(value, "kg") or is_amount(value, "m3")
     if whole and load is None:
         refuse(field, value, f"must be a number with one of {', '.join(unit_names('kg/m3'))}, because the volume of "
-                             "the "
-               "load is unknown", "or add the volume, as in 'volume: 8 yd3'")  # fmt: skip
+               "the load is unknown", "or add the volume, as in 'volume: 8 yd3'")  # fmt: skip
     liquid = is_amount(value, "m3") or (is_amount(value, "m3/m3") and not str(value).rstrip().endswith("%"))
     if liquid:
-        known = [word for word in _words(name) if word in DENSITIES]
-        if not known or known[-1] not in LIQUIDS:
+        noun = _noun(name)
+        if noun not in LIQUIDS:
             refuse(field, value, "is a volume, which is accepted for water and liquid admixtures only",
                    "give its mass, for example '340 kg/m3' or '570 lb/yd3'")  # fmt: skip
-        return DENSITIES[known[-1]] * (amount(field, value, "m3") / load if whole and load
+        return DENSITIES[noun] * (amount(field, value, "m3") / load if whole and load
                                        else amount(field, value, "m3/m3"))  # fmt: skip
     return amount(field, value, "kg") / load if whole and load else amount(field, value, "kg/m3")
 
@@ -155,12 +164,10 @@ def density_of(name: str) -> float | None:
 
     Raises :class:`SceneError` for a name that is probably misspelt.
     """
-    words = _words(name)
-    if any(word in VARIABLE for word in words):
+    if any(word in VARIABLE for word in _words(name)):
         return None
-    known = [DENSITIES[word] for word in words if word in DENSITIES]
-    if known:
-        return known[-1]  # The last word is the noun, as in "limestone sand".
+    if noun := _noun(name):
+        return DENSITIES[noun]
     meant = suggested(name, DENSITIES)
     if meant:
         refuse("mix parts", name, "is not a known ingredient", meant)

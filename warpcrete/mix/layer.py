@@ -93,7 +93,7 @@ def layers(given: MixEntries, concrete: Concrete, viscosity: Figure) -> Iterator
     yield from _measured(given, concrete)
     thick, blur = (THICKENER_FACTOR, THICKENER_ERROR) if given.thickener else (1.0, 1.0)
     more = f", times {thick:g} for a viscosity-modifying admixture (Xu, Li & Jiang 2021)" if given.thickener else ""
-    if given.paste_solids is not None and given.paste_solids < 0.95 * PASTE_DENSEST:
+    if given.paste_solids is not None:
         value, error = thick * paste_layer(given.paste_solids), blur * PASTE_ERROR_FACTOR
         yield _pair(value, (value / error, value * error), PASTE_YIELD, concrete,
                     f"{100 * given.paste_solids:.3g} % of powder in the paste",

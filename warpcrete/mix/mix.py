@@ -12,10 +12,10 @@ from typing import Any
 from ..core.errors import between, positive, refuse
 from ..core.inputs.amounts import amount
 from ..core.inputs.concretes import NamedConcrete, concrete, known_only
-from ..theory.pipe import Concrete
+from ..theory.pipe import Concrete, scaled
 from .figures import Figure, around, reconciled, short
 from .given import DENSITY_TOLERANCE, MixEntries, read
-from .layer import layers
+from .layer import ASSUMPTION, layers
 from .rheology import mortar, unknown_viscosity, viscosities, yield_stresses
 
 FLOW = {"density": "density", "viscosity": "viscosity", "yield_stress": "yield stress",
@@ -46,6 +46,8 @@ class Mix:
     """All properties calculated from the mix, in SI units."""
     remarks: tuple[str, ...] = ()
     """Warnings for the reader of the results."""
+    factors: tuple[float, float] = (1.0, 1.0)
+    """Factors on yield stresses and viscosities for another age or temperature, as the section `flow` states them."""
 
     def __repr__(self) -> str:
         return f"<Mix {self.name!r}: {', '.join(f'{f.name} {f.span}' for f in self.figures[:5])}>"
@@ -65,7 +67,12 @@ class Mix:
 
     @property
     def concrete(self) -> Concrete:
-        """The mix as a yield stress fluid with a slip layer."""
+        """The mix as a yield stress fluid with a slip layer, at the age and temperature of `factors`."""
+        return scaled(self._plain, *self.factors)
+
+    @property
+    def _plain(self) -> Concrete:
+        """The mix without its `factors`."""
         return Concrete(name=self.name, **self.flow)
 
     @property
@@ -85,12 +92,13 @@ class Mix:
         for cause, keys in CAUSES.items():
             ends = [{key: getattr(self[FLOW[key]], end) for key in keys} for end in ("low", "high")]
             if ends[0] != ends[1]:
-                found[cause] = (replace(self.concrete, **ends[0]), replace(self.concrete, **ends[1]))
+                low, high = (scaled(replace(self._plain, **end), *self.factors) for end in ends)
+                found[cause] = (low, high)
         return found
 
     @property
     def flow(self) -> dict[str, float]:
-        """Constants for the section `flow` of a concrete's file."""
+        """Constants for the section `flow` of a concrete's file, without `factors`."""
         return {key: self[name].value for key, name in self._constants.items()}
 
     @property
@@ -171,8 +179,13 @@ def mix_in(found: NamedConcrete) -> Mix | None:
     if found.mix is None:
         return None
     stated = known_only("flow", found.mix.flow, {**FLOW, **LAWS, **FACTORS}, found.name)
-    stated = {key: value for key, value in stated.items() if key not in FACTORS}
-    return mix_of(found.mix.values, found.mix.folder, found.name, found.source, stated)
+    yields, viscous = (amount(f"concrete flow {key}", stated.pop(key, plain), "1") for key, plain in FACTORS.items())
+    mix = mix_of(found.mix.values, found.mix.folder, found.name, found.source, stated)
+    if yields == viscous == 1.0:
+        return mix
+    said = (f"the table is before the factors of the section 'flow': {yields:g} on yield stresses, {viscous:g} on "
+            "viscosities")  # fmt: skip
+    return replace(mix, factors=(yields, viscous), remarks=(*mix.remarks, said))
 
 
 def mix_of(
@@ -214,8 +227,10 @@ def mix_of(
         name=name, density=bulk["density"].value, viscosity=bulk["viscosity"].value,
         yield_stress=bulk["yield stress"].value, slip_viscosity=1.0, slip_yield=0.0, **thickens,
     )  # fmt: skip
-    estimates = list(layers(told, fluid, bulk["viscosity"]))
-    slip = {figure.name: figure for figure in estimates[0]} | bulk
+    first, *others = layers(told, fluid, bulk["viscosity"])
+    slip = {figure.name: figure for figure in first} | bulk
+    remarks += [f"another estimate of the slip viscosity: {each.span} from {each.way}" for each, _ in others
+                if each.way != ASSUMPTION]  # fmt: skip
     figures = [*(slip[each] for each in FLOW.values()), *laws.values()]
     if told.sieve is None and told.sizes is None:
         remarks.append("the mix has no sieve curve: elements have the sizes of the scene, by default 5 to 20 mm")

@@ -178,10 +178,10 @@ def _features(simulation: FluidSimulation) -> dict[str, str]:
 
 def law_features(concrete: Concrete) -> dict[str, str]:
     """Return the flow laws of bulk and slip layer that are not Bingham's, as text for a forecast's list of features."""
-    laws = {"flow law": concrete.bulk_law, "law of the slip layer": concrete.layer_law}
+    laws = {"flow law": (concrete.bulk_law, "Pa s2"), "law of the slip layer": (concrete.layer_law, "Pa s2/m2")}
     return {
-        name: f"{law.name}, n = {law.index:g}" if law.index != 1 else f"{law.name}, c = {law.quadratic:g} Pa s2"
-        for name, law in laws.items() if law.name != BINGHAM
+        name: f"{law.name}, n = {law.index:g}" if law.index != 1 else f"{law.name}, c = {law.quadratic:g} {unit}"
+        for name, (law, unit) in laws.items() if law.name != BINGHAM
     }  # fmt: skip
 
 

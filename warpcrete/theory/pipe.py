@@ -360,9 +360,10 @@ def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:
     shears; the x^4 term of the Buckingham-Reiner law, with x = yield stress / wall stress, is left out (Kaplan, de
     Larrard & Sedran 2005). Raises :class:`SceneError` for other laws than Bingham's.
     """
-    for law, name in ((concrete.bulk_law, "flow_index"), (concrete.layer_law, "slip_flow_index")):
+    for law, part in ((concrete.bulk_law, ""), (concrete.layer_law, "slip_")):
         if law.name != BINGHAM:
-            refuse(name, law.index, f"cannot be used with Kaplan's model, which has no {law.name} law", "use steady")
+            name, value = ("flow_index", law.index) if law.index != 1 else ("quadratic_viscosity", law.quadratic)
+            refuse(part + name, value, f"cannot be used with Kaplan's model, which has no {law.name} law", "use steady")
     between("flow", flow, 0, np.inf, "[m3/s]")
     mean, radius = flow / (np.pi * line.radius**2), line.radius
     slip = mean

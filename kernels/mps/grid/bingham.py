@@ -101,6 +101,8 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
         over one cell. If a plug ends within the cells, `rate` is larger than the shear rate at the corner itself.
         """
         viscosity = apparent(g, rate)
+        if rate <= scalar(0.0):
+            return viscosity
         # Estimate the stress at the cells' common corner as if the edge of the plug were not inside these cells. Two
         # straight lines approximate the shear rate as a function of the stress.
         most = wp.min(

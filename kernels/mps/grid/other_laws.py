@@ -93,10 +93,12 @@ def edge_function(scalar, dimensions: int, law: str):
         `rate` is the shear rate of both cells together, and `change` is the change of the stress over one cell.
         """
         viscosity = apparent(g, rate)
+        if rate <= scalar(0.0):
+            return viscosity
         stiff = unyielded_viscosity(g)
         sheared = rate - g.yield_stress / stiff
         over = h.stress(g.viscosity, g.flow_index, g.quadratic_viscosity, wp.max(sheared, scalar(0.0)))
-        # This is the stress at the corner if the rate hardly varies in the cells.
+        # Estimate the stress at the cells' common corner as if the rate hardly varied in these cells.
         plain = g.yield_stress + over
         if sheared <= scalar(0.0):
             plain = rate * stiff
@@ -131,7 +133,7 @@ def edge_function(scalar, dimensions: int, law: str):
             s = next
             if wp.abs(step) <= scalar(1.0e-4) * s:
                 break
-        return viscosity * s / plain
+        return s / rate
 
     return apparent_at_edge
 

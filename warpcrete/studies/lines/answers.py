@@ -92,8 +92,13 @@ class PumpMargin:
 
     def sentence(self) -> str:
         """Return the comparison in words."""
-        text = (f"the pump is {self.verdict}: it delivers {self.pump.pressure / 1e5:.4g} bar, {self.factor:.2f} times "
-                f"the pressure needed")  # fmt: skip
+        if self.pump.flow is not None and self.flow > self.pump.flow:
+            return (f"the pump is too weak: it delivers {3600 * self.pump.flow:.4g} m3/h at most, and "
+                    f"{3600 * self.flow:.4g} m3/h are wanted")  # fmt: skip
+        text = f"the pump is {self.verdict}: it delivers {self.pump.pressure / 1e5:.4g} bar"
+        if self.band.value <= 0:
+            return f"{text}, and the line needs no pressure"
+        text += f", {self.factor:.2f} times the pressure needed"
         if self.band.high > self.band.value:
             text += f", and {self.pump.pressure / self.band.high:.2f} times the upper end of the band"
         text += f" (AIJ asks for {MARGIN:g} times)"
@@ -101,8 +106,7 @@ class PumpMargin:
             text += (f"; the motor has {self.pump.power / 1e3:.3g} kW, and the line needs "
                      f"{motor_power(self.band.value, self.flow) / 1e3:.3g} kW")  # fmt: skip
         if self.pump.flow is not None:
-            word = "enough" if self.flow <= self.pump.flow else "too little"
-            text += f"; its flow of up to {3600 * self.pump.flow:.4g} m3/h is {word}"
+            text += f"; its flow of up to {3600 * self.pump.flow:.4g} m3/h is enough"
         return text
 
     def record(self) -> dict[str, Any]:

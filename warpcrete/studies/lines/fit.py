@@ -18,8 +18,8 @@ from ...core.inputs.text_files import read_rows
 from ...core.units import quantity
 from ...theory.fits import student_t
 from ...theory.pipe import Concrete
-from .fittings import MODEL_ERRORS
-from .losses import GRAVITY, Part, PipeLine, straight_friction
+from .fittings import MODEL_ERRORS, library_factor
+from .losses import GRAVITY, Part, PipeLine, straight_friction, with_layer_factor
 
 NAMES = ("slip viscosity", "slip yield", "factor of bends")
 UNITS = ("Pa s/m", "Pa", "")
@@ -32,6 +32,8 @@ DEPENDENT = 1e-3
 """Smallest singular value of the scaled sensitivities at which a constant still counts as determined by the points."""
 LEAST = (1e-2, -1.0, 0.0)
 """Limits of slip viscosity [Pa s/m], slip yield [Pa] and factor of bends, up to which a fitted value is impossible."""
+NOTHING = {1: 1e-3, 2: 0.0}
+"""Slip yield [Pa] and factor of bends below which the points cannot tell the constant from nothing."""
 ITERATIONS = 50
 """Largest number of iterations of the least-squares fit."""
 
@@ -100,10 +102,7 @@ class LineFit:
     def variants(self, concrete: Concrete) -> dict[str, tuple[Concrete, Concrete]]:
         """Return the concrete with the layer at both ends of its band, as the only cause of uncertainty."""
         own = self.concrete(concrete)
-        low, high = (
-            replace(own, slip_viscosity=x * own.slip_viscosity, slip_yield=x * own.slip_yield)
-            for x in (1 / (1 + self.uncertainty), 1 + self.uncertainty)
-        )
+        low, high = (with_layer_factor(own, x) for x in (1 / (1 + self.uncertainty), 1 + self.uncertainty))
         return {"slip layer": (low, high)}
 
     def line(self, line: PipeLine) -> PipeLine:
@@ -181,7 +180,7 @@ def _is_free(part: Part) -> bool:
 class _Model:
     """Pressure at the taps as a function of slip viscosity, slip yield and the factor of bends."""
 
-    def __init__(self, line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> None:
+    def __init__(self, line: PipeLine, concrete: Concrete, taps: Sequence[Tap], bends: bool = True) -> None:
         self.concrete, self.taps = concrete, taps
         starts = np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
         self.kinds: dict[tuple[Any, ...], Part] = {}
@@ -197,7 +196,9 @@ class _Model:
                 kind = (part.diameter, part.outlet, part.layer)
                 self.kinds.setdefault(kind, part)
                 metres = own.setdefault(kind, [0.0, 0.0])
-                metres[_is_free(part)] += share * part.length * part.relative
+                # Bends that are fitted start from straight pipe; all other parts weigh as in the prediction.
+                weight = 1.0 if bends and _is_free(part) else library_factor(part)
+                metres[bends and _is_free(part)] += share * part.length * part.relative * weight
                 rise += share * part.rise
             self.metres.append(own)
             self.rises.append(rise)
@@ -205,15 +206,12 @@ class _Model:
     def pressures(self, constants: np.ndarray) -> np.ndarray:
         """Return the pressures at the taps [Pa], shape (taps,)."""
         concrete = replace(self.concrete, slip_viscosity=float(constants[0]), slip_yield=float(constants[1]))
-        known: dict[tuple[Any, ...], float] = {}
         found = []
         for tap, metres, rise in zip(self.taps, self.metres, self.rises, strict=True):
             total = concrete.density * GRAVITY * rise
             for kind, (plain, bends) in metres.items():
-                if (kind, tap.flow) not in known:
-                    part = self.kinds[kind]
-                    known[kind, tap.flow] = straight_friction(part, concrete, tap.flow) / part.length
-                total += known[kind, tap.flow] * (plain + constants[2] * bends)
+                part = self.kinds[kind]
+                total += straight_friction(part, concrete, tap.flow) / part.length * (plain + constants[2] * bends)
             found.append(total)
         return np.array(found)
 
@@ -254,13 +252,17 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
     if bends and len(taps) > 1:
         free.append(2)
     free = _determined(model.sensitivities(start, free), free)
+    if bends and 2 not in free:
+        model = _Model(line, concrete, taps, bends=False)
     _check_count(taps, free)
     found = _least_squares(model, measured, start, free)
     for place, value in ((2, 1.0), (1, 0.0)):
-        if place in free and found[place] < 0:
+        if place in free and found[place] < NOTHING[place]:
             # The points cannot tell this constant from nothing, so it gets a plain value and the others are fitted.
             free.remove(place)
             start[place] = value
+            if place == 2:
+                model = _Model(line, concrete, taps, bends=False)
             found = _least_squares(model, measured, start, free)
     _check_result(found, free)
     fitted = model.pressures(found)
@@ -331,7 +333,7 @@ def _least_squares(model: _Model, measured: np.ndarray, start: np.ndarray, free:
         while size > 1e-6:
             trial = own.copy()
             trial[places] += size * step
-            if trial[0] > 0:
+            if trial[0] > 0 and (trial[1] >= 0 or 1 not in places):
                 moved = model.pressures(trial) - measured
                 if moved @ moved <= off @ off:
                     break

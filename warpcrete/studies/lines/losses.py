@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
 
 from ...geometry.lines import Part, PipeLine, line_of, read_line, shipped_lines, with_stone
-from ...theory.pipe import Concrete, Line, after_rest, steady
+from ...theory.pipe import Concrete, Line, steady
 
 __all__ = [
     "Part",
@@ -15,7 +16,6 @@ __all__ = [
     "friction",
     "line_of",
     "read_line",
-    "restart",
     "shipped_lines",
     "straight_friction",
     "with_layer_factor",
@@ -40,14 +40,23 @@ def straight_friction(part: Part, concrete: Concrete, flow: float) -> float:
     """Return the friction [Pa] of a straight pipe with the bores, the length and the slip layer of a part."""
     concrete = with_layer_factor(concrete, part.layer)
 
-    def per_metre(diameter: float) -> float:
-        return steady(concrete, Line(radius=diameter / 2, length=1.0, rise=0.0), flow).pressure
+    return _friction_per_metre(concrete, part.diameter, part.outlet, flow) * part.length
 
-    if part.outlet == part.diameter:
-        return per_metre(part.diameter) * part.length
-    bores = part.diameter + (PLACES + 1) / 2 * (part.outlet - part.diameter)
-    losses = [per_metre(each) for each in bores.tolist()]
-    return float(WEIGHTS @ losses) / 2 * part.length
+
+@functools.lru_cache(maxsize=4096)
+def _friction_per_metre(concrete: Concrete, diameter: float, outlet: float, flow: float) -> float:
+    """Return the mean friction per metre [Pa/m] of a pipe whose bore changes evenly from `diameter` to `outlet` [m].
+
+    Most parts of a line share their bores, and the band evaluates each of them for many concretes.
+    """
+
+    def per_metre(bore: float) -> float:
+        return steady(concrete, Line(radius=bore / 2, length=1.0, rise=0.0), flow).pressure
+
+    if outlet == diameter:
+        return per_metre(diameter)
+    bores = diameter + (PLACES + 1) / 2 * (outlet - diameter)
+    return float(WEIGHTS @ [per_metre(each) for each in bores.tolist()]) / 2
 
 
 def with_layer_factor(concrete: Concrete, factor: float) -> Concrete:
@@ -58,14 +67,3 @@ def with_layer_factor(concrete: Concrete, factor: float) -> Concrete:
         slip_yield=factor * concrete.slip_yield,
         slip_quadratic_viscosity=factor * concrete.slip_quadratic_viscosity,
     )
-
-
-def restart(line: PipeLine, concrete: Concrete, rest: float, thixotropy: float, flow: float = 0.0) -> float:
-    """Return the pressure at the pump [Pa] that sets a whole line in motion after a `rest` [s], by the closed form.
-
-    During the rest, the yield stresses grow by `thixotropy` [Pa/s]. With a `flow` of 0 [m3/s], the result is the
-    pressure at which motion begins; with a larger `flow`, it is the pressure for restarting at that flow at once.
-    """
-    grown = after_rest(concrete, rest, thixotropy)
-    weight = concrete.density * GRAVITY * line.rise
-    return max(weight + sum(friction(part, grown, flow) for part in line.parts), 0.0)

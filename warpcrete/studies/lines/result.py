@@ -190,8 +190,11 @@ class LineResult:
 
         def pressure(concrete: Concrete, growth: float, of: Callable[[Loss], float]) -> float:
             grown = after_rest(concrete, stop.rest, growth)
-            rubbed = sum(straight_friction(x.part, grown, flow) * of(x) / x.straight for x in self.losses)
-            return max(rubbed + concrete.density * GRAVITY * self.line.rise, 0.0)
+            ratio = concrete.density / self.concrete.density
+            course = self.course(
+                lambda x: straight_friction(x.part, grown, flow) * of(x) / x.straight + x.weight * ratio
+            )[1]
+            return float(course[0])
 
         def own(x: Loss) -> float:
             return x.friction

@@ -8,15 +8,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ...core.errors import one_of, refuse
+from ...core.errors import one_of, positive, refuse
 from ...core.inputs.amounts import amount
 from ...core.inputs.text_files import errors_located_at, read_mapping
-from .kinds import UNITS
+from .kinds import BLOCKING, UNITS
 
 SHIPPED = Path(__file__).parents[2] / "measured" / "cases"
 FILE_KEYS = ("sources", "lines", "cases")
 KEYS = ("id", "kind", "group", "source", "where", "mix", "flow", "measured", "uncertainty", "note", "test")
 """Entries of a case. `mix` and `test` are the inputs of the prediction, `flow` and `measured` belong together."""
+BY_FLOW = ("pipe", "ratio", "line", "fitting", "profile")
+"""Kinds of cases whose prediction depends on a flow rate."""
 HELD_OUT_SHARE = 3
 """One in this number of groups is held out."""
 FITTED = {
@@ -91,10 +93,11 @@ def read_cases(path: Path) -> list[Case]:
             "must be a list of measured cases",
             "for example '- {id: a, kind: slump, source: smith, measured: 200 mm}'",
         )
+    sources, lines = (_mapping(given, key) for key in ("sources", "lines"))
     found = []
     for number, entry in enumerate(entries):
         with errors_located_at(entries, number):
-            found.append(_case(entry, given.get("sources") or {}, given.get("lines") or {}, path.parent))
+            found.append(_case(entry, sources, lines, path.parent))
     names = [case.name for case in found]
     for name in names:
         if names.count(name) > 1:
@@ -115,6 +118,11 @@ def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], fold
     unit = UNITS[given["kind"]]
     flows = tuple(amount("case flow", x, "m3/s") for x in _listed(given.get("flow", [])))
     measured = tuple(amount("case measured", x, unit) for x in _listed(given["measured"]))
+    if given["kind"] in BY_FLOW and not flows:
+        refuse("case flow", None, f"must be given for a case of kind {given['kind']!r}", "for example 'flow: 30 m3/h'")
+    if given["kind"] != BLOCKING:
+        for value in measured:
+            positive("case measured", value, unit)
     if flows and len(flows) != len(measured):
         refuse("case measured", len(measured), f"must have one value for each of the {len(flows)} flows")
     where = str(given.get("where", ""))
@@ -123,14 +131,22 @@ def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], fold
         kind=str(given["kind"]),
         group=str(given.get("group", given["id"])),
         source=f"{sources[given['source']]}{', ' + where if where else ''}",
-        mix=given.get("mix") or {},
-        test=given.get("test") or {},
+        mix=_mapping(given, "mix"),
+        test=_mapping(given, "test"),
         flows=flows,
         measured=measured,
         note=str(given.get("note", "")),
         lines=lines,
         folder=folder,
     )
+
+
+def _mapping(given: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    """Return an entry that must be a mapping, empty if it is missing."""
+    found = given.get(key) or {}
+    if not isinstance(found, Mapping):
+        refuse(f"cases {key}", found, "must consist of 'key: value' lines")
+    return found
 
 
 def _listed(given: Any) -> Sequence[Any]:

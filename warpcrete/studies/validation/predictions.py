@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from typing import Any
 
-from ...core.errors import refuse
+from ...core.errors import one_of, refuse
 from ...core.inputs.amounts import amount
 from ...mix.mix import Mix, mix_of
 from ...mix.rheology import HEAP_CENTRE, HEAP_CENTRE_MEDIAN, READ_SPREAD
@@ -13,10 +14,12 @@ from ...theory.bands import Band, combined
 from ...theory.inverse import BASE, HEIGHT, TOP, VOLUME
 from ...theory.pipe import Concrete, Line, layer_share, steady
 from ...theory.vessels import funnel_time, heap_at_rest, long_heap_spread, tall_cone_slump
-from ..lines.losses import line_of
+from ..lines.losses import PipeLine, line_of
 from ..lines.run import run_line
 from .cases import Case
 
+LEAST_SLUMP = 0.005
+"""Smallest slump that is predicted [m]; a cone's slump is read to 10 mm."""
 LINE_DENSITY = "2400 kg/m3"
 """Density assumed for a mix that states none; only weight and slump depend on it, and friction does not."""
 
@@ -31,9 +34,21 @@ def mix_of_case(case: Case, section: Mapping[str, object] | None = None) -> Mix:
 
 def _number(case: Case, key: str, unit: str) -> float:
     """Return an entry of a case's section `test` in `unit`."""
+    return amount(f"case test: {key}", _entry(case, key), unit)
+
+
+def _entry(case: Case, key: str) -> Any:
+    """Return an entry of a case's section `test`; raise :class:`SceneError` if it is missing."""
     if key not in case.test:
-        refuse("case test", case.name, f"has no {key!r}", f"add '{key}: ...' to the test")
-    return amount(f"case test: {key}", case.test[key], unit)
+        refuse("case test", case.name, f"has no {key!r}", f"add '{key}: ...'")
+    return case.test[key]
+
+
+def _line_of(case: Case) -> PipeLine:
+    """Return the pump line of a case."""
+    name = str(_entry(case, "line"))
+    one_of("case test: line", name, case.lines)
+    return line_of(case.lines[name], case.name, case.folder)
 
 
 def _banded(mix: Mix, evaluate: Callable[[Concrete], float]) -> Band:
@@ -55,7 +70,7 @@ def _pipe(case: Case) -> list[Band]:
 def _ratio(case: Case) -> list[Band]:
     """Predict the friction of one concrete divided by that of another, in one pipe at one flow."""
     diameter = _number(case, "diameter", "m")
-    mix, other = mix_of_case(case), mix_of_case(case, case.test["reference"])
+    mix, other = mix_of_case(case), mix_of_case(case, _entry(case, "reference"))
     found = []
     for q in case.flows:
         over, under = (_banded(each, lambda c, q=q: _gradient(c, diameter, q)) for each in (mix, other))
@@ -68,7 +83,7 @@ def _ratio(case: Case) -> list[Band]:
 def _line(case: Case) -> list[Band]:
     """Predict the pressure at the pump less the weight of the concrete, both for the line's own density."""
     mix = mix_of_case(case)
-    line = line_of(case.lines[str(case.test["line"])], case.name, case.folder)
+    line = _line_of(case)
     found = []
     for q in case.flows:
         result = run_line(line, mix.concrete, q, simulate=False, variants=mix.variants)
@@ -79,7 +94,7 @@ def _line(case: Case) -> list[Band]:
 
 def _fitting(case: Case) -> list[Band]:
     """Predict the friction of a part divided by that of straight pipe of its length."""
-    line = line_of({"diameter": case.test["diameter"], "parts": [case.test["part"]]}, case.name, case.folder)
+    line = line_of({"diameter": _entry(case, "diameter"), "parts": [_entry(case, "part")]}, case.name, case.folder)
     found = []
     for q in case.flows:
         (loss,) = run_line(line, mix_of_case(case).concrete, q, simulate=False).losses
@@ -90,7 +105,7 @@ def _fitting(case: Case) -> list[Band]:
 
 def line_weight(case: Case) -> float:
     """Return the pressure due to the weight of the concrete in a case's line [Pa]."""
-    line = line_of(case.lines[str(case.test["line"])], case.name, case.folder)
+    line = _line_of(case)
     return mix_of_case(case).concrete.density * Line().gravity * line.rise
 
 
@@ -119,8 +134,9 @@ def _slump(case: Case) -> list[Band]:
         return min(HEIGHT - heap_at_rest(VOLUME, tau, rho)[1], tall_cone_slump(TOP, BASE, HEIGHT, tau, rho))
 
     homogeneous = _banded(mix, slump)
-    value = homogeneous.value - HEAP_CENTRE_MEDIAN
-    return [Band(value, max(homogeneous.low - HEAP_CENTRE, 0.005), homogeneous.high, homogeneous.shares)]
+    value = max(homogeneous.value - HEAP_CENTRE_MEDIAN, LEAST_SLUMP)
+    low = min(value, max(homogeneous.low - HEAP_CENTRE, LEAST_SLUMP))
+    return [Band(value, low, max(value, homogeneous.high), homogeneous.shares)]
 
 
 def _spread(case: Case) -> list[Band]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from ...core.units import number
 from ...methods import method_of
+from ...mps.mixes import CONCRETE_CONSTANTS
 from ...scenes import modules
 from ...theory.bands import Band
 from .cases import Case
@@ -36,10 +37,7 @@ def simulate(case: Case, held_out: bool, *, device: str | None = None, spacing: 
     """
     scene, quantity, more = SIMULATED[case.kind]
     concrete = mix_of_case(case).concrete
-    own = {
-        name: getattr(concrete, name)
-        for name in ("density", "viscosity", "yield_stress", "slip_viscosity", "slip_yield")
-    }
+    own = {name: getattr(concrete, name) for name in CONCRETE_CONSTANTS}
     settings = {"concrete": "own", **own, **more, **({} if spacing is None else {"spacing": spacing})}
     given = modules()[scene].scene(**settings)
     run = method_of(given).simulation(given, device=device).run()

@@ -117,7 +117,7 @@ class Validation:
         return draw(self.comparisons)
 
     def write(self, folder: Path) -> None:
-        """Write validation.md, validation.csv, validation.json and validation.png into a folder."""
+        """Write validation.md, .csv and .json into a folder, and validation.png if quantities were compared."""
         folder.mkdir(parents=True, exist_ok=True)
         with atomic_file(folder / "validation.md") as partial:
             partial.write_text(self.table() + "\n", encoding="utf-8")
@@ -126,8 +126,9 @@ class Validation:
             writer.writerow(CASE_COLUMNS)
             writer.writerows(_case_cells(each) for each in self.comparisons)
         write_json(folder / "validation.json", self.record())
-        with atomic_file(folder / "validation.png") as partial:
-            self.plot().savefig(partial, dpi=150, format="png")
+        if self.comparisons:
+            with atomic_file(folder / "validation.png") as partial:
+                self.plot().savefig(partial, dpi=150, format="png")
 
 
 SUMMARY_COLUMNS = (
