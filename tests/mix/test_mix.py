@@ -13,6 +13,7 @@ from warpcrete.core.inputs.concretes import concrete
 from warpcrete.core.inputs.yaml_files import yaml_text
 from warpcrete.core.units import number
 from warpcrete.dem.scene.concretes import COVERAGE
+from warpcrete.mix.ingredients import is_thickener, paste_volumes
 from warpcrete.mix.mix import completed, mix_of, read_mix
 from warpcrete.mps.mixes import concrete_of
 from warpcrete.studies.lines.losses import line_of
@@ -191,6 +192,42 @@ def test_an_ingredient_that_may_be_powder_leaves_the_paste_unknown():
     with pytest.warns(PlausibilityWarning, match="counts neither as powder nor as stone"):
         unknown = mix_of({"parts": parts | {"CX-7": "564 lb/yd3"}, "slump": "6 in"})
     assert unknown["slip viscosity"].way.startswith("slump")
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("crushed limestone", "stone"), ("limestone 8/16", "stone"), ("limestone 4-16 mm", "stone"),
+        ("limestone powder", "powder"), ("limestone", "powder"), ("limestone sand", "stone"),
+        ("crushed quartz", "stone"), ("Type I/II cement", "powder"), ("Type I/II", "powder"),
+        ("viscosity-modifying admixture", "liquid"), ("anti-washout agent", "liquid"),
+    ],
+)  # fmt: skip
+def test_words_of_an_ingredient_say_what_it_is(name, kind):
+    """The paste of 300 kg of cement and 180 kg of water grows by what belongs to it, and by nothing else."""
+    alone, more = paste_volumes({"cement": 300, "water": 180}), paste_volumes({"cement": 300, "water": 180, name: 100})
+    powder, liquid = more[0] - alone[0], more[1] - alone[1]
+    assert (powder > 1e-6, liquid > 1e-6) == (kind == "powder", kind == "liquid")
+
+
+def test_a_hydration_stabilizer_thickens_nothing():
+    assert is_thickener("viscosity-modifying admixture") and is_thickener("VMA") and is_thickener("stabilizer")
+    assert not is_thickener("hydration stabilizer") and not is_thickener("superplasticizer")
+
+
+def test_factors_of_age_reach_the_band_of_a_mix(tmp_path):
+    """The concrete and the ends of its bands are those of the mix, multiplied by what `flow` states."""
+    text = "mix: {density: 2350, spread: 600 mm, t500: 4 s, water_binder: 0.4}\n"
+    (tmp_path / "plain.yaml").write_text(text, encoding="utf-8")
+    (tmp_path / "old.yaml").write_text(text + "flow: {yield_factor: 2, viscosity_factor: 1.5}\n", encoding="utf-8")
+    plain, old = (read_mix(tmp_path / f"{name}.yaml") for name in ("plain", "old"))
+    assert old.concrete.yield_stress == pytest.approx(2 * plain.concrete.yield_stress)
+    assert old.concrete.slip_viscosity == pytest.approx(1.5 * plain.concrete.slip_viscosity)
+    assert old.variants.keys() == plain.variants.keys() and len(plain.variants) > 1
+    for cause, ends in plain.variants.items():
+        for one, other in zip(ends, old.variants[cause], strict=True):
+            assert other.viscosity == pytest.approx(1.5 * one.viscosity)
+            assert other.slip_yield == pytest.approx(2 * one.slip_yield)
 
 
 def test_ounces_of_admixture_are_fluid_ounces():

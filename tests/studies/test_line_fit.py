@@ -63,6 +63,18 @@ def test_constants_that_points_do_not_determine_are_kept():
     assert fit_line(plain, TRUE, [Tap(0, 20e5, 0.01, 2), Tap(10, 15e5, 0.01, 3)]).line(plain) is plain
 
 
+def test_a_layer_without_yield_stress_stays_without():
+    """Pressures that a straight line extends below zero give a yield stress of 0, and the viscosity that then fits."""
+    plain = line_of({"diameter": "125 mm", "parts": [{"straight": 150}]})
+    points = [Tap(0, bar * 1e5, flow / 3600, 2) for bar, flow in ((11, 30), (17, 45), (22.3, 60))]
+    fit = fit_line(plain, replace(TRUE, viscosity=1e6, yield_stress=1e9), points)
+    speeds = np.array([x.flow for x in points]) / (np.pi * 0.0625**2)
+    stresses = np.array([x.pressure for x in points]) * 0.0625 / 2 / 150
+    assert np.polyfit(speeds, stresses, 1)[1] < 0
+    assert fit.constants[1].value == pytest.approx(0.0, abs=1e-6)
+    assert fit.constants[0].value == pytest.approx(speeds @ stresses / (speeds @ speeds), rel=1e-3)
+
+
 def test_a_fitted_factor_has_its_band_in_the_result():
     fit = fit_line(LINE, GUESS, taps(noise=2e4, parts=(0, 1, 3, 4)))
     found = line_by_theory(fit.line(LINE), fit.concrete(GUESS), 0.01, variants=fit.variants(GUESS), fit=fit)

@@ -60,6 +60,22 @@ def test_a_case_is_predicted_as_a_user_would(tmp_path):
     assert case.source == "our yard, 2026, log 7" and UNITS[case.kind] == "Pa/m"
 
 
+def test_a_mean_of_several_concretes_counts_each_of_them(tmp_path):
+    """Five concretes between 0.8 and 1.25 times the prediction, in a band of 10 %: the middle part is inside."""
+    exact = gradient(20) / 1e3
+    scatter = f"\n    scatter: {{concretes: 5, from: {0.8 * exact} kPa/m, to: {1.25 * exact} kPa/m}}"
+    text = PIPE.format(one=exact, two=1).replace("[20 m3/h, 40 m3/h]", "20 m3/h").replace(", 1 kPa/m]", f"]{scatter}")
+    plain = text.replace("id: yard", "id: other").replace(scatter, "").partition("cases:\n")[2]
+    cases = read_cases(written(tmp_path, text + plain))
+    found = compare(cases[0])
+    expected = np.log(found.band.high / found.band.low) / np.log(1.25 / 0.8)
+    assert cases[0].concretes == 5 and found.inside == pytest.approx(expected) and 0.3 < expected < 0.5
+    (whole,) = [x for x in validate(cases, quick=True).summaries() if x.chosen == "all"]
+    assert whole.inside == pytest.approx((5 * expected + 1) / 6)
+    far = written(tmp_path, text.replace(f"from: {0.8 * exact}", f"from: {1.2 * exact}"))
+    assert compare(read_cases(far)[0]).inside == 0.0
+
+
 def test_bands_add_up_by_cause():
     """Two causes of a factor of two each make a factor of 2^sqrt(2); a third that changes nothing has no share."""
     found = combined(10.0, {"one": (5.0, 20.0), "two": (20.0, 5.0), "none": (10.0, 10.0)})
@@ -85,7 +101,8 @@ def test_shipped_predictions_of_pipes_hold():
     found = validate(kinds=["pipe", "ratio", "line", "layer"], quick=True)
     assert not found.refused
     pipes = {each.chosen: each for each in found.summaries() if each.kind == "pipe"}
-    assert pipes["held out"].error < 0.3 and pipes["held out"].inside == 1.0
+    assert pipes["held out"].error < 0.3 and pipes["held out"].inside > 0.95
+    assert 0.85 < pipes["all"].inside < 0.97  # of 65 concretes
     assert 0.85 < pipes["all"].ratio < 1.15 and pipes["all"].factor < 1.8
     ratios = {each.case.name: each for each in found.comparisons if each.case.kind == "ratio"}
     assert 1.6 < ratios["takeda-1994-powder"].band.value < 5 and ratios["takeda-1994-powder"].inside
@@ -116,7 +133,7 @@ def test_the_command_writes_tables_and_a_figure(tmp_path):
     out = tmp_path / "out"
     done = CliRunner().invoke(cli, ["validate", "--cases", str(path), "--every", "--out", str(out), "--quiet"])
     assert done.exit_code == 0, done.output
-    assert "| yard | pipe | no | Pa/m |" in done.output and "| 1.00 | yes |" in done.output
+    assert "| yard | pipe | no | Pa/m |" in done.output and "| 1.00 | 100 % |" in done.output
     assert {each.name for each in out.iterdir()} == {f"validation.{end}" for end in ("md", "csv", "json", "png")}
     again = CliRunner().invoke(cli, ["validate", "--cases", str(path), "--out", str(out)])
     assert again.exit_code != 0
@@ -133,6 +150,13 @@ def test_the_command_writes_tables_and_a_figure(tmp_path):
         ("[20 m3/h, 40 m3/h]", "[20 m3/h]", "case measured = 2: must have one value for each of the 1 flows"),
         ("measured: [1 kPa/m, 2 kPa/m]", "measured: [1 kPa, 2 kPa]", "case measured = '1 kPa': must be a number"),
         ("id: yard", "ids: yard", "key of a case = 'ids'"),
+        ("flow: [20 m3/h, 40 m3/h]", "note: none", "case flow = None: must be given for a case of kind 'pipe'"),
+        ("[1 kPa/m, 2 kPa/m]", "[0 kPa/m, 2 kPa/m]", "case measured = 0"),
+        ("{diameter: 125 mm}", "125 mm", "cases test = '125 mm': must consist of"),
+        ("where: log 7", "scatter: {concretes: 5}", "has no 'from'; for example {concretes: 6"),
+        ("where: log 7", "scatter: {concretes: 1, from: 1 kPa/m, to: 2 kPa/m}", "must be a whole number of at least 2"),
+        ("where: log 7", "scatter: {concretes: 3, from: 2 kPa/m, to: 1 kPa/m}", "must reach from a positive value"),
+        ("where: log 7", "scatter: {concretes: 3, of: 2}", "key of a scatter = 'of'"),
         ("cases:", "case:", "key of a file of cases = 'case'"),
     ],
 )

@@ -15,8 +15,11 @@ from .kinds import BLOCKING, UNITS
 
 SHIPPED = Path(__file__).parents[2] / "measured" / "cases"
 FILE_KEYS = ("sources", "lines", "cases")
-KEYS = ("id", "kind", "group", "source", "where", "mix", "flow", "measured", "uncertainty", "note", "test")
+KEYS = ("id", "kind", "group", "source", "where", "mix", "flow", "measured", "scatter", "uncertainty", "note",
+        "test")  # fmt: skip
 """Entries of a case. `mix` and `test` are the inputs of the prediction, `flow` and `measured` belong together."""
+SCATTER_KEYS = ("concretes", "from", "to")
+"""Entries of a case's section `scatter`, which describes the concretes of which the measured value is the mean."""
 BY_FLOW = ("pipe", "ratio", "line", "fitting", "profile")
 """Kinds of cases whose prediction depends on a flow rate."""
 HELD_OUT_SHARE = 3
@@ -50,6 +53,10 @@ class Case:
     """Flow rates [m3/s]; one for each measured value, or empty."""
     measured: tuple[float, ...]
     """Measured values in the SI unit of the case's kind."""
+    concretes: int = 1
+    """Number of concretes of which the measured value is the mean."""
+    ends: tuple[float, float] | None = None
+    """Smallest and largest value of these concretes, in the SI unit of the case's kind; None for a single concrete."""
     note: str = ""
     lines: Mapping[str, Any] = field(default_factory=dict, repr=False)
     """Pump lines of the case's file by name."""
@@ -125,6 +132,7 @@ def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], fold
             positive("case measured", value, unit)
     if flows and len(flows) != len(measured):
         refuse("case measured", len(measured), f"must have one value for each of the {len(flows)} flows")
+    concretes, ends = _scatter(_mapping(given, "scatter"), unit)
     where = str(given.get("where", ""))
     return Case(
         name=str(given["id"]),
@@ -135,10 +143,32 @@ def _case(given: Any, sources: Mapping[str, Any], lines: Mapping[str, Any], fold
         test=_mapping(given, "test"),
         flows=flows,
         measured=measured,
+        concretes=concretes,
+        ends=ends,
         note=str(given.get("note", "")),
         lines=lines,
         folder=folder,
     )
+
+
+def _scatter(given: Mapping[str, Any], unit: str) -> tuple[int, tuple[float, float] | None]:
+    """Return the number of concretes behind a mean, with their smallest and largest value in `unit`."""
+    if not given:
+        return 1, None
+    for key in given:
+        one_of("key of a scatter", key, SCATTER_KEYS)
+    for key in SCATTER_KEYS:
+        if key not in given:
+            refuse(
+                "case scatter", dict(given), f"has no {key!r}", "for example {concretes: 6, from: 5 kPa/m, to: 8 kPa/m}"
+            )
+    concretes = given["concretes"]
+    if not isinstance(concretes, int) or concretes < 2:
+        refuse("case scatter: concretes", concretes, "must be a whole number of at least 2")
+    low, high = (amount(f"case scatter: {key}", given[key], unit) for key in ("from", "to"))
+    if not 0 < low < high:
+        refuse("case scatter", dict(given), "must reach from a positive value to a larger one")
+    return concretes, (low, high)
 
 
 def _mapping(given: Mapping[str, Any], key: str) -> Mapping[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,9 +31,17 @@ class Comparison:
         return self.band.value / self.measured
 
     @property
-    def inside(self) -> bool:
-        """True if the measured value lies in the band."""
-        return self.band.contains(self.measured)
+    def inside(self) -> float:
+        """Share of the case's concretes that lie in the band: 0 or 1 for a single concrete.
+
+        Of several concretes, only the smallest and the largest value are known. The others are assumed to lie evenly
+        between these two on a logarithmic scale.
+        """
+        if self.case.ends is None:
+            return float(self.band.contains(self.measured))
+        low, high = self.case.ends
+        below, above = max(low, self.band.low), min(high, self.band.high)
+        return math.log(above / below) / math.log(high / low) if above > below else 0.0
 
 
 def compare(case: Case, held_out: bool = False) -> Comparison:

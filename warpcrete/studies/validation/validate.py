@@ -39,7 +39,7 @@ class Summary:
     error: float
     """Median factor between prediction and measurement, less 1."""
     inside: float
-    """Share of the cases inside their bands."""
+    """Share of the concretes inside the bands of their cases."""
     factor: float
     """Median factor from a prediction to the ends of its band."""
 
@@ -185,7 +185,7 @@ def _summary(kind: str, chosen: str, part: Sequence[Comparison]) -> Summary:
         kind, chosen, len(part), len({each.case.group for each in part}),
         float(np.median(ratios)),
         math.exp(float(np.median(np.abs(np.log(ratios))))) - 1,
-        float(np.mean([each.inside for each in part])),
+        float(np.average([each.inside for each in part], weights=[each.case.concretes for each in part])),
         float(np.median([each.band.factor for each in part])),
     )  # fmt: skip
 
@@ -199,7 +199,7 @@ def _case_cells(x: Comparison) -> tuple[str, ...]:
     name = f"{x.case.name}, simulated" if x.simulated else x.case.name
     numbers = (x.measured, x.band.value, x.band.low, x.band.high)
     return (name, x.case.kind, "yes" if x.held_out else "no", KINDS[x.case.kind].unit,
-            *(f"{each:.4g}" for each in numbers), f"{x.ratio:.2f}", "yes" if x.inside else "no")  # fmt: skip
+            *(f"{each:.4g}" for each in numbers), f"{x.ratio:.2f}", f"{100 * x.inside:.0f} %")  # fmt: skip
 
 
 def markdown(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
