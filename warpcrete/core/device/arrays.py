@@ -97,7 +97,10 @@ if TYPE_CHECKING:
         """Launch a kernel; with `record_cmd`, return the launch without running it."""
 
     def capture_if(condition: DeviceArray, on_true: Callable[[], None]) -> None:
-        """Let a graph run what `on_true` launches only if `condition`, shape (1,), is not 0 at that time."""
+        """Add the work that `on_true` launches to a graph, as a conditional node.
+
+        Each time the graph reaches this node, it runs the work if `condition`, shape (1,), is not 0.
+        """
 
     def array_scan(in_array: DeviceArray, out_array: DeviceArray, inclusive: bool) -> None:
         """Write the prefix sums of an array to another array."""
@@ -139,7 +142,7 @@ class Struct(Protocol):
     def __call__(self) -> Any: ...
 
     def numpy_dtype(self) -> Any:
-        """Return the element type of an array of structs on the host, as NumPy takes it."""
+        """Return the NumPy element type of an array of these structs on the host."""
         ...
 
 

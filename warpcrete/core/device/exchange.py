@@ -128,8 +128,8 @@ class Exchange:
         self._pending_arrays = arrays
         if self.device.is_cuda:
             before = self._last_write
-            # Keep a reference to the page-locked memory of this read, because the cache may drop this memory when it
-            # needs room for another set of arrays.
+            # Keep a reference to the page-locked memory of the pending read. The cache of page-locked memory may drop
+            # its own reference when a set of other arrays is read or written.
             self._pending_buffers = self._buffers("asked", arrays)
             self._pending_buffers.gather(arrays)
             self._read_event = self.device.stream.record_event(self._read_event)

@@ -39,7 +39,7 @@ Size: TypeAlias = int | tuple[int, ...]
 
 
 Arguments: TypeAlias = dict[str, Any]
-"""Arguments of a kernel by parameter name: arrays, structs and numbers. They are unpacked into keywords."""
+"""Arguments of a kernel by parameter name: arrays, structs and numbers."""
 
 
 def tasks_of(dim: Size) -> int:
@@ -245,7 +245,7 @@ class Launcher:
         # `_steps_without_periodic` is the number of steps since the stages with `every` > 1 ran last.
         self._steps_without_periodic = 0
         self.gate = zeros(GATE, dtype=wp.int32, device=device)
-        """Counters of the barrier at which the threads wait for one another, shape (GATE,)."""
+        """Counters of the barrier at which the threads wait for one another; GATE is the number of counters."""
         self.contention = CoreContention()
         self._pool = ThreadPoolExecutor(threads, initializer=thread_pinner(threads)) if threads > 1 else None
         if self._pool is not None:
@@ -316,8 +316,8 @@ class Launcher:
             self.contention.register_thread()
         for size in sizes:
             wp.capture_launch(self._graphs[size, contended, appended][part])
-            # `ended` gives all threads the same answer: a thread that continues waits for the others at the next
-            # barrier, and the flags that `ended` reads change only after that barrier.
+            # All threads get the same result from `ended`, although they call it at different times: the flags that
+            # `ended` reads change only after the next barrier, which no thread passes before all have called `ended`.
             if not parallel(self.device) and ended():
                 return
 

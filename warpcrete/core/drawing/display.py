@@ -117,16 +117,16 @@ class Profile:
 
 @dataclass(frozen=True)
 class Lines:
-    """Lines between bodies, such as force chains."""
+    """Lines that are drawn between bodies, such as force chains."""
 
     ends: np.ndarray
-    """End points of the lines [m], shape (n, 2, 3)."""
+    """End points of n lines that are drawn between bodies [m], shape (n, 2, 3)."""
     forces: np.ndarray
-    """Forces that the lines carry [N], shape (n,)."""
+    """Force between the two bodies that each drawn line joins [N], shape (n,)."""
     radii: np.ndarray
     """Radii with which the lines are drawn [m], shape (n,)."""
     colours: np.ndarray
-    """Colours of the lines as RGB bytes, shape (n, 3)."""
+    """Colours of n lines that are drawn between bodies, as RGB bytes, shape (n, 3)."""
 
 
 class Display(ABC):

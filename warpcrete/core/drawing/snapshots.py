@@ -49,9 +49,10 @@ class PinnedPool:
         return self._arrival_flag
 
     def take(self, arrays: Mapping[str, DeviceArray], device: wp.Device) -> tuple[PinnedBuffers, deque[PinnedBuffers]]:
-        """Return page-locked memory for copies of arrays, and the queue to which this memory returns later.
+        """Return page-locked memory for copies of arrays, and the pool's queue of free memory for these arrays.
 
-        Memory for arrays with the same names but other sizes or addresses is discarded.
+        The caller puts the memory into this queue after use. The pool frees memory that it holds for arrays with the
+        same names but other sizes or addresses.
         """
         names, where = tuple(arrays), [(array.ptr, array.shape, array.dtype) for array in arrays.values()]
         if names not in self._free or self._free[names][0] != where:
@@ -112,7 +113,7 @@ class Snapshot:
     found: dict[str, object]
     """Values by name; for a copy that is in flight, the value is the :class:`PendingCopies` object with the copy."""
     derived: dict[Hashable, Any] = field(default_factory=dict[Hashable, Any])
-    """Results computed from the values, by name, shared by all displays of this snapshot."""
+    """Results that displays computed from values of this snapshot, by name; all displays share them."""
 
     def read(self, name: str) -> object:
         """Return the value stored under `name`; if it is a copy in flight, wait until the copy has arrived."""

@@ -12,7 +12,7 @@ class Level:
     """One setting of a knob, which is a parameter that trades accuracy for computing time."""
 
     label: str
-    """Name of the level in tables, such as "10 mm"."""
+    """Name in tables for this setting of the knob, such as "10 mm"."""
     changes: Mapping[str, object] = field(default_factory=dict[str, object])
     """Parameters in which this level differs from the scene as given, with their values."""
     cost: float = 1.0
@@ -76,7 +76,7 @@ class Trading:
     """Function that takes the scene's parameters and returns whether theory is exact for these parameters. If so,
     results have an entry `NAME_error` for each quantity NAME."""
     variants: Callable[[Any], Mapping[str, Mapping[str, object]]] = lambda given: {}
-    """Function that takes the scene's parameters and returns parameters of similar scenes, by a description of the
-    difference. Recommended settings are also tested on these scenes."""
+    """Function that takes the scene's parameters and returns changed parameters for each of several similar scenes. The
+    key of each entry describes the change in words. Recommended settings are also tested on these scenes."""
     tolerance: str = ""
     """Name of the parameter that sets the largest error that the scene's checks accept; empty if there is none."""

@@ -23,11 +23,12 @@ class Limit:
     low: float
     high: float
     why: str
-    """Reason for the limits."""
+    """Reason for the limits, which an error or a warning about a value outside them states."""
     usual: tuple[float, float] | None = None
     """Range outside which a warning is given."""
     unit: str = ""
-    """Unit of the limits. Limits that belong to a name apply only to quantities with this unit."""
+    """Unit that a quantity must have if the limits are listed under the name of a quantity. It is empty for limits that
+    are listed under a unit."""
 
 
 LIMITS = {

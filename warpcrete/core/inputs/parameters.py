@@ -244,7 +244,10 @@ class Declared:
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        """Return the section of a concrete's file that has parameters of this class, and the names allowed there."""
+        """Return the section of a concrete's file that can set fields of this dataclass, and the names of these fields.
+
+        Both are empty for a dataclass whose fields a concrete's file cannot set.
+        """
         return "", ()
 
     @classmethod

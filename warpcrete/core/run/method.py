@@ -123,7 +123,10 @@ class Method:
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """All quantities that runs may have, including quantities of standard tests that were defined later."""
+        """All quantities that runs of this method may have.
+
+        The list is made at each access, because a user may define further standard tests with their own quantities.
+        """
         return self.list_quantities()
 
     @property

@@ -87,7 +87,7 @@ class Simulation:
     kinds: ClassVar[list[type[Simulation]]] = []
     """Subclasses, one for each simulation method."""
     stepper: Stepped
-    """State on the device, with its clock."""
+    """Simulated state on the device, with its simulated time, its number of steps and the methods that step it."""
     shares_cores = False
     """True if other runs use the cores that the threads of this run leave free."""
 
@@ -183,7 +183,7 @@ class Simulation:
 
     @abstractmethod
     def unit(self, column: str) -> str:
-        """Return the unit of a column of the series."""
+        """Return the unit of a column of the run's time series."""
 
     @abstractmethod
     def measure(self) -> dict[str, float]:
@@ -191,7 +191,7 @@ class Simulation:
 
     @abstractmethod
     def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if a row shows that the state is no longer physically meaningful."""
+        """Raise :class:`InstabilityError` if a row of the time series shows that the state has no physical meaning."""
 
     @abstractmethod
     def display(self, colouring: str | None = None) -> Display:
@@ -324,7 +324,8 @@ class Simulation:
     def abandon(self, refused: bool = False) -> None:
         """Release the resources that `claim` took, unless the run has begun.
 
-        If `refused` is true, the scene was refused: remove the checkpoint of a new run too, but not of a resumed run.
+        `refused` is true if the scene was found to be invalid. The checkpoint of a new run is then removed as well; the
+        checkpoint of a resumed run is kept.
         """
         if not self._has_run:
             if refused and not self.resumes and self.checkpoint_path is not None:
@@ -415,7 +416,8 @@ class Simulation:
     def _loop(self) -> Coroutine:
         interval, duration, stepper = self.scene.sample_interval, self.duration, self.stepper
         if self.at_end:
-            self.ended_early()  # `ended_early` also stores findings for the results, such as a steady flow.
+            # A resumed run has no step left, but its results need what `ended_early` finds, such as a steady flow.
+            self.ended_early()
             return True
         if not self.rows:
             self._sample()
