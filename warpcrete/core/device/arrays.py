@@ -81,7 +81,7 @@ if TYPE_CHECKING:
     def copy_array(
         dest: DeviceArray, src: DeviceArray, dest_offset: int = 0, src_offset: int = 0, count: int = 0
     ) -> None:
-        """Copy `count` elements between two arrays; 0 copies the whole array."""
+        """Copy `count` elements of `src` to `dest`; with `count` = 0, copy the whole array."""
 
     def load_module(module: KernelModule, *, device: wp.Device, block_dim: int) -> None:
         """Compile the kernels of a module, or load them from the cache."""
@@ -132,7 +132,7 @@ class StructMember(Protocol):
 
 
 class Struct(Protocol):
-    """Type that ``wp.struct`` makes of a class; a call returns an object with empty arrays."""
+    """Struct type that ``wp.struct`` makes from a class. Calling the type returns a struct with empty arrays."""
 
     @property
     def vars(self) -> Mapping[str, StructMember]:

@@ -1,4 +1,4 @@
-"""Device memory that objects of this package hold."""
+"""Functions that find the Warp arrays in objects of this package and add up their device memory."""
 
 from __future__ import annotations
 

@@ -32,8 +32,8 @@ COMPILE_PROGRESS_DELAY = 0.5
 DEFAULT_BLOCK = 256
 """Threads per CUDA block in a Warp launch that does not specify a number."""
 BLOCK = 64
-"""Threads per CUDA block of a stage. Such small blocks keep all multiprocessors busy in a small scene. A step of a
-million spheres takes 95 % of the time that it takes with blocks of 256 threads."""
+"""Threads per CUDA block of a stage. Blocks of 64 threads keep all multiprocessors busy even in a small scene. In a
+scene of a million spheres, a step takes 95 % of the time that it takes with blocks of 256 threads."""
 Size: TypeAlias = int | tuple[int, ...]
 """Number of tasks of a launch, as one integer or as a tuple of several dimensions."""
 
@@ -233,9 +233,10 @@ def merge_thread_stages(step: Step) -> Step:
 
 
 class Launcher:
-    """Runs time steps by replaying graphs of several steps, with one thread per list of stages in a step.
+    """Launcher of time steps, which replays launch graphs of several steps each.
 
-    During core contention, one thread does the work of all threads; see :mod:`.cores`.
+    A step consists of one list of stages for each thread, and each thread replays graphs of its own list. During core
+    contention, one thread does the work of all threads; :mod:`.cores` explains why this is faster.
     """
 
     def __init__(self, threads: int, device: wp.Device) -> None:
@@ -298,7 +299,10 @@ class Launcher:
                 return
 
     def _catch_up(self, stages: list[Stage], sizes: list[int]) -> None:
-        """Launch stages that run once in several steps, if graphs of these sizes are too short to contain them."""
+        """Launch the periodic stages, which run once in several steps, if graphs are too short to contain them.
+
+        `sizes` are the numbers of steps in the graphs that have just been replayed.
+        """
         periodic = [stage for stage in stages if stage.every > 1]
         if not periodic:
             return

@@ -58,7 +58,10 @@ class RecorderThread:
         self._raise_error()
 
     def yield_to_run(self) -> None:
-        """Let the run use Python's interpreter first, between two parts of a recorder's job."""
+        """Pause a recorder's job for a moment, so that the run gets Python's interpreter first.
+
+        The method does nothing outside the recorder thread.
+        """
         if self._yields_to_run and threading.current_thread() is self._thread:
             yield_to_run()
 

@@ -77,7 +77,7 @@ class Curve:
     """Curve of a quantity over time, in a plot."""
 
     name: str
-    """Last part of the curve's path in a recording, after the path of its plot."""
+    """Name of the curve in a recording, which stores the curve under the path of the plot, "/" and this name."""
     label: str
     """Text in the plot's legend, with the unit."""
     value: Callable[[dict[str, float]], float | None]
@@ -99,7 +99,7 @@ class Points:
     """Curve of a quantity over a spatial coordinate, at one time."""
 
     name: str
-    """Last part of the curve's path in a recording, after the path of its profile."""
+    """Name of the curve in a recording: the recording stores the curve under the plot's path, "/" and this name."""
     read: Callable[[], tuple[np.ndarray, np.ndarray]]
     """Function that returns coordinates and values, each of shape (n,), in the units stated in the profile's title."""
     colour: tuple[int, int, int]
@@ -107,7 +107,7 @@ class Points:
 
 @dataclass(frozen=True)
 class Profile:
-    """Plot of one or more quantities over a spatial coordinate."""
+    """Plot of one or more quantities over a spatial coordinate, such as a radius, at one time."""
 
     path: str
     title: str
@@ -226,7 +226,7 @@ class Display(ABC):
         """Return the colours of all spheres as RGB bytes, shape (n, 3)."""
 
     def packed_colours(self) -> np.ndarray:
-        """Return the colours of all spheres as one number each, shape (n,): see :func:`.paint.packed`."""
+        """Return the colours of all spheres, shape (n,); one 32-bit number holds red, green, blue and opacity."""
         return packed(self.colours())
 
     def fields(self) -> dict[str, np.ndarray]:

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 COLOUR_STEPS, STEPS_PER_DECADE = 2048, 128
-"""Number of discrete values to which painted quantities are rounded, on a logarithmic scale: in total and per decade.
-"""
+"""Number of discrete values on a logarithmic scale to which recordings round the quantities that colour walls.
+
+The first constant is the total number, and the second is the number in each decade."""
 SMALLEST_VALUE = 1e-6
 """Smallest painted value, in the displayed unit; smaller values are shown as zero."""
 COLOURS = 256
@@ -55,8 +56,7 @@ class Paint:
     """Title of the scale, with the unit of the displayed values."""
     palette: str
     upper: float
-    """Upper end of the scale, in the displayed unit; the lower end is 0. If `upper` is 0, there is nothing to show yet.
-    """
+    """Upper end of the scale, in the displayed unit; the lower end is 0. If `upper` is 0, all values are still 0."""
 
     @property
     def unit(self) -> str:

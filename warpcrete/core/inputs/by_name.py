@@ -32,7 +32,7 @@ _trusted: ContextVar[bool] = ContextVar("trusted", default=False)
 
 @contextmanager
 def names_from_file() -> Generator[None]:
-    """Forbid imports of modules that a file names, while the block runs; also usable as a decorator.
+    """Forbid imports of modules that an input file names, while the block runs; also usable as a decorator.
 
     Modules that are loaded already stay usable. Inside :func:`trusted_files` the imports are allowed.
     """
@@ -45,7 +45,7 @@ def names_from_file() -> Generator[None]:
 
 @contextmanager
 def trusted_files() -> Generator[None]:
-    """Allow imports of modules that a file names, while the block runs."""
+    """Let input files name modules that are then imported, while the block runs: the user trusts the files."""
     token = _trusted.set(True)
     try:
         yield

@@ -40,7 +40,7 @@ def _feed(digest: Digest, value: object) -> None:
     elif is_host_array(value):
         digest.update(f"{value.dtype}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
     elif is_mapping(value):
-        for key, item in value.items():  # Keep the order: kinds of bonds are numbered by it.
+        for key, item in value.items():  # The order matters: it numbers the kinds of bonds.
             _feed(digest, key)
             _feed(digest, item)
     elif is_list_or_tuple(value):

@@ -14,13 +14,13 @@ class Level:
     label: str
     """Name in tables for this setting of the knob, such as "10 mm"."""
     changes: Mapping[str, object] = field(default_factory=dict[str, object])
-    """Parameters in which this level differs from the scene as given, with their values."""
+    """Scene parameters that the knob changes at this setting, with the values that they get."""
     cost: float = 1.0
-    """Expected wall time, relative to the other levels of the knob. It is used only for planning, before times are
-    measured."""
+    """Expected wall time with this setting, relative to the other settings of the knob. This estimate is used only for
+    planning, before times are measured."""
     key: str = ""
-    """Name of this level that is the same in scenes with other numbers, such as "x 0.5" where `label` is a length; by
-    default, it is the label."""
+    """Name by which this setting of the knob is found again in other scenes. For example, half the element size has the
+    key "x 0.5" in every scene, whereas `label` is a length such as "10 mm". If the key is empty, `label` is the key."""
     converted: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
     """Quantities that have another meaning at this level, by name: with (offset, factor), a value becomes offset +
     factor * (value - offset)."""
@@ -32,16 +32,16 @@ class Knob:
 
     name: str
     levels: tuple[Level, ...]
-    """Levels from the coarsest to the finest; one of them is the scene as given."""
+    """Settings from the coarsest to the finest; one of the settings is that of the scene as given."""
     physical: bool = False
-    """True if the knob changes physical properties of the concrete, so that a coarser level simulates a different
+    """True if the knob changes physical properties of the concrete, so that a coarser setting simulates a different
     concrete."""
     chosen: bool = True
     """True if the program may use this knob in the settings that it recommends. Otherwise the knob's effect is only
     measured."""
 
     def level_of(self, key: str) -> Level | None:
-        """Return the level with a given key, or None if this scene has no such level."""
+        """Return the setting (level) of this knob that has the given key, or None if there is no such setting."""
         return next((level for level in self.levels if (level.key or level.label) == key), None)
 
 

@@ -351,7 +351,7 @@ class SceneFunction(Generic[P, S]):
 
     @property
     def name(self) -> str:
-        """Name of the scene in the command."""
+        """Name of the scene on the command line, such as `pipe` in `warpcrete run pipe`."""
         return self._module_name.rpartition(".")[2].replace("_", "-")
 
     def _plain_values(self, parameters: Declared) -> tuple[dict[str, object], tuple[str, ...]]:

@@ -72,10 +72,10 @@ class UntaggedResolver(VersionedResolver):
 
 
 class DepthLimitedScanner(Scanner):
-    """YAML scanner that refuses deep nesting, because its time would grow with the square of the depth."""
+    """YAML scanner that refuses deep nesting, because scanning time grows with the square of the nesting depth."""
 
     def fetch_flow_collection_start(self, *arguments: object, **named: object) -> None:
-        """Begin a list or mapping in brackets; raises :class:`Unreadable` if it is nested too deeply."""
+        """Scan the opening bracket of a list or mapping; raises :class:`Unreadable` if it is nested too deeply."""
         if len(self.flow_context) >= MAXIMUM_DEPTH:
             raise Unreadable("is nested too deeply", "use fewer lists and mappings inside each other")
         super().fetch_flow_collection_start(*arguments, **named)

@@ -29,8 +29,8 @@ class Quantity:
     name: str
     unit: str
     of: Callable[[Any], float | None]
-    """Function that computes the value from the method's data about a run; it returns None if the quantity is
-    undefined."""
+    """Function that takes the method's data about a run and returns the value of the quantity in `unit`, or None if the
+    quantity is undefined for this run."""
     label: str = ""
     """Name of the quantity in the report; without a label, the quantity is not reported."""
     words: Callable[[Run], str] | None = None
@@ -38,7 +38,7 @@ class Quantity:
     compared: bool = False
     """True if studies show the quantity in their table and figure."""
     rare: bool = False
-    """True if studies show the quantity only if its value is above 0 in some case."""
+    """True if a study shows the quantity only if its value is above 0 in at least one of the study's runs."""
 
     @property
     def title(self) -> str:

@@ -27,7 +27,7 @@ DEFAULT_PLOT_COLUMNS = ("pressure", "spread", "front", "inside")
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of equal length by name, with the unit of each column."""
+    """Table of a run's results over a coordinate: columns of equal length by name, and the unit of each column."""
 
     columns: dict[str, np.ndarray]
     units: dict[str, str]

@@ -48,7 +48,7 @@ generator goes on when the state has reached this time. The caller can therefore
 
 
 class RunRecord(TypedDict):
-    """Part of a checkpoint about the run, as opposed to the state."""
+    """Data in a checkpoint that describe the progress of the run; the simulated state is stored separately."""
 
     recorders: dict[str, object]
     """Data of each recorder, by its class name."""
@@ -165,7 +165,7 @@ class Simulation:
 
     @abstractmethod
     def set_up(self) -> None:
-        """Create the method's data from the scene; refuse a scene that cannot be simulated."""
+        """Create the data of the simulation method from the scene; refuse a scene that cannot be simulated."""
 
     @property
     @abstractmethod
@@ -481,7 +481,8 @@ class Simulation:
 def run_coroutine(coroutine: Coroutine, advance: Callable[[float], None]) -> Any:
     """Run a generator that yields :class:`Until` requests, and return its result.
 
-    The function `advance` steps the state to a time [s]. Its errors are raised inside the generator.
+    For each request, the function `advance` steps the state to the requested time [s]. An error of `advance` is raised
+    inside the generator.
     """
     try:
         goal = next(coroutine)

@@ -16,7 +16,7 @@ class RecordedSimulation(SimulationOnDevice, Protocol):
     scene: Any
     """Scene of the run; its type depends on the method."""
     frames: Frames
-    """Schedule of frames."""
+    """Schedule that decides at which simulated times recorders record a frame."""
     precision: str
     resumes: bool
     """True if the run goes on from a checkpoint, in an existing folder."""
