@@ -154,7 +154,7 @@ class Exchange:
         return [view.copy() for view in self._pending_buffers.views]
 
     def write(self, *pairs: tuple[DeviceArray, HostArray]) -> None:
-        """Set arrays to values; the device does this after all work launched so far."""
+        """Copy values from the host into device arrays, after all work that was launched so far."""
         if not self.device.is_cuda:
             for array, values in pairs:
                 array.assign(values)

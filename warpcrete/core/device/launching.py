@@ -72,7 +72,10 @@ def completed(kernel: Kernel, named: Mapping[str, object], common: Mapping[str, 
 
 
 def struct_arguments(kernel: Kernel, **structs: object) -> Arguments:
-    """Return struct members for a kernel's parameters that are named ``STRUCT_member``, by parameter name."""
+    """Return members of `structs` as kernel arguments: ``bodies_mass`` gets the member ``mass`` of ``bodies``.
+
+    The result has an entry for each parameter of the kernel whose name matches a member of a struct in this way.
+    """
     arguments: Arguments = {}
     for name in parameter_names(kernel):
         for prefix, struct in structs.items():
@@ -326,9 +329,9 @@ class Launcher:
                 return
 
     def apart(self, stages: list[Stage]) -> None:
-        """Launch independent stages of several chunks, each on a thread of its own.
+        """Launch stages that do not depend on one another, such as one for each chunk of bodies.
 
-        During core contention, one thread launches all of them.
+        Each stage gets a thread of its own. During core contention, one thread launches all stages.
         """
         for stage in stages:
             stage.record()

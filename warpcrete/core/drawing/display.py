@@ -29,9 +29,9 @@ class DrawnWall:
 
     name: str
     vertices: np.ndarray
-    """Positions of the vertices [m], shape (v, 3)."""
+    """Positions of the wall's v vertices in its own frame [m], shape (v, 3)."""
     faces: np.ndarray
-    """Vertex indices of the triangles, shape (f, 3)."""
+    """Indices of the three vertices of each of the wall's f triangles, shape (f, 3)."""
     moves: bool
     colour: Colour
 
@@ -77,7 +77,7 @@ class Curve:
     """Curve of a quantity over time, in a plot."""
 
     name: str
-    """Name of the curve in a recording, which stores the curve under the path of the plot, "/" and this name."""
+    """Name of the curve in a recording, which stores the curve under the path of its plot and this name."""
     label: str
     """Text in the plot's legend, with the unit."""
     value: Callable[[dict[str, float]], float | None]
@@ -99,7 +99,7 @@ class Points:
     """Curve of a quantity over a spatial coordinate, at one time."""
 
     name: str
-    """Name of the curve in a recording: the recording stores the curve under the plot's path, "/" and this name."""
+    """Name of the curve in a recording, which stores the curve under the path of its plot and this name."""
     read: Callable[[], tuple[np.ndarray, np.ndarray]]
     """Function that returns coordinates and values, each of shape (n,), in the units stated in the profile's title."""
     colour: tuple[int, int, int]

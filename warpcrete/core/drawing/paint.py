@@ -47,9 +47,9 @@ def _palette(name: str) -> np.ndarray:
 class Paint:
     """Colour scale of a quantity on walls, such as worn depth, whose maximum is unknown until the run ends.
 
-    A recording stores each value rounded to one of a fixed set of steps, independent of the scale. It stores the
-    colours of all steps once. When the scale grows, only these colours are written again, so earlier frames are shown
-    with the later scale.
+    A recording rounds each value to one of a fixed set of discrete values, which does not depend on the scale. The
+    recording stores one colour for each discrete value. When the upper end of the scale grows, only these colours are
+    written again, so earlier frames are also shown with the new scale.
     """
 
     label: str
@@ -72,8 +72,9 @@ class Paint:
     def steps(self, values: np.ndarray) -> np.ndarray:
         """Return the index of the discrete value nearest to each value, with the shape of `values`.
 
-        `values` are in the displayed unit. All values that have the scale's first colour get the same index. The viewer
-        interpolates indices between vertices, so very different indices of neighbours would give wrong colours between.
+        `values` are in the displayed unit. The viewer interpolates indices, not values, between neighbouring vertices,
+        so it shows wrong colours between vertices whose indices differ greatly. To reduce these differences, all values
+        that have the first colour of the scale get the same index.
         """
         least = max(SMALLEST_VALUE, self.upper / COLOURS)
         place = STEPS_PER_DECADE * np.log10(np.maximum(values, least) / SMALLEST_VALUE)

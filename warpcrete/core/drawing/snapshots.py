@@ -133,9 +133,9 @@ _latest: WeakKeyDictionary[SimulationOnDevice, _Latest] = WeakKeyDictionary()
 
 
 def snapshot_of(simulation: SimulationOnDevice, sources: Mapping[str, Callable[[], object]]) -> Snapshot:
-    """Return a snapshot of the present values of `sources`, by name.
+    """Return a snapshot of a simulation with the results of calling the functions in `sources`, by name.
 
-    Several displays that request a name at the same step share one read.
+    If several displays request the same name at the same step, its function is called only once.
     """
     latest = _latest.setdefault(simulation, _Latest())
     time, steps = simulation.stepper.time, simulation.stepper.steps

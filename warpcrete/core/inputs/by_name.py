@@ -82,7 +82,7 @@ class ByName(CompositeRule):
         return hash(tuple(self.classes.items()))
 
     def fields(self, field: Field, value: object) -> dict[str, Field]:
-        """Return the fields of a class as parameters by name; `value` is the class's name or an instance."""
+        """Return the fields of the class that `value` names, or of the object `value`, as parameters by name."""
         kind = self.class_of(field, value)
         return {} if kind is None else own_fields(field.name, kind)
 

@@ -14,7 +14,7 @@ class Level:
     label: str
     """Name in tables for this setting of the knob, such as "10 mm"."""
     changes: Mapping[str, object] = field(default_factory=dict[str, object])
-    """Scene parameters that the knob changes at this setting, with the values that they get."""
+    """Values of the scene's parameters that this setting of the knob changes, by parameter name."""
     cost: float = 1.0
     """Expected wall time with this setting, relative to the other settings of the knob. This estimate is used only for
     planning, before times are measured."""
@@ -28,7 +28,7 @@ class Level:
 
 @dataclass(frozen=True)
 class Knob:
-    """Property of a scene that can be set coarser or finer."""
+    """Knob of a scene: a parameter, such as the element size, that can be set coarser or finer."""
 
     name: str
     levels: tuple[Level, ...]
@@ -66,7 +66,10 @@ def precisions() -> Knob:
 
 @dataclass(frozen=True)
 class Trading:
-    """Trade-off between accuracy and time in a scene; the scene's module provides it under the name `trading`."""
+    """Description of a scene for studies of accuracy against computing time: knobs, quantities and closed forms.
+
+    The module of the scene assigns this object to the name `trading`.
+    """
 
     knobs: Callable[[Any], Iterator[Knob]]
     """Function that takes the scene's parameters and yields the knobs."""

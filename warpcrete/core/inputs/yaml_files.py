@@ -35,7 +35,7 @@ WORDS: dict[str, bool | None] = {
     **dict.fromkeys(("false", "False", "FALSE"), False),
 }
 PLAIN_TAG = "plain"
-"""Tag for scalars that have no quotes and no tag."""
+"""Tag that the parser gives to YAML scalars without quotes and without a tag of their own."""
 
 
 class FileMapping(dict[str, Any]):
@@ -53,7 +53,7 @@ class FileList(list[Any]):
 
 
 class Unreadable(Exception):
-    """File that cannot be read, with the reason and a hint."""
+    """Error raised for a file that cannot be read, with the reason and a hint."""
 
     def __init__(self, reason: str, hint: str = "", line: int | None = None) -> None:
         super().__init__(reason)

@@ -34,7 +34,7 @@ class Quantity:
     label: str = ""
     """Name of the quantity in the report; without a label, the quantity is not reported."""
     words: Callable[[Run], str] | None = None
-    """Function that takes a run and returns the text in the report, in place of value and unit."""
+    """Function that takes a run and returns the text that the report shows in place of the value and the unit."""
     compared: bool = False
     """True if studies show the quantity in their table and figure."""
     rare: bool = False
@@ -96,7 +96,7 @@ class Method:
     list_quantities: Callable[[], tuple[Quantity, ...]]
     display: type[Display]
     picture: str
-    """File name of the picture in a run folder."""
+    """File name of the picture that is drawn with `draw` and saved in the run folder."""
     draw: Callable[[Any, Run, str], Figure | None]
     """Function that takes (simulation, run, colouring) and returns a Matplotlib figure, or None if there is nothing to
     draw."""

@@ -84,7 +84,10 @@ class Recording:
             run.finished = run.result["finished"] = False
 
     def mark_incomplete(self) -> None:
-        """Let essential recorders note on disk that the run is not complete, if no checkpoint shows this."""
+        """Let essential recorders write results that say that the run is not complete.
+
+        This is necessary if a recorder failed at the end of a run that has no checkpoint to continue from.
+        """
         for recorder in self.active:
             if not recorder.expendable:
                 with suppress(Exception):

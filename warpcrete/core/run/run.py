@@ -49,7 +49,7 @@ class Run:
     """True if an interruption (Ctrl-C) ended the run at once, before it reached the next sample."""
     folder: Path | None = None
     tables: dict[str, Table] = field(default_factory=dict[str, Table])
-    """Tables of quantities over a coordinate other than time, by file name."""
+    """Tables of the run's results over a coordinate other than time, such as the radius, by file name."""
 
     def __repr__(self) -> str:
         ended = "finished" if self.finished else "not finished"

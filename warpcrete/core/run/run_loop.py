@@ -179,7 +179,7 @@ class Simulation:
     @property
     @abstractmethod
     def rows(self) -> list[dict[str, float]]:
-        """Rows of the series so far, each with a value by column name."""
+        """Rows of the time series so far; each row has a value for each column name."""
 
     @abstractmethod
     def unit(self, column: str) -> str:
@@ -203,7 +203,7 @@ class Simulation:
 
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:
-        """Return the method's part of a checkpoint, which this base class completes."""
+        """Return the state of the simulation for a checkpoint; :meth:`save` adds the data about the run."""
 
     @abstractmethod
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -474,7 +474,7 @@ class Simulation:
         return self._time_before_resume + (wall_clock.perf_counter() - self._started if self._has_run else 0.0)
 
     def tell(self, phase: str, fraction: float, **figures: float) -> None:
-        """Report progress to the callback."""
+        """Pass the current phase, its completed fraction and current figures to the callback `progress`."""
         self._progress(phase, fraction, figures)
 
 
