@@ -20,7 +20,7 @@ LONGEST_MESSAGE = 2000
 LONGEST_NUMBER = 128
 """Maximum number of bits of an integer that a message writes out."""
 MOST_NAMES_LISTED = 12
-"""Maximum number of known names up to which a message with a suggested name also lists all known names."""
+"""A message that suggests a name also lists all known names if their number does not exceed this number."""
 
 
 class WarpcreteError(Exception):

@@ -68,11 +68,11 @@ class PinnedPool:
 
 
 class PendingCopies:
-    """Copies of GPU arrays in stream order: after all work launched earlier, and before all work launched later.
+    """Asynchronous copies of GPU arrays: they hold the values at the time when the copies are launched.
 
     The last copy is a flag, and a reader polls this flag in page-locked memory. The reader therefore makes no call to
-    the driver, which refuses calls while the run captures a graph. The memory returns to the pool when this object is
-    deleted.
+    the driver, which refuses calls while the run captures a graph. The page-locked memory returns to the pool
+    when this object is deleted.
     """
 
     def __init__(self, arrays: Mapping[str, DeviceArray], pool: PinnedPool) -> None:

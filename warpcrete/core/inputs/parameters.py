@@ -118,7 +118,7 @@ class CompositeRule:
     """
 
     def fields(self, field: Field, value: object) -> dict[str, Field]:
-        """Return the parameters of the object `value` by name; for the field `contact`, their names are `contact_FIELD`."""
+        """Return the parameters of the object `value` by name, such as `contact_FIELD` for the field `contact`."""
         raise NotImplementedError
 
     def with_objects(self, field: Field, values: Mapping[str, object]) -> dict[str, object]:

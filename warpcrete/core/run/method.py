@@ -98,8 +98,8 @@ class Method:
     picture: str
     """File name of the picture that is drawn with `draw` and saved in the run folder."""
     draw: Callable[[Any, Run, str], Figure | None]
-    """Function that takes (simulation, run, colouring) and returns a Matplotlib figure, or None if there is nothing to
-    draw."""
+    """Function that takes the simulation, its run and the quantity that colours the bodies. It returns a Matplotlib
+    figure, or None if there is nothing to draw."""
     show: Callable[[Run], Figure | None]
     """Function that takes a run and returns a Matplotlib figure for notebooks."""
     report: Callable[[Run], Iterator[tuple[str, str]]]
