@@ -142,7 +142,7 @@ class Struct(Protocol):
     def __call__(self) -> Any: ...
 
     def numpy_dtype(self) -> Any:
-        """Return the NumPy element type of an array of these structs on the host."""
+        """Return the NumPy element type for host arrays of structs of this type."""
         ...
 
 

@@ -31,7 +31,7 @@ class RecorderThread:
 
     @classmethod
     def for_simulation(cls, simulation: SimulationOnDevice) -> RecorderThread:
-        """Return the queue of recorder jobs for a simulation, with an own thread on a GPU or if a CPU core is free.
+        """Return a simulation's queue of recorder jobs; it has its own thread on a GPU or if a CPU core is free.
 
         Threads of a run that wait for one another at barriers need a core each, so the recorder thread must not
         share these cores.

@@ -29,7 +29,7 @@ class DrawnWall:
 
     name: str
     vertices: np.ndarray
-    """Positions of the wall's v vertices in its own frame [m], shape (v, 3)."""
+    """Positions of v vertices in the wall's own frame [m], shape (v, 3)."""
     faces: np.ndarray
     """Indices of the three vertices of each of the wall's f triangles, shape (f, 3)."""
     moves: bool
@@ -226,7 +226,7 @@ class Display(ABC):
         """Return the colours of all spheres as RGB bytes, shape (n, 3)."""
 
     def packed_colours(self) -> np.ndarray:
-        """Return the colours of all spheres, shape (n,); one 32-bit number holds red, green, blue and opacity."""
+        """Return the colour of each sphere as one 32-bit number for red, green, blue and opacity, shape (n,)."""
         return packed(self.colours())
 
     def fields(self) -> dict[str, np.ndarray]:

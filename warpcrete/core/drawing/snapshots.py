@@ -68,11 +68,11 @@ class PinnedPool:
 
 
 class PendingCopies:
-    """Asynchronous copies of GPU arrays: they hold the values at the time when the copies are launched.
+    """Asynchronous copies of GPU arrays, with the results of all work that was launched before the copies.
 
     The last copy is a flag, and a reader polls this flag in page-locked memory. The reader therefore makes no call to
-    the driver, which refuses calls while the run captures a graph. The page-locked memory returns to the pool
-    when this object is deleted.
+    the driver, which refuses calls while the run captures a graph. The page-locked memory returns to the pool when
+    this object is deleted.
     """
 
     def __init__(self, arrays: Mapping[str, DeviceArray], pool: PinnedPool) -> None:

@@ -45,7 +45,7 @@ def names_from_file() -> Generator[None]:
 
 @contextmanager
 def trusted_files() -> Generator[None]:
-    """Let input files name modules that are then imported, while the block runs: the user trusts the files."""
+    """Allow imports of modules that input files name, while the block runs, because the user trusts the files."""
     token = _trusted.set(True)
     try:
         yield
