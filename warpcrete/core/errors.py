@@ -20,7 +20,7 @@ LONGEST_MESSAGE = 2000
 LONGEST_NUMBER = 128
 """Maximum number of bits of an integer that a message writes out."""
 MOST_NAMES_LISTED = 12
-"""Maximum number of known names up to which a message with a suggested name also lists all known names."""
+"""Maximum number of known names that a message lists in full if the message also suggests one of these names."""
 
 
 class WarpcreteError(Exception):

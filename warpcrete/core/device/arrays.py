@@ -81,7 +81,7 @@ if TYPE_CHECKING:
     def copy_array(
         dest: DeviceArray, src: DeviceArray, dest_offset: int = 0, src_offset: int = 0, count: int = 0
     ) -> None:
-        """Copy `count` elements between two arrays; 0 copies the whole array."""
+        """Copy `count` elements of `src` to `dest`; with `count` = 0, copy the whole array."""
 
     def load_module(module: KernelModule, *, device: wp.Device, block_dim: int) -> None:
         """Compile the kernels of a module, or load them from the cache."""
@@ -97,7 +97,10 @@ if TYPE_CHECKING:
         """Launch a kernel; with `record_cmd`, return the launch without running it."""
 
     def capture_if(condition: DeviceArray, on_true: Callable[[], None]) -> None:
-        """Let a graph run what `on_true` launches only if `condition`, shape (1,), is not 0 at that time."""
+        """Add the work that `on_true` launches to a graph, as a conditional node.
+
+        Each time the graph reaches this node, it runs the work if `condition`, shape (1,), is not 0.
+        """
 
     def array_scan(in_array: DeviceArray, out_array: DeviceArray, inclusive: bool) -> None:
         """Write the prefix sums of an array to another array."""
@@ -129,7 +132,7 @@ class StructMember(Protocol):
 
 
 class Struct(Protocol):
-    """Type that ``wp.struct`` makes of a class; a call returns an object with empty arrays."""
+    """Struct type that ``wp.struct`` makes from a class. Calling the type returns a struct with empty arrays."""
 
     @property
     def vars(self) -> Mapping[str, StructMember]:
@@ -139,7 +142,7 @@ class Struct(Protocol):
     def __call__(self) -> Any: ...
 
     def numpy_dtype(self) -> Any:
-        """Return the element type of an array of structs on the host, as NumPy takes it."""
+        """Return the NumPy element type for host arrays of structs of this type."""
         ...
 
 

@@ -128,8 +128,8 @@ class Exchange:
         self._pending_arrays = arrays
         if self.device.is_cuda:
             before = self._last_write
-            # Keep a reference to the page-locked memory of this read, because the cache may drop this memory when it
-            # needs room for another set of arrays.
+            # Keep a reference to the page-locked memory of the pending read. The cache of page-locked memory may drop
+            # its own reference when a set of other arrays is read or written.
             self._pending_buffers = self._buffers("asked", arrays)
             self._pending_buffers.gather(arrays)
             self._read_event = self.device.stream.record_event(self._read_event)
@@ -154,7 +154,7 @@ class Exchange:
         return [view.copy() for view in self._pending_buffers.views]
 
     def write(self, *pairs: tuple[DeviceArray, HostArray]) -> None:
-        """Set arrays to values; the device does this after all work launched so far."""
+        """Copy values from the host into device arrays, after all work that was launched so far."""
         if not self.device.is_cuda:
             for array, values in pairs:
                 array.assign(values)

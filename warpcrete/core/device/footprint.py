@@ -1,4 +1,4 @@
-"""Device memory that objects of this package hold."""
+"""Functions that find the Warp arrays in objects of this package and add up their device memory."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from .arrays import DeviceArray, is_struct
 
 
 def arrays_of(name: str, root: object) -> Iterator[tuple[str, DeviceArray]]:
-    """Yield the path and the array of each Warp array whose memory an object of this package owns.
+    """Yield each Warp array in `root` that owns its memory, with its path such as "NAME.attribute.key".
 
-    The search includes the object's attributes, lists, mappings, meshes and structs. `name` is the first part of each
-    path.
+    The search descends into lists, mappings, meshes, structs and the attributes of objects of this package. `name` is
+    the beginning of each path.
     """
     seen: set[int] = set()
     waiting: list[tuple[str, object]] = [(name, root)]

@@ -61,7 +61,7 @@ class Recordable(Protocol):
         """Prepare the launch, for example by loading its kernel, without running it."""
 
     def __call__(self) -> None:
-        """Launch the work."""
+        """Launch the prepared work on the device."""
 
 
 class Copy:

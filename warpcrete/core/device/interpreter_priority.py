@@ -16,8 +16,10 @@ LONGEST_YIELD = 5e-3
 
 _run_waits = threading.Event()
 _count_lock, _waiting_runs = threading.Lock(), 0
-"""Lock, and number of runs of this process that are waiting. If one run waits, all recorders may work: a busy run must
-not block the recorders of another run."""
+"""Number of runs of this process that wait for their device or recorders, and the lock for changing this number.
+
+While any run waits, the recorders of all runs may work, so that a busy run does not block the recorders of another run.
+"""
 
 
 @contextmanager

@@ -32,14 +32,14 @@ COMPILE_PROGRESS_DELAY = 0.5
 DEFAULT_BLOCK = 256
 """Threads per CUDA block in a Warp launch that does not specify a number."""
 BLOCK = 64
-"""Threads per CUDA block of a stage. Such small blocks keep all multiprocessors busy in a small scene. A step of a
-million spheres takes 95 % of the time that it takes with blocks of 256 threads."""
+"""Threads per CUDA block of a stage. Blocks of 64 threads keep all multiprocessors busy even in a small scene. In a
+scene of a million spheres, a step takes 95 % of the time that it takes with blocks of 256 threads."""
 Size: TypeAlias = int | tuple[int, ...]
 """Number of tasks of a launch, as one integer or as a tuple of several dimensions."""
 
 
 Arguments: TypeAlias = dict[str, Any]
-"""Arguments of a kernel by parameter name: arrays, structs and numbers. They are unpacked into keywords."""
+"""Arguments of a kernel by parameter name: arrays, structs and numbers."""
 
 
 def tasks_of(dim: Size) -> int:
@@ -72,7 +72,10 @@ def completed(kernel: Kernel, named: Mapping[str, object], common: Mapping[str, 
 
 
 def struct_arguments(kernel: Kernel, **structs: object) -> Arguments:
-    """Return struct members for a kernel's parameters that are named ``STRUCT_member``, by parameter name."""
+    """Return members of `structs` as kernel arguments: ``bodies_mass`` gets the member ``mass`` of ``bodies``.
+
+    The result has an entry for each parameter of the kernel whose name matches a member of a struct in this way.
+    """
     arguments: Arguments = {}
     for name in parameter_names(kernel):
         for prefix, struct in structs.items():
@@ -233,9 +236,10 @@ def merge_thread_stages(step: Step) -> Step:
 
 
 class Launcher:
-    """Runs time steps by replaying graphs of several steps, with one thread per list of stages in a step.
+    """Launcher of time steps, which replays launch graphs of several steps each.
 
-    During core contention, one thread does the work of all threads; see :mod:`.cores`.
+    A step consists of one list of stages for each thread, and each thread replays graphs of its own list. During core
+    contention, one thread does the work of all threads; :mod:`.cores` explains why this is faster.
     """
 
     def __init__(self, threads: int, device: wp.Device) -> None:
@@ -245,7 +249,7 @@ class Launcher:
         # `_steps_without_periodic` is the number of steps since the stages with `every` > 1 ran last.
         self._steps_without_periodic = 0
         self.gate = zeros(GATE, dtype=wp.int32, device=device)
-        """Counters of the barrier at which the threads wait for one another, shape (GATE,)."""
+        """Counters of the barrier at which the threads wait for one another; GATE is the number of counters."""
         self.contention = CoreContention()
         self._pool = ThreadPoolExecutor(threads, initializer=thread_pinner(threads)) if threads > 1 else None
         if self._pool is not None:
@@ -298,7 +302,10 @@ class Launcher:
                 return
 
     def _catch_up(self, stages: list[Stage], sizes: list[int]) -> None:
-        """Launch stages that run once in several steps, if graphs of these sizes are too short to contain them."""
+        """Launch the periodic stages, which run once in several steps, if graphs are too short to contain them.
+
+        `sizes` are the numbers of steps in the graphs that have just been replayed.
+        """
         periodic = [stage for stage in stages if stage.every > 1]
         if not periodic:
             return
@@ -316,15 +323,15 @@ class Launcher:
             self.contention.register_thread()
         for size in sizes:
             wp.capture_launch(self._graphs[size, contended, appended][part])
-            # `ended` gives all threads the same answer: a thread that continues waits for the others at the next
-            # barrier, and the flags that `ended` reads change only after that barrier.
+            # All threads get the same result from `ended`, although they call it at different times: the flags that
+            # `ended` reads change only after the next barrier, which no thread passes before all have called `ended`.
             if not parallel(self.device) and ended():
                 return
 
     def apart(self, stages: list[Stage]) -> None:
-        """Launch independent stages of several chunks, each on a thread of its own.
+        """Launch stages that do not depend on one another, such as one for each chunk of bodies.
 
-        During core contention, one thread launches all of them.
+        Each stage gets a thread of its own. During core contention, one thread launches all stages.
         """
         for stage in stages:
             stage.record()

@@ -31,7 +31,7 @@ class RecorderThread:
 
     @classmethod
     def for_simulation(cls, simulation: SimulationOnDevice) -> RecorderThread:
-        """Return the queue for a simulation, with a thread of its own on a GPU or if a CPU core is free.
+        """Return a simulation's queue of recorder jobs; it has its own thread on a GPU or if a CPU core is free.
 
         Threads of a run that wait for one another at barriers need a core each, so the recorder thread must not
         share these cores.
@@ -58,7 +58,10 @@ class RecorderThread:
         self._raise_error()
 
     def yield_to_run(self) -> None:
-        """Let the run use Python's interpreter first, between two parts of a recorder's job."""
+        """Pause a recorder's job for a moment, so that the run gets Python's interpreter first.
+
+        The method does nothing outside the recorder thread.
+        """
         if self._yields_to_run and threading.current_thread() is self._thread:
             yield_to_run()
 

@@ -8,7 +8,7 @@ import warp as wp
 
 
 class Clocked(Protocol):
-    """State that is stepped in time."""
+    """Simulated state with a clock: its simulated time and the number of completed steps."""
 
     @property
     def time(self) -> float:
@@ -22,7 +22,7 @@ class Clocked(Protocol):
 
 
 class Stepped(Clocked, Protocol):
-    """State that a simulation can step."""
+    """Simulated state with a clock and with methods that take time steps."""
 
     def advance(self, until: float, /) -> None:
         """Step the state until its time reaches `until` [s]."""

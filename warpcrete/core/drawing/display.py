@@ -29,9 +29,9 @@ class DrawnWall:
 
     name: str
     vertices: np.ndarray
-    """Positions of the vertices [m], shape (v, 3)."""
+    """Positions of v vertices in the wall's own frame [m], shape (v, 3)."""
     faces: np.ndarray
-    """Vertex indices of the triangles, shape (f, 3)."""
+    """Indices of the three vertices of each of the wall's f triangles, shape (f, 3)."""
     moves: bool
     colour: Colour
 
@@ -77,7 +77,7 @@ class Curve:
     """Curve of a quantity over time, in a plot."""
 
     name: str
-    """Last part of the curve's path in a recording, after the path of its plot."""
+    """Name of the curve in a recording, which stores the curve under the path of its plot and this name."""
     label: str
     """Text in the plot's legend, with the unit."""
     value: Callable[[dict[str, float]], float | None]
@@ -99,7 +99,7 @@ class Points:
     """Curve of a quantity over a spatial coordinate, at one time."""
 
     name: str
-    """Last part of the curve's path in a recording, after the path of its profile."""
+    """Name of the curve in a recording, which stores the curve under the path of its plot and this name."""
     read: Callable[[], tuple[np.ndarray, np.ndarray]]
     """Function that returns coordinates and values, each of shape (n,), in the units stated in the profile's title."""
     colour: tuple[int, int, int]
@@ -107,7 +107,7 @@ class Points:
 
 @dataclass(frozen=True)
 class Profile:
-    """Plot of one or more quantities over a spatial coordinate."""
+    """Plot of one or more quantities over a spatial coordinate, such as a radius, at one time."""
 
     path: str
     title: str
@@ -117,16 +117,16 @@ class Profile:
 
 @dataclass(frozen=True)
 class Lines:
-    """Lines between bodies, such as force chains."""
+    """Lines that are drawn between bodies, such as force chains."""
 
     ends: np.ndarray
-    """End points of the lines [m], shape (n, 2, 3)."""
+    """End points of n lines that are drawn between bodies [m], shape (n, 2, 3)."""
     forces: np.ndarray
-    """Forces that the lines carry [N], shape (n,)."""
+    """Force between the two bodies that each drawn line joins [N], shape (n,)."""
     radii: np.ndarray
     """Radii with which the lines are drawn [m], shape (n,)."""
     colours: np.ndarray
-    """Colours of the lines as RGB bytes, shape (n, 3)."""
+    """Colours of n lines that are drawn between bodies, as RGB bytes, shape (n, 3)."""
 
 
 class Display(ABC):
@@ -226,7 +226,7 @@ class Display(ABC):
         """Return the colours of all spheres as RGB bytes, shape (n, 3)."""
 
     def packed_colours(self) -> np.ndarray:
-        """Return the colours of all spheres as one number each, shape (n,): see :func:`.paint.packed`."""
+        """Return the colour of each sphere as one 32-bit number for red, green, blue and opacity, shape (n,)."""
         return packed(self.colours())
 
     def fields(self) -> dict[str, np.ndarray]:

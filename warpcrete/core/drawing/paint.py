@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 COLOUR_STEPS, STEPS_PER_DECADE = 2048, 128
-"""Number of discrete values to which painted quantities are rounded, on a logarithmic scale: in total and per decade.
-"""
+"""Number of discrete values on a logarithmic scale to which recordings round the quantities that colour walls.
+
+The first constant is the total number, and the second is the number in each decade."""
 SMALLEST_VALUE = 1e-6
 """Smallest painted value, in the displayed unit; smaller values are shown as zero."""
 COLOURS = 256
@@ -46,17 +47,16 @@ def _palette(name: str) -> np.ndarray:
 class Paint:
     """Colour scale of a quantity on walls, such as worn depth, whose maximum is unknown until the run ends.
 
-    A recording stores each value rounded to one of a fixed set of steps, independent of the scale. It stores the
-    colours of all steps once. When the scale grows, only these colours are written again, so earlier frames are shown
-    with the later scale.
+    A recording rounds each value to one of a fixed set of discrete values, which does not depend on the scale. The
+    recording stores one colour for each discrete value. When the upper end of the scale grows, only these colours are
+    written again, so earlier frames are also shown with the new scale.
     """
 
     label: str
     """Title of the scale, with the unit of the displayed values."""
     palette: str
     upper: float
-    """Upper end of the scale, in the displayed unit; the lower end is 0. If `upper` is 0, there is nothing to show yet.
-    """
+    """Upper end of the scale, in the displayed unit; the lower end is 0. If `upper` is 0, all values are still 0."""
 
     @property
     def unit(self) -> str:
@@ -72,8 +72,9 @@ class Paint:
     def steps(self, values: np.ndarray) -> np.ndarray:
         """Return the index of the discrete value nearest to each value, with the shape of `values`.
 
-        `values` are in the displayed unit. All values that have the scale's first colour get the same index. The viewer
-        interpolates indices between vertices, so very different indices of neighbours would give wrong colours between.
+        `values` are in the displayed unit. The viewer interpolates indices, not values, between neighbouring vertices,
+        so it shows wrong colours between vertices whose indices differ greatly. To reduce these differences, all values
+        that have the first colour of the scale get the same index.
         """
         least = max(SMALLEST_VALUE, self.upper / COLOURS)
         place = STEPS_PER_DECADE * np.log10(np.maximum(values, least) / SMALLEST_VALUE)

@@ -49,9 +49,10 @@ class PinnedPool:
         return self._arrival_flag
 
     def take(self, arrays: Mapping[str, DeviceArray], device: wp.Device) -> tuple[PinnedBuffers, deque[PinnedBuffers]]:
-        """Return page-locked memory for copies of arrays, and the queue to which this memory returns later.
+        """Return page-locked memory for copies of arrays, and the pool's queue of free memory for these arrays.
 
-        Memory for arrays with the same names but other sizes or addresses is discarded.
+        The caller puts the memory into this queue after use. The pool frees memory that it holds for arrays with the
+        same names but other sizes or addresses.
         """
         names, where = tuple(arrays), [(array.ptr, array.shape, array.dtype) for array in arrays.values()]
         if names not in self._free or self._free[names][0] != where:
@@ -67,11 +68,11 @@ class PinnedPool:
 
 
 class PendingCopies:
-    """Copies of GPU arrays in stream order: after all work launched earlier, and before all work launched later.
+    """Asynchronous copies of GPU arrays, with the results of all work that was launched before the copies.
 
     The last copy is a flag, and a reader polls this flag in page-locked memory. The reader therefore makes no call to
-    the driver, which refuses calls while the run captures a graph. The memory returns to the pool when this object is
-    deleted.
+    the driver, which refuses calls while the run captures a graph. The page-locked memory returns to the pool when
+    this object is deleted.
     """
 
     def __init__(self, arrays: Mapping[str, DeviceArray], pool: PinnedPool) -> None:
@@ -112,7 +113,7 @@ class Snapshot:
     found: dict[str, object]
     """Values by name; for a copy that is in flight, the value is the :class:`PendingCopies` object with the copy."""
     derived: dict[Hashable, Any] = field(default_factory=dict[Hashable, Any])
-    """Results computed from the values, by name, shared by all displays of this snapshot."""
+    """Results that displays computed from values of this snapshot, by name; all displays share them."""
 
     def read(self, name: str) -> object:
         """Return the value stored under `name`; if it is a copy in flight, wait until the copy has arrived."""
@@ -132,9 +133,9 @@ _latest: WeakKeyDictionary[SimulationOnDevice, _Latest] = WeakKeyDictionary()
 
 
 def snapshot_of(simulation: SimulationOnDevice, sources: Mapping[str, Callable[[], object]]) -> Snapshot:
-    """Return a snapshot of the present values of `sources`, by name.
+    """Return a snapshot of a simulation with the results of calling the functions in `sources`, by name.
 
-    Several displays that request a name at the same step share one read.
+    If several displays request the same name at the same step, its function is called only once.
     """
     latest = _latest.setdefault(simulation, _Latest())
     time, steps = simulation.stepper.time, simulation.stepper.steps

@@ -73,7 +73,7 @@ separate thousands."""
 PROPER = r"[0-9]{1,2}/(?:2|4|8|16|32|64)"
 """Pattern of a fraction as tape measures show it."""
 FRACTION = rf"(?:[0-9]{{1,4}}(?:\s+|\s?-\s?))?{PROPER}"
-"""Pattern of an amount in fractions, such as `4 1/2` or `4-1/2`."""
+"""Pattern of a number written with a fraction, such as `4 1/2` or `4-1/2`, without sign and unit."""
 LONGEST = 100
 """Maximum length of the text of an amount, in characters."""
 
@@ -97,8 +97,9 @@ def _escaped(name: str) -> str:
 def patterns(unit: str) -> tuple[str, ...]:
     """Return the patterns of texts that :func:`amount` accepts in `unit`, a key of :data:`UNITS`.
 
-    A text is first stripped of spaces at both ends. Groups of the first pattern are the number and its unit; those of
-    the second, for lengths in customary units only, fraction and unit; and those of the third feet and inches.
+    Strip spaces from both ends of a text before matching. The groups of the first pattern are the number and its unit.
+    For lengths there are two more patterns. The groups of the second one are a fraction and its customary unit; those
+    of the third one are feet and inches.
     """
     simple = rf"([-+]?(?:{COMMA}|{DECIMAL}))\s*({_alternatives(UNITS[unit])})?"
     if unit != "m":

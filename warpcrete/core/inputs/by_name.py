@@ -32,7 +32,7 @@ _trusted: ContextVar[bool] = ContextVar("trusted", default=False)
 
 @contextmanager
 def names_from_file() -> Generator[None]:
-    """Forbid imports of modules that a file names, while the block runs; also usable as a decorator.
+    """Forbid imports of modules that an input file names, while the block runs; also usable as a decorator.
 
     Modules that are loaded already stay usable. Inside :func:`trusted_files` the imports are allowed.
     """
@@ -45,7 +45,7 @@ def names_from_file() -> Generator[None]:
 
 @contextmanager
 def trusted_files() -> Generator[None]:
-    """Allow imports of modules that a file names, while the block runs."""
+    """Allow imports of modules that input files name, while the block runs, because the user trusts the files."""
     token = _trusted.set(True)
     try:
         yield
@@ -82,7 +82,7 @@ class ByName(CompositeRule):
         return hash(tuple(self.classes.items()))
 
     def fields(self, field: Field, value: object) -> dict[str, Field]:
-        """Return the fields of a class as parameters by name; `value` is the class's name or an instance."""
+        """Return the fields of the class that `value` names, or of the object `value`, as parameters by name."""
         kind = self.class_of(field, value)
         return {} if kind is None else own_fields(field.name, kind)
 
@@ -125,9 +125,9 @@ class ByName(CompositeRule):
         return short.get(kind, f"{kind.__module__}:{kind.__qualname__}")
 
     def class_of(self, field: Field, value: object) -> type | None:
-        """Return the class that `value` names, or the class of the object `value`; return None for the value None.
+        """Return the class that the text `value` names, or the class of the object `value`; None if `value` is None.
 
-        Raises :class:`SceneError` if the name leads to no class of the kind that `field` requires.
+        Raises :class:`SceneError` if that class does not exist or is not of the type that `field` requires.
         """
         if value is None:
             return None
@@ -192,9 +192,10 @@ def own_fields(name: str, kind: type) -> dict[str, Field]:
 
 
 def _leaves(name: str, kind: type) -> Iterator[tuple[str, tuple[Field, tuple[str, ...]]]]:
-    """Yield each field that holds a plain value, as (parameter name, (field, attribute path from the object)).
+    """Yield each field of the class `kind` that holds a plain value, as (parameter name, (field, attribute path)).
 
-    Fields that are dataclasses are entered recursively.
+    If a field holds a dataclass, the fields of that dataclass follow, and so on. The attribute path leads from an
+    object of the class `kind` to the value.
     """
     for own, field in declared_fields(kind).items():
         if is_dataclass(field.kind):

@@ -36,7 +36,10 @@ MAXIMUM_CHAIN = 10
 
 @dataclass(frozen=True)
 class MixSection:
-    """Section `mix` of a concrete's file, not yet evaluated, and the file's values that override the mix's results."""
+    """Section `mix` of a concrete's file before the program derives parameters from the mix.
+
+    `elements` and `flow` are the values of the file's other sections, which override the derived parameters.
+    """
 
     values: Any
     folder: Path

@@ -40,7 +40,8 @@ def _feed(digest: Digest, value: object) -> None:
     elif is_host_array(value):
         digest.update(f"{value.dtype}{value.shape}".encode() + np.ascontiguousarray(value).tobytes())
     elif is_mapping(value):
-        for key, item in value.items():  # Keep the order: kinds of bonds are numbered by it.
+        # Do not sort the entries: their order numbers the kinds of bonds, so it must change the fingerprint.
+        for key, item in value.items():
             _feed(digest, key)
             _feed(digest, item)
     elif is_list_or_tuple(value):
@@ -54,7 +55,7 @@ def _feed(digest: Digest, value: object) -> None:
     elif isinstance(value, str | None):
         digest.update(repr(value).encode())
     elif hasattr(value, "vertices") and hasattr(value, "faces"):
-        # The parts of a trimesh mesh refer to each other, so hash its vertices and faces only.
+        # Hash only the vertices and faces of a trimesh mesh: its attributes refer to each other in a cycle.
         _feed(digest, [np.asarray(getattr(value, name)) for name in ("vertices", "faces")])
     else:
         digest.update(_name(value))

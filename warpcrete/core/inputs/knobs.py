@@ -12,15 +12,15 @@ class Level:
     """One setting of a knob, which is a parameter that trades accuracy for computing time."""
 
     label: str
-    """Name of the level in tables, such as "10 mm"."""
+    """Name in tables for this setting of the knob, such as "10 mm"."""
     changes: Mapping[str, object] = field(default_factory=dict[str, object])
-    """Parameters in which this level differs from the scene as given, with their values."""
+    """Values of the scene's parameters that this setting of the knob changes, by parameter name."""
     cost: float = 1.0
-    """Expected wall time, relative to the other levels of the knob. It is used only for planning, before times are
-    measured."""
+    """Expected wall time with this setting, relative to the other settings of the knob. This estimate is used only for
+    planning, before times are measured."""
     key: str = ""
-    """Name of this level that is the same in scenes with other numbers, such as "x 0.5" where `label` is a length; by
-    default, it is the label."""
+    """Name by which this setting of the knob is found again in other scenes. For example, half the element size has the
+    key "x 0.5" in every scene, whereas `label` is a length such as "10 mm". If the key is empty, `label` is the key."""
     converted: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
     """Quantities that have another meaning at this level, by name: with (offset, factor), a value becomes offset +
     factor * (value - offset)."""
@@ -28,20 +28,20 @@ class Level:
 
 @dataclass(frozen=True)
 class Knob:
-    """Property of a scene that can be set coarser or finer."""
+    """Knob of a scene: a parameter, such as the element size, that can be set coarser or finer."""
 
     name: str
     levels: tuple[Level, ...]
-    """Levels from the coarsest to the finest; one of them is the scene as given."""
+    """Settings from the coarsest to the finest; one of the settings is that of the scene as given."""
     physical: bool = False
-    """True if the knob changes physical properties of the concrete, so that a coarser level simulates a different
+    """True if the knob changes physical properties of the concrete, so that a coarser setting simulates a different
     concrete."""
     chosen: bool = True
     """True if the program may use this knob in the settings that it recommends. Otherwise the knob's effect is only
     measured."""
 
     def level_of(self, key: str) -> Level | None:
-        """Return the level with a given key, or None if this scene has no such level."""
+        """Return the setting (level) of this knob that has the given key, or None if there is no such setting."""
         return next((level for level in self.levels if (level.key or level.label) == key), None)
 
 
@@ -66,7 +66,10 @@ def precisions() -> Knob:
 
 @dataclass(frozen=True)
 class Trading:
-    """Trade-off between accuracy and time in a scene; the scene's module provides it under the name `trading`."""
+    """Description of a scene for studies of accuracy against computing time: knobs, quantities and closed forms.
+
+    The module of the scene assigns this object to the name `trading`.
+    """
 
     knobs: Callable[[Any], Iterator[Knob]]
     """Function that takes the scene's parameters and yields the knobs."""
@@ -76,7 +79,7 @@ class Trading:
     """Function that takes the scene's parameters and returns whether theory is exact for these parameters. If so,
     results have an entry `NAME_error` for each quantity NAME."""
     variants: Callable[[Any], Mapping[str, Mapping[str, object]]] = lambda given: {}
-    """Function that takes the scene's parameters and returns parameters of similar scenes, by a description of the
-    difference. Recommended settings are also tested on these scenes."""
+    """Function that takes the scene's parameters and returns changed parameters for each of several similar scenes. The
+    key of each entry describes the change in words. Recommended settings are also tested on these scenes."""
     tolerance: str = ""
     """Name of the parameter that sets the largest error that the scene's checks accept; empty if there is none."""

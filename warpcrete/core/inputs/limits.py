@@ -23,11 +23,12 @@ class Limit:
     low: float
     high: float
     why: str
-    """Reason for the limits."""
+    """Reason for the limits, which an error or a warning about a value outside them states."""
     usual: tuple[float, float] | None = None
     """Range outside which a warning is given."""
     unit: str = ""
-    """Unit of the limits. Limits that belong to a name apply only to quantities with this unit."""
+    """Unit that a quantity must have if the limits are listed under the name of a quantity. It is empty for limits that
+    are listed under a unit."""
 
 
 LIMITS = {
@@ -97,7 +98,10 @@ FASTEST = 10.0
 
 
 def limit_of(name: str, unit: str) -> Limit | None:
-    """Return the limits that belong to a quantity's name, if its unit matches, else those of the unit, or None."""
+    """Return the limits of the quantity called `name`, or those of all quantities with the unit `unit`, or None.
+
+    Limits that are listed under `name` apply only if their unit is `unit`.
+    """
     unit = "" if unit in ("1", "m3/m3") else unit
     named = LIMITS.get(name)
     if named is not None and named.unit == (unit or "1"):

@@ -40,7 +40,10 @@ def files_read() -> Generator[dict[str, str]]:
 
 
 def note_file(path: Path) -> None:
-    """Register an input file with :func:`files_read`; skip files of this package, which its version identifies."""
+    """Add an input file to the files that the enclosing :func:`files_read` block collects.
+
+    Files of this package are left out, because the package's version identifies their content.
+    """
     found, whole = _files.get(), path.resolve()
     if found is not None and PACKAGE not in whole.parents:
         found[str(whole)] = digest_of(whole)
@@ -72,9 +75,9 @@ def check_files(where: Path, files: Mapping[str, str]) -> None:
 class Arguments(dict[str, Any]):
     """Arguments of a scene function by name, with fingerprints of the scene that the function made.
 
-    `function` is the name of the scene function, and `fields` has the fingerprint of each field of the scene. `files`
-    has the SHA-256 of each file that the function read. `unwritable` has the names of arguments whose values cannot be
-    written as text.
+    `function` is the name of the scene function. `fields` maps each field of the scene to a fingerprint of its value.
+    `files` maps the path of each file that the function read to its SHA-256. `unwritable` holds the names of the
+    arguments whose values cannot be written as text.
     """
 
     function: str = ""

@@ -114,15 +114,15 @@ class Alias:
 class CompositeRule:
     """Rule of a parameter, such as `contact`, whose value has parameters of its own, such as `contact_FIELD`.
 
-    See :mod:`warpcrete.core.inputs.by_name`.
+    The module :mod:`warpcrete.core.inputs.by_name` has the rule for objects such as contact laws.
     """
 
     def fields(self, field: Field, value: object) -> dict[str, Field]:
-        """Return the parameters that belong to a value of `field`, by name."""
+        """Return the parameters of the object `value` by name, such as `contact_FIELD` for the field `contact`."""
         raise NotImplementedError
 
     def with_objects(self, field: Field, values: Mapping[str, object]) -> dict[str, object]:
-        """Return parameters in which the value of `field` is built from all parameters that belong to it."""
+        """Return parameters in which one object, the value of `field`, replaces all parameters of that object."""
         raise NotImplementedError
 
     def to_plain(self, field: Field, value: object) -> tuple[dict[str, object], bool]:
@@ -137,11 +137,11 @@ class Field:
     name: str
     kind: type
     optional: bool
-    """True if None is an allowed value."""
+    """True if the parameter may be None."""
     help: str
     rules: tuple[object, ...]
     default: Any
-    """Default value; `dataclasses.MISSING` if there is none."""
+    """Default value of the parameter; `dataclasses.MISSING` if the parameter is required."""
     group: str
     """First line of the docstring of the class that declares the field; it is the heading of a group in help texts."""
 
@@ -179,7 +179,8 @@ class Field:
         if self.kind is int and isinstance(value, int) and not isinstance(value, bool):
             check_whole(name, value)
         if self.kind is float and isinstance(value, float):
-            return value + 0.0  # Adding 0.0 turns -0.0 into 0.0.
+            # Adding 0.0 turns -0.0 into 0.0, so that both zeros give the same text and fingerprint.
+            return value + 0.0
         if self.kind is str and hasattr(value, "__fspath__"):
             return str(value)
         if not isinstance(value, self.kind) or (isinstance(value, bool) and self.kind is not bool):
@@ -244,7 +245,10 @@ class Declared:
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        """Return the section of a concrete's file that has parameters of this class, and the names allowed there."""
+        """Return the section of a concrete's file that can set fields of this dataclass, and the names of these fields.
+
+        Both are empty for a dataclass whose fields a concrete's file cannot set.
+        """
         return "", ()
 
     @classmethod
@@ -301,12 +305,16 @@ class SceneFunction(Generic[P, S]):
 
     @property
     def module(self) -> types.ModuleType:
-        """Module that holds the function together with the scene's checks and knobs."""
+        """Python module that contains this scene function, the scene's checks and the scene's knobs."""
         return sys.modules[self._module_name]
 
     @property
     def _module_name(self) -> str:
-        """Name of the module; a function `scene_dem` in a file NAME belongs to module NAME_dem (`scenes/__init__`)."""
+        """Name of the scene's Python module.
+
+        A file NAME.py may contain the functions `scene` and `scene_dem`, for two simulation methods. The package
+        `scenes` then makes a second module NAME_dem for `scene_dem`.
+        """
         return self._build.__module__ + ("_dem" if self.__name__ == "scene_dem" else "")
 
     def __call__(self, *args: P.args, **given: P.kwargs) -> S:
@@ -348,7 +356,7 @@ class SceneFunction(Generic[P, S]):
 
     @property
     def name(self) -> str:
-        """Name of the scene in the command."""
+        """Name of the scene on the command line, such as `pipe` in `warpcrete run pipe`."""
         return self._module_name.rpartition(".")[2].replace("_", "-")
 
     def _plain_values(self, parameters: Declared) -> tuple[dict[str, object], tuple[str, ...]]:
@@ -364,7 +372,11 @@ class SceneFunction(Generic[P, S]):
         return values, tuple(unwritable)
 
     def fields(self, given: Mapping[str, object]) -> dict[str, Field]:
-        """Return the declared fields, and the fields that belong to given values, such as those of a contact law."""
+        """Return all parameters that can be given, by name.
+
+        These are the declared fields of the scene, and the fields of the objects in `given`, such as those of a contact
+        law.
+        """
         known = dict(declared_fields(self.parameters))
         for name, field in list(known.items()):
             for rule in field.of_kind(CompositeRule):
@@ -372,9 +384,9 @@ class SceneFunction(Generic[P, S]):
         return known
 
     def with_objects(self, values: Mapping[str, object]) -> dict[str, Any]:
-        """Return parameters in which each object is built from the parameters that belong to it.
+        """Return parameters with an object, such as a contact law, in place of its name and its own parameters.
 
-        Raises :class:`SceneError` for a parameter that belongs to no object.
+        Raises :class:`SceneError` for a parameter, such as `contact_FIELD`, that this object does not have.
         """
         found = dict(values)
         for field in declared_fields(self.parameters).values():
@@ -390,7 +402,7 @@ class SceneFunction(Generic[P, S]):
         return found
 
     def plain(self, scene: Any, given: Mapping[str, object]) -> dict[str, Any]:
-        """Return the arguments that a scene was made of, without parameters that were left at their defaults."""
+        """Return the arguments with which a scene was made, without parameters that were left at their defaults."""
         names = self.completed(given)
         declared = declared_fields(self.parameters)
         return {name: value for name, value in scene.parameters.items() if name in names or name not in declared}

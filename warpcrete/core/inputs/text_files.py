@@ -114,7 +114,7 @@ def saved_text(path: Path) -> str:
 
 
 def saved_json(path: Path) -> dict[str, Any]:
-    """Return the object in a JSON file of the program; raises :class:`RunFolderError` if that is impossible."""
+    """Return the object in a JSON file that the program wrote; raises :class:`RunFolderError` if that is impossible."""
     try:
         found = parsed_json(_text(path, MAXIMUM_TEXT_SIZE))
     except Unreadable as error:

@@ -35,7 +35,7 @@ WORDS: dict[str, bool | None] = {
     **dict.fromkeys(("false", "False", "FALSE"), False),
 }
 PLAIN_TAG = "plain"
-"""Tag for scalars that have no quotes and no tag."""
+"""Tag that the parser gives to YAML scalars without quotes and without a tag of their own."""
 
 
 class FileMapping(dict[str, Any]):
@@ -53,7 +53,7 @@ class FileList(list[Any]):
 
 
 class Unreadable(Exception):
-    """File that cannot be read, with the reason and a hint."""
+    """Error raised for a file that cannot be read, with the reason and a hint."""
 
     def __init__(self, reason: str, hint: str = "", line: int | None = None) -> None:
         super().__init__(reason)
@@ -72,10 +72,10 @@ class UntaggedResolver(VersionedResolver):
 
 
 class DepthLimitedScanner(Scanner):
-    """YAML scanner that refuses deep nesting, because its time would grow with the square of the depth."""
+    """YAML scanner that refuses deep nesting, because scanning time grows with the square of the nesting depth."""
 
     def fetch_flow_collection_start(self, *arguments: object, **named: object) -> None:
-        """Begin a list or mapping in brackets; raises :class:`Unreadable` if it is nested too deeply."""
+        """Scan the opening bracket of a list or mapping; raises :class:`Unreadable` if it is nested too deeply."""
         if len(self.flow_context) >= MAXIMUM_DEPTH:
             raise Unreadable("is nested too deeply", "use fewer lists and mappings inside each other")
         super().fetch_flow_collection_start(*arguments, **named)

@@ -121,9 +121,11 @@ trade-off, calibration or reproduction."""
 
 
 NULLABLE_ENTRIES = {"device", "precision", "threads", "columns", "rows"}
-"""Entries of a record that may be null, because the user left them at their defaults."""
+"""Entries that may be null in a record (the JSON file of a request), because the user left them at their defaults."""
 NEVER_NULL = {"scene.json": {"threads"}, "trade.json": {"device", "threads"}}
-"""Exceptions from `NULLABLE_ENTRIES` by file: entries that the program always fills in there."""
+"""Entries in `NULLABLE_ENTRIES` that may not be null in a particular file, by the name of that file.
+
+The program always fills in these entries when it writes the file."""
 
 
 def read_record(path: Path) -> dict[str, Any]:

@@ -20,7 +20,7 @@ except ImportError:  # Folders are not locked on systems other than POSIX.
     fcntl = None
 
 KILL_GRACE = 2.0
-"""Time for which a locked folder is tried again, because the processes of a killed run need some time to end [s]."""
+"""Time for which locking a folder is retried [s], because the processes of a killed run need some time to end."""
 
 
 class FolderLock:

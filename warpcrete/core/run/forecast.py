@@ -37,7 +37,7 @@ class Forecast:
     parts: Mapping[str, float]
     """Wall time of each part of the run [s], without recordings."""
     frame: Mapping[str, float] = field(default_factory=dict[str, float])
-    """Wall time of one frame of each recording [s], if it was measured."""
+    """Wall time that each recording takes for one frame [s], by the recording's name; empty if not measured."""
     duration: float = 0.0
     """Simulated time of the run [s]."""
     remarks: tuple[str, ...] = ()

@@ -14,8 +14,9 @@ class Frames:
     """Schedule of frames: every `interval` seconds of simulated time, or by default about 25 frames per second.
 
     With the default, a run of the `expected` duration [s] has at least 30 frames; in a run that lasts longer than
-    expected, the time between frames grows. Frames coincide with samples of the run, unless the run can stop between
-    samples; then two frames are at least `step` seconds apart.
+    expected, the time between frames grows. A frame is taken at the first sample of the run after the frame is due. If
+    `step` is finite, it is the constant time step [s], and the run also stops between samples to take frames. Two
+    frames are then at least one time step apart.
     """
 
     def __init__(self, interval: float | None, expected: float, step: float = np.inf) -> None:

@@ -29,16 +29,16 @@ class Quantity:
     name: str
     unit: str
     of: Callable[[Any], float | None]
-    """Function that computes the value from the method's data about a run; it returns None if the quantity is
-    undefined."""
+    """Function that takes the method's data about a run and returns the value of the quantity in `unit`, or None if the
+    quantity is undefined for this run."""
     label: str = ""
     """Name of the quantity in the report; without a label, the quantity is not reported."""
     words: Callable[[Run], str] | None = None
-    """Function that takes a run and returns the text in the report, in place of value and unit."""
+    """Function that takes a run and returns the text that the report shows in place of the value and the unit."""
     compared: bool = False
     """True if studies show the quantity in their table and figure."""
     rare: bool = False
-    """True if studies show the quantity only if its value is above 0 in some case."""
+    """True if a study shows the quantity only if its value is above 0 in at least one of the study's runs."""
 
     @property
     def title(self) -> str:
@@ -96,10 +96,10 @@ class Method:
     list_quantities: Callable[[], tuple[Quantity, ...]]
     display: type[Display]
     picture: str
-    """File name of the picture in a run folder."""
+    """File name of the picture that is drawn with `draw` and saved in the run folder."""
     draw: Callable[[Any, Run, str], Figure | None]
-    """Function that takes (simulation, run, colouring) and returns a Matplotlib figure, or None if there is nothing to
-    draw."""
+    """Function that takes the simulation, its run and the quantity that colours the bodies. It returns a Matplotlib
+    figure, or None if there is nothing to draw."""
     show: Callable[[Run], Figure | None]
     """Function that takes a run and returns a Matplotlib figure for notebooks."""
     report: Callable[[Run], Iterator[tuple[str, str]]]
@@ -123,7 +123,10 @@ class Method:
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """All quantities that runs may have, including quantities of standard tests that were defined later."""
+        """All quantities that runs of this method may have.
+
+        The list is made at each access, because a user may define further standard tests with their own quantities.
+        """
         return self.list_quantities()
 
     @property

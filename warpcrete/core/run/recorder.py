@@ -59,7 +59,7 @@ class Recorder:
         """
 
     def tidy(self, simulation: RecordedSimulation, run: Run) -> None:
-        """Remove or join the files that only a resumed run would need; called when the run is complete."""
+        """Tidy up the files after a complete run: remove or join those that only a resumed run would need."""
 
     def close(self, simulation: RecordedSimulation) -> None:
         """Release all resources, however the run ended."""

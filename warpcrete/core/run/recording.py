@@ -42,9 +42,9 @@ class Recording:
             self._call(recorder, method, *arguments)
 
     def states(self) -> dict[str, object]:
-        """Return, by class name of each recorder, the data that the recorder needs to go on from this time.
+        """Return the data from which recorders can go on after a checkpoint, by class name of the recorder.
 
-        A recorder that was dropped keeps its data from an earlier checkpoint.
+        For a recorder that failed and was dropped, the result has its data from an earlier checkpoint, if any.
         """
         for recorder in list(self.active):
             self._states[class_name_of(recorder)] = self._call(recorder, "checkpoint")
@@ -58,7 +58,7 @@ class Recording:
                 raise
             self.active.remove(recorder)
             self._warn(recorder, error)
-            with suppress(Exception):  # Keep the data that the failed recorder has recorded so far.
+            with suppress(Exception):  # Write what the failed recorder has recorded so far.
                 recorder.finish(self.simulation, None)  # type: ignore[arg-type]
             return self._states.get(class_name_of(recorder))
 
@@ -69,7 +69,7 @@ class Recording:
             self._end(recorder, "finish", run)
 
     def tidy(self, run: Run) -> None:
-        """Let every recorder remove or join files that a complete run does not need."""
+        """Let every recorder tidy up its files after a complete run, for example join several files into one."""
         for recorder in self.active:
             self._end(recorder, "tidy", run)
 
@@ -84,7 +84,10 @@ class Recording:
             run.finished = run.result["finished"] = False
 
     def mark_incomplete(self) -> None:
-        """Let essential recorders note on disk that the run is not complete, if no checkpoint shows this."""
+        """Let essential recorders write results that say that the run is not complete.
+
+        This is necessary if a recorder failed at the end of a run that has no checkpoint to continue from.
+        """
         for recorder in self.active:
             if not recorder.expendable:
                 with suppress(Exception):

@@ -27,7 +27,7 @@ DEFAULT_PLOT_COLUMNS = ("pressure", "spread", "front", "inside")
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of equal length by name, with the unit of each column."""
+    """Table of a run's results over a coordinate: columns of equal length by name, and the unit of each column."""
 
     columns: dict[str, np.ndarray]
     units: dict[str, str]
@@ -49,7 +49,7 @@ class Run:
     """True if an interruption (Ctrl-C) ended the run at once, before it reached the next sample."""
     folder: Path | None = None
     tables: dict[str, Table] = field(default_factory=dict[str, Table])
-    """Tables of quantities over a coordinate other than time, by file name."""
+    """Tables of the run's results over a coordinate other than time, such as the radius, by file name."""
 
     def __repr__(self) -> str:
         ended = "finished" if self.finished else "not finished"

@@ -48,7 +48,7 @@ generator goes on when the state has reached this time. The caller can therefore
 
 
 class RunRecord(TypedDict):
-    """Part of a checkpoint about the run, as opposed to the state."""
+    """Data in a checkpoint that describe the progress of the run; the simulated state is stored separately."""
 
     recorders: dict[str, object]
     """Data of each recorder, by its class name."""
@@ -87,7 +87,7 @@ class Simulation:
     kinds: ClassVar[list[type[Simulation]]] = []
     """Subclasses, one for each simulation method."""
     stepper: Stepped
-    """State on the device, with its clock."""
+    """Simulated state on the device, with its simulated time, its number of steps and the methods that step it."""
     shares_cores = False
     """True if other runs use the cores that the threads of this run leave free."""
 
@@ -165,7 +165,7 @@ class Simulation:
 
     @abstractmethod
     def set_up(self) -> None:
-        """Create the method's data from the scene; refuse a scene that cannot be simulated."""
+        """Create the data of the simulation method from the scene; refuse a scene that cannot be simulated."""
 
     @property
     @abstractmethod
@@ -179,11 +179,11 @@ class Simulation:
     @property
     @abstractmethod
     def rows(self) -> list[dict[str, float]]:
-        """Rows of the series so far, each with a value by column name."""
+        """Rows of the time series so far; each row has a value for each column name."""
 
     @abstractmethod
     def unit(self, column: str) -> str:
-        """Return the unit of a column of the series."""
+        """Return the unit of a column of the run's time series."""
 
     @abstractmethod
     def measure(self) -> dict[str, float]:
@@ -191,7 +191,7 @@ class Simulation:
 
     @abstractmethod
     def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if a row shows that the state is no longer physically meaningful."""
+        """Raise :class:`InstabilityError` if a row of the time series shows that the state has no physical meaning."""
 
     @abstractmethod
     def display(self, colouring: str | None = None) -> Display:
@@ -203,7 +203,7 @@ class Simulation:
 
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:
-        """Return the method's part of a checkpoint, which this base class completes."""
+        """Return the state of the simulation for a checkpoint; :meth:`save` adds the data about the run."""
 
     @abstractmethod
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -324,7 +324,8 @@ class Simulation:
     def abandon(self, refused: bool = False) -> None:
         """Release the resources that `claim` took, unless the run has begun.
 
-        If `refused` is true, the scene was refused: remove the checkpoint of a new run too, but not of a resumed run.
+        `refused` is true if the scene was found to be invalid. The checkpoint of a new run is then removed as well; the
+        checkpoint of a resumed run is kept.
         """
         if not self._has_run:
             if refused and not self.resumes and self.checkpoint_path is not None:
@@ -415,7 +416,8 @@ class Simulation:
     def _loop(self) -> Coroutine:
         interval, duration, stepper = self.scene.sample_interval, self.duration, self.stepper
         if self.at_end:
-            self.ended_early()  # `ended_early` also stores findings for the results, such as a steady flow.
+            # A resumed run has no step left, but its results need what `ended_early` finds, such as a steady flow.
+            self.ended_early()
             return True
         if not self.rows:
             self._sample()
@@ -472,14 +474,15 @@ class Simulation:
         return self._time_before_resume + (wall_clock.perf_counter() - self._started if self._has_run else 0.0)
 
     def tell(self, phase: str, fraction: float, **figures: float) -> None:
-        """Report progress to the callback."""
+        """Pass the current phase, its completed fraction and current figures to the callback `progress`."""
         self._progress(phase, fraction, figures)
 
 
 def run_coroutine(coroutine: Coroutine, advance: Callable[[float], None]) -> Any:
     """Run a generator that yields :class:`Until` requests, and return its result.
 
-    The function `advance` steps the state to a time [s]. Its errors are raised inside the generator.
+    For each request, the function `advance` steps the state to the requested time [s]. An error of `advance` is raised
+    inside the generator.
     """
     try:
         goal = next(coroutine)

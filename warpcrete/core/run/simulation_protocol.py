@@ -1,4 +1,7 @@
-"""Simulation as its recorders see it; they cannot name its class, because the run loop imports them."""
+"""Protocol with the attributes and methods of a simulation that recorders use.
+
+Recorders cannot import the class `Simulation` itself, because the module of that class imports their base class.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +14,12 @@ from .run import Run
 
 
 class RecordedSimulation(SimulationOnDevice, Protocol):
-    """Simulation whose run is recorded."""
+    """Attributes and methods of a simulation that recorders use while they record its run."""
 
     scene: Any
     """Scene of the run; its type depends on the method."""
     frames: Frames
-    """Schedule of frames."""
+    """Schedule that decides at which simulated times recorders record a frame."""
     precision: str
     resumes: bool
     """True if the run goes on from a checkpoint, in an existing folder."""
@@ -30,7 +33,7 @@ class RecordedSimulation(SimulationOnDevice, Protocol):
 
     @property
     def rows(self) -> list[dict[str, float]]:
-        """Rows of the series so far, each with a value by column name."""
+        """Rows of the time series so far; each row has a value for each column name."""
         ...
 
     def unit(self, column: str) -> str:

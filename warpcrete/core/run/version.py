@@ -1,4 +1,4 @@
-"""Versions of installed packages."""
+"""Functions that return the versions of installed packages."""
 
 from __future__ import annotations
 

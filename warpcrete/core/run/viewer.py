@@ -20,7 +20,9 @@ from .processes import killed_with_parent
 
 LOOPBACK = "127.0.0.1"
 WEB_PORT, DATA_PORT = 9090, 9876
-"""Preferred ports of the web page and of the data; other ports are used if these are occupied."""
+"""Preferred network ports of the viewer: for its web page, and for the recording's data.
+
+Other ports are used if these ports are occupied."""
 START_TIMEOUT = 20.0
 """Longest time to wait until a server accepts connections [s]."""
 
