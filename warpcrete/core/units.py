@@ -27,5 +27,8 @@ def number(entry: SupportsFloat | Mapping[str, Any]) -> float:
 
 
 def shown(unit: str) -> tuple[float, str]:
-    """Return the factor and the unit for the display of a quantity; by default, the factor is 1 and the unit stays."""
+    """Return the factor by which a value in `unit` is multiplied for display, and the display unit.
+
+    A unit without an entry in `DISPLAY_UNITS` is displayed unchanged, with the factor 1.
+    """
     return DISPLAY_UNITS.get(unit, (1.0, unit))

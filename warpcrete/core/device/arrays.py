@@ -87,14 +87,14 @@ if TYPE_CHECKING:
         """Compile the kernels of a module, or load them from the cache."""
 
     def full(shape: Shape, value: float, *, dtype: type, device: wp.Device) -> DeviceArray:
-        """Return a new array whose elements have one value."""
+        """Return a new array in which every element is `value`."""
         ...
 
     def launch_kernel(
         kernel: Kernel, *, dim: Shape, inputs: Sequence[object], device: wp.Device, record_cmd: bool = False,
         block_dim: int = 256,
     ) -> wp.Launch | None:  # fmt: skip
-        """Launch a kernel; with `record_cmd`, return the launch without running it."""
+        """Launch a kernel; with `record_cmd`, return an object for later launches instead of running the kernel."""
 
     def capture_if(condition: DeviceArray, on_true: Callable[[], None]) -> None:
         """Let a graph run what `on_true` launches only if `condition`, shape (1,), is not 0 at that time."""
@@ -133,7 +133,7 @@ class Struct(Protocol):
 
     @property
     def vars(self) -> Mapping[str, StructMember]:
-        """Members by name."""
+        """Members of the struct, by name."""
         ...
 
     def __call__(self) -> Any: ...
@@ -151,7 +151,7 @@ class KernelArgument(Protocol):
 
 
 class KernelCode(Protocol):
-    """Code of a kernel before it is compiled."""
+    """Code of a kernel as Warp has parsed it from Python; `args` holds the kernel's parameters."""
 
     @property
     def args(self) -> Sequence[KernelArgument]: ...

@@ -99,7 +99,7 @@ def default_threads() -> int:
     try:
         quota, period = Path("/sys/fs/cgroup/cpu.max").read_text(encoding="utf-8").split()
         cores = min(cores, max(1, int(quota) // int(period)))
-    except (OSError, ValueError):  # Without a CPU quota of the container, count all cores of the affinity.
+    except (OSError, ValueError):  # No CPU quota is set, so use all cores of the affinity.
         pass
     return cores
 

@@ -166,7 +166,8 @@ class Exchange:
             self._wait()
         for view, (_, values) in zip(buffers.views, pairs):
             view[...] = values
-        # Number the write before its launch, so that a copy in flight has a number even if the launch is interrupted.
+        # Increment the write's serial number before the copy is launched. If an exception interrupts the launch, the
+        # copy may be in flight, and the next write must then wait for this number before it reuses the buffers.
         self._last_write += 1
         buffers.last_write = self._last_write
         buffers.scatter(arrays)

@@ -22,7 +22,7 @@ not block the recorders of another run."""
 
 @contextmanager
 def run_is_waiting() -> Generator[None]:
-    """Mark a run as waiting for its device or its recorders, while the block runs."""
+    """Mark a run as waiting for its device or its recorders while the block runs, so that recorders may work."""
     global _waiting_runs
     with _count_lock:
         _waiting_runs += 1

@@ -1,4 +1,7 @@
-"""Simulation as modules below the run loop see it; they cannot name its class, because the run loop imports them."""
+"""Types of a simulation for the modules that the run loop imports.
+
+These modules cannot import the simulation's class from the run loop, because the import would be circular.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ class Stepped(Clocked, Protocol):
         """Step the state until its time reaches `until` [s]."""
 
     def take(self, count: int, /) -> None:
-        """Take `count` steps of the current size."""
+        """Take `count` time steps of the current size."""
 
 
 class SimulationOnDevice(Protocol):
@@ -38,7 +41,7 @@ class SimulationOnDevice(Protocol):
     """True if the run must end at its next sample."""
 
     finishing: bool
-    """True if the run writes its results."""
+    """True if all steps of the run are over, and its results are being written or have been written."""
     device: wp.Device
     """Warp device of the run."""
     threads: int
@@ -48,5 +51,5 @@ class SimulationOnDevice(Protocol):
 
     @property
     def stepper(self) -> Clocked:
-        """Clock of the state."""
+        """State that is stepped in time, whose attribute `time` is the simulated time [s]."""
         ...

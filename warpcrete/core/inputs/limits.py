@@ -25,7 +25,7 @@ class Limit:
     why: str
     """Reason for the limits."""
     usual: tuple[float, float] | None = None
-    """Range outside which a warning is given."""
+    """Lower and upper end of the usual magnitudes; a value outside this range causes a warning."""
     unit: str = ""
     """Unit of the limits. Limits that belong to a name apply only to quantities with this unit."""
 
@@ -151,12 +151,15 @@ def warn(text: str) -> None:
 
 
 def _meant(value: float, unit: str, limit: Limit) -> str:
-    """Return a question such as "125 mm?", with a unit in which the number would be usual; empty if there is none."""
+    """Return a question such as "did you mean 125 mm?", with a unit in which the number would be usual.
+
+    Return an empty text if there is no such unit.
+    """
     low, high = limit.usual or (limit.low, limit.high)
     if limit.usual is None and limit_of("", unit) is limit:
         return ""  # Limits that belong to a unit are too wide to suggest another unit.
     if not 1e-2 <= abs(value) <= 1e6:
-        return ""  # A number of this size is unusual in any unit.
+        return ""  # A wrong unit does not explain a number this small or large.
     for other, factor in UNITS.get(unit, {}).items():
         if factor != 1.0 and low <= abs(value) * factor <= high:
             return f"did you mean {value:g} {other}?"

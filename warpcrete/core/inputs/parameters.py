@@ -85,11 +85,11 @@ class Needs:
     field: str
     test: Callable[[Any], bool]
     words: str
-    """Condition for the other parameter, in words that follow its name in a message."""
+    """Condition as words that follow the name of the parameter `field` in a message, such as "is given"."""
     others: tuple[str, ...] = ()
 
     def holds(self, value: Callable[[str], Any]) -> bool:
-        """Return whether the test holds; `value` returns the value of a parameter by its name."""
+        """Return whether `test` holds for the parameter `field` or one of `others`; `value(name)` returns a value."""
         return any(self.test(value(name)) for name in (self.field, *self.others))
 
 
@@ -112,9 +112,10 @@ class Alias:
 
 
 class CompositeRule:
-    """Rule of a parameter, such as `contact`, whose value has parameters of its own, such as `contact_FIELD`.
+    """Rule of a parameter whose value is an object with parameters of its own.
 
-    See :mod:`warpcrete.core.inputs.by_name`.
+    For example, the contact law in the parameter `contact` has the parameters `contact_FIELD`. The module
+    :mod:`warpcrete.core.inputs.by_name` explains these parameters.
     """
 
     def fields(self, field: Field, value: object) -> dict[str, Field]:
@@ -122,11 +123,17 @@ class CompositeRule:
         raise NotImplementedError
 
     def with_objects(self, field: Field, values: Mapping[str, object]) -> dict[str, object]:
-        """Return parameters in which the value of `field` is built from all parameters that belong to it."""
+        """Return a copy of the parameters `values` in which `field` has an object as its value.
+
+        The object is made from the value of `field` and from the parameters that belong to it, which are removed.
+        """
         raise NotImplementedError
 
     def to_plain(self, field: Field, value: object) -> tuple[dict[str, object], bool]:
-        """Return plain values for a value of `field`, and whether `with_objects` makes an equal value from them."""
+        """Return the parameters that describe an object `value` of `field` as numbers and texts, by name.
+
+        The second result is True if `with_objects` makes an equal object from these parameters.
+        """
         raise NotImplementedError
 
 
@@ -396,7 +403,10 @@ class SceneFunction(Generic[P, S]):
         return {name: value for name, value in scene.parameters.items() if name in names or name not in declared}
 
     def declared(self, given: Mapping[str, object]) -> Any:
-        """Return the parameters as an instance of their dataclass: given values, values implied by them, defaults."""
+        """Return an instance of the parameters' dataclass.
+
+        Each field has the given value, or else a value that the given ones imply, or else its default.
+        """
         return self.parameters(**self.with_objects(self.completed(given)))
 
     def completed(self, given: Mapping[str, object]) -> dict[str, Any]:
@@ -440,12 +450,18 @@ class SceneFunction(Generic[P, S]):
         return values
 
     def resolved(self, given: Mapping[str, object]) -> dict[str, Any]:
-        """Return parameters by their own names instead of aliases, and texts such as "125 mm" as numbers."""
+        """Return the parameters with each alias replaced by the parameter's own name.
+
+        Texts such as "125 mm" are converted to numbers.
+        """
         return resolved(declared_fields(self.parameters), given)
 
 
 def resolved(known: Mapping[str, Field], given: Mapping[str, object]) -> dict[str, Any]:
-    """Return values of fields by the fields' own names instead of aliases, and texts such as "125 mm" as numbers."""
+    """Return the values `given` with each alias replaced by the field's own name.
+
+    Texts such as "125 mm" are converted to numbers.
+    """
     values: dict[str, Any] = dict(given)
     for name, field in known.items():
         if name in values:

@@ -134,7 +134,7 @@ def make_folder(folder: Path) -> FolderLock:
     except OSError as error:
         raise RunFolderError(f"out = '{folder}': cannot be created ({error.strerror}); choose another path") from error
     hold = FolderLock(folder)
-    if not is_empty(folder):  # Between the check and the lock, another run has written into the folder.
+    if not is_empty(folder):  # Another run wrote into the folder before it was locked, so refuse the folder.
         hold.release()
         check_new(folder)
     hold.created = created

@@ -39,7 +39,7 @@ class Forecast:
     frame: Mapping[str, float] = field(default_factory=dict[str, float])
     """Wall time of one frame of each recording [s], if it was measured."""
     duration: float = 0.0
-    """Simulated time of the run [s]."""
+    """Simulated time that the run is expected to cover [s]."""
     remarks: tuple[str, ...] = ()
 
     @property
