@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from typing import Any, SupportsFloat, TypedDict
 
 DISPLAY_UNITS = {"Pa": (1e-3, "kPa"), "m/s": (100.0, "cm/s"), "m": (1e3, "mm"), "1": (100.0, "%")}
-"""Display unit of each SI unit: the SI unit is the key, and the value is (factor, display unit)."""
+"""Pair (factor, display unit) for each SI unit that is displayed in another unit. The factor converts a value in the SI
+unit to the display unit."""
 
 
 class Quantified(TypedDict):

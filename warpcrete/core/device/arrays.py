@@ -42,11 +42,11 @@ if TYPE_CHECKING:
         def __iter__(self) -> Iterator[DeviceArray]: ...
 
         def __getitem__(self, key: slice | int | tuple[slice | int, ...]) -> DeviceArray:
-            """Return a view of a part of the array."""
+            """Return the elements that `key` selects, as a view that shares the array's memory."""
             ...
 
         def numpy(self, *, _suppress_bfloat16_warning: bool = False) -> HostArray:
-            """Return the values on the host: a view of the array on a CPU, a copy on a GPU."""
+            """Return the values as a NumPy array: a view for an array on a CPU, a copy for an array on a GPU."""
             ...
 
         def assign(self, src: ArrayLike | DeviceArray) -> None:
@@ -185,8 +185,9 @@ class KernelModule(Protocol):
 
 
 def declared(struct: Struct) -> Struct:
-    """Return a struct as a :class:`Struct`, because Warp leaves the types of its members open.
+    """Return `struct` unchanged, so that a type checker regards it as a :class:`Struct`.
 
-    An annotation does not suffice: the type checker keeps the unknown type of the assigned value.
+    Warp leaves the type of a struct open. An annotation of the variable does not suffice, because the type checker
+    would keep the unknown type of the assigned value.
     """
     return struct

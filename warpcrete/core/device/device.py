@@ -107,7 +107,7 @@ def default_threads() -> int:
 def checked_threads(threads: int | None) -> int:
     """Return `threads`, or the number of usable cores if `threads` is None.
 
-    Raises :class:`SceneError` unless `threads` is between 1 and the number of the machine's cores.
+    Raises :class:`SceneError` if `threads` is below 1 or exceeds the number of cores of the machine.
     """
     if threads is None:
         return default_threads()

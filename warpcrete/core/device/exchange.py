@@ -82,7 +82,7 @@ class _Copying:
 
 
 class LaunchAndRead:
-    """Launch of several stages, followed by copies to the host of the arrays that the stages write."""
+    """Callable that launches several stages and then copies the arrays that the stages write to the host."""
 
     def __init__(self, stages: Sequence[Recordable], arrays: Sequence[DeviceArray], device: wp.Device) -> None:
         self._device, self._arrays = device, tuple(arrays)
@@ -91,7 +91,7 @@ class LaunchAndRead:
         self._launch = GraphLaunch([*stages, *copies], device)
 
     def __call__(self) -> list[HostArray]:
-        """Launch the stages and copies; return the copied arrays."""
+        """Launch the stages, copy the arrays to the host, and return the copies."""
         self._launch()
         if self._buffers is None:
             return [array.numpy().copy() for array in self._arrays]

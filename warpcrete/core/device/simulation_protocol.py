@@ -47,7 +47,7 @@ class SimulationOnDevice(Protocol):
     threads: int
     """Number of CPU threads of the run."""
     shares_cores: bool
-    """True if other runs use the cores that the threads of this run leave free."""
+    """True if other runs use the CPU cores on which this run has no thread."""
 
     @property
     def stepper(self) -> Clocked:

@@ -81,7 +81,7 @@ class Curve:
     label: str
     """Text in the plot's legend, with the unit."""
     value: Callable[[dict[str, float]], float | None]
-    """Function that takes a row of the series and returns the value to draw, or None to draw nothing."""
+    """Function that takes a row of the time series and returns the value to draw, or None to draw nothing."""
     colour: tuple[int, int, int] | None = None
 
 
@@ -156,10 +156,11 @@ class Display(ABC):
         return self.snapshot_value(path, lambda: attrgetter(path)(self.simulation.state))
 
     def snapshot_value(self, name: str, source: Callable[[], object]) -> Any:
-        """Return the result of calling `source`, which depends on the state at the time that is drawn.
+        """Return the value of `source()`, a quantity of the state, at the time that is drawn.
 
-        While a snapshot is drawn, the value stored under `name` in the snapshot is returned instead. All displays of a
-        simulation share the values of a snapshot, so do not write to them. A Warp array is returned as a NumPy array.
+        While a snapshot is drawn, the snapshot's value with the name `name` is returned, without a call of `source`.
+        All displays of a simulation share the values of a snapshot, so the caller must not modify the value. A Warp
+        array is returned as a NumPy array.
         """
         if self._current_snapshot is not None:
             self._yield_to_run()

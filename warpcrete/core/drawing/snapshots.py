@@ -23,7 +23,7 @@ POLL_INTERVAL = 1e-3
 
 
 def on_host(found: object) -> object:
-    """Return a Warp array as a NumPy array of its own; return anything else unchanged."""
+    """Return a copy of a Warp array as a NumPy array; return any other object unchanged."""
     if not isinstance(found, DeviceArray):
         return found
     # On a CPU, `numpy()` returns a view of the array, which the run continues to change.

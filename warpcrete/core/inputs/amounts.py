@@ -66,7 +66,7 @@ UNITS = {
 """Accepted unit names, by internal unit: `UNITS[internal][written]` is the factor that converts a value in the written
 unit to the internal unit. Gallons and fluid ounces (oz/yd3) are those of the United States."""
 DECIMAL = r"(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
-"""Pattern of a number with a decimal point, without sign."""
+"""Pattern of a number without sign, with an optional decimal point and an optional exponent: `12`, `0.5` or `1e-3`."""
 COMMA = r"(?:0,[0-9]+|[0-9]{1,3},(?:[0-9]{1,2}|[0-9]{4,})|[0-9]{4,},[0-9]+)"
 """Pattern of a number whose comma can only be a decimal comma: `12,5` or `0,125`. In `1,234` the comma may also
 separate thousands."""

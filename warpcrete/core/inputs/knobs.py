@@ -49,10 +49,10 @@ def scaled(
     name: str, parameter: str, value: float, factors: Iterable[float], power: float, unit: str = "",
     physical: bool = False,
 ) -> Knob:  # fmt: skip
-    """Return a knob, which trades accuracy for computing time, for the number in `parameter`.
+    """Return a knob, which trades accuracy for computing time, that changes one number: the parameter `parameter`.
 
-    Its levels are the product of `value` and each of `factors`, from the coarsest to the finest. The expected wall time
-    at a level is proportional to its factor to the power of `power`.
+    At each level of the knob, the number is `value` times one of `factors`, from the coarsest to the finest level. The
+    expected wall time at a level is proportional to its factor to the power of `power`.
     """
     levels = [Level(f"{value * f:.4g} {unit}".strip(), {parameter: value * f}, f**power, f"x {f:g}") for f in factors]
     return Knob(name, tuple(levels), physical)

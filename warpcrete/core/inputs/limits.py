@@ -88,7 +88,8 @@ LIMITS = {
     "spread": Limit(1e-2, 10.0, "the cone spreads to 0.2 to 0.9 m", (0.1, 2.0), "m"),
     "rest": Limit(1e-6, 1e6, "concrete sets within a day, 1e5 s", (1e-3, 4e4), "s"),
 }  # fmt: skip
-"""Limits of quantities: by name for some quantities, by unit for all others."""
+"""Limits of quantities. A key is either the name of a quantity or a unit; the limits of a unit apply to all quantities
+in this unit whose names are not keys."""
 LARGEST_INTEGER = 2**31 - 1
 """Largest integer that a parameter may have, because kernels and arrays count with 32 bits."""
 LARGEST_SEED = 2**63 - 1

@@ -260,7 +260,7 @@ class Declared:
         return {}
 
     def check_needed(self) -> None:
-        """Refuse parameters that have no effect but differ from their defaults."""
+        """Raise :class:`SceneError` if a parameter has no effect but differs from its default."""
         for name, field in declared_fields(type(self)).items():
             for rule in field.of_kind(Needs):
                 if getattr(self, name) != field.default and not rule.holds(lambda each: getattr(self, each)):
@@ -359,7 +359,10 @@ class SceneFunction(Generic[P, S]):
         return self._module_name.rpartition(".")[2].replace("_", "-")
 
     def _plain_values(self, parameters: Declared) -> tuple[dict[str, object], tuple[str, ...]]:
-        """Return parameters as plain values, and the names of parameters that these values cannot reproduce."""
+        """Return the parameters with each object replaced by its class name and numbers.
+
+        The second result has the names of parameters whose objects cannot be made again from these plain values.
+        """
         values: dict[str, object] = {}
         unwritable: list[str] = []
         for name, field in declared_fields(self.parameters).items():
@@ -428,7 +431,7 @@ class SceneFunction(Generic[P, S]):
         return {name: value for name, value in values.items() if name in meant}
 
     def _effective(self, values: dict[str, Any]) -> dict[str, Any]:
-        """Return those of `values` that have an effect in combination with each other."""
+        """Return those parameters in `values` that have an effect, given the values of the others."""
         known = declared_fields(self.parameters)
         composite = {name: field for name, field in known.items() if any(field.of_kind(CompositeRule))}
 

@@ -62,7 +62,10 @@ class Unreadable(Exception):
 
 
 class UntaggedResolver(VersionedResolver):
-    """YAML resolver that leaves the type of plain scalars to this module, whatever YAML version a file states."""
+    """YAML resolver that gives plain scalars the tag `PLAIN_TAG`, whatever YAML version a file states.
+
+    This module then determines the types of these scalars itself.
+    """
 
     def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
         """Return the YAML tag, which states the type, for a node that has no tag in the file."""
@@ -115,7 +118,7 @@ class _Values:
         self.path = path
         self.values = 0
         self.open: set[int] = set()
-        """Identities of the collections that are being read, to find a collection that contains itself."""
+        """Values of `id()` of the YAML nodes whose contents are being read; a node met again would contain itself."""
 
     def value(self, node: Any) -> Any:
         line = node.start_mark.line + 1

@@ -143,7 +143,10 @@ def make_folder(folder: Path) -> FolderLock:
 
 @contextmanager
 def new_folder(folder: Path) -> Generator[None]:
-    """Create and lock a new folder while the block runs; remove the created folders that stay empty."""
+    """Create a new folder, and hold its lock while the block runs.
+
+    After the block, remove those of the created folders that are still empty.
+    """
     hold = make_folder(folder)
     try:
         yield

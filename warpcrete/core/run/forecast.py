@@ -32,7 +32,7 @@ class Forecast:
     limits: Mapping[str, float]
     """Largest time step that each limiting effect alone would allow [s], by the name of the effect."""
     governing: str
-    """Description of the effect that determines the time step."""
+    """Text that names what determines the time step: a physical effect, or a choice."""
     steps: float
     parts: Mapping[str, float]
     """Wall time of each part of the run [s], without recordings."""

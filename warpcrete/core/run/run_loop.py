@@ -42,8 +42,9 @@ class Until:
 
 
 Coroutine = Generator[Any, None, Any]
-"""Generator for a run, or for a part of it. Each `yield` requests the time up to which the run must be stepped, and the
-generator goes on when the state has reached this time. The caller can therefore take the steps of many runs together.
+"""Generator for a run, or for a part of a run. Each `yield` requests the time up to which the caller must step the run.
+The caller resumes the generator when the state has reached this time. In this way, the caller can take the steps of many
+runs together.
 """
 
 
@@ -89,7 +90,7 @@ class Simulation:
     stepper: Stepped
     """State on the device, with its clock."""
     shares_cores = False
-    """True if other runs use the cores that the threads of this run leave free."""
+    """True if other runs use the CPU cores on which this run has no thread."""
 
     def __init_subclass__(cls, **settings: object) -> None:
         super().__init_subclass__(**settings)
@@ -286,7 +287,10 @@ class Simulation:
         self.load_state_dict(self.read_checkpoint(path))
 
     def read_checkpoint(self, path: Path) -> dict[str, Any]:
-        """Return the `state_dict` in a checkpoint; restore the clocks and the counters of samples and frames."""
+        """Return the `state_dict` stored in a checkpoint, and restore the run's own data from this checkpoint.
+
+        This data includes the wall times, the number of samples and the time of the next frame.
+        """
         contents = checkpoint.read(path, self.scene, self.device, self.precision)
         run: RunRecord = contents["run"]
         self._resumed = run
