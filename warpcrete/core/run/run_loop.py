@@ -43,8 +43,8 @@ class Until:
 
 Coroutine = Generator[Any, None, Any]
 """Generator for a run, or for a part of a run. Each `yield` requests the time up to which the caller must step the run.
-The caller resumes the generator when the state has reached this time. In this way, the caller can take the steps of many
-runs together.
+The caller resumes the generator when the state has reached this time. In this way, the caller can take the steps of
+many runs together.
 """
 
 
