@@ -16,7 +16,8 @@ from .narrowing import is_number
 LONGEST_VALUE = 160
 """Maximum number of characters of a value or of a field's name that a message quotes."""
 LONGEST_MESSAGE = 2000
-"""Maximum number of characters of any part of a message that is not a quoted value or name."""
+"""Maximum number of characters of each text in a message, except that quoted values and names are limited to
+`LONGEST_VALUE` characters."""
 LONGEST_NUMBER = 128
 """Maximum number of bits of an integer that a message writes out."""
 MOST_NAMES_LISTED = 12
@@ -36,19 +37,19 @@ class DeviceError(WarpcreteError):
 
 
 class RunFolderError(WarpcreteError):
-    """Run folder, or file in a run folder, that cannot be created, read or written."""
+    """Error: a run folder, or a file in it, cannot be created, read or written."""
 
 
 class DiskFullError(RunFolderError):
-    """File that could not be written because the disk is full, or a quota or process limit is reached."""
+    """Error: a file could not be written because the disk is full, or because a quota or process limit is reached."""
 
 
 class InstabilityError(WarpcreteError):
-    """Simulated state that is no longer physically meaningful."""
+    """Error: the simulated state is no longer physically meaningful, so the run must end."""
 
 
 class ConvergenceError(InstabilityError):
-    """Iterative solve that did not converge; `history` holds the norm of its residual at each iteration."""
+    """Error: an iterative solve did not converge; `history` holds the residual's norm at each iteration."""
 
     def __init__(
         self, time: float, what: str, iterations: int, history: list[float], residual: float, maximum: int
@@ -71,7 +72,7 @@ class ConvergenceError(InstabilityError):
 
 
 class CapacityError(WarpcreteError):
-    """Scene that needs more entries in a list than the list can hold at its maximum size."""
+    """Error: a scene does not fit into the device's memory, or into an array or list of limited size."""
 
 
 class PlausibilityWarning(UserWarning):

@@ -1,4 +1,4 @@
-"""Checks that tell a type checker the type of a collection, whose elements stay open."""
+"""Checks of a value's type. They also tell a type checker the type, but not the types of a collection's elements."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def is_mapping(value: object) -> TypeGuard[Mapping[object, object]]:
 
 
 def is_dict(value: object) -> TypeGuard[dict[str, object]]:
-    """Return whether a value is a dictionary; those in JSON, YAML and checkpoints have texts as keys."""
+    """Return whether a value is a dictionary; its keys are assumed to be texts, as in JSON, YAML and checkpoints."""
     return isinstance(value, dict)
 
 
@@ -30,7 +30,7 @@ def is_set(value: object) -> TypeGuard[set[object]]:
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Return whether a value is a number of Python or NumPy; True and False are none."""
+    """Return whether a value is a number of Python or NumPy; True and False do not count as numbers."""
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
 
@@ -40,5 +40,5 @@ def is_host_array(value: object) -> TypeGuard[NDArray[Any]]:
 
 
 def is_numpy_number(value: object) -> TypeGuard[np.generic[Any]]:
-    """Return whether a value is a single number, text or truth value of NumPy."""
+    """Return whether a value is a NumPy scalar: a number, a text or a truth value."""
     return isinstance(value, np.generic)

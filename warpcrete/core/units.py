@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from typing import Any, SupportsFloat, TypedDict
 
 DISPLAY_UNITS = {"Pa": (1e-3, "kPa"), "m/s": (100.0, "cm/s"), "m": (1e3, "mm"), "1": (100.0, "%")}
-"""Display unit of each SI unit: the SI unit is the key, and the value is (factor, display unit)."""
+"""Pair (factor, display unit) for each SI unit that is displayed in another unit. The factor converts a value in the SI
+unit to the display unit."""
 
 
 class Quantified(TypedDict):
@@ -27,5 +28,8 @@ def number(entry: SupportsFloat | Mapping[str, Any]) -> float:
 
 
 def shown(unit: str) -> tuple[float, str]:
-    """Return the factor and the unit for the display of a quantity; by default, the factor is 1 and the unit stays."""
+    """Return the factor by which a value in `unit` is multiplied for display, and the display unit.
+
+    A unit without an entry in `DISPLAY_UNITS` is displayed unchanged, with the factor 1.
+    """
     return DISPLAY_UNITS.get(unit, (1.0, unit))

@@ -42,11 +42,11 @@ if TYPE_CHECKING:
         def __iter__(self) -> Iterator[DeviceArray]: ...
 
         def __getitem__(self, key: slice | int | tuple[slice | int, ...]) -> DeviceArray:
-            """Return a view of a part of the array."""
+            """Return the elements that `key` selects, as a view that shares the array's memory."""
             ...
 
         def numpy(self, *, _suppress_bfloat16_warning: bool = False) -> HostArray:
-            """Return the values on the host: a view of the array on a CPU, a copy on a GPU."""
+            """Return the values as a NumPy array: a view for an array on a CPU, a copy for an array on a GPU."""
             ...
 
         def assign(self, src: ArrayLike | DeviceArray) -> None:
@@ -87,14 +87,14 @@ if TYPE_CHECKING:
         """Compile the kernels of a module, or load them from the cache."""
 
     def full(shape: Shape, value: float, *, dtype: type, device: wp.Device) -> DeviceArray:
-        """Return a new array whose elements have one value."""
+        """Return a new array in which every element is `value`."""
         ...
 
     def launch_kernel(
         kernel: Kernel, *, dim: Shape, inputs: Sequence[object], device: wp.Device, record_cmd: bool = False,
         block_dim: int = 256,
     ) -> wp.Launch | None:  # fmt: skip
-        """Launch a kernel; with `record_cmd`, return the launch without running it."""
+        """Launch a kernel; with `record_cmd`, return an object for later launches instead of running the kernel."""
 
     def capture_if(condition: DeviceArray, on_true: Callable[[], None]) -> None:
         """Add the work that `on_true` launches to a graph, as a conditional node.
@@ -136,7 +136,7 @@ class Struct(Protocol):
 
     @property
     def vars(self) -> Mapping[str, StructMember]:
-        """Members by name."""
+        """Members of the struct, by name."""
         ...
 
     def __call__(self) -> Any: ...
@@ -154,7 +154,7 @@ class KernelArgument(Protocol):
 
 
 class KernelCode(Protocol):
-    """Code of a kernel before it is compiled."""
+    """Code of a kernel as Warp has parsed it from Python; `args` holds the kernel's parameters."""
 
     @property
     def args(self) -> Sequence[KernelArgument]: ...
@@ -188,8 +188,9 @@ class KernelModule(Protocol):
 
 
 def declared(struct: Struct) -> Struct:
-    """Return a struct as a :class:`Struct`, because Warp leaves the types of its members open.
+    """Return `struct` unchanged, so that a type checker regards it as a :class:`Struct`.
 
-    An annotation does not suffice: the type checker keeps the unknown type of the assigned value.
+    Warp leaves the type of a struct open. An annotation of the variable does not suffice, because the type checker
+    would keep the unknown type of the assigned value.
     """
     return struct

@@ -18,9 +18,11 @@ from pathlib import Path
 WINDOW = 0.01
 """Stepping time between two checks for core contention [s]."""
 CONTENTION_FRACTION = 0.4
-"""Fraction of the stepping time that all threads in total may wait for a core; a larger fraction is contention."""
+"""Largest acceptable ratio of the total time that all threads waited for a core to the stepping time; a larger ratio
+counts as contention."""
 BACKOFF_TIMES = 0.5, 8.0
-"""Shortest and longest time for which one thread does all work before several threads are tried again [s]."""
+"""Shortest and longest backoff time [s]. After core contention, one thread does all work for this time; then several
+threads are tried again."""
 
 
 def thread_pinner(threads: int) -> Callable[[], None]:
@@ -35,7 +37,7 @@ def thread_pinner(threads: int) -> Callable[[], None]:
 
     def pin_to_core() -> None:
         if len(cores) == threads:
-            with contextlib.suppress(OSError):  # The system may have withdrawn this core from the process.
+            with contextlib.suppress(OSError):  # Stay unpinned if the core was withdrawn from the process.
                 os.sched_setaffinity(0, {next(places)})  # For `sched_setaffinity`, 0 is the calling thread.
 
     return pin_to_core
@@ -69,7 +71,7 @@ class CoreContention:
         self._cores_suffice = self._suspected = False
 
     def register_thread(self) -> None:
-        """Register the calling thread, so that its waiting time is monitored."""
+        """Register the calling thread, so that the time it waits for a core is monitored."""
         self._threads.add(threading.get_native_id())
 
     @property
@@ -85,9 +87,10 @@ class CoreContention:
         return self.contended
 
     def add_step_time(self, seconds: float) -> None:
-        """Add the wall time [s] that all threads spent on steps, and check for contention at the end of a window.
+        """Add `seconds`, the wall time of steps that used all threads, to the current measuring window.
 
-        None of the threads may be running during this call.
+        When the window has reached the length `WINDOW`, check whether the threads waited too long for a core, and start
+        a new window. No thread may be running during this call.
         """
         self._window_time += seconds
         if self._window_time < WINDOW:

@@ -99,7 +99,7 @@ def default_threads() -> int:
     try:
         quota, period = Path("/sys/fs/cgroup/cpu.max").read_text(encoding="utf-8").split()
         cores = min(cores, max(1, int(quota) // int(period)))
-    except (OSError, ValueError):  # Without a CPU quota of the container, count all cores of the affinity.
+    except (OSError, ValueError):  # No CPU quota is set, so use all cores of the affinity.
         pass
     return cores
 
@@ -107,7 +107,7 @@ def default_threads() -> int:
 def checked_threads(threads: int | None) -> int:
     """Return `threads`, or the number of usable cores if `threads` is None.
 
-    Raises :class:`SceneError` unless `threads` is between 1 and the number of the machine's cores.
+    Raises :class:`SceneError` if `threads` is below 1 or exceeds the number of cores of the machine.
     """
     if threads is None:
         return default_threads()

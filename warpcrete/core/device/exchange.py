@@ -82,7 +82,7 @@ class _Copying:
 
 
 class LaunchAndRead:
-    """Launch of several stages, followed by copies to the host of the arrays that the stages write."""
+    """Callable that launches several stages and then copies the arrays that the stages write to the host."""
 
     def __init__(self, stages: Sequence[Recordable], arrays: Sequence[DeviceArray], device: wp.Device) -> None:
         self._device, self._arrays = device, tuple(arrays)
@@ -91,7 +91,7 @@ class LaunchAndRead:
         self._launch = GraphLaunch([*stages, *copies], device)
 
     def __call__(self) -> list[HostArray]:
-        """Launch the stages and copies; return the copied arrays."""
+        """Launch the stages, copy the arrays to the host, and return the copies."""
         self._launch()
         if self._buffers is None:
             return [array.numpy().copy() for array in self._arrays]
@@ -166,7 +166,8 @@ class Exchange:
             self._wait()
         for view, (_, values) in zip(buffers.views, pairs):
             view[...] = values
-        # Number the write before its launch, so that a copy in flight has a number even if the launch is interrupted.
+        # Increment the write's serial number before the copy is launched. If an exception interrupts the launch, the
+        # copy may be in flight, and the next write must then wait for this number before it reuses the buffers.
         self._last_write += 1
         buffers.last_write = self._last_write
         buffers.scatter(arrays)

@@ -30,7 +30,7 @@ def arrays_of(name: str, root: object) -> Iterator[tuple[str, DeviceArray]]:
                 waiting.append((path, whole))
             elif value.ptr and getattr(value, "deleter", None) is not None:
                 yield path, value
-        elif isinstance(value, wp.Mesh):  # Warp hides a mesh's search tree: count points and indices only.
+        elif isinstance(value, wp.Mesh):  # Warp hides a mesh's search tree, so count only points and indices.
             waiting += [(path, each) for each in attrgetter("points", "indices")(value)]
         elif is_mapping(value):
             waiting += [(f"{path}.{key}", each) for key, each in value.items()]

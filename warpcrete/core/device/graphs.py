@@ -58,7 +58,7 @@ class Recordable(Protocol):
     """Work on a device that is prepared once and launched many times, such as a stage."""
 
     def record(self) -> None:
-        """Prepare the launch, for example by loading its kernel, without running it."""
+        """Prepare the work for launches, for example load its kernel, without launching the work."""
 
     def __call__(self) -> None:
         """Launch the prepared work on the device."""

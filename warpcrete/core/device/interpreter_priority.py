@@ -1,8 +1,8 @@
 """Priority of a run over its recorders in the use of Python's interpreter lock.
 
-Each call of a run into the device's driver releases the interpreter lock. If a recorder's thread takes the lock then,
-it keeps the lock for milliseconds, in which the device has no work. Recorders therefore work only while the run waits
-for the device.
+Each call of a run into the device's driver releases the interpreter lock. If a recorder's thread takes the lock during
+such a call, the thread keeps it for milliseconds, and the run cannot give the device new work. Recorders therefore work
+only while the run waits for the device.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from collections.abc import Generator
 from contextlib import contextmanager
 
 LONGEST_YIELD = 5e-3
-"""Longest time of a single wait of a recorder for the run [s], so that a busy run cannot block the recorder."""
+"""Longest time of a single wait of a recorder until the run waits for the device [s]. After this time, the recorder
+works although the run is busy."""
 
 _run_waits = threading.Event()
 _count_lock, _waiting_runs = threading.Lock(), 0
@@ -24,7 +25,7 @@ While any run waits, the recorders of all runs may work, so that a busy run does
 
 @contextmanager
 def run_is_waiting() -> Generator[None]:
-    """Mark a run as waiting for its device or its recorders, while the block runs."""
+    """Mark a run as waiting for its device or its recorders while the block runs, so that recorders may work."""
     global _waiting_runs
     with _count_lock:
         _waiting_runs += 1

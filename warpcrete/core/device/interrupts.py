@@ -46,10 +46,10 @@ def defer_interrupts() -> Generator[None]:
 
 
 class StopAtSample:
-    """Context in which a first Ctrl-C ends all `simulations` when they next record a sample, and a second one at once.
+    """Context in which Ctrl-C ends all `simulations` when they next record a sample.
 
-    Ctrl-C has no effect while all simulations are writing their results. Outside the main thread, this context does
-    nothing.
+    A second Ctrl-C ends the simulations at once. Ctrl-C has no effect while all simulations are writing their results.
+    Outside the main thread, this context does nothing.
     """
 
     def __init__(self, simulations: Sequence[SimulationOnDevice]) -> None:

@@ -43,7 +43,7 @@ Arguments: TypeAlias = dict[str, Any]
 
 
 def tasks_of(dim: Size) -> int:
-    """Return the total number of tasks of a launch."""
+    """Return the number of tasks of a launch with dimensions `dim`, which is the product of the dimensions."""
     return dim if isinstance(dim, int) else math.prod(dim)
 
 
@@ -67,7 +67,7 @@ def bound(kernel: Kernel, named: Mapping[str, object]) -> list[object]:
 
 
 def completed(kernel: Kernel, named: Mapping[str, object], common: Mapping[str, object]) -> dict[str, object]:
-    """Return, by parameter name, the arguments `named`, and arguments from `common` for the other parameters."""
+    """Return a kernel's arguments by parameter name: `named`, and for other parameters the values in `common`."""
     return {**{name: common[name] for name in parameter_names(kernel) if name in common}, **named}
 
 
@@ -166,7 +166,7 @@ def load(stages: Iterable[Stage | Kernel], device: wp.Device) -> None:
     """
     wanted: dict[tuple[int, int], tuple[KernelModule, int]] = {}
     for stage in stages:
-        # A kernel without a stage is launched with Warp's default block size.
+        # A kernel that is launched directly, not as a stage, uses Warp's default block size.
         kernel, block = (stage.kernel, stage.block) if isinstance(stage, Stage) else (stage, DEFAULT_BLOCK)
         block = block if parallel(device) else 1
         wanted[id(kernel.module), block] = kernel.module, block
@@ -256,7 +256,7 @@ class Launcher:
             weakref.finalize(self, self._pool.shutdown, wait=False)
 
     def barrier(self) -> list[Stage]:
-        """Return the stage with which a thread waits for the other threads, or no stage if there is one thread."""
+        """Return a list with the stage that makes a thread wait for all others; with one thread, the list is empty."""
         if self.threads == 1:
             return []
         kernel: Kernel = barrier  # pyright: ignore[reportAssignmentType, reportUnknownVariableType]
@@ -349,8 +349,8 @@ class Launcher:
             with defer_interrupts():
                 calls[0]()
             return
-        # Defer interruptions. If only some threads started, they would wait for the others at the barrier forever, and
-        # all threads must have finished before Python reads their arrays.
+        # Defer interruptions until all threads have finished, for two reasons. If only some threads started, these
+        # threads would wait forever at the barrier. Python must also not read arrays while a thread writes to them.
         with defer_interrupts():
             running = [self._pool.submit(call) for call in calls]
             wait(running)

@@ -66,7 +66,7 @@ class RecorderThread:
             yield_to_run()
 
     def close(self) -> None:
-        """Wait until all jobs are done, and end the thread."""
+        """Wait until the recorder thread has done all jobs, and end this thread; raise the error of a failed job."""
         if self._thread is not None:
             with run_is_waiting():
                 self._jobs.put(None)

@@ -15,7 +15,9 @@ from .launching import Stage
 
 
 def scan_stages(values: DeviceArray, before: DeviceArray) -> list[Stage]:
-    """Return stages that write to `before[i]` the sum of all values in front of `values[i]`.
+    """Return stages that write the exclusive prefix sum of `values` to `before`.
+
+    The element `before[i]` is the sum of `values[0]` to `values[i - 1]`.
 
     Both arrays have shape (n,) and are on one device.
     """

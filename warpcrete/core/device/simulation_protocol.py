@@ -1,4 +1,7 @@
-"""Simulation as modules below the run loop see it; they cannot name its class, because the run loop imports them."""
+"""Types of a simulation for the modules that the run loop imports.
+
+These modules cannot import the simulation's class from the run loop, because the import would be circular.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ class Stepped(Clocked, Protocol):
         """Step the state until its time reaches `until` [s]."""
 
     def take(self, count: int, /) -> None:
-        """Take `count` steps of the current size."""
+        """Take `count` time steps of the current size."""
 
 
 class SimulationOnDevice(Protocol):
@@ -38,15 +41,15 @@ class SimulationOnDevice(Protocol):
     """True if the run must end at its next sample."""
 
     finishing: bool
-    """True if the run writes its results."""
+    """True if all steps of the run are over, and its results are being written or have been written."""
     device: wp.Device
     """Warp device of the run."""
     threads: int
     """Number of CPU threads of the run."""
     shares_cores: bool
-    """True if other runs use the cores that the threads of this run leave free."""
+    """True if other runs use the CPU cores on which this run has no thread."""
 
     @property
     def stepper(self) -> Clocked:
-        """Clock of the state."""
+        """State that is stepped in time, whose attribute `time` is the simulated time [s]."""
         ...

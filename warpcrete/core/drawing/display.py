@@ -81,7 +81,7 @@ class Curve:
     label: str
     """Text in the plot's legend, with the unit."""
     value: Callable[[dict[str, float]], float | None]
-    """Function that takes a row of the series and returns the value to draw, or None to draw nothing."""
+    """Function that takes a row of the time series and returns the value to draw, or None to draw nothing."""
     colour: tuple[int, int, int] | None = None
 
 
@@ -138,7 +138,7 @@ class Display(ABC):
 
     colourings: ClassVar[tuple[str, ...]]
     noun: ClassVar[str]
-    """Word for the bodies, such as "particles", under which recordings store them."""
+    """Word for the bodies, such as "particles"; recordings store the bodies under this word."""
     has_network: ClassVar[bool] = False
     """True if there are lines between bodies to draw."""
 
@@ -156,10 +156,11 @@ class Display(ABC):
         return self.snapshot_value(path, lambda: attrgetter(path)(self.simulation.state))
 
     def snapshot_value(self, name: str, source: Callable[[], object]) -> Any:
-        """Return the result of calling `source`, which depends on the state at the time that is drawn.
+        """Return the value of `source()`, a quantity of the state, at the time that is drawn.
 
-        While a snapshot is drawn, the value stored under `name` in the snapshot is returned instead. All displays of a
-        simulation share the values of a snapshot, so do not write to them. A Warp array is returned as a NumPy array.
+        While a snapshot is drawn, the snapshot's value with the name `name` is returned, without a call of `source`.
+        All displays of a simulation share the values of a snapshot, so the caller must not modify the value. A Warp
+        array is returned as a NumPy array.
         """
         if self._current_snapshot is not None:
             self._yield_to_run()
@@ -168,10 +169,10 @@ class Display(ABC):
         return on_host(source())
 
     def derived(self, name: Hashable, work: Callable[[], T]) -> T:
-        """Return the result of `work`, which processes values of the snapshot that is drawn.
+        """Return the result of the function `work`, which processes values of the snapshot that is drawn.
 
-        The result is stored under `name`, so that it is computed once for all displays of the simulation. Do not write
-        to the result.
+        The snapshot stores the result under `name`, so that `work` runs only once for all displays of the simulation.
+        The caller must not modify the result.
         """
         if self._current_snapshot is None:
             return work()
@@ -230,7 +231,7 @@ class Display(ABC):
         return packed(self.colours())
 
     def fields(self) -> dict[str, np.ndarray]:
-        """Return quantities of all spheres in SI units by name, each of shape (n,) or (n, 3)."""
+        """Return the quantities of all spheres in SI units, by name; each array has shape (n,) or (n, 3)."""
         return {}
 
     @abstractmethod
@@ -264,9 +265,10 @@ class Display(ABC):
     """Direction from the scene to the camera."""
 
     def paint(self) -> Paint | None:
-        """Return the colour scale of painted walls, such as worn walls; the upper end of the scale only grows.
+        """Return the colour scale of walls that are coloured by a quantity, such as the worn depth.
 
-        Return None if no wall is painted.
+        The upper end of the scale may grow during the run, but it never falls. Return None if no wall is coloured by a
+        quantity.
         """
         return None
 

@@ -28,7 +28,7 @@ def palette_colours(values: np.ndarray, upper: float, lower: float = 0.0, name: 
 
 
 def packed(colours: np.ndarray) -> np.ndarray:
-    """Return RGB bytes (n, 3) as one number each, shape (n,).
+    """Return colours, given as RGB bytes of shape (n, 3), as one 32-bit integer per colour, shape (n,).
 
     The highest byte is red, followed by green, blue and the opacity, which is 255.
     """
@@ -64,7 +64,7 @@ class Paint:
         return self.label.rpartition("[")[2].rstrip("]")
 
     def colours(self) -> np.ndarray:
-        """Return the RGB bytes of all discrete values that a recording can store, shape (COLOUR_STEPS, 3)."""
+        """Return the colour of each discrete value to which recordings round, as RGB bytes (COLOUR_STEPS, 3)."""
         values = SMALLEST_VALUE * 10 ** (np.arange(COLOUR_STEPS) / STEPS_PER_DECADE)
         values[0] = 0.0
         return palette_colours(values, self.upper if self.upper > 0 else np.inf, name=self.palette)

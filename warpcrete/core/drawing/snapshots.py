@@ -23,7 +23,7 @@ POLL_INTERVAL = 1e-3
 
 
 def on_host(found: object) -> object:
-    """Return a Warp array as a NumPy array of its own; return anything else unchanged."""
+    """Return a copy of a Warp array as a NumPy array; return any other object unchanged."""
     if not isinstance(found, DeviceArray):
         return found
     # On a CPU, `numpy()` returns a view of the array, which the run continues to change.
@@ -43,7 +43,10 @@ class PinnedPool:
         self._arrival_flag: DeviceArray | None = None
 
     def arrival_flag(self, device: wp.Device) -> DeviceArray:
-        """Return a device array, shape (1,), with the value 1; its copy, made last, shows that all copies arrived."""
+        """Return a device array of shape (1,) with the value 1.
+
+        The array is copied to the host after all other arrays. When the 1 has arrived, all other copies have arrived.
+        """
         if self._arrival_flag is None:
             self._arrival_flag = ones(1, dtype=wp.int32, device=device)
         return self._arrival_flag
@@ -111,7 +114,8 @@ class Snapshot:
     """Simulated time of the snapshot [s]."""
     steps: int
     found: dict[str, object]
-    """Values by name; for a copy that is in flight, the value is the :class:`PendingCopies` object with the copy."""
+    """Values of the snapshot by name. A value whose copy to the host is in flight is replaced by the
+    :class:`PendingCopies` object that receives the copy."""
     derived: dict[Hashable, Any] = field(default_factory=dict[Hashable, Any])
     """Results that displays computed from values of this snapshot, by name; all displays share them."""
 

@@ -25,7 +25,7 @@ GALLON = 231 * INCH**3
 POUND = 0.45359237
 """Mass of the avoirdupois pound [kg]."""
 PSI = POUND * 9.80665 / INCH**2
-"""Pressure of a pound-force per square inch [Pa]."""
+"""One pound-force per square inch (psi) [Pa]."""
 UNITS = {
     "m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "um": 1e-6, "in": INCH, "inch": INCH, "inches": INCH,
           "in.": INCH, '"': INCH, "\u201d": INCH, "\u2033": INCH, "ft": FOOT, "ft.": FOOT, "feet": FOOT, "foot": FOOT,
@@ -66,12 +66,12 @@ UNITS = {
 """Accepted unit names, by internal unit: `UNITS[internal][written]` is the factor that converts a value in the written
 unit to the internal unit. Gallons and fluid ounces (oz/yd3) are those of the United States."""
 DECIMAL = r"(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
-"""Pattern of a number with a decimal point, without sign."""
+"""Pattern of a number without sign, with an optional decimal point and an optional exponent: `12`, `0.5` or `1e-3`."""
 COMMA = r"(?:0,[0-9]+|[0-9]{1,3},(?:[0-9]{1,2}|[0-9]{4,})|[0-9]{4,},[0-9]+)"
 """Pattern of a number whose comma can only be a decimal comma: `12,5` or `0,125`. In `1,234` the comma may also
 separate thousands."""
 PROPER = r"[0-9]{1,2}/(?:2|4|8|16|32|64)"
-"""Pattern of a fraction as tape measures show it."""
+"""Pattern of a fraction as on tape measures, such as `3/8`: the denominator is a power of 2 up to 64."""
 FRACTION = rf"(?:[0-9]{{1,4}}(?:\s+|\s?-\s?))?{PROPER}"
 """Pattern of a number written with a fraction, such as `4 1/2` or `4-1/2`, without sign and unit."""
 LONGEST = 100
@@ -124,7 +124,10 @@ def _decimal(text: str) -> float:
 
 
 def _mixed(text: str) -> float:
-    """Return an amount in fractions such as `4 1/2`, with its sign; NaN if the fraction of a mixed number exceeds 1."""
+    """Return the signed number in a text such as `1/2` or `4 1/2`.
+
+    Return NaN for a mixed number whose fraction is not below 1, such as `4 3/2`.
+    """
     sign = -1.0 if text.startswith("-") else 1.0
     *whole, fraction = re.split(r"[\s-]+", text.lstrip("+-"))
     upper, lower = (int(each) for each in fraction.split("/"))

@@ -186,7 +186,7 @@ def _note_source(kind: type) -> None:
 
 
 def own_fields(name: str, kind: type) -> dict[str, Field]:
-    """Return the fields of a class as parameters, whose names begin with `name` and an underscore."""
+    """Return the fields of the class `kind` as parameters of a scene, by the names `NAME_FIELD` with NAME = `name`."""
     group = f"Parameters of {name.replace('_', ' ')} {kind.__name__}."
     return {key: replace(field, name=key, group=group) for key, (field, _) in _leaves(name, kind)}
 

@@ -54,11 +54,12 @@ class NamedConcrete:
     name: str
     source: str = ""
     calibrated: str = ""
-    """Which parameters were fitted, and to which measurement; empty if all values are published or measured."""
+    """Text that states which parameters were fitted to which measurement; empty if all values are published or
+    measured."""
     elements: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    """Parameters of discrete elements, in SI units; empty if unknown."""
+    """Parameters of this concrete for simulations with discrete elements, in SI units; empty if unknown."""
     flow: Mapping[str, float] = field(default_factory=dict[str, float])
-    """Constants of a yield stress fluid with a slip layer, in SI units; empty if unknown."""
+    """Constants of this concrete as a yield stress fluid with a slip layer, in SI units; empty if unknown."""
     mix: MixSection | None = None
 
 

@@ -14,7 +14,7 @@ from ..narrowing import is_host_array, is_list_or_tuple, is_mapping, is_number
 
 
 class Digest(Protocol):
-    """Hash in progress."""
+    """Hash of data that is passed in pieces, such as a hash object of `hashlib`; `update` adds a piece."""
 
     def update(self, data: bytes, /) -> None: ...
 

@@ -16,14 +16,14 @@ class Level:
     changes: Mapping[str, object] = field(default_factory=dict[str, object])
     """Values of the scene's parameters that this setting of the knob changes, by parameter name."""
     cost: float = 1.0
-    """Expected wall time with this setting, relative to the other settings of the knob. This estimate is used only for
-    planning, before times are measured."""
+    """Expected wall time of a run at this level, relative to the other levels of the same knob. It is used only for
+    planning, before wall times are measured."""
     key: str = ""
     """Name by which this setting of the knob is found again in other scenes. For example, half the element size has the
     key "x 0.5" in every scene, whereas `label` is a length such as "10 mm". If the key is empty, `label` is the key."""
     converted: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
-    """Quantities that have another meaning at this level, by name: with (offset, factor), a value becomes offset +
-    factor * (value - offset)."""
+    """Pair (offset, factor) for each result quantity, by name, whose meaning at this level differs from that in the
+    scene as given. The value offset + factor * (value - offset) is comparable with the scene as given."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Knob:
 
     name: str
     levels: tuple[Level, ...]
-    """Settings from the coarsest to the finest; one of the settings is that of the scene as given."""
+    """Settings of the knob, from the coarsest to the finest; one of the settings is that of the scene as given."""
     physical: bool = False
     """True if the knob changes physical properties of the concrete, so that a coarser setting simulates a different
     concrete."""
@@ -49,9 +49,10 @@ def scaled(
     name: str, parameter: str, value: float, factors: Iterable[float], power: float, unit: str = "",
     physical: bool = False,
 ) -> Knob:  # fmt: skip
-    """Return a knob for one number: its `value` times each of `factors`, from the coarsest to the finest.
+    """Return a knob, which trades accuracy for computing time, that changes one number: the parameter `parameter`.
 
-    The expected wall time is proportional to factor ** `power`.
+    At each level of the knob, the number is `value` times one of `factors`, from the coarsest to the finest level. The
+    expected wall time at a level is proportional to its factor to the power of `power`.
     """
     levels = [Level(f"{value * f:.4g} {unit}".strip(), {parameter: value * f}, f**power, f"x {f:g}") for f in factors]
     return Knob(name, tuple(levels), physical)
@@ -74,7 +75,7 @@ class Trading:
     knobs: Callable[[Any], Iterator[Knob]]
     """Function that takes the scene's parameters and yields the knobs."""
     quantities: tuple[str, ...]
-    """Quantities whose errors are computed, unless the user names others."""
+    """Names of result quantities whose errors at each setting are computed, unless the user names other quantities."""
     closed_form: Callable[[Any], bool] = lambda given: False
     """Function that takes the scene's parameters and returns whether theory is exact for these parameters. If so,
     results have an entry `NAME_error` for each quantity NAME."""

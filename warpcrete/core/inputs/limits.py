@@ -25,7 +25,7 @@ class Limit:
     why: str
     """Reason for the limits, which an error or a warning about a value outside them states."""
     usual: tuple[float, float] | None = None
-    """Range outside which a warning is given."""
+    """Lower and upper end of the usual magnitudes; a value outside this range causes a warning."""
     unit: str = ""
     """Unit that a quantity must have if the limits are listed under the name of a quantity. It is empty for limits that
     are listed under a unit."""
@@ -89,7 +89,8 @@ LIMITS = {
     "spread": Limit(1e-2, 10.0, "the cone spreads to 0.2 to 0.9 m", (0.1, 2.0), "m"),
     "rest": Limit(1e-6, 1e6, "concrete sets within a day, 1e5 s", (1e-3, 4e4), "s"),
 }  # fmt: skip
-"""Limits of quantities: by name for some quantities, by unit for all others."""
+"""Limits of quantities. A key is either the name of a quantity or a unit; the limits of a unit apply to all quantities
+in this unit whose names are not keys."""
 LARGEST_INTEGER = 2**31 - 1
 """Largest integer that a parameter may have, because kernels and arrays count with 32 bits."""
 LARGEST_SEED = 2**63 - 1
@@ -155,12 +156,15 @@ def warn(text: str) -> None:
 
 
 def _meant(value: float, unit: str, limit: Limit) -> str:
-    """Return a question such as "125 mm?", with a unit in which the number would be usual; empty if there is none."""
+    """Return a question such as "did you mean 125 mm?", with a unit in which the number would be usual.
+
+    Return an empty text if there is no such unit.
+    """
     low, high = limit.usual or (limit.low, limit.high)
     if limit.usual is None and limit_of("", unit) is limit:
         return ""  # Limits that belong to a unit are too wide to suggest another unit.
     if not 1e-2 <= abs(value) <= 1e6:
-        return ""  # A number of this size is unusual in any unit.
+        return ""  # A wrong unit does not explain a number this small or large.
     for other, factor in UNITS.get(unit, {}).items():
         if factor != 1.0 and low <= abs(value) * factor <= high:
             return f"did you mean {value:g} {other}?"

@@ -94,7 +94,10 @@ class Arguments(dict[str, Any]):
         files: Mapping[str, str],
         unwritable: tuple[str, ...],
     ) -> Arguments:
-        """Return the arguments `values` with fingerprints of `scene`, which was just made from them."""
+        """Return the arguments `values`, with fingerprints of the `scene` that was made from these arguments.
+
+        The fingerprints show later whether the scene was changed.
+        """
         made = cls(values)
         made.function, made.files, made.unwritable = function, dict(files), unwritable
         made.fields = {"parameters": fingerprint(values), **_fingerprints(scene)}
@@ -121,7 +124,10 @@ def changed_fields(scene: Any) -> list[str]:
 
 
 def arguments_of(scene: Any) -> Mapping[str, Any]:
-    """Return the arguments from which a scene can be made again; empty for a scene changed or built by hand."""
+    """Return the arguments with which the scene function makes an equal scene.
+
+    The mapping is empty for a scene that was changed, or built without a scene function.
+    """
     return {} if changed_fields(scene) else scene.parameters
 
 

@@ -85,11 +85,11 @@ class Needs:
     field: str
     test: Callable[[Any], bool]
     words: str
-    """Condition for the other parameter, in words that follow its name in a message."""
+    """Condition as words that follow the name of the parameter `field` in a message, such as "is given"."""
     others: tuple[str, ...] = ()
 
     def holds(self, value: Callable[[str], Any]) -> bool:
-        """Return whether the test holds; `value` returns the value of a parameter by its name."""
+        """Return whether `test` holds for the parameter `field` or one of `others`; `value(name)` returns a value."""
         return any(self.test(value(name)) for name in (self.field, *self.others))
 
 
@@ -112,9 +112,10 @@ class Alias:
 
 
 class CompositeRule:
-    """Rule of a parameter, such as `contact`, whose value has parameters of its own, such as `contact_FIELD`.
+    """Rule of a parameter whose value is an object with parameters of its own.
 
-    The module :mod:`warpcrete.core.inputs.by_name` has the rule for objects such as contact laws.
+    For example, the contact law in the parameter `contact` has the parameters `contact_FIELD`. The module
+    :mod:`warpcrete.core.inputs.by_name` explains these parameters.
     """
 
     def fields(self, field: Field, value: object) -> dict[str, Field]:
@@ -122,11 +123,17 @@ class CompositeRule:
         raise NotImplementedError
 
     def with_objects(self, field: Field, values: Mapping[str, object]) -> dict[str, object]:
-        """Return parameters in which one object, the value of `field`, replaces all parameters of that object."""
+        """Return a copy of the parameters `values` in which `field` has an object as its value.
+
+        The object is made from the value of `field` and from the parameters that belong to it, which are removed.
+        """
         raise NotImplementedError
 
     def to_plain(self, field: Field, value: object) -> tuple[dict[str, object], bool]:
-        """Return plain values for a value of `field`, and whether `with_objects` makes an equal value from them."""
+        """Return the parameters that describe an object `value` of `field` as numbers and texts, by name.
+
+        The second result is True if `with_objects` makes an equal object from these parameters.
+        """
         raise NotImplementedError
 
 
@@ -257,7 +264,7 @@ class Declared:
         return {}
 
     def check_needed(self) -> None:
-        """Refuse parameters that have no effect but differ from their defaults."""
+        """Raise :class:`SceneError` if a parameter has no effect but differs from its default."""
         for name, field in declared_fields(type(self)).items():
             for rule in field.of_kind(Needs):
                 if getattr(self, name) != field.default and not rule.holds(lambda each: getattr(self, each)):
@@ -360,7 +367,10 @@ class SceneFunction(Generic[P, S]):
         return self._module_name.rpartition(".")[2].replace("_", "-")
 
     def _plain_values(self, parameters: Declared) -> tuple[dict[str, object], tuple[str, ...]]:
-        """Return parameters as plain values, and the names of parameters that these values cannot reproduce."""
+        """Return the parameters with each object replaced by its class name and numbers.
+
+        The second result has the names of parameters whose objects cannot be made again from these plain values.
+        """
         values: dict[str, object] = {}
         unwritable: list[str] = []
         for name, field in declared_fields(self.parameters).items():
@@ -408,7 +418,10 @@ class SceneFunction(Generic[P, S]):
         return {name: value for name, value in scene.parameters.items() if name in names or name not in declared}
 
     def declared(self, given: Mapping[str, object]) -> Any:
-        """Return the parameters as an instance of their dataclass: given values, values implied by them, defaults."""
+        """Return an instance of the parameters' dataclass.
+
+        Each field has the given value, or else a value that the given ones imply, or else its default.
+        """
         return self.parameters(**self.with_objects(self.completed(given)))
 
     def completed(self, given: Mapping[str, object]) -> dict[str, Any]:
@@ -430,7 +443,7 @@ class SceneFunction(Generic[P, S]):
         return {name: value for name, value in values.items() if name in meant}
 
     def _effective(self, values: dict[str, Any]) -> dict[str, Any]:
-        """Return those of `values` that have an effect in combination with each other."""
+        """Return those parameters in `values` that have an effect, given the values of the others."""
         known = declared_fields(self.parameters)
         composite = {name: field for name, field in known.items() if any(field.of_kind(CompositeRule))}
 
@@ -452,12 +465,18 @@ class SceneFunction(Generic[P, S]):
         return values
 
     def resolved(self, given: Mapping[str, object]) -> dict[str, Any]:
-        """Return parameters by their own names instead of aliases, and texts such as "125 mm" as numbers."""
+        """Return the parameters with each alias replaced by the parameter's own name.
+
+        Texts such as "125 mm" are converted to numbers.
+        """
         return resolved(declared_fields(self.parameters), given)
 
 
 def resolved(known: Mapping[str, Field], given: Mapping[str, object]) -> dict[str, Any]:
-    """Return values of fields by the fields' own names instead of aliases, and texts such as "125 mm" as numbers."""
+    """Return the values `given` with each alias replaced by the field's own name.
+
+    Texts such as "125 mm" are converted to numbers.
+    """
     values: dict[str, Any] = dict(given)
     for name, field in known.items():
         if name in values:

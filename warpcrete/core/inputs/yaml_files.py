@@ -23,7 +23,7 @@ from ..errors import one_line
 MAXIMUM_VALUES = 50_000
 """Maximum number of values in a YAML file; a value counts once more for each alias that repeats it."""
 MAXIMUM_DEPTH = 100
-"""Maximum nesting depth of lists and mappings."""
+"""Maximum nesting depth of lists and mappings in a YAML file; deeper nesting is refused."""
 LONGEST_NUMBER = 400
 """Maximum number of characters of a number."""
 INTEGER_PATTERN = re.compile(r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+")
@@ -39,7 +39,7 @@ PLAIN_TAG = "plain"
 
 
 class FileMapping(dict[str, Any]):
-    """Mapping from a YAML file, with the `path` of the file and the line number of each key in `lines`."""
+    """Mapping that was read from a YAML file; `path` is the file, and `lines` holds the line number of each key."""
 
     path: Path
     lines: dict[str, int]
@@ -62,10 +62,13 @@ class Unreadable(Exception):
 
 
 class UntaggedResolver(VersionedResolver):
-    """YAML resolver that leaves the type of plain scalars to this module, whatever YAML version a file states."""
+    """YAML resolver that gives plain scalars the tag `PLAIN_TAG`, whatever YAML version a file states.
+
+    This module then determines the types of these scalars itself.
+    """
 
     def resolve(self, kind: Any, value: Any, implicit: Any) -> Any:
-        """Return the tag of a node that has no tag in the file."""
+        """Return the YAML tag, which states the type, for a node that has no tag in the file."""
         if kind is ScalarNode and implicit[0]:
             return Tag(suffix=PLAIN_TAG)
         return super().resolve(kind, value, implicit)
@@ -115,7 +118,7 @@ class _Values:
         self.path = path
         self.values = 0
         self.open: set[int] = set()
-        """Identities of the collections that are being read, to find a collection that contains itself."""
+        """Values of `id()` of the YAML nodes whose contents are being read; a node met again would contain itself."""
 
     def value(self, node: Any) -> Any:
         line = node.start_mark.line + 1

@@ -22,7 +22,7 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 PARTIAL = ".warpcrete-partial-"
 """Prefix of the name of a file that is not complete yet; no other program uses this prefix."""
 PROBE_SIZE = 1 << 16
-"""Size of the test file that must fit into a folder with free space [B]."""
+"""Size of the test file that is written to find out whether the disk of a folder is full [B]."""
 SPACE_MARGIN = 1 << 20
 """Free space that must remain in addition to the expected size of a file [B]."""
 
@@ -70,7 +70,7 @@ def is_full(error: BaseException) -> bool:
 
 
 def space_error(folder: Path, needed: int = 0) -> OSError | None:
-    """Return the system's error if a small file, or a file of `needed` bytes, does not fit into a folder, else None."""
+    """Return the system's error if a folder has no space for a small file or for `needed` bytes; otherwise None."""
     probe = partial_of(folder / "probe")
     try:
         with probe.open("wb") as file:

@@ -134,7 +134,7 @@ def make_folder(folder: Path) -> FolderLock:
     except OSError as error:
         raise RunFolderError(f"out = '{folder}': cannot be created ({error.strerror}); choose another path") from error
     hold = FolderLock(folder)
-    if not is_empty(folder):  # Between the check and the lock, another run has written into the folder.
+    if not is_empty(folder):  # Another run wrote into the folder before it was locked, so refuse the folder.
         hold.release()
         check_new(folder)
     hold.created = created
@@ -143,7 +143,10 @@ def make_folder(folder: Path) -> FolderLock:
 
 @contextmanager
 def new_folder(folder: Path) -> Generator[None]:
-    """Create and lock a new folder while the block runs; remove the created folders that stay empty."""
+    """Create a new folder, and hold its lock while the block runs.
+
+    After the block, remove those of the created folders that are still empty.
+    """
     hold = make_folder(folder)
     try:
         yield

@@ -32,14 +32,14 @@ class Forecast:
     limits: Mapping[str, float]
     """Largest time step that each limiting effect alone would allow [s], by the name of the effect."""
     governing: str
-    """Description of the effect that determines the time step."""
+    """Text that names what determines the time step: a physical effect, or a choice."""
     steps: float
     parts: Mapping[str, float]
     """Wall time of each part of the run [s], without recordings."""
     frame: Mapping[str, float] = field(default_factory=dict[str, float])
     """Wall time that each recording takes for one frame [s], by the recording's name; empty if not measured."""
     duration: float = 0.0
-    """Simulated time of the run [s]."""
+    """Simulated time that the run is expected to cover [s]."""
     remarks: tuple[str, ...] = ()
 
     @property

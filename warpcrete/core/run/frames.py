@@ -7,7 +7,8 @@ import numpy as np
 from ..errors import positive
 
 MINIMUM_FRAMES, LONGEST_FRAME_INTERVAL = 30, 0.04
-"""Minimum number of frames of a run, and longest simulated time between two frames [s]; both are defaults."""
+"""Minimum number of frames of a run, and longest simulated time between two frames [s], if the user sets no frame
+interval."""
 
 
 class Frames:
@@ -37,7 +38,11 @@ class Frames:
         return time >= self.next - 1e-9
 
     def due_before(self, sample: float) -> bool:
-        """Return whether a frame is due before the sample at time `sample` [s], and the run can stop for this frame."""
+        """Return whether the run should stop for a frame before it reaches the sample at time `sample` [s].
+
+        This is so if the next frame is due more than one time step before that sample. A run that can only stop at
+        samples never stops for a frame.
+        """
         return self.next < sample - self._time_step
 
     def schedule_next(self, time: float) -> None:

@@ -103,7 +103,7 @@ class Method:
     show: Callable[[Run], Figure | None]
     """Function that takes a run and returns a Matplotlib figure for notebooks."""
     report: Callable[[Run], Iterator[tuple[str, str]]]
-    """Function that takes a run and yields label and text of each line that the command prints after the quantities."""
+    """Function that takes a run and yields (label, text) for each line that the command prints after the quantities."""
     forecast: Callable[[Any, wp.Device, str, int | None, Probe], Forecast]
     """Function that takes (scene, device, precision, threads, probe) and returns the expected cost of a run. `probe`
     measures times of a prepared simulation."""

@@ -37,15 +37,16 @@ class Recorder:
         self.start(simulation)
 
     def sample(self, simulation: RecordedSimulation, row: dict[str, float]) -> None:
-        """Record a row of the series, which has a value for each column."""
+        """Record one row of the time series, with the value of each column by the column's name."""
 
     def frame(self, simulation: RecordedSimulation) -> None:
         """Record a frame, which is a picture of the state at this time."""
 
     def checkpoint(self, simulation: RecordedSimulation) -> dict[str, Any]:
-        """Return the data that `resume` needs to go on recording from this time.
+        """Return the data from which the method `resume` can later go on recording at this time.
 
-        The method `write` is called next. The checkpoint takes effect when all recorders have written their data.
+        The run stores this data in its checkpoint and then calls `write`. The checkpoint replaces the previous one only
+        when all recorders have written their data.
         """
         return {}
 
@@ -55,7 +56,7 @@ class Recorder:
     def finish(self, simulation: RecordedSimulation, run: Run) -> None:
         """Write everything to disk, because the run has ended.
 
-        The last recorder finishes first; expendable recorders finish after all others.
+        Recorders finish in the reverse order of their start, except that expendable recorders finish after all others.
         """
 
     def tidy(self, simulation: RecordedSimulation, run: Run) -> None:

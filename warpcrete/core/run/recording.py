@@ -22,7 +22,8 @@ class Recording:
         self.active: list[Recorder] = []
         """Recorders that have started and have not failed, in the order in which they are called."""
         self.failures: list[Exception] = []
-        """Errors of recorders because of which the run could not write its data to disk or end properly."""
+        """Errors at the end of the run, from essential recorders or a full disk, because of which the run does not
+        count as finished."""
         self._states: dict[str, object] = {}  # data from each recorder's last checkpoint, by its class name
 
     def begin(self, states: Mapping[str, object]) -> None:
@@ -63,7 +64,10 @@ class Recording:
             return self._states.get(class_name_of(recorder))
 
     def finish(self, run: Run) -> None:
-        """Let every recorder write its data to disk, and add errors that matter for the run to `failures`."""
+        """Let every recorder write its data to disk, because the run has ended.
+
+        Add the errors of recorders that are not expendable, and errors of a full disk, to `failures`.
+        """
         essential = [recorder for recorder in self.active if not recorder.expendable]
         for recorder in [*reversed(essential), *reversed(self.active[len(essential) :])]:
             self._end(recorder, "finish", run)

@@ -41,7 +41,7 @@ class Run:
     series: dict[str, np.ndarray]
     """Columns of the series by name, as arrays with one entry per sample."""
     units: dict[str, str]
-    """Unit of each column of the series."""
+    """Unit of each column of the time series, by the column's name."""
     result: dict[str, Any]
     """Quantities of the whole run: `{"value", "unit"}` if a quantity has a unit, otherwise a plain number."""
     finished: bool

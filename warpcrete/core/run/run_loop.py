@@ -42,8 +42,9 @@ class Until:
 
 
 Coroutine = Generator[Any, None, Any]
-"""Generator for a run, or for a part of it. Each `yield` requests the time up to which the run must be stepped, and the
-generator goes on when the state has reached this time. The caller can therefore take the steps of many runs together.
+"""Generator for a run, or for a part of a run. Each `yield` requests the time up to which the caller must step the run.
+The caller resumes the generator when the state has reached this time. In this way, the caller can take the steps of
+many runs together.
 """
 
 
@@ -51,15 +52,15 @@ class RunRecord(TypedDict):
     """Data in a checkpoint that describe the progress of the run; the simulated state is stored separately."""
 
     recorders: dict[str, object]
-    """Data of each recorder, by its class name."""
+    """Data that each recorder needs to go on recording, by the recorder's class name."""
     samples: int
     """Number of rows in the series, not counting the row at t = 0."""
     next_frame: float
     """Simulated time of the next frame [s]."""
     spent: dict[str, float]
-    """Wall time of each phase [s]."""
+    """Wall time of each phase of the run [s], by the phase's name, such as "packing"."""
     over: bool
-    """True if the last step has been taken."""
+    """True if the last step of the run has been taken."""
 
 
 S = TypeVar("S", bound="Simulation")
@@ -85,11 +86,11 @@ class Simulation:
     scene_type: ClassVar[type]
     """Type of the scenes that a subclass simulates."""
     kinds: ClassVar[list[type[Simulation]]] = []
-    """Subclasses, one for each simulation method."""
+    """Subclasses of this class: one for each simulation method."""
     stepper: Stepped
     """Simulated state on the device, with its simulated time, its number of steps and the methods that step it."""
     shares_cores = False
-    """True if other runs use the cores that the threads of this run leave free."""
+    """True if other runs use the CPU cores on which this run has no thread."""
 
     def __init_subclass__(cls, **settings: object) -> None:
         super().__init_subclass__(**settings)
@@ -170,7 +171,7 @@ class Simulation:
     @property
     @abstractmethod
     def prepared(self) -> bool:
-        """True if the state at t = 0, or that of a checkpoint, is complete."""
+        """True if the simulation has a state, which either `prepare` or a checkpoint has provided."""
 
     @abstractmethod
     def prepare(self) -> None:
@@ -187,7 +188,7 @@ class Simulation:
 
     @abstractmethod
     def measure(self) -> dict[str, float]:
-        """Measure the state and append a row to `rows`."""
+        """Measure the quantities of the present state; append them to `rows` as a new row, and return this row."""
 
     @abstractmethod
     def watch_row(self, row: dict[str, float]) -> None:
@@ -195,11 +196,11 @@ class Simulation:
 
     @abstractmethod
     def display(self, colouring: str | None = None) -> Display:
-        """Return the display from which recorders draw the simulation, coloured by the quantity `colouring`."""
+        """Return the view of the simulation that recorders draw, with bodies coloured by the quantity `colouring`."""
 
     @abstractmethod
     def result(self, finished: bool) -> Run:
-        """Return the results of the run so far, with its quantities."""
+        """Return the time series and the result quantities of the run up to now."""
 
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:
@@ -236,7 +237,10 @@ class Simulation:
         return False
 
     def reaching(self, time: float) -> Coroutine:
-        """Yield requests that step the run to a time [s]; a subclass adds the actions that are due on the way."""
+        """Step the run to `time` [s], as a generator that yields the times to which the caller must step.
+
+        Subclasses override this method to do further actions at times before `time`, such as a rest of the concrete.
+        """
         yield Until(time)
 
     # The following methods write and read checkpoints.
@@ -283,7 +287,10 @@ class Simulation:
         self.load_state_dict(self.read_checkpoint(path))
 
     def read_checkpoint(self, path: Path) -> dict[str, Any]:
-        """Return the `state_dict` in a checkpoint; restore the clocks and the counters of samples and frames."""
+        """Return the `state_dict` stored in a checkpoint, and restore the run's own data from this checkpoint.
+
+        This data includes the wall times, the number of samples and the time of the next frame.
+        """
         contents = checkpoint.read(path, self.scene, self.device, self.precision)
         run: RunRecord = contents["run"]
         self._resumed = run
@@ -354,7 +361,7 @@ class Simulation:
         if self._resumed is not None:
             self._checkpoint_time = self.stepper.time
         finished = interrupted = False
-        full: list[Exception] = []  # errors that a full disk caused
+        full: list[Exception] = []  # These errors were caused by a full disk.
         try:
             try:
                 if not self.rows:  # Save the state at t = 0 first, because its packing and settling took a long time.
@@ -460,7 +467,8 @@ class Simulation:
         if self.checkpoint_path is not None:
             try:
                 self.save(self.checkpoint_path)
-            except RunFolderError as error:  # The run goes on, because the previous checkpoint is still valid.
+            except RunFolderError as error:
+                # The run goes on without this checkpoint, because the previous checkpoint is still valid.
                 if is_full(error):
                     raise
                 warnings.warn(f"the checkpoint could not be written: {error}", stacklevel=2)

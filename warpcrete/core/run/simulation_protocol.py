@@ -41,9 +41,9 @@ class RecordedSimulation(SimulationOnDevice, Protocol):
         ...
 
     def display(self, colouring: str | None = None) -> Display:
-        """Return the display from which recorders draw the simulation, coloured by the quantity `colouring`."""
+        """Return the view of the simulation that recorders draw, with bodies coloured by the quantity `colouring`."""
         ...
 
     def result(self, finished: bool) -> Run:
-        """Return the results of the run so far, with its quantities."""
+        """Return the time series and the result quantities of the run up to now."""
         ...

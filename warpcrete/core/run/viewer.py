@@ -43,7 +43,7 @@ class Viewer:
     """Host and port of each socket on which the viewer listens."""
 
     def start(self) -> subprocess.Popen[bytes]:
-        """Start the viewer without its log, and wait until it listens.
+        """Start the viewer with its output suppressed, and wait until it accepts connections; return its process.
 
         Raises :class:`RunFolderError` if the viewer does not start.
         """
@@ -72,7 +72,10 @@ def web_viewer(recordings: Sequence[Path], bind: str = LOOPBACK) -> Viewer:
 
 
 def screen_viewer(recordings: Sequence[Path] = (), bind: str = LOOPBACK) -> Viewer:
-    """Return a viewer in a window, which also receives data from runs and stays open after this process ends."""
+    """Return a viewer that opens a window for the `recordings`.
+
+    The viewer also receives data from runs over a socket. Its window stays open after this process ends.
+    """
     data = _free_port(bind, DATA_PORT)
     command = [rerun_tool(), *map(str, recordings), *_ports(bind, data), "--expect-data-soon"]
     return Viewer(command, f"rerun+http://{_host(bind)}:{data}/proxy", ((bind, data),))
