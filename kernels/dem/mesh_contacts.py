@@ -148,7 +148,11 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
 
     @wp.func
     def hides(n: t.vec3, gap: scalar, farther_n: t.vec3, farther_gap: scalar, radius: scalar):
-        """Return True if a contact merges with a `farther` contact with the same wall, or hides that contact."""
+        """Return True if a contact makes a farther contact of the same sphere with the same wall superfluous.
+
+        This is so if the normals of both contacts are nearly parallel, or if the farther contact point lies behind the
+        plane through the nearer contact point that is perpendicular to the nearer normal.
+        """
         if gap > farther_gap:
             return False
         c = wp.dot(n, farther_n)

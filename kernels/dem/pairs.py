@@ -94,9 +94,10 @@ def pair_functions(scalar):
 
 @functools.cache
 def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool, dissipation: bool):
-    """Return the function `part_entries`, which clears the history of pairs that separated in this step.
+    """Return the function `part_entries`, which clears the contact history of pairs that separated in this step.
 
-    `bits` marks these pairs among the list entries from `block` to `end`. The function returns the energy lost [J].
+    The set bits of `bits` mark these pairs: bit b stands for list entry `block` + b. Entries from `end` on are ignored.
+    The function returns the lost energy [J].
     """
     t = types(scalar)
     structs = array_structs(scalar)

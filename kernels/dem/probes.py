@@ -47,7 +47,7 @@ BODY_MAXIMA = (int(REACH),)
 
 # Columns of the values that are read from each wall.
 IMPULSE: int = wp.constant(0)  # columns 0 to 5: impulse of force and moment about the wall's position [N s], [N m s]
-FORCE: int = wp.constant(6)  # columns 6 to 11: force [N] and moment [N m]
+FORCE: int = wp.constant(6)  # columns 6 to 11: force [N] and moment [N m] of the contacts on the wall
 TURN: int = wp.constant(12)  # columns 12 to 15: orientation quaternion of the wall's frame
 TRAVEL: int = wp.constant(16)  # displacement of the wall along its path [m]
 WORK: int = wp.constant(17)  # work done by the wall on the concrete [J]

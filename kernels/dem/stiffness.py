@@ -25,15 +25,15 @@ def estimate_struct(scalar):
 
     @wp.struct
     class Estimate:
-        sums: wp.array2d(dtype=vec6)  # one row per sphere, shape (spheres, 4); all zero between estimates
-        # stiffness [mN/m] and damping [mN s/m] of the contacts of each wall, shape (parts, walls, 2)
+        sums: wp.array2d(dtype=vec6)  # stiffness and damping per sphere, shape (spheres, 4); zero between estimates
+        # stiffness [mN/m] and damping [mN s/m] of the contacts of each wall, by CPU thread, shape (parts, walls, 2)
         wall_load: wp.array3d(dtype=wp.int64)
         # smallest stable step of any body, by CPU thread and scene, shape (parts, scenes) [s]
         smallest: wp.array2d(dtype=wp.float64)
         resolution_step: wp.array2d(
             dtype=wp.float64
         )  # smallest step limit by impacts and speeds [s], shape (parts, scenes)
-        fastest: wp.array2d(dtype=wp.float64)  # largest speed of any body or wall, shape (parts, scenes) [m/s]
+        fastest: wp.array2d(dtype=wp.float64)  # largest speed of a body or wall, shape (CPU threads, scenes) [m/s]
 
     return Estimate
 

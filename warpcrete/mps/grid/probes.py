@@ -104,7 +104,7 @@ def profile(flow: GridFlow, height: float | None = None) -> tuple[np.ndarray, np
 
 
 def theory_profile(scene: FluidScene, layout: GridLayout) -> np.ndarray:
-    """Return the theoretical velocity [m/s], averaged over the width of each cell, in the order of `profile`."""
+    """Return the theoretical velocity of each cell [m/s], averaged over its width, by distance from the axis."""
     nx = layout.cells[0]
     across = np.abs(layout.left + (np.arange(nx * POINTS_PER_CELL) + 0.5) * layout.spacing / POINTS_PER_CELL).reshape(
         nx, POINTS_PER_CELL
