@@ -221,7 +221,7 @@ def bond_pull_functions(scalar, dissipation: bool):
     def bond_pull(
         p: Bond, pair: PairTouch, relative_spin: t.vec3, force: t.vec4, moment: t.vec4, lost: scalar, dt: scalar
     ):
-        """Compute the new forces, moments and state of a bond, and the energy lost.
+        """Compute the new force, moment and state of a bond, and the energy that the pair loses in this step.
 
         `lost` is the energy that the contact alone loses in this step [J].
         """

@@ -59,9 +59,10 @@ LANES = 256
 
 @functools.cache
 def column_kernels() -> tuple[wp.Kernel, wp.Kernel]:
-    """Return two kernels that compute the sum of every column, or its maximum if the column's bit in `maxima` is set.
+    """Return two kernels that reduce every column of an array to its sum or maximum.
 
-    The first kernel reduces the rows to LANES partial results. The second kernel reduces these to one result.
+    The result is the maximum if the column's bit in `maxima` is set. The first kernel reduces the rows to LANES partial
+    results. The second kernel reduces these to one result.
     """
 
     @wp.kernel(module=module_of("columns"), enable_backward=False)

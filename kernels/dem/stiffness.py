@@ -129,8 +129,9 @@ def counting_function(scalar, bonds: bool, subcycling: bool):
 def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bool, lanes: int):
     """Return the function `add_pairs`, which adds up K and C of all touching or bonded pairs of sphere i.
 
-    On a full list (GPU), a group of `lanes` threads shares a sphere's row: each thread adds every `lanes`-th pair that
-    touches or is bonded. On a half list (CPU), each pair is added to both of its spheres.
+    K is the stiffness of a pair and C its damping. On a full list (GPU), a group of `lanes` threads shares the list row
+    of a sphere: each thread adds every `lanes`-th pair that touches or is bonded. On a half list (CPU), each pair is
+    added to both of its spheres.
 
     With `subcycling` the sums contain only the pairs that sub-cycling rounds step (`stiff` true) or only the others.
     Listed pairs that neither touch nor are bonded add nothing, so the time of the last list rebuild cannot change the

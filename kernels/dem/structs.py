@@ -22,7 +22,7 @@ DT: int = wp.constant(1)  # the coming time step [s]
 # previous time step [s]; 0 at the start, so that the first velocity kick has half the length
 DT_PREVIOUS: int = wp.constant(2)
 SINCE_BUILD: int = wp.constant(3)  # time since the neighbour lists were built [s]
-FORCE_SCALE: int = wp.constant(4)  # fixed-point units per newton, for sums of wall forces in integers
+FORCE_SCALE: int = wp.constant(4)  # integer units per newton in the fixed-point sums of wall forces [1/N]
 STABLE: int = wp.constant(5)  # latest estimate of the stable step, without safety factor [s]
 # Number of columns of `clock`.
 CLOCK = 8

@@ -177,7 +177,7 @@ def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: 
 
 @functools.cache
 def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool) -> wp.Kernel:
-    """Return the CPU kernel over stiff pairs for one round; see :func:`pair_round_function`."""
+    """Return the CPU kernel that evaluates all stiff pairs in one sub-cycling round (:func:`pair_round_function`)."""
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs
     Subcycled = subcycled_struct(scalar)

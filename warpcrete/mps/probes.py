@@ -163,7 +163,7 @@ def aggregate_fractions(flow: MovingParticles, snap: Snapshot) -> dict[str, floa
 def profile(flow: MovingParticles, height: float, bins: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Return distances from the axis [m] and mean velocities [m/s] of particles within 1.5 spacings of `height` [m].
 
-    By default there are as many `bins` as particles from the axis to the wall.
+    The results are means over at most `bins` rings around the axis, by default one ring per particle spacing.
     """
     snap, layout = Snapshot.of(flow), flow.state.layout
     chosen = np.abs(snap.height - height) < 1.5 * layout.spacing

@@ -111,7 +111,7 @@ class FluidSimulation(FlowRun):
         return MovingParticles(FluidState(self.scene, self.device, self.precision), threads=self.threads)
 
     def measured(self) -> dict[str, float]:
-        """Measure the flow and return a row of the series."""
+        """Measure the flow and return the results as a row of the time series."""
         return self._probes.measured(self.flow, self._rows[-1] if self._rows else None)
 
     def watch_row(self, row: dict[str, float]) -> None:

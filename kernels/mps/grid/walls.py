@@ -1,4 +1,4 @@
-"""Friction of walls on the faces along them: shear stress, its derivative with respect to velocity, and slip."""
+"""Kernels for the friction of walls: shear stress, its derivative with respect to velocity, and slip velocity."""
 
 import functools
 

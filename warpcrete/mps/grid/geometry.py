@@ -76,7 +76,7 @@ class Room:
     width: tuple[float, ...]
     """Width of a cell along each axis [m]."""
     origin: tuple[float, ...]
-    """Lowest corner of the box [m]."""
+    """Lowest corner of the box of cells [m]."""
     sides: tuple[tuple[str, str], ...]
     """Kinds of the lower and the upper side along each axis: WALL, MIRROR or OPEN_SIDE."""
 
