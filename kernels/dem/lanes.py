@@ -278,7 +278,8 @@ def scatter_function(scalar, law, history: bool, bonds: bool, dissipation: bool)
         """Add the results of all vector lanes to their spheres and pairs.
 
         The calling CPU thread owns spheres `first` to `last`. A pair across the border of that range is listed and
-        evaluated on both sides. Only the copy at the sphere with the lower permanent number counts energy and broken bonds.
+        evaluated on both sides. Only the copy at the sphere with the lower permanent number counts energy and broken
+        bonds.
         """
         lane = wp.int32(0)
         while lane < count:

@@ -129,8 +129,8 @@ def surface_functions(scalar) -> SimpleNamespace:
     ):
         """Return the unit normal into the wall at a face's point closest to a sphere.
 
-        It is opposite to `offset`, the vector from the point to the sphere's centre. If the centre lies on the face, it
-        is the face's own normal, which follows from the order of its corners.
+        The normal is opposite to `offset`, the vector from this point to the sphere's centre. If the centre lies on the
+        face, the result is the face's own normal, which follows from the order of the face's corners.
         """
         a = corners[faces[face, 0]]
         plain = wp.cross(corners[faces[face, 1]] - a, corners[faces[face, 2]] - a)

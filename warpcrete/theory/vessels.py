@@ -107,8 +107,8 @@ def tall_cone_slump(
 ) -> float:  # fmt: skip
     """Return the slump of a truncated cone [m] whose layers widen until each layer bears the weight above it.
 
-    A layer bears a pressure of `bears` yield stresses: the square root of 3 by von Mises, 2 by Tresca as in Murata
-    (1984).
+    `bears` is the pressure that a layer bears, divided by the yield stress: the square root of 3 by von Mises, or 2 by
+    Tresca as in Murata (1984).
     """
     depth = (np.arange(LAYERS) + 0.5) * height / LAYERS
     radius = top + (base - top) * depth / height

@@ -312,7 +312,7 @@ def place_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def block(g: Grid) -> scalar:
-        """Return the product of a cell's widths along all axes; times `cell_weight`, it is the cell's volume."""
+        """Return the product of a cell's widths along all axes; times `cell_weight`, this is the cell's volume."""
         if wp.static(of.dimensions == 2):
             return g.width[0] * g.width[1]
         else:

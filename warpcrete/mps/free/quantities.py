@@ -72,7 +72,8 @@ def expected(scene: FreeScene) -> dict[str, float]:
 def start_volume(scene: FreeScene) -> float:
     """Return the initial volume of the concrete [m3].
 
-    The volume is per radian in axisymmetric flow, per metre of depth in plane flow, and the whole in space.
+    In axisymmetric flow the volume is per radian, in plane flow per metre of depth, and in three dimensions the full
+    volume.
     """
     held = (*scene.blocks, scene.gate) if scene.gate else scene.blocks
     area = section_area(scene.outline, held, width=scene.width, height=scene.height, axial=scene.axial)
