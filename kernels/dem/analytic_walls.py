@@ -97,7 +97,10 @@ def warp_force_function(scalar):
         step_force: wp.array3d(dtype=wp.int64), touches: wp.bool, thread: wp.int32, lanes: wp.int32, w: wp.int32,
         f: t.vec3, m: t.vec3, scale: wp.float64,
     ):  # fmt: skip
-        """Add the forces of a warp to walls; all threads must call this, with zero `f` and `m` if they touch none."""
+        """Add the forces `f` and moments `m` of a warp's threads to the walls that their spheres touch.
+
+        All threads of the warp must call this function; without a touched wall, `f` and `m` are zero.
+        """
         first = leader(touches, w, lanes)
         for c in range(3):
             force = warp_total(wp.int64(wp.round(wp.float64(f[c]) * scale)), lanes)

@@ -1,4 +1,4 @@
-"""Kernel for the end of a step: advance the time, and halt the scenes that must wait."""
+"""Kernel for the end of a step: advance the time, and halt scenes that failed, need new lists or reached their goal."""
 
 import functools
 

@@ -49,7 +49,7 @@ def gather_functions(scalar, dissipation: bool, rows: int, width: int):
         spheres: Spheres, pairs: Pairs, links: Links, begin: wp.int32, end: wp.int32, first: wp.int32, lane: wp.int32,
         lanes: wp.int32, row: wp.int32, scene: wp.int32, x: t.vec3,
     ):  # fmt: skip
-        """Gather the forces of a body with `lanes` threads; all threads of a warp must call this together.
+        """Sum the forces on a body's spheres with `lanes` threads; all threads of a warp must call this together.
 
         `first` is the body's first lane in the warp. The sums run in the order of the spheres, for any number of lanes.
         """

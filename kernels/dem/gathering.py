@@ -72,7 +72,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
         slots: Slots,
         pairs: Pairs,
         walls: Walls,
-        # Outputs.
+        # The next argument holds the results of this kernel.
         estimate: Estimate,
     ):
         i = begin + wp.tid() / wp.static(lanes)

@@ -13,7 +13,7 @@ import warp as wp
 from ..common.types import module_of, types
 
 FARTHEST = 1.0e9
-"""Largest cell index in each direction; coordinates farther out are clamped. Twice this number fits into 32 bits."""
+"""Largest cell index along each axis; farther coordinates are clamped to it. Twice this index fits into 32 bits."""
 
 
 @functools.cache
@@ -48,7 +48,7 @@ def grid_functions(scalar) -> SimpleNamespace:
     @wp.struct
     class Region:
         lowest: wp.vec3i  # index of the lowest cell of the region along each axis
-        count: wp.vec3i  # number of cells of the block along each axis
+        count: wp.vec3i  # number of cells of the region along each axis
         runs: wp.int32
 
     @wp.func
@@ -86,7 +86,7 @@ def grid_functions(scalar) -> SimpleNamespace:
 
     @wp.func
     def run_of(grid: Grid, region: Region, number: wp.int32) -> wp.vec2i:
-        """Return where a run of cells begins and ends in `point`, the list of points sorted by cell."""
+        """Return the range of indices in `point` (the points sorted by cell) of the run of adjacent cells `number`."""
         row = number
         begin = region.lowest[0]
         end = begin + region.count[0]

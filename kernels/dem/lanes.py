@@ -275,11 +275,11 @@ def scatter_function(scalar, law, history: bool, bonds: bool, dissipation: bool)
     def scatter(
         spheres: Spheres, pairs: Pairs, first: wp.int32, last: wp.int32, columns: Columns, ints: Ints, count: wp.int32
     ):
-        """Add the results of the lanes to spheres and pairs.
+        """Add the results of all vector lanes to their spheres and pairs.
 
-        The CPU thread owns spheres `first` to `last`. A pair across the border of that range is listed and evaluated on
-        both sides.
-        Only the copy at the sphere with the lower permanent number counts energy and broken bonds.
+        The calling CPU thread owns spheres `first` to `last`. A pair across the border of that range is listed and
+        evaluated on both sides. Only the copy at the sphere with the lower permanent number counts energy and broken
+        bonds.
         """
         lane = wp.int32(0)
         while lane < count:

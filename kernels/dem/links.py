@@ -33,7 +33,7 @@ def result_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
 
 @functools.cache
 def result_functions(scalar, count: int):
-    """Return functions that write the results of a link (`count` rows) and that add them up for a sphere.
+    """Return functions that store the results of a link in `count` rows, and that add up the results for a sphere.
 
     `store_result` writes the rows of a link, and `store_loss` writes the energy loss of a link whose spheres have just
     separated. `sum_of_links` returns the sums over the links of a sphere: force [N], moment [N m] and lost energy [J].
@@ -134,8 +134,8 @@ def result_functions(scalar, count: int):
                 if found > 3:
                     r = row_of(row / 2, w)
                     g, h = read_vec4(links.result, r), read_vec4(links.result, r + 1)
-                # The sums run strictly one after the other. A link whose spheres have just separated adds zeros, which
-                # do not change the rounding of the other terms.
+                # Add the results of links strictly one after the other, so that their rounding is always the same. A
+                # link whose spheres have just separated adds zeros, which do not change this rounding.
                 force = (((force + force_on_end(q, a)) + force_on_end(u, c)) + force_on_end(v, e)) + force_on_end(w, g)
                 moment = (moment + moment_on_end(q, a, b)) + moment_on_end(u, c, d)
                 moment = (moment + moment_on_end(v, e, f)) + moment_on_end(w, g, h)
@@ -230,8 +230,8 @@ def contact_update_function(
                 close = close and not held_apart
         after = wp.where(close, TOUCHING, APART)
         if held_apart:
-            # Unlike APART, this state makes a later check clear the contact history, even if the spheres are already
-            # apart at the first check after the bond broke.
+            # Unlike APART, the state STIFF makes a later check clear the contact history. This is needed if the spheres
+            # are already apart at the first check after the bond broke.
             after = STIFF
         if state != after:
             lost = scalar(0.0)

@@ -218,7 +218,7 @@ def list_kernels(scalar) -> SimpleNamespace:
 
     @wp.kernel(module=module_of("lists", scalar), enable_backward=False)
     def clear_stale(lanes: wp.array2d(dtype=wp.vec3d), flags: wp.array2d(dtype=wp.int32), scenes: Scenes, walls: Walls):
-        """Mark the lists as valid, one thread a scene, and resume the scene unless it has another reason to wait."""
+        """Mark a scene's lists as valid and resume it, unless it waits for another reason; one thread per scene."""
         s = wp.tid()
         if flags[s, STALE] == 0:
             return

@@ -129,8 +129,8 @@ def surface_functions(scalar) -> SimpleNamespace:
     ):
         """Return the unit normal into the wall at a face's point closest to a sphere.
 
-        It is opposite to `offset`, the vector from the point to the sphere's centre. If the centre lies on the face, it
-        is the face's own normal, which follows from the order of its corners.
+        The normal is opposite to `offset`, the vector from this point to the sphere's centre. If the centre lies on the
+        face, the result is the face's own normal, which follows from the order of the face's corners.
         """
         a = corners[faces[face, 0]]
         plain = wp.cross(corners[faces[face, 1]] - a, corners[faces[face, 2]] - a)
@@ -148,7 +148,11 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
 
     @wp.func
     def hides(n: t.vec3, gap: scalar, farther_n: t.vec3, farther_gap: scalar, radius: scalar):
-        """Return True if a contact merges with a `farther` contact with the same wall, or hides that contact."""
+        """Return True if a contact makes a farther contact of the same sphere with the same wall superfluous.
+
+        This is so if the normals of both contacts are nearly parallel, or if the farther contact point lies behind the
+        plane through the nearer contact point that is perpendicular to the nearer normal.
+        """
         if gap > farther_gap:
             return False
         c = wp.dot(n, farther_n)

@@ -82,7 +82,8 @@ def rotation_functions(scalar):
 def motion_functions(scalar, dissipation: bool):
     """Return the functions that all kinds of bodies share.
 
-    They are drive force, local damping, positions with compensated summation, and checks of the neighbour lists.
+    These functions compute drive force, local damping and positions with compensated summation, and check the neighbour
+    lists.
     """
     t = types(scalar)
     xyz = vector_functions(scalar).xyz

@@ -94,9 +94,10 @@ def pair_functions(scalar):
 
 @functools.cache
 def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool, dissipation: bool):
-    """Return the function `part_entries`, which clears the history of pairs that separated in this step.
+    """Return the function `part_entries`, which clears the contact history of pairs that separated in this step.
 
-    `bits` marks these pairs among the list entries from `block` to `end`. The function returns the energy lost [J].
+    The set bits of `bits` mark these pairs: bit b stands for list entry `block` + b. Entries from `end` on are ignored.
+    The function returns the lost energy [J].
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -220,7 +221,7 @@ def bond_pull_functions(scalar, dissipation: bool):
     def bond_pull(
         p: Bond, pair: PairTouch, relative_spin: t.vec3, force: t.vec4, moment: t.vec4, lost: scalar, dt: scalar
     ):
-        """Compute the new forces, moments and state of a bond, and the energy lost.
+        """Compute the new force, moment and state of a bond, and the energy that the pair loses in this step.
 
         `lost` is the energy that the contact alone loses in this step [J].
         """

@@ -47,7 +47,7 @@ BODY_MAXIMA = (int(REACH),)
 
 # Columns of the values that are read from each wall.
 IMPULSE: int = wp.constant(0)  # columns 0 to 5: impulse of force and moment about the wall's position [N s], [N m s]
-FORCE: int = wp.constant(6)  # columns 6 to 11: force [N] and moment [N m]
+FORCE: int = wp.constant(6)  # columns 6 to 11: force [N] and moment [N m] of the contacts on the wall
 TURN: int = wp.constant(12)  # columns 12 to 15: orientation quaternion of the wall's frame
 TRAVEL: int = wp.constant(16)  # displacement of the wall along its path [m]
 WORK: int = wp.constant(17)  # work done by the wall on the concrete [J]
@@ -59,9 +59,10 @@ LANES = 256
 
 @functools.cache
 def column_kernels() -> tuple[wp.Kernel, wp.Kernel]:
-    """Return two kernels that compute the sum of every column, or its maximum if the column's bit in `maxima` is set.
+    """Return two kernels that reduce every column of an array to its sum or maximum.
 
-    The first kernel reduces the rows to LANES partial results. The second kernel reduces these to one result.
+    The result is the maximum if the column's bit in `maxima` is set. The first kernel reduces the rows to LANES partial
+    results. The second kernel reduces these to one result.
     """
 
     @wp.kernel(module=module_of("columns"), enable_backward=False)

@@ -156,7 +156,7 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
 
     @wp.func
     def padded_reach(reach: scalar, middle: t.vec3) -> scalar:
-        """Return the reach enlarged by the rounding error of shifted positions, in the query and in the grid."""
+        """Return `reach`, enlarged by the rounding errors of the shifted positions of the query and its neighbours."""
         return reach + scalar(wp.static(rounding)) * wp.max(wp.abs(middle))
 
     @wp.func
@@ -322,7 +322,10 @@ def octant_functions(scalar):
 
 @functools.cache
 def recording_functions(scalar, bonds: bool):
-    """Return the functions `old_row` and `add_neighbour` for the search of full lists."""
+    """Return the functions `old_row` and `add_neighbour`, with which a search writes full neighbour lists.
+
+    A full list contains each pair at both of its spheres.
+    """
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs
     Query = search_functions(scalar, False, bonds).Query
@@ -452,7 +455,7 @@ def full_search_kernels(scalar, bonds: bool, lanes: int) -> tuple[wp.Kernel, wp.
                     before += wp.where(finds[m, i] < entry, 1, 0)
                 pairs.other[row + before] = entry
         elif wp.tid() % lanes == 0:
-            # A sphere with more neighbours than `finds` holds is searched again.
+            # The neighbours of this sphere do not fit into `finds`, so search them again and write them to the list.
             query = query_of(scenes, spheres, stretched, i)
             middle = query.x + shift[s]
             found = wp.int32(0)

@@ -107,7 +107,8 @@ def recording_functions(scalar):
 
     @wp.func
     def record_speed(estimate: Estimate, part: wp.int32, s: wp.int32, speed: scalar):
-        # Reading the maximum first avoids nearly all atomic operations. The value may be outdated, but never too high.
+        # Reading the maximum first avoids nearly all atomic operations. The value that is read may be outdated, but it
+        # is never too high, so no new maximum is missed.
         if wp.float64(speed) > estimate.fastest[part, s]:
             wp.atomic_max(estimate.fastest, part, s, wp.float64(speed))
 
@@ -267,9 +268,10 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool) -> wp.Kernel:
             if wp.static(half):
                 for column in range(4):
                     estimate.sums[place, column] = vec6()
-            # A body in flight must survive its next contact with the fastest object in the scene, also in shear. Shear
-            # at a sphere turns the body about its long axis with the sphere's radius as lever, and across it with the
-            # whole arm.
+            # The stable step must also suit the next contact of a body that touches nothing now. Assume a contact of
+            # this sphere with the fastest object in the scene. A tangential force on the sphere turns the body about
+            # its long axis with the sphere's radius as lever arm. It turns the body about the other axes with `lever`,
+            # the distance from the body's centre to the far side of the sphere, as lever arm.
             position = read_vec4(spheres.position, place)
             radius = position[3]
             own = wp.length(xyz(read_vec4(spheres.velocity, place)))
@@ -324,9 +326,10 @@ def keep_kernel(scalar) -> wp.Kernel:
 
 @functools.cache
 def step_kernel(scalar, subcycling: bool) -> wp.Kernel:
-    """Return the kernel over scenes that sets the stable step, driven walls included, and the next time step.
+    """Return the kernel that sets the stable step and the next time step of each scene, with one thread per scene.
 
-    With `by_device`, scenes then continue. A scene without a usable step stays halted, so that the host can report it.
+    The stable step also takes driven walls into account. With `by_device`, the kernel lets scenes continue that were
+    halted for the estimate. A scene without a usable step stays halted, so that the host can report it.
     """
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls

@@ -25,15 +25,15 @@ def estimate_struct(scalar):
 
     @wp.struct
     class Estimate:
-        sums: wp.array2d(dtype=vec6)  # one row per sphere, shape (spheres, 4); all zero between estimates
-        # stiffness [mN/m] and damping [mN s/m] of the contacts of each wall, shape (parts, walls, 2)
+        sums: wp.array2d(dtype=vec6)  # stiffness and damping per sphere, shape (spheres, 4); zero between estimates
+        # stiffness [mN/m] and damping [mN s/m] of the contacts of each wall, by CPU thread, shape (parts, walls, 2)
         wall_load: wp.array3d(dtype=wp.int64)
         # smallest stable step of any body, by CPU thread and scene, shape (parts, scenes) [s]
         smallest: wp.array2d(dtype=wp.float64)
         resolution_step: wp.array2d(
             dtype=wp.float64
         )  # smallest step limit by impacts and speeds [s], shape (parts, scenes)
-        fastest: wp.array2d(dtype=wp.float64)  # largest speed of any body or wall, shape (parts, scenes) [m/s]
+        fastest: wp.array2d(dtype=wp.float64)  # largest speed of a body or wall, shape (CPU threads, scenes) [m/s]
 
     return Estimate
 
@@ -129,8 +129,9 @@ def counting_function(scalar, bonds: bool, subcycling: bool):
 def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bool, lanes: int):
     """Return the function `add_pairs`, which adds up K and C of all touching or bonded pairs of sphere i.
 
-    On a full list (GPU), a group of `lanes` threads shares a sphere's row: each thread adds every `lanes`-th pair that
-    touches or is bonded. On a half list (CPU), each pair is added to both of its spheres.
+    K is the stiffness of a pair and C its damping. On a full list (GPU), a group of `lanes` threads shares the list row
+    of a sphere: each thread adds every `lanes`-th pair that touches or is bonded. On a half list (CPU), each pair is
+    added to both of its spheres.
 
     With `subcycling` the sums contain only the pairs that sub-cycling rounds step (`stiff` true) or only the others.
     Listed pairs that neither touch nor are bonded add nothing, so the time of the last list rebuild cannot change the

@@ -16,13 +16,13 @@ import warp as wp
 from ..common.types import types
 from ..common.walls import wall_struct
 
-# Columns of the double-precision array `clock`, which has one row a scene.
+# Columns of the double-precision array `clock`, which has one row per scene.
 TIME: int = wp.constant(0)  # simulated time [s]
 DT: int = wp.constant(1)  # the coming time step [s]
 # previous time step [s]; 0 at the start, so that the first velocity kick has half the length
 DT_PREVIOUS: int = wp.constant(2)
 SINCE_BUILD: int = wp.constant(3)  # time since the neighbour lists were built [s]
-FORCE_SCALE: int = wp.constant(4)  # fixed-point units per newton, for sums of wall forces in integers
+FORCE_SCALE: int = wp.constant(4)  # integer units per newton in the fixed-point sums of wall forces [1/N]
 STABLE: int = wp.constant(5)  # latest estimate of the stable step, without safety factor [s]
 # Number of columns of `clock`.
 CLOCK = 8
@@ -74,7 +74,7 @@ def scene_struct(scalar):
         wall_count: wp.int32
         analytic: wp.int32  # number of planes and pipes, which precede meshes in the list of walls
         walls_fixed: wp.int32  # 1 if no plane or pipe of the scene ever moves, else 0
-        held: wp.int32  # 1 if walls with prescribed motion are held at rest for now, else 0
+        held: wp.int32  # 1 while walls with prescribed motion are held at rest, else 0
         materials: wp.int32  # number of materials; contact parameters form a square table over pairs of materials
         laws: wp.int32  # first row of the scene in the table of contact parameters
         bonds: wp.int32
@@ -95,7 +95,7 @@ def array_structs(scalar) -> SimpleNamespace:
         row: wp.array(dtype=SceneRow)  # parameters and first rows of each scene, shape (scenes,)
         clock: wp.array2d(dtype=wp.float64)  # times and steps, in the columns listed above, shape (scenes, CLOCK)
         scale: wp.array(dtype=scalar)  # scale factor of all sphere sizes during growth in packing, shape (scenes,)
-        reference_velocity: wp.array(dtype=t.vec3)  # mean velocity when the lists were built (common drift) [m/s]
+        reference_velocity: wp.array(dtype=t.vec3)  # mean velocity of each scene when its lists were built [m/s]
 
     @wp.struct
     class Bodies:
@@ -121,7 +121,7 @@ def array_structs(scalar) -> SimpleNamespace:
         scene: wp.array(dtype=wp.int32)  # index of the scene in the batch
         body: wp.array(dtype=wp.int32)  # index of the body that the sphere belongs to
         material: wp.array(dtype=wp.int32)  # index of each sphere's material in the model
-        offset: wp.array(dtype=t.vec4)  # sphere centre in the body's frame, and sphere radius, both at full size [m]
+        offset: wp.array(dtype=t.vec4)  # centre in the body's frame, and radius, both for a scale factor of 1 [m]
         position: wp.array(dtype=t.vec4)  # centre in space, and radius [m]
         velocity: wp.array(dtype=t.vec4)  # velocity of the centre [m/s], and mass of the body [kg]
         spin: wp.array(dtype=t.vec4)  # angular velocity of the body [rad/s], padded to four numbers for fast access
@@ -136,7 +136,7 @@ def array_structs(scalar) -> SimpleNamespace:
     @wp.struct
     class Slots:
         touching: wp.array(dtype=wp.int32)  # bit mask of planes and pipes touched in the last step, shape (spheres,)
-        history: wp.array2d(dtype=t.vec3)  # contact history of planes and pipes, then of meshes, (spheres, slots)
+        history: wp.array2d(dtype=t.vec3)  # contact history: slots of planes, pipes, then meshes, (spheres, slots)
         rolling: wp.array2d(dtype=t.vec3)  # moment of the rolling-resistance spring [N m], (spheres, slots)
         normal: wp.array2d(dtype=t.vec3)  # normal of each mesh contact, into the wall, (spheres, slots)
         overlap: wp.array2d(dtype=scalar)  # overlap of each mesh contact [m], (spheres, slots)
@@ -179,7 +179,7 @@ def array_structs(scalar) -> SimpleNamespace:
         spin: wp.array(dtype=t.vec3)  # mean angular velocity over the step [rad/s]
         force: wp.array(dtype=wp.vec3d)  # total contact force on the wall in the last step [N]
         moment: wp.array(dtype=wp.vec3d)  # total contact moment about the wall's position [N m]
-        impulse: wp.array(dtype=wp.vec3d)  # time integral of the contact force since the start [N s]
+        impulse: wp.array(dtype=wp.vec3d)  # time integral of the contact force on the wall since the start [N s]
         angular_impulse: wp.array(dtype=wp.vec3d)  # time integral of the contact moment since the start [N m s]
         travel: wp.array(dtype=wp.float64)  # displacement along the wall's path since the start [m]
         work: wp.array(dtype=wp.float64)  # work done by the wall on the concrete since the start [J]
@@ -208,7 +208,8 @@ def links_struct(scalar):
         link: wp.array(dtype=wp.vec4i)
         scene: wp.array(dtype=wp.int32)  # index of each link's scene in the batch, shape (links,)
         state: wp.array(dtype=wp.int32)  # state of each link: APART, TOUCHING, PARTED or STIFF, shape (links,)
-        # bit masks of the list entries beyond the first BLOCK that touched, EXTRA_MASKS integers per sphere
+        # bit masks that mark the touching pairs among a sphere's list entries after the first BLOCK, EXTRA_MASKS
+        # integers per sphere
         later_touching: wp.array(dtype=wp.int32)
         end: wp.array(dtype=wp.int32)  # for each list entry, the index p of its link in the scene; -1 - p for a twin
         # `result` holds the result of each link in this step. A link has two rows: (force on its lower sphere [N], arm
@@ -221,7 +222,7 @@ def links_struct(scalar):
         # `near_list_exceeded` is 1 if a scene's near links may miss a contact, else 0, shape (scenes,).
         near_list_exceeded: wp.array(dtype=wp.int32)
         near_position: wp.array(dtype=t.vec4)  # sphere positions and radii when near links were chosen [m], (spheres,)
-        near_time: wp.array(dtype=wp.float64)  # time since the list rebuild when near links were chosen [s], (scenes,)
+        near_time: wp.array(dtype=wp.float64)  # time from the list rebuild to the choice of near links [s], (scenes,)
 
     return Links
 
@@ -243,14 +244,14 @@ def subcycled_struct(scalar):
         pair_scene: wp.array(dtype=wp.int32)  # index of each pair's scene in the batch, shape (pairs,)
         lower: wp.array(dtype=wp.int32)  # lower permanent number of the pair's two spheres
         higher: wp.array(dtype=wp.int32)  # higher permanent number of the pair's two spheres
-        # rows of the pair's two bodies in this struct, and rows in `force` of the pair's forces on these bodies
+        # indices of the pair's two bodies in this struct, then the two rows of `force` for the forces on these bodies
         ends: wp.array(dtype=wp.vec4i)
         lower_offset: wp.array(dtype=t.vec4)  # sphere of lower index: centre in the body's frame, radius [m]
         higher_offset: wp.array(dtype=t.vec4)  # sphere of higher index: centre in the body's frame, radius [m]
-        law: wp.array(dtype=wp.int32)  # row of the pair's contact parameters
+        law: wp.array(dtype=wp.int32)  # index of the pair's contact parameters in `pair_parameters`
         entry: wp.array(dtype=wp.int32)  # index of the neighbour list entry that holds the pair
         copy: wp.array(dtype=wp.int32)  # index of the second list entry that holds the pair, or -1
-        held: Pairs  # history and bond of each pair; copied to the neighbour list at the end of a step
+        held: Pairs  # contact history and bond of each pair; copied to the neighbour list at the end of a step
         # 1 while the bond holds; 0 once it is broken and the pair is an ordinary contact again
         active: wp.array(dtype=wp.int32)
         lost: wp.array(dtype=wp.float64)  # energy lost in the rounds of this step so far [J]

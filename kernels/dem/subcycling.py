@@ -105,7 +105,7 @@ def stiff_pair_function(scalar, law, history: bool, dissipation: bool):
 
 @functools.cache
 def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: bool):
-    """Return the function `pair_round`, which evaluates contact and stiff bond of a pair once a round."""
+    """Return the function `pair_round`, which evaluates a pair's contact and stiff bond in one sub-cycling round."""
     t = types(scalar)
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs
@@ -177,7 +177,7 @@ def pair_round_function(scalar, law, history: bool, healing: bool, dissipation: 
 
 @functools.cache
 def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool) -> wp.Kernel:
-    """Return the CPU kernel over stiff pairs for one round; see :func:`pair_round_function`."""
+    """Return the CPU kernel that evaluates all stiff pairs in one sub-cycling round (:func:`pair_round_function`)."""
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs
     Subcycled = subcycled_struct(scalar)
@@ -249,7 +249,7 @@ def kick_functions(scalar, dissipation: bool):
 
 @functools.cache
 def body_round_function(scalar):
-    """Return the function `body_round`, which moves a body with stiff bonds through one round."""
+    """Return the function `body_round`, which moves a body with stiff bonds through one sub-cycling round."""
     Scenes = array_structs(scalar).Scenes
     Subcycled = subcycled_struct(scalar)
     turned, spin_at_middle = rotation_functions(scalar)
@@ -289,7 +289,8 @@ def body_kernel(scalar) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def subcycle_bodies(
-        # The next arguments are the range of bodies that this launch processes, and the number of the round.
+        # The next arguments are the range of bodies that this launch processes, and the number of the sub-cycling
+        # round.
         first: wp.int32,
         last: wp.int32,
         turn: wp.int32,
@@ -308,10 +309,10 @@ def body_kernel(scalar) -> wp.Kernel:
 
 @functools.cache
 def rounds_kernel(scalar, law, history: bool, healing: bool, dissipation: bool) -> wp.Kernel:
-    """Return the GPU kernel that performs all rounds of a step with `threads` resident threads.
+    """Return the GPU kernel that performs all sub-cycling rounds of a step in one launch with `threads` threads.
 
-    Its blocks stay on the GPU and wait for each other at barriers. This is faster than two kernel launches per round,
-    where each launch must wait for the previous one.
+    Its blocks stay on the GPU and wait for each other at barriers. Two kernel launches per round, each of which must
+    wait for the previous launch, would be slower.
     """
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs

@@ -33,7 +33,7 @@ def stopped(time: wp.float64, ramp: wp.float64, stroke: wp.float64, pause: wp.fl
     each = stroke - ramp
     if done == stops:
         return stops * each + ramped(left, ramp)
-    if left >= stroke:  # The distance stays constant during the pause, to the last bit.
+    if left >= stroke:  # In a pause the distance does not depend on the time, so that the wall rests exactly.
         return (done + wp.float64(1.0)) * each
     return done * each + ramped(left, ramp) - ramped(left - each, ramp)
 
@@ -72,7 +72,7 @@ def motion_functions(scalar, strokes: bool):
         rate = wp.float64(0.0)
         if dt > wp.float64(0.0):
             rate = (gone - distance_at(wall, now - dt)) / dt
-        # The velocity is averaged over the step, like the leapfrog velocities of bodies.
+        # The wall's velocity and spin are means over the step, like the leapfrog velocities of bodies.
         walls.spin[w] = t.vec3(rate * wall.spin)
         walls.position_exact[w] = after
         walls.velocity_exact[w] = (after - before) / wp.max(dt, wp.float64(1.0e-300))
@@ -101,7 +101,8 @@ def motion_functions(scalar, strokes: bool):
         half = wp.float64(0.5) * kick * wall.drive_damping / wall.mass
         speed = ((wp.float64(1.0) - half) * speed + kick * push_along / wall.mass) / (wp.float64(1.0) + half)
         if not (wp.abs(speed) <= wp.float64(wp.static(SPEED_LIMIT))):
-            # A failed wall has a negative code, which takes precedence over bodies that fail at the same time on a GPU.
+            # The error code of a failed wall is negative. As the minimum, it takes precedence over the codes of bodies
+            # that fail at the same time on a GPU.
             wp.atomic_min(flags, s, FAILED, -1 - (w - scenes.row[s].walls))
         walls.velocity_exact[w] = speed * direction
         walls.position_exact[w] = walls.position_exact[w] + dt * speed * direction
@@ -156,9 +157,9 @@ def advance_kernel(scalar, strokes: bool) -> wp.Kernel:
         walls.moment[w] = m
         walls.impulse[w] = impulse + kick * f
         walls.angular_impulse[w] = angular_impulse + kick * m
-        # The contact forces act half a step before and half a step after this point in time, and the wall's work on the
-        # concrete is added up accordingly. Here the work over half of the previous step is added, with the velocity of
-        # that step; below, the work over half of the coming step.
+        # The present contact forces act from half a step before to half a step after this point in time. The wall's
+        # work on the concrete is therefore added in two parts. Here the work in the second half of the previous step is
+        # added, with the velocity of that step. The work in the first half of the coming step is added below.
         work = work - wp.float64(0.5) * previous * (wp.dot(f, velocity) + wp.dot(m, spin))
         now = scenes.clock[s, TIME] + dt - walls.table[w].start_time
         if motion == PRESCRIBED and scenes.row[s].held == 0:

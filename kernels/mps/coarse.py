@@ -24,7 +24,7 @@ RATIO = 20.0
 those of the coarse matrix divided by its diagonal, which are at most 2."""
 MIDDLE, REACH = 1.0 + 1.0 / RATIO, 1.0 - 1.0 / RATIO
 """Centre (MIDDLE) and half-width (REACH) of the interval of eigenvalues for which the Chebyshev iteration is designed.
-The interval extends from 2 / RATIO to 2."""
+The interval extends from 2 / RATIO to 2, where RATIO is the ratio of its ends."""
 
 
 @functools.cache
@@ -100,8 +100,8 @@ def serial_coarse_kernel(scalar, dimensions: int, vector: bool):
 def coarse_kernels(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
     """Build the GPU kernels that form the coarse matrix.
 
-    First `pairs` sums the matrix coefficients of each particle over the cubes around it (one task per particle). Then
-    `sums` adds these sums over the particles of each cube (one task per entry of the coarse matrix).
+    First, `pairs` adds up the matrix coefficients between a particle and all particles of each cube around it (one task
+    per particle). Then `sums` adds up the results of all particles of a cube (one task per entry of the coarse matrix).
     """
     FlowConstants = flow_struct(scalar)
     Matrix = array_structs(scalar, dimensions).Matrix

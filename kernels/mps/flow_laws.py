@@ -15,12 +15,13 @@ BINGHAM, HERSCHEL_BULKLEY, MODIFIED_BINGHAM = "bingham", "herschel-bulkley", "mo
 
 @functools.cache
 def law_functions(scalar, law: str) -> SimpleNamespace:
-    """Build the functions of a law's viscous part, with the arguments k, n and c of its formula.
+    """Build the functions of a flow law's viscous stress h; each takes the constants k, n and c of the law's formula.
 
-    `stress` is h at a rate, and `viscosity` is h over the rate, smoothed at rates below `slow` so that it stays finite
-    and above 0. `tangent` is the derivative of the smoothed h. `rate` is the rate at a viscous stress `over`. The
-    following functions take this stress and its rate: `slope` is the derivative of `rate`, `bend` its second derivative
-    over the first, `integral` and `double_integral` are its integrals from 0.
+    `stress` returns h at a shear rate. `viscosity` returns h over the rate, smoothed at rates below `slow` so that the
+    result stays finite and above 0. `tangent` returns the derivative of this smoothed h with respect to the rate.
+    `rate` returns the rate at a viscous stress `over`. The other functions take `over` and the rate at this stress.
+    `slope` returns the derivative of `rate` with respect to the stress, and `bend` its second derivative over its
+    first. `integral` and `double_integral` return the first and the second integral of `rate` from 0.
     """
     return {BINGHAM: linear_law, HERSCHEL_BULKLEY: power_law, MODIFIED_BINGHAM: quadratic_law}[law](scalar)
 
@@ -135,7 +136,7 @@ def quadratic_law(scalar) -> SimpleNamespace:
 
     @wp.func
     def rate(k: scalar, n: scalar, c: scalar, over: scalar) -> scalar:
-        # This form of the root does not subtract nearly equal numbers.
+        # This form of the quadratic equation's root does not subtract nearly equal numbers.
         return scalar(2.0) * over / (k + wp.sqrt(k * k + scalar(4.0) * c * over))
 
     @wp.func

@@ -149,8 +149,8 @@ def moments_function(scalar, dimensions: int, serial: bool):
                 m.above = m.above + w * d[last]
                 beyond = wp.length(f.across(y)) - flow.radius
                 if beyond > scalar(0.0) and y[last] > scalar(0.0):
-                    # Behind the wall the velocity profile is continued with its slope at the wall. The viscous force of
-                    # a wall particle is then the wall's stress times the term added here.
+                    # Continue the velocity profile behind the wall with its slope at the wall. The viscous force per
+                    # volume due to a wall particle is then proportional to the wall stress times the term added here.
                     m.wall = m.wall + w / (r * r) * wp.max(m.inside + beyond, scalar(0.0))
         return m
 

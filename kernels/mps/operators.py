@@ -37,7 +37,7 @@ def wall_law_function(scalar, dimensions: int, slip_law: str):
 
         The slip law is Eq. 8 of Xu, Li & Jiang 2021. Forces are per volume [N/m3]. `area` is the wall's area divided by
         the particle's volume [1/m], and `compliance` the velocity difference between particle and wall per wall stress.
-        The resistance is the increase of the layer's braking force with the particle's velocity [kg/m3/s].
+        The resistance is the derivative of the layer's braking force with respect to the particle's velocity [kg/m3/s].
         """
         resist = scalar(0.0)
         stress = scalar(0.0)

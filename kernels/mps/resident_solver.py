@@ -22,7 +22,7 @@ from .structs import array_structs
 RESIDENT = 3
 """Number of blocks that fit on a multiprocessor at once; the launch bounds limit a thread to 85 registers for this."""
 WIDE, SMALL = 1024, 40_000
-"""Number of threads of the single block of a small system, and maximum number of matrix entries of a small system."""
+"""A linear system with at most SMALL matrix entries is solved by a single block of WIDE threads."""
 
 
 def resident_blocks(device, rows: int, near_capacity: int, abreast: int) -> tuple[int, int]:
@@ -149,9 +149,9 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
 
 @functools.cache
 def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, width: int = BLOCK):
-    """Build the GPU kernel that does a whole solve and adds the solution to `x`.
+    """Build the GPU kernel that performs a whole solve and adds the solution to `x`.
 
-    It runs as `parties` blocks of `width` threads; a block of WIDE threads must be the only one.
+    The kernel runs as `parties` blocks of `width` threads. With `width` = WIDE there must be only one block.
     """
     accumulate, total_of = sum_functions(width).accumulate, sum_functions(width).total_of
     f, row = solver_functions(scalar, dimensions, vector), row_functions(scalar, dimensions, vector, rigid)

@@ -87,7 +87,7 @@ def body_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def inverted(inertia: mat33) -> mat33:
-        """Return the inverse of an inertia matrix; in two dimensions, only that of its component about y."""
+        """Return the inverse of an inertia matrix; in two dimensions only the entry of rotation about y is inverted."""
         inverse = mat33()
         if wp.static(flat):
             if inertia[1, 1] > scalar(0.0):
@@ -114,10 +114,10 @@ def body_functions(scalar, dimensions: int) -> SimpleNamespace:
         borne: wp.array(dtype=t.vec), mean: t.vec, place: wp.array(dtype=t.vec), centre: t.vec, begin: wp.int32,
         end: wp.int32,
     ) -> vec3:  # fmt: skip
-        """Return the sum of the moments about `centre` of the vectors `borne` at a grain's particles.
+        """Return the sum of the moments about `centre` of the vectors `borne`, one vector for each particle of a grain.
 
-        `place` contains the positions of the particles, and `centre` is their mean. A constant vector has no moment
-        about this centre, so `mean` may be subtracted from all vectors to reduce rounding errors.
+        `place` contains the positions of the particles, and `centre` is the mean of these positions. A constant vector
+        has no moment about this centre, so `mean` may be subtracted from all vectors to reduce rounding errors.
         """
         sum = vec3()
         for i in range(begin, end):

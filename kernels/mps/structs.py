@@ -15,7 +15,7 @@ from ..common.types import SPAN, types
 VISCOSITY = 1
 PRESSURE = 2
 DENSITY = 3
-LOST = 4  # The state of a particle is not a number, or the particle is far outside the flow.
+LOST = 4  # Error code: the state of a particle is not a number, or the particle is far outside the flow.
 
 
 @functools.cache
@@ -52,9 +52,9 @@ def flow_struct(scalar):
         density: scalar  # Reference density of the pressure equation [kg/m3].
         viscosity: scalar  # Plastic viscosity of the Bingham law [Pa s], or consistency k of another law [Pa s^n].
         flow_index: scalar  # Flow index n; 1 except for the Herschel-Bulkley law.
-        quadratic_viscosity: scalar  # Coefficient c of the modified Bingham law [Pa s2], else 0.
+        quadratic_viscosity: scalar  # Coefficient c of the modified Bingham law [Pa s2]; 0 for other laws.
         yield_stress: scalar  # Yield stress [Pa].
-        regularisation: scalar  # Regularisation time beta of the law [s].
+        regularisation: scalar  # Regularisation time beta of the flow law [s].
         slip_viscosity: scalar  # Viscous constant eta_L of the slip layer [Pa s/m].
         slip_yield: scalar  # Yield stress tau_L0 of the slip layer [Pa].
         slip_index: scalar  # Flow index of the slip layer.
@@ -99,14 +99,14 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.struct
     class Fields:
-        pair_weight: wp.array(dtype=scalar)  # Weight of each pair in `near` divided by the squared distance [1/m2].
+        pair_weight: wp.array(dtype=scalar)  # Weight over squared distance, for each entry of the list `near` [1/m2].
         fluid_inverse: wp.array(dtype=t.mat)  # Inverse moment matrix of the fluid neighbours [1/m2], shape (n,).
         all_inverse: wp.array(dtype=t.mat)  # Inverse moment matrix of all neighbours, walls included [1/m2].
         inverse_number: wp.array(dtype=scalar)  # Calibration factor of the Laplacian at each particle, shape (n,).
         wall_weight: wp.array(dtype=scalar)  # Wall area per volume of each particle, before scaling [1/m], shape (n,).
-        wall_scale: wp.array(dtype=wp.float64)  # Factor that scales the sum of wall areas to the true area, shape (1,).
+        wall_scale: wp.array(dtype=wp.float64)  # True wall area over the sum from `wall_weight`, shape (1,).
         viscosity: wp.array(dtype=scalar)  # Apparent viscosity at each particle [Pa s], shape (n,).
-        compliance: wp.array(dtype=scalar)  # Velocity difference between particle and wall per wall stress [m/s/Pa].
+        compliance: wp.array(dtype=scalar)  # Particle velocity relative to the wall, per wall stress [m/s/Pa].
         predicted: wp.array(dtype=scalar)  # Predicted pressure: that of the previous step, filtered [Pa], shape (n,).
         traction: wp.array(dtype=scalar)  # Shear stress of the wall beside each particle [Pa], shape (n,).
         increment: wp.array(dtype=scalar)  # Change of each particle's pressure in this step [Pa], shape (n,).
@@ -142,8 +142,8 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         member: wp.array(dtype=wp.int32)  # Numbers of the particles, sorted by cube, shape (n,).
         # Numbers of the cubes around each cube, -1 where there is none, shape (3^d * count,).
         neighbour: wp.array(dtype=wp.int32)
-        # Coupling of each cube with the 3^d cubes around it, shape (3^d * count,). The middle entry, which belongs to
-        # the cube itself, is 1 over the diagonal instead.
+        # Coefficients of the coarse matrix between each cube of the coarse grid and the 3^d cubes centred on it, shape
+        # (3^d * count,). The entry between a cube and itself holds 1 over the diagonal of the coarse matrix instead.
         coefficient: wp.array(dtype=scalar)
         diagonal: wp.array(dtype=scalar)  # Diagonal of the coarse matrix, shape (count,).
         pair: wp.array(dtype=scalar)  # Coupling of each particle with the cubes around it, shape (3^d * n,); GPU only.
@@ -155,17 +155,17 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         near: wp.array(dtype=wp.int32)  # Column of each entry of the matrix, shape (n * near_capacity,).
         coefficient: wp.array(dtype=scalar)  # Coefficient of each entry of the matrix, shape (n * near_capacity,).
         diagonal: wp.array(dtype=scalar)  # Diagonal of the matrix, shape (n,).
-        drag: wp.array(dtype=scalar)  # Resistance of the wall to motion along it [kg/m3/s], shape (n,).
+        drag: wp.array(dtype=scalar)  # Wall's braking force per volume and per velocity [kg/m3/s], shape (n,).
         free: wp.array(dtype=wp.int32)  # 1 where the unknown is held at 0, such as the pressure at a free surface.
         position: wp.array(dtype=t.vec)  # Positions of the particles [m], shape (n,).
-        grain_rows: wp.int32  # Number of rows that belong to rigid grains; they come before the rows of mortar.
+        grain_rows: wp.int32  # Number of matrix rows of particles in rigid grains; they precede the mortar's rows.
         grains: Grains
         coarse: Coarse
 
     def solve_struct(value):
         @wp.struct
         class Solve:
-            residual: wp.array(dtype=value)  # Residual of the equations, shape (n,).
+            residual: wp.array(dtype=value)  # Residual of the linear equations, shape (n,).
             # Search direction, shape (n,); on a GPU the old and the new direction, shape (2n,).
             direction: wp.array(dtype=value)
             product: wp.array(dtype=value)  # Product of the matrix and the search direction, shape (n,).
@@ -174,7 +174,7 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
             lift: wp.array(dtype=value)  # Coarse solution in two buffers, used alternately, shape (2 cubes,).
             # Difference between the last two iterates of the coarse solution, shape (cubes,).
             change: wp.array(dtype=value)
-            inner: wp.array(dtype=wp.float64)  # Residual sum times coarse solution of each cube, shape (cubes,).
+            inner: wp.array(dtype=wp.float64)  # Product of each cube's `load` and its coarse solution, shape (cubes,).
             partial: wp.array(dtype=wp.float64)  # Partial sums of each block or thread, for up to three different sums.
             stop_norm: wp.array(dtype=wp.float64)  # Residual norm at which the solve stops, shape (1,).
             outcome: wp.array(dtype=wp.float64)  # Iterations, then first and last residual norm, shape (OUTCOME,).

@@ -58,9 +58,10 @@ def serial_correction(scalar, dimensions: int, vector: bool):
 
 @functools.cache
 def serial_two_level(scalar, dimensions: int, vector: bool):
-    """Build the CPU kernel that does a whole solve and adds the solution to `x`; each thread launches one task.
+    """Build the CPU kernel that performs a whole solve and adds the solution to `x`.
 
-    The parameters are those of `serial_solver` in `conjugate_gradient.py`.
+    Each thread launches the kernel with a single task. The parameters are those of `serial_solver` in
+    `conjugate_gradient.py`.
     """
     f, rows = solver_functions(scalar, dimensions, vector), serial_rows(scalar, dimensions, vector, False)
     Solve, value = f.Solve, f.value
@@ -216,9 +217,9 @@ def resident_correction(scalar, dimensions: int, vector: bool, width: int):
 
 @functools.cache
 def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK):
-    """Build the GPU kernel that does a whole solve and adds the solution to `x`.
+    """Build the GPU kernel that performs a whole solve and adds the solution to `x`.
 
-    It runs as `parties` blocks of `width` threads; a block of WIDE threads must be the only one.
+    The kernel runs as `parties` blocks of `width` threads. With `width` = WIDE there must be only one block.
     """
     accumulate, total_of, total = (
         sum_functions(width).accumulate,

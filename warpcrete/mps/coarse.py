@@ -23,9 +23,7 @@ quarter more iterations.
 LEAST = 12.0
 """Minimum height of a column, in cubes, for a coarse grid; lower columns are solved as fast without one."""
 ABOVE = 1.1
-"""Height of the grid of cubes, relative to the column's height; particles above the grid belong to the topmost
-cubes.
-"""
+"""Height of the coarse grid, relative to the column's height; particles above the grid belong to its topmost cubes."""
 
 
 class CoarseGrid:
@@ -35,7 +33,7 @@ class CoarseGrid:
     """
 
     def __init__(self, structs: Any, scalar: Any, layout: Any, radius: float, reach: float, device: Any) -> None:
-        """Build the cubes for the `layout` of a column, the pipe's `radius` [m] and the neighbours' `reach` [m]."""
+        """Build the cubes from the `layout` of a column, the pipe's `radius` [m] and the `reach` of neighbours [m]."""
         self.width, self.radius, axes = max(WIDTH * layout.spacing, reach), radius, layout.fluid.shape[1]
         wide, tall = (max(3, math.ceil(size / self.width)) for size in (2 * radius, ABOVE * layout.height))
         self.cells = (*[wide] * (axes - 1), tall)
@@ -51,7 +49,10 @@ class CoarseGrid:
         self.arrays.neighbour = wp.array(self._neighbours().ravel(), dtype=wp.int32, device=device)
 
     def _neighbours(self) -> np.ndarray:
-        """Return indices of the cubes around each cube, -1 if missing; first axis fastest, shape (3^axes, cubes)."""
+        """Return the indices of the 3^axes cubes centred on each cube, -1 if missing, shape (3^axes, cubes).
+
+        The first dimension numbers the positions relative to the central cube, with the first axis fastest.
+        """
         axes, found = len(self.cells), []
         at = np.stack(np.unravel_index(np.arange(self.count), self.cells, order="F"), 1)
         for step in np.ndindex((3,) * axes):
@@ -62,7 +63,7 @@ class CoarseGrid:
         return np.stack(found).astype(np.int32)
 
     def gather(self, places: np.ndarray) -> None:
-        """Sort particles at `places` [m], shape (n, axes), into their cubes."""
+        """Assign the particles at `places` [m], shape (n, axes), to the cubes of the grid, and sort them by cube."""
         lowest = np.array([*[-self.radius] * (len(self.cells) - 1), 0.0])
         at = np.clip(((places - lowest) / self.width).astype(int), 0, np.array(self.cells) - 1)
         of = np.ravel_multi_index(tuple(at.T), self.cells, order="F").astype(np.int32)

@@ -26,9 +26,9 @@ SHEARED: dict[str, Any] = {
     "concrete": "own", "viscosity": 30.0, "yield_stress": 40.0, "slip_viscosity": 1000.0, "slip_yield": 20.0,
     "density": 2350.0, **dict.fromkeys(LAW_DEFAULTS), **dict.fromkeys(FACTORS),
 }  # fmt: skip
-"""Parameters of a self-compacting concrete that is strongly sheared.
+"""Parameters of a self-compacting concrete that is strongly sheared in the pipe.
 
-In the pipe and at the flow rate of the paper, slip carries only 0.7 of this concrete's flow.
+In the pipe and at the flow rate of Xu, Li & Jiang 2021, slip carries only 0.7 of this concrete's flow.
 """
 MIN_SLIP_RATIO = 0.9
 """Minimum ratio of slip to mean velocity at which a column on a piston keeps its volume and force balance."""
@@ -104,7 +104,7 @@ class ConcreteParameters:
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        """Return the name of the section of a concrete file for these parameters, and the names allowed in it."""
+        """Return the name of the concrete file's section that holds these parameters, and the names allowed in it."""
         return "flow", CONSTANTS
 
     @classmethod
@@ -115,7 +115,7 @@ class ConcreteParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnParameters:
-    """Pipe, piston and particle spacing."""
+    """Parameters of the pipe and of the piston, and the spacing of the particles."""
 
     diameter: Annotated[
         float, "Inner diameter of the pipe, or distance of the planes [m]", Above(), Alias("radius", diameter_of_radius)
@@ -130,7 +130,7 @@ class ColumnParameters:
 
 @dataclass(frozen=True, kw_only=True)
 class AggregateParameters:
-    """Coarse aggregate of the two-phase model."""
+    """Parameters of the coarse aggregate in the two-phase model."""
 
     aggregates: Annotated[bool, "Simulate two phases: coarse aggregate as rigid groups of particles in mortar"] = False
     aggregate_fraction: Annotated[
@@ -264,7 +264,7 @@ def column_scene(
 
 
 def _is_reference_case(given: FlowParameters) -> bool:
-    """Return whether the scene is the paper's own case: one phase, and a slip layer of zero thickness."""
+    """Return whether the scene is a case of Xu, Li & Jiang 2021: one phase, and a slip layer of zero thickness."""
     free = {"concrete", "spacing", "flow", *(f.name for f in fields(FlowSettings))} - {
         "gravity",
         "rest",

@@ -26,7 +26,7 @@ from .simulation import FluidSimulation
 
 COARSE_PARTICLES = 2500
 """Number of particles of the coarser copy that predicts the simulated time of a run."""
-TIMING_TIME = 1.0  # Wall time for which steps are timed [s].
+TIMING_TIME = 1.0  # Minimum wall time over which steps are timed for a forecast [s].
 TIMED_STEPS = 10  # Number of steps that are timed together.
 
 
@@ -125,7 +125,7 @@ def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | 
 def step_time(simulation: Any) -> float:
     """Return the wall time of a step [s]."""
     flow = simulation.flow
-    flow.take(TIMED_STEPS)  # This call captures the launch graph before steps are timed.
+    flow.take(TIMED_STEPS)  # This call captures the launch graph, so that the capture is not timed.
     times: list[float] = []
     while sum(times) < TIMING_TIME:
         times.append(timed(lambda: flow.take(TIMED_STEPS), flow.device)[1])
@@ -161,7 +161,7 @@ def _course(simulation: FluidSimulation) -> Course:
 
 
 def _features(simulation: FluidSimulation) -> dict[str, str]:
-    """Return short descriptions of what the flow computes, by feature."""
+    """Return short texts about the model and the solvers of the flow, keyed by the feature that each text describes."""
     scene, flow = simulation.scene, simulation.flow
     concrete = scene.concrete
     return {

@@ -20,7 +20,7 @@ class Layout:
     """Initial positions of the particles relative to the centre of the piston; the last axis runs along the pipe."""
 
     spacing: float
-    """Distance between neighbouring particles [m]."""
+    """Distance between neighbouring particles at the start [m]."""
     volume: float
     """Volume of a particle [m3], or its area in two dimensions [m2]."""
     fluid: np.ndarray

@@ -19,7 +19,7 @@ BINGHAM_CONSTANTS = ("density", "viscosity", "yield_stress", "slip_viscosity", "
 LAW_DEFAULTS = {
     "flow_index": 1.0, "quadratic_viscosity": 0.0, "slip_flow_index": 1.0, "slip_quadratic_viscosity": 0.0,
 }  # fmt: skip
-"""Constants of other laws than Bingham's, with the values that stand for Bingham's law."""
+"""Default values of the constants that other laws than Bingham's have; with these values a law is Bingham's."""
 CONCRETE_CONSTANTS = (*BINGHAM_CONSTANTS, *LAW_DEFAULTS)
 """Names of all constants of a :class:`Concrete`."""
 CONSTANTS = (*CONCRETE_CONSTANTS, *FACTORS)

@@ -120,7 +120,7 @@ class MovingParticles(Stepping):
         return CoarseGrid(self.structs, self.scalar, layout, self.scene.radius, reach, self.device)
 
     def _solve(self, struct: Any) -> Any:
-        """Return the working arrays of one linear system."""
+        """Return new working arrays for the solve of one linear system."""
         bodies = 0 if self.state.grains is None else self.state.grains.count
         cubes = 0 if self.coarse is None else self.coarse.count
         sizes = {
@@ -256,7 +256,7 @@ class MovingParticles(Stepping):
         return step_by_one_thread(self)
 
     def solves(self) -> dict[int, Any]:
-        """Return the working arrays of the linear systems, by solve: VISCOSITY, PRESSURE or DENSITY."""
+        """Return the working arrays of each linear solve; the keys are VISCOSITY, PRESSURE and DENSITY."""
         return {VISCOSITY: self.viscous, PRESSURE: self.projection, DENSITY: self.shifting}
 
     def state_arrays(self) -> dict[str, np.ndarray]:

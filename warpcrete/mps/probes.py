@@ -15,7 +15,7 @@ MIDDLE = (0.4, 0.6)
 STRAIGHT = (0.2, 0.8)
 """Range of heights, relative to the column's height, in which the pressure gradient is measured."""
 LOWEST = 0.1
-"""Height, relative to the column's height, of the zone whose pressures are extrapolated to the piston."""
+"""Height of the zone above the piston whose pressures are extrapolated to it, relative to the column's height."""
 WINDOW = (0.65, 0.85)
 """Heights, relative to the column's, between which a particle's weight in the volume measurement falls from one to
 zero.
@@ -163,7 +163,7 @@ def aggregate_fractions(flow: MovingParticles, snap: Snapshot) -> dict[str, floa
 def profile(flow: MovingParticles, height: float, bins: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Return distances from the axis [m] and mean velocities [m/s] of particles within 1.5 spacings of `height` [m].
 
-    By default there are as many `bins` as particles from the axis to the wall.
+    The results are means over at most `bins` rings around the axis, by default one ring per particle spacing.
     """
     snap, layout = Snapshot.of(flow), flow.state.layout
     chosen = np.abs(snap.height - height) < 1.5 * layout.spacing
@@ -172,7 +172,10 @@ def profile(flow: MovingParticles, height: float, bins: int = 0) -> tuple[np.nda
 
 
 def over_radius(distance: np.ndarray, values: np.ndarray, radius: float, bins: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean distances and values in `bins` rings of equal width up to `radius`, without empty rings."""
+    """Return the mean distance and the mean value of the particles in rings around the axis.
+
+    There are `bins` rings of equal width up to `radius` [m]; rings without particles are left out.
+    """
     edges = np.linspace(0, radius, bins + 1)
     place = np.clip(np.searchsorted(edges, distance, side="right") - 1, 0, bins - 1)
     count = np.bincount(place, minlength=bins)

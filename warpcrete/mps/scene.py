@@ -176,7 +176,7 @@ class FluidScene(Parametrised, FlowSettings):
     radius: float
     """Radius R of the pipe, or half the width of the channel [m]."""
     length: float
-    """Length of the column [m]."""
+    """Length of the concrete column in the pipe [m]."""
     velocity: float
     """Velocity of the piston [m/s]."""
     spacing: float

@@ -35,7 +35,7 @@ PROFILE_HEIGHTS = (0.2, 0.5, 0.8)
 MAX_BREAKDOWN_TIMES = 6.0
 """Maximum duration of a flow, in units of the time in which slip reduces the layer's structure to 1/e."""
 MIN_SLIP_RATIO = 0.1
-"""Ratio of slip to mean velocity below which a run does not wait until the layer's structure is broken."""
+"""Minimum ratio of slip to mean velocity at which a run waits until the slip layer's structure is broken."""
 MAX_STRUCTURE_LEFT = 0.01
 """Fraction of the yield stress gained at rest that the slip layer may still have in a steady flow."""
 COMPARISON_INTERVAL = 5e-3
@@ -111,11 +111,11 @@ class FluidSimulation(FlowRun):
         return MovingParticles(FluidState(self.scene, self.device, self.precision), threads=self.threads)
 
     def measured(self) -> dict[str, float]:
-        """Measure the flow and return a row of the series."""
+        """Measure the flow and return the results as a row of the time series."""
         return self._probes.measured(self.flow, self._rows[-1] if self._rows else None)
 
     def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if the row shows that the state is no longer meaningful."""
+        """Raise :class:`InstabilityError` if a row of the time series shows that the flow has become unstable."""
         self._watch(row)
 
     def ended_early(self) -> bool:
@@ -132,7 +132,7 @@ class FluidSimulation(FlowRun):
                 return False
             earlier.append(found[-1])
         scale = {name: abs(now[name]) for name in ("pressure", "wall_stress")} | {"slip_velocity": self.scene.velocity}
-        if self._periodic:  # the plug may still grow when the wall stress hardly changes any more
+        if self._periodic:  # the plug may still grow while the wall stress is steady, so check the highest speed too
             scale["fastest"] = self.scene.velocity
         self.steady = all(abs(row[name] - now[name]) <= part * size for row in earlier for name, size in scale.items())
         return self.steady and self.scene.duration is None

@@ -53,7 +53,7 @@ def step_by_one_thread(particles: Any) -> Step:
 
 
 def step_parts(particles: Any) -> list[StepPart]:
-    """Return the part of a step for each thread."""
+    """Return the parts into which a time step is divided, one for each thread."""
     barrier_stages = particles.barrier()
     return [StepPart(particles, range(part, part + 1), barrier_stages) for part in range(particles.threads)]
 

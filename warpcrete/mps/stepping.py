@@ -57,7 +57,7 @@ class Stepping(ABC):
 
     @abstractmethod
     def solves(self) -> dict[int, Any]:
-        """Return the working arrays of the linear systems, by solve: VISCOSITY, PRESSURE or DENSITY."""
+        """Return the working arrays of each linear solve; the keys are VISCOSITY, PRESSURE and DENSITY."""
 
     def stage(self, kernel: Any, dim: Size, *, block: int | None = None, **named: Any) -> Stage:
         """Return a stage that launches `kernel`; parameters not in `named` receive the arrays of the flow."""
@@ -105,7 +105,7 @@ class Stepping(ABC):
 
     @property
     def goal_reached(self) -> bool:
-        """True when the flow has reached its goal."""
+        """True once the flow has taken all steps up to the goal that `set_goal` set."""
         return self.steps >= self._goal
 
     @property
@@ -114,7 +114,7 @@ class Stepping(ABC):
         return self._goal - self.steps
 
     def launch(self) -> None:
-        """Launch some of the steps towards the goal; a GPU takes them while Python goes on."""
+        """Launch some of the steps that are left to the goal; on a GPU they run while Python goes on."""
         largest = LARGEST_GRAPH["cuda" if self.parallel else "threads" if self.threads > 1 else "cpu"]
         sizes = graph_sizes(min(self._steps_left, GRAPHS_PER_CHECK * largest), largest)
         self._launcher.replay(self.step, self._single_thread_step, sizes, lambda: bool(self.flags.numpy()[int(HALTED)]))

@@ -54,7 +54,7 @@ class FlowLaw:
         return law_name(self.index, self.quadratic)
 
     def stress(self, rate: Any) -> np.ndarray:
-        """Return the stress [Pa] at shear rates [1/s], or slip velocities [m/s], that are not negative."""
+        """Return the stress [Pa] at nonnegative shear rates [1/s], or slip velocities [m/s] for a slip layer's law."""
         g = np.asarray(rate, float)
         if self.name == HERSCHEL_BULKLEY:
             return self.yield_stress + self.viscosity * g**self.index

@@ -386,13 +386,14 @@ def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:
 def slip_constants(
     concrete: Concrete, line: Line, flows: Sequence[float], pressures: Sequence[float]
 ) -> tuple[float, float]:
-    """Return eta_L [Pa s/m] and tau_L0 [Pa], fitted to flows [m3/s] and pressures [Pa] of a round pipe (Xu, Eq. 12).
+    """Return the slip layer's eta_L [Pa s/m] and tau_L0 [Pa], fitted to flows [m3/s] and pressures [Pa] of a pipe.
 
-    The part of each flow that shear of the bulk contributes is subtracted; a straight line of wall stress over slip
-    velocity is fitted to the rest. If the layer has a flow index n or a coefficient c, it is kept: the line is that of
-    the stress over V^n, or of the stress less c V^2 over V. `concrete` supplies viscosity, yield stress and density,
-    `line` the layer's thickness. The paper's Table 3 follows in this way from the constants of zero thickness. Raises
-    :class:`SceneError` for fewer than two different flows.
+    First, the flow that shear of the bulk contributes is subtracted from each flow. The rest is slip at a velocity V.
+    Then a straight line of wall stress over V is fitted to all points (Xu, Li & Jiang 2021, Eq. 12). If the layer has a
+    flow index n, the line is that of the stress over V^n; if it has a coefficient c, the line is that of the stress
+    minus c V^2 over V. Both n and c are taken from `concrete`, as are the viscosity, yield stress and density of the
+    bulk. `line` supplies the layer's thickness. Table 3 of the paper follows in this way from the constants of a layer
+    of zero thickness. Raises :class:`SceneError` for fewer than two different flows.
     """
     found = _slip_line(concrete, line, flows, pressures)
     return found.slope, found.offset

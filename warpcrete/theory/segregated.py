@@ -55,7 +55,10 @@ class Segregated:
 
     @property
     def shares(self) -> tuple[float, float]:
-        """Shares of aggregate in the inner and outer half of the radius; the inner half has a quarter of the area."""
+        """Volume fractions of aggregate in the inner and the outer half of the pipe's radius.
+
+        The inner half has a quarter of the pipe's cross-section.
+        """
         return self.fraction * (1 - 0.75 * self.index), self.fraction * (1 + 0.25 * self.index)
 
     @property

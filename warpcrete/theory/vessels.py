@@ -107,8 +107,8 @@ def tall_cone_slump(
 ) -> float:  # fmt: skip
     """Return the slump of a truncated cone [m] whose layers widen until each layer bears the weight above it.
 
-    A layer bears a pressure of `bears` yield stresses: the square root of 3 by von Mises, 2 by Tresca as in Murata
-    (1984).
+    `bears` is the pressure that a layer bears, divided by the yield stress: the square root of 3 by von Mises, or 2 by
+    Tresca as in Murata (1984).
     """
     depth = (np.arange(LAYERS) + 0.5) * height / LAYERS
     radius = top + (base - top) * depth / height
@@ -130,7 +130,10 @@ def box_at_rest(
     pull = yield_stress / (density * gravity)
 
     def filled(far: float, reach: float) -> tuple[float, float]:
-        """Return the volume [m3] and the near end's depth [m] of concrete that is `far` deep at its far end."""
+        """Return the volume of the concrete [m3] and its depth at the near end [m].
+
+        `far` is the depth at the far end, and `reach` the distance between both ends [m].
+        """
         step, depth, sum = reach / SLICES, far, 0.0
         for _ in range(SLICES):
             # Integrate the square of the depth instead of the depth. At the front, where the depth is zero, the slope
@@ -228,7 +231,10 @@ def duct_stress(
 
 
 def _duct_rate(stress: np.ndarray, a: np.ndarray, b: np.ndarray, law: FlowLaw) -> np.ndarray:
-    """Return twice the mean speed over the hydraulic radius [1/s] at a mean wall `stress` [Pa], by `duct_stress`."""
+    """Return twice the mean speed of a duct over its hydraulic radius [1/s], at a mean wall `stress` [Pa].
+
+    The formula and its constants `a` and `b` are those of :func:`duct_stress`.
+    """
     if law.name == BINGHAM:
         q = np.minimum(law.yield_stress / stress, 1.0)
         return stress * (1 / (a + b) - q / b + a / (b * (a + b)) * q ** (1 + b / a)) / law.viscosity

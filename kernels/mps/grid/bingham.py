@@ -34,12 +34,15 @@ def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def unyielded_viscosity(g: Grid) -> scalar:
-        """Return the viscosity below the yield stress [Pa s]."""
+        """Return the viscosity [Pa s] of concrete whose stress is below the yield stress."""
         return g.viscosity + g.yield_stress * g.regularisation
 
     @wp.func
     def rate_of(g: Grid, stress: scalar) -> scalar:
-        """Return the shear rate [1/s] at a nonnegative stress, on two straight lines that meet at the yield stress."""
+        """Return the shear rate [1/s] at a nonnegative stress.
+
+        The flow curve consists of two straight lines that meet at the yield stress.
+        """
         return wp.max(stress - g.yield_stress, scalar(0.0)) / g.viscosity + (
             wp.min(stress, g.yield_stress) / unyielded_viscosity(g)
         )
@@ -161,8 +164,8 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
         are rings about an axis. Newton's method solves for the stress. It starts above the solution, where the function
         is convex.
         """
-        # Start from an upper bound of the stress: the smaller of the stress at which all of the speed is slip and (with
-        # a margin) the stress at which all of it is due to shear.
+        # Start from an upper bound of the wall stress. It is the smaller of two stresses: the stress at which slip
+        # alone would give the speed, and (with a margin) the stress at which shear alone would give it.
         sheared = scalar(3.0) * (g.yield_stress + scalar(4.0) * g.viscosity * speed / width)
         stress = wp.min(slip_yield + slip_viscosity * speed, sheared)
         growth = scalar(1.0)

@@ -35,7 +35,7 @@ AIR = wp.constant(0)  # Face without concrete on either side.
 LIQUID = wp.constant(1)  # Face with concrete on at least one side, which can flow through it; its velocity is unknown.
 FIXED = wp.constant(2)  # Face that is the side of a wall; its velocity is the wall's velocity across the face.
 INSIDE = wp.constant(3)  # Face inside a wall.
-ROUGH = wp.constant(4)  # Number of the wall that concrete sticks to; walls with higher numbers move.
+ROUGH = wp.constant(4)  # Number that identifies walls to which concrete sticks; walls with higher numbers move.
 GHOST = wp.constant(4)  # Face inside a wall whose velocity enters the shear or stretch of the concrete beside it.
 # Indices of the array `drive`, which contains the force that drives the flow of a periodic pipe.
 FORCE = wp.constant(0)  # Driving force per volume at the start of the next step [N/m3].
@@ -154,7 +154,7 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         velocity: wp.array(dtype=scalar)  # Velocity across each face [m/s], shape (axes * slots,).
         start: wp.array(dtype=scalar)  # Velocity across each face before the forces of the step act [m/s].
         volume: wp.array(dtype=scalar)  # Volume of concrete that belongs to each face, shape (axes * slots,).
-        wall_area: wp.array(dtype=scalar)  # Area of a pipe's walls along the volume of each face.
+        wall_area: wp.array(dtype=scalar)  # Area of a pipe's wall along each face; 0 for faces away from walls.
         traction: wp.array(dtype=scalar)  # Shear stress of a pipe's walls, with the sign of the velocity [Pa].
         traction_slope: wp.array(dtype=scalar)  # Derivative of `traction` with respect to the face's velocity [Pa s/m].
         # Velocity of the concrete at the pipe's wall beside the face; without a wall, the velocity of the face [m/s].
@@ -281,7 +281,7 @@ def place_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def in_grid(g: Grid, c: whole) -> wp.bool:
-        """Return whether the cell lies inside the grid, rather than in its frame."""
+        """Return whether the cell lies inside the grid, and not in the frame of extra cells around it."""
         found = wp.bool(True)
         for b in range(dims):
             if c[b] < 0 or c[b] >= g.n[b]:
@@ -312,7 +312,7 @@ def place_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def block(g: Grid) -> scalar:
-        """Return the product of a cell's widths along all axes; times `cell_weight`, it is the cell's volume."""
+        """Return the product of a cell's widths along all axes; times `cell_weight`, this is the cell's volume."""
         if wp.static(of.dimensions == 2):
             return g.width[0] * g.width[1]
         else:

@@ -33,8 +33,9 @@ def level_functions(scalar, of: GridKind) -> SimpleNamespace:
     def level(particle_density: scalar) -> scalar:
         """Return the height of a flat free surface in a cell, from 0 at the bottom to 1 at the top.
 
-        `particle_density` is the value at the cell's centre. A particle's weight falls linearly with its distance from
-        the centre, to zero at a distance of one cell.
+        The height follows from `particle_density`, the weighted density of particles at the cell's centre, relative to
+        that in full cells. The weight of a particle falls linearly with its distance from the centre, and is zero at a
+        distance of one cell.
         """
         # Measure the height h of the surface from the cell's bottom, in cell heights. With a linear weight of the
         # particles, a surface below the cell's centre (h < 1/2) gives a density of (h + 1/2)^2 / 2, and one above it
@@ -47,7 +48,8 @@ def level_functions(scalar, of: GridKind) -> SimpleNamespace:
     def lies(particle_density: scalar) -> scalar:
         """Return the height of a free surface of concrete that lies on a wall, from 0 at the wall to 1 at the top.
 
-        Up to half the cell's height, this height equals the density of particles at the cell's centre.
+        `particle_density` is the density of particles at the cell's centre, relative to that in full cells. If it is
+        below 1/2, the height equals this density; otherwise the function `level` returns the height.
         """
         return wp.where(particle_density < scalar(0.5), particle_density, level(particle_density))
 

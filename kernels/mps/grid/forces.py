@@ -24,7 +24,7 @@ before * (now / before)^STIFFENING. With an exponent of 1 this would be `now`.""
 
 @functools.cache
 def relaxed_viscosity_function(scalar, of: GridKind):
-    """Build `relaxed_viscosity`, which changes a viscosity from its previous value to one that suits the next step."""
+    """Build `relaxed_viscosity`, which returns a viscosity for the next step from its previous and present values."""
     Grid = grid_parameters_struct(scalar, of.dimensions)
     law = flow_functions(scalar, of)
 
@@ -208,7 +208,8 @@ def friction_function(scalar, of: GridKind):
 def store_coefficient_function(scalar, serial: bool, of: GridKind):
     """Build `store_coefficient`, which adds the coefficient of a neighbouring face to a row of the matrix.
 
-    It does so only if the velocity of the neighbouring face is unknown, and returns the row's number of coefficients.
+    If the velocity of the neighbouring face is known, the function adds nothing. It returns the number of coefficients
+    in the row.
     """
     Fields = grid_structs(scalar, of.dimensions).Fields
     Matrix = array_structs(scalar, 2).Matrix

@@ -13,7 +13,7 @@ from .bingham import bingham_functions
 from .cells import GridKind, grid_parameters_struct
 
 MARGIN = wp.constant(4.0)
-"""Factor by which the upper bound of a wall's stress exceeds an estimate."""
+"""Factor by which an estimate of the wall stress is multiplied to obtain an upper bound for its computation."""
 
 
 @functools.cache
@@ -39,7 +39,7 @@ def rate_functions(scalar, dimensions: int, law: str) -> SimpleNamespace:
 
     @wp.func
     def unyielded_viscosity(g: Grid) -> scalar:
-        """Return the viscosity below the yield stress [Pa s]."""
+        """Return the viscosity [Pa s] of concrete whose stress is below the yield stress."""
         return g.yield_stress * g.regularisation + h.viscosity(
             g.viscosity, g.flow_index, g.quadratic_viscosity, scalar(0.0), scalar(1.0) / g.regularisation
         )
@@ -75,12 +75,13 @@ def rate_functions(scalar, dimensions: int, law: str) -> SimpleNamespace:
 
 @functools.cache
 def edge_function(scalar, dimensions: int, law: str):
-    """Build `apparent_at_edge`, the viscosity at a corner between two cells in which the rate varies.
+    """Build the function `apparent_at_edge`, which returns the apparent viscosity at a corner between two cells.
 
-    The difference of the cells' mean velocities over their distance is the mean of the rate over both cells, weighted
-    by the distance from the corner. With a stress that varies linearly this mean is
-    (F(s + d) - 2 F(s) + F(s - d)) / d^2, where F is the second integral of the rate, s the stress at the corner and d
-    its change over a cell. The function solves for s.
+    The shear rate varies within these cells. The difference of the cells' mean velocities over the distance of their
+    centres is therefore a mean of the rate over both cells, in which the weight of a point falls linearly with its
+    distance from the corner. If the stress varies linearly, this mean is (F(s + d) - 2 F(s) + F(s - d)) / d^2. Here F
+    is the second integral of the rate over the stress, s is the stress at the corner, and d is the change of the stress
+    across one cell. `apparent_at_edge` solves this equation for s.
     """
     Grid = grid_parameters_struct(scalar, dimensions)
     f = rate_functions(scalar, dimensions, law)
@@ -111,7 +112,8 @@ def edge_function(scalar, dimensions: int, law: str):
             # second derivative of the rate with respect to the stress.
             bend = h.bend(g.viscosity, g.flow_index, g.quadratic_viscosity, over, sheared)
             return viscosity * (scalar(1.0) - change * change * bend / (scalar(12.0) * plain))
-        # A plug or the middle of the pipe lies within the cells. Newton's method is kept between two bounds.
+        # The end of a plug or the middle of the pipe lies within these two cells. Solve the equation for the corner's
+        # stress s by Newton's method, kept between two bounds.
         low = scalar(0.0)
         high = plain + change
         s = plain
@@ -150,8 +152,8 @@ def wall_function(scalar, dimensions: int, law: str, slip_law: str):
     def beside_wall(g: Grid, stiff: scalar, stress: scalar, inner: scalar, width: scalar):
         """Return the mean velocity of a wall cell minus the velocity at the wall, and this difference's derivative.
 
-        The derivative is with respect to `stress`, the stress at the wall. The stress falls linearly from there to
-        `inner` on the cell's opposite side.
+        The derivative is taken with respect to `stress`, the stress at the wall. Within the cell, the stress falls
+        linearly from this value to `inner` on the side opposite the wall.
         """
         change = stress - inner
         rate, one, two = sums(g, stiff, stress)

@@ -44,7 +44,7 @@ LEAST = wp.constant(wp.float64(1.0e-4))
 
 @wp.struct
 class Pace:
-    """Parameters of the step control."""
+    """Parameters that determine the length of the time steps and the accuracy of the solves."""
 
     longest: wp.float64  # Longest time step [s].
     # Allowed error of a step divided by the rms speed; 0 means that every step has the longest duration.
@@ -94,7 +94,10 @@ def speed_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def sums(g: Grid, blocks: wp.int32, mesh: Fields, partial: wp.array(dtype=wp.float64)):
-        """Compute partial sums and maxima of the speeds of all faces, in whole blocks with one thread per face."""
+        """Compute each block's sums of volume times squared speed and of volume, and its maximum crossing rate.
+
+        One thread processes one face; all blocks are complete. The crossing rate is that of `cells_per_second`.
+        """
         r = wp.tid()
         square = wp.float64(0.0)
         volume = wp.float64(0.0)
@@ -162,8 +165,8 @@ def clock_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def wanted(pace: Pace, clock: wp.array(dtype=wp.float64), first: wp.bool) -> wp.float64:
         """Return the wanted length of the next step [s], from the error and the speed of the completed step."""
         dt = clock[DT]
-        # The growth is limited relative to the previous wanted step, because the step actually made may have been
-        # shortened to end at a given time.
+        # Limit the growth relative to the length that was wanted for the previous step. The length of the previous step
+        # itself may be shorter, so that the step ended at a given time.
         longest = LONGER * clock[WANTED]
         longer = longest
         if not first:

@@ -210,7 +210,7 @@ def drive_kernels(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.kernel(enable_backward=False, module="unique")
     def deficit(g: Grid, flags: wp.array(dtype=wp.int32), mesh: Fields):
-        """Compute the missing mean velocity and the driving force, in one task."""
+        """Compute by how much the mean velocity along the pipe is too small, and the new driving force, in one task."""
         if flags[HALTED] != 0:
             return
         sum = wp.float64(0.0)

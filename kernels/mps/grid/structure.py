@@ -1,8 +1,9 @@
 """Thixotropy on a grid: the yield stress that concrete gained at rest, and how flow breaks this structure down.
 
-The gained yield stress G changes as dG/dt = A - alpha G rate while concrete is sheared, with the rate A at which it
-rebuilds (Roussel 2006: d lambda/dt = 1/T - alpha lambda rate, with G = tau_0 lambda and A = tau_0 / T). The recovery A
-during the flow is left out unless `GridKind.rebuilding`. The slip layer on a wall is sheared by its slip velocity only.
+While concrete is sheared, the gained yield stress G changes as dG/dt = A - alpha G rate. Here A is the rate of recovery
+and alpha the constant of breakdown. In Roussel 2006 the equation is d lambda/dt = 1/T - alpha lambda rate, with
+G = tau_0 lambda and A = tau_0 / T. The term A is included only with `GridKind.rebuilding`. The slip layer on a wall is
+sheared by its slip velocity only.
 The structure is stored on the grid and not carried with the flow, which makes no difference in a pipe whose state is
 the same all along its axis.
 """
@@ -42,7 +43,10 @@ def break_kernel(scalar, of: GridKind):
 
     @wp.func
     def rebuilt(rate: scalar, broken: scalar, dt: scalar) -> scalar:
-        """Return the structure that a step builds at a `rate` and keeps, if old structure falls to exp(-broken)."""
+        """Return the increase of the gained yield stress by recovery in a step, less its breakdown in the same step.
+
+        The recovery has the given `rate`. The breakdown reduces older structure by the factor exp(-broken).
+        """
         if broken > scalar(1.0e-3):
             return rate * dt * (scalar(1.0) - wp.exp(-broken)) / broken
         return rate * dt * (scalar(1.0) - scalar(0.5) * broken)

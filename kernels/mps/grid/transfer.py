@@ -162,9 +162,10 @@ def gather_kernel(scalar, of: GridKind):
 def extend_kernel(scalar, of: GridKind):
     """Build the kernel that extends velocities to faces in the air and inside walls, from the faces beside them.
 
-    The velocities of particles near a free surface or a wall are interpolated from these faces. Behind a pipe's wall
-    the velocity is continued linearly through its value at the wall. In cut cells, ghost faces have velocities of their
-    own. The kernel runs with one task per cell and extends the velocities by one cell per launch.
+    The velocities of particles near a free surface or a wall are interpolated from velocities on both sides of it. If
+    walls are sides of cells, the velocity is continued linearly through its value at a wall. If walls cut cells, the
+    velocities of ghost faces inside walls are unknowns of the solve instead. The kernel runs with one task per cell and
+    extends the velocities by one cell per launch.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)

@@ -1,4 +1,4 @@
-"""Friction of walls on the faces along them: shear stress, its derivative with respect to velocity, and slip."""
+"""Kernels for the friction of walls: shear stress, its derivative with respect to velocity, and slip velocity."""
 
 import functools
 
@@ -106,8 +106,8 @@ def side_kernel(scalar, of: GridKind):
 def wall_kernel(scalar, of: GridKind):
     """Build the kernel that computes the friction of walls which pass through cells (cut cells).
 
-    The friction acts on the velocity at the wall, which is interpolated between a face in the concrete and the next
-    face inside the wall. The kernel runs with one task per cell.
+    The friction follows from the concrete's velocity at the wall. This velocity is interpolated between a face in the
+    concrete and the next face, which lies inside the wall. The kernel runs with one task per cell.
     """
     dims, last = of.dimensions, of.dimensions - 1
     Grid = grid_parameters_struct(scalar, dims)
@@ -183,8 +183,8 @@ def wall_kernel(scalar, of: GridKind):
                             low = f.at(g, f.moved(out, axis, -1))
                             wall = geometry.surface[own + axis * g.slots]
                             if walls.slip_viscosity[wall] >= scalar(0.0):
-                                # The slope of the distance from the wall is the component of the wall's unit normal
-                                # along axis b.
+                                # The derivative of the distance from the wall along axis b equals the component of the
+                                # wall's unit normal along this axis.
                                 share = wp.min(wp.abs(near - far) / g.width[b], scalar(1.0))
                                 area = share * weight(g, c, axis, b) * f.block(g) / g.width[b]
                                 area *= scalar(0.5) * (mesh.fill[own] + mesh.fill[low])

@@ -89,7 +89,7 @@ class FreeDisplay(Display):
         particles, angles = self._drawn_particles
         x = x[particles]
         if self._solid:
-            # Particles that have left are moved below the room, out of sight.
+            # Draw particles that have left the room at a place below it, out of sight.
             gone = self.read("particles.mass")[particles] == 0
             x[gone] = [0.0, 0.0, -0.5]
             return np.concatenate([x * [a, b, 1.0] for a, b in self._mirrored])

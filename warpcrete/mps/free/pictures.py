@@ -54,7 +54,7 @@ def plot_free(run: Run) -> Any:
 
 
 def _curves(scene: FreeScene) -> Mapping[str, str]:
-    """Return the labels of the columns of the series that are drawn over time."""
+    """Return the columns of the time series that are drawn over time, each with its label."""
     if scene.test and scene.test.curves:
         return scene.test.curves
     return {"spread": "spread" if scene.axial else "position of the front", "top": "highest point"}

@@ -106,7 +106,7 @@ def specimen(flow: GridFlow) -> Specimen:
         top=lambda radius: top,
         spread=lambda: 2 * far if layout.axial else far,
         height_around=lambda inner, outer: float(np.mean(height[(across >= inner) & (across <= outer)])),
-        # The median ignores concrete that clings to the walls of a column.
+        # The median of the heights ignores concrete that clings to the walls of a vessel's column.
         depth=lambda low, high, width: float(np.median(height[(across > low) & (across < high)])),
         front=lambda: float(across[height > 0.5 * layout.spacing].max(initial=0.0)) + 0.5 * layout.spacing,
         # The outlet lies below the first column of cells. Seen from above, the fullest cell of this column covers the

@@ -22,9 +22,9 @@ SAMPLES = 30
 
 
 def outcome(scene: FreeScene, series: Mapping[str, np.ndarray], volume: float) -> Outcome | None:
-    """Return the data from which the results of a run's test are computed; None if there is no test.
+    """Return the data from which the results of a scene's standard test are computed; None if the scene has no test.
 
-    `volume` is the initial volume of the concrete [m3], in a plane per metre of depth and about an axis per radian.
+    `volume` is the initial volume of the concrete [m3]: per metre of depth in a plane, and per radian about an axis.
     """
     # Each plane of symmetry doubles the volume, because only one half is simulated.
     around = 2 * math.pi if scene.axial else 2 ** list(scene.sides.values()).count(MIRROR)
@@ -72,7 +72,8 @@ def expected(scene: FreeScene) -> dict[str, float]:
 def start_volume(scene: FreeScene) -> float:
     """Return the initial volume of the concrete [m3].
 
-    The volume is per radian in axisymmetric flow, per metre of depth in plane flow, and the whole in space.
+    In axisymmetric flow the volume is per radian, in plane flow per metre of depth, and in three dimensions the full
+    volume.
     """
     held = (*scene.blocks, scene.gate) if scene.gate else scene.blocks
     area = section_area(scene.outline, held, width=scene.width, height=scene.height, axial=scene.axial)

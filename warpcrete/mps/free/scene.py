@@ -87,7 +87,7 @@ class FreeScene(Parametrised, FreeSettings):
     walls: tuple[Wall, ...] = ()
     """Three-dimensional walls at rest; concrete is on the side of a closed mesh where the point `amid` lies."""
     amid: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Point [m] in the part of the room that is free of walls."""
+    """Point [m] where concrete may be; it shows which side of each wall is open to concrete."""
     sides: Mapping[str, str] = field(default_factory=dict)
     """Kind of each side of the room, by the names in SIDES.
 
@@ -108,7 +108,7 @@ class FreeScene(Parametrised, FreeSettings):
     """Published values of result quantities, in SI units."""
     remarks: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments with which the scene's function makes this scene again; empty if there is no such function."""
+    """Arguments with which the function that made this scene makes it again; empty if no function made the scene."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -55,7 +55,7 @@ class FreeSimulation(FlowRun):
         return GridFlow(GridState(self.scene, layout, self.device, self.precision))
 
     def measured(self) -> dict[str, float]:
-        """Measure the flow and return a row of the series."""
+        """Measure the flow and return the results as a row of the time series."""
         return measured(self.flow, self.volume)
 
     def watch_row(self, row: dict[str, float]) -> None:

@@ -42,7 +42,7 @@ from ..stepping import Stepping
 from .state import GridState, grid_numbers
 
 HISTORY = 256  # Maximum number of iterations of a solve of which the residual norms are kept.
-ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # Relative rounding error of the flow through a cell's sides.
+ROUNDING = {"float32": 1e-6, "float64": 1e-14}  # Relative rounding error of the net flow into a cell, by precision.
 EXTRAPOLATED_CELLS = 3  # Number of cells beyond the concrete, in air and walls, to which velocities are extrapolated.
 # Two tolerances of the solve that moves crowded particles apart. The first is relative to the initial residual. The
 # second is relative to the residual that displaces the volume of a whole cell in one step.
@@ -237,7 +237,7 @@ class GridFlow(Stepping):
 
     @property
     def step(self) -> Step:
-        """Stages of one step, in one list."""
+        """Stages of one time step, in a single list, because one thread launches all of them."""
         if self._step is None:
             self._step = [self._stages()]
         return self._step
@@ -338,7 +338,7 @@ class GridFlow(Stepping):
 
     @property
     def _size(self) -> float:
-        """Square root of the number of initially full cells, by which an rms value is multiplied to obtain a norm."""
+        """Factor from the rms of a residual to its norm: the square root of the number of initially full cells."""
         layout = self.state.layout
         return math.sqrt(max(self.count * (layout.particle_spacing / layout.spacing) ** layout.axes, 1.0))
 
@@ -414,7 +414,7 @@ class GridFlow(Stepping):
         return [Stage(kernel, tasks, {name: named[name] for name in parameter_names(kernel)}, self.device, block=block)]
 
     def solves(self) -> dict[int, Any]:
-        """Return the working arrays of the linear systems, by solve: VISCOSITY, PRESSURE or DENSITY."""
+        """Return the working arrays of each linear solve; the keys are VISCOSITY, PRESSURE and DENSITY."""
         return {what: system.arrays for what, system in self._systems.items()}
 
     def state_arrays(self) -> dict[str, np.ndarray]:

@@ -76,7 +76,7 @@ class Room:
     width: tuple[float, ...]
     """Width of a cell along each axis [m]."""
     origin: tuple[float, ...]
-    """Lowest corner of the box [m]."""
+    """Lowest corner of the box of cells [m]."""
     sides: tuple[tuple[str, str], ...]
     """Kinds of the lower and the upper side along each axis: WALL, MIRROR or OPEN_SIDE."""
 
@@ -93,10 +93,10 @@ class Room:
 
 
 def geometry_of(room: Room, walls: Sequence[tuple[Distance, int]], axial: bool = False) -> Geometry:
-    """Return the parts of the cells, faces and edges of a box that walls leave open.
+    """Return the geometry of a room with walls: which fractions of its cells, faces and edges are open.
 
     `walls` are pairs of a distance function and a wall number. Sides of the room that are walls have the number PLATE.
-    If `axial`, the room is a section whose volumes are weighted by the radius.
+    If `axial`, the room is a section through the axis of symmetry, and volumes are weighted by the radius.
     """
     axes, nearest = len(room.cells), nearest_wall(room, walls)
     far = 2.0 * float(np.max(np.array(room.cells) * room.width))
@@ -287,7 +287,10 @@ def _wall_share(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
 
 
 def _corner_values(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
-    """Return the values at the lower and upper ends of cells along some axes, as new last axes of length 2."""
+    """Return the values at the lower and the upper end of each cell along `axes`, from values at grid points.
+
+    Each of these axes adds one last axis of length 2 to the result.
+    """
     for axis in axes:
         count = values.shape[axis]
         values = np.stack([np.take(values, range(count - 1), axis), np.take(values, range(1, count), axis)], -1)

@@ -57,7 +57,7 @@ class GridLayout:
     slips: bool = True
     """True if `slip` is the concrete's own slip layer, so that it obeys that layer's law; otherwise it is linear."""
     rough_slips: bool = False
-    """True if `rough` is the concrete's own slip layer."""
+    """True if `rough` is the concrete's own slip layer, so that it obeys that layer's law; otherwise it is linear."""
     weightless: bool = False
     """True if weight is left out; without a free surface it would only add hydrostatic pressure."""
     motions: tuple[Motion, ...] = ()
@@ -104,7 +104,7 @@ class GridLayout:
 
     @property
     def left(self) -> float:
-        """Coordinate of the left side [m]."""
+        """Coordinate of the grid's left side along the first axis [m]."""
         return self.room.origin[0]
 
     @property

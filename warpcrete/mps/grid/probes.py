@@ -34,7 +34,7 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
     kind = state.faces("kind")[1] == int(LIQUID)
     mass = scene.concrete.density * area * layout.height
     momentum = mass * scene.velocity
-    if flow.steps:  # Before the first step, the grid holds no velocities.
+    if flow.steps:  # Before the first step, the grid holds no velocities, so the momentum above is used.
         momentum = scene.concrete.density * float(np.sum(volume * along, where=kind))
     # The faces along the wall belong to the first and last cells across a channel, or to the last cell of a tube.
     beside = [-2] if layout.axial else [1, -2]
@@ -104,7 +104,7 @@ def profile(flow: GridFlow, height: float | None = None) -> tuple[np.ndarray, np
 
 
 def theory_profile(scene: FluidScene, layout: GridLayout) -> np.ndarray:
-    """Return the theoretical velocity [m/s], averaged over the width of each cell, in the order of `profile`."""
+    """Return the theoretical velocity of each cell [m/s], averaged over its width, by distance from the axis."""
     nx = layout.cells[0]
     across = np.abs(layout.left + (np.arange(nx * POINTS_PER_CELL) + 0.5) * layout.spacing / POINTS_PER_CELL).reshape(
         nx, POINTS_PER_CELL

@@ -22,7 +22,7 @@ class RunData:
     """Time series by column name; each column has two values or more."""
 
     def last(self, name: str) -> float:
-        """Return the last value of a column."""
+        """Return the last value of a column of the time series."""
         return float(self.series[name][-1])
 
     @property
@@ -33,7 +33,10 @@ class RunData:
 
     @property
     def as_straight(self) -> float:
-        """Theoretical frictional loss of straight pipe with the length and bores of the part's middle [Pa]."""
+        """Theoretical frictional loss [Pa] of a straight pipe that has the length and bores of the part's middle.
+
+        The middle is the range of the part with all bends and tapers.
+        """
         return self.scene.friction(*self.scene.middle)
 
 

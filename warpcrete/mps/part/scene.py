@@ -106,14 +106,14 @@ class PartScene(Parametrised, PartSettings):
     wall: MeshWall | None = None
     """Mesh that replaces the round pipe; the bore is the inner surface, seen from the axis (:class:`InnerSurface`)."""
     insert: tuple[float, float] | None = None
-    """Arc lengths of the ends of a mesh that is shorter than the part [m]; None if it is as long as the part.
+    """Arc lengths at which a mesh that is shorter than the part begins and ends [m]; None for a mesh of full length.
 
-    Beyond the ends of the mesh, the bore keeps the cross-section that it has there.
+    Before and after the mesh, the bore keeps the cross-section of the mesh's nearer end.
     """
     published: Mapping[str, float] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments with which the scene's function makes this scene again; empty if there is no such function."""
+    """Arguments with which the function that made this scene makes it again; empty if no function made the scene."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
