@@ -37,7 +37,7 @@ def load_row(bond: wp.int32):
 
 @wp.func
 def bond_with(kind: wp.int32, row: wp.int32):
-    """Return the bond state for a bond of this kind whose force and moment are stored in this row of `pairs.load`."""
+    """Return the bond state, an integer that packs the bond's `kind` and its `row` of `pairs.load`."""
     return kind | (row << KIND_BITS)
 
 

@@ -110,7 +110,7 @@ def file_aggregates(values: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _flow_of(name: str) -> dict[str, float]:
-    """Return the flow constants of a concrete by name or from a file; the concrete `own` has none."""
+    """Return the flow constants of a concrete by name or from a file; for the name `own` the result is empty."""
     if name == "own":
         return {}
     if not is_file(name):

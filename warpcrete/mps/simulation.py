@@ -37,7 +37,7 @@ MAX_BREAKDOWN_TIMES = 6.0
 MIN_SLIP_RATIO = 0.1
 """Ratio of slip to mean velocity below which a run does not wait until the layer's structure is broken."""
 MAX_STRUCTURE_LEFT = 0.01
-"""Fraction of the yield stress gained at rest that the slip layer may still have in a steady flow."""
+"""Maximum fraction of the yield stress gained at rest that the slip layer may retain in a flow that is steady."""
 COMPARISON_INTERVAL = 5e-3
 """Simulated time between the samples whose agreement shows that the flow is steady [s]."""
 
@@ -125,8 +125,8 @@ class FluidSimulation(FlowRun):
             return False  # The structure may break so slowly that all other quantities already look steady.
         earlier = []
         for wanted in (now["time"] - COMPARISON_INTERVAL, now["time"] - 2 * COMPARISON_INTERVAL):
-            # In the first row the slip layer is not computed yet. Two earlier rows must agree with the last one,
-            # because a single row may agree by chance.
+            # The first row is left out, because the slip layer is not computed yet at the start. Two earlier rows must
+            # agree with the last one, because a single row may agree by chance.
             found = [row for row in self._rows[1:] if row["time"] <= wanted + 1e-9]
             if not found:
                 return False

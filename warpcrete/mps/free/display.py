@@ -96,7 +96,7 @@ class FreeDisplay(Display):
         return np.stack([x[:, 0] * np.cos(angles), x[:, 0] * np.sin(angles), x[:, 1]], 1)
 
     def scale(self) -> tuple[str, float, float]:
-        """Return label, lowest and highest value of what the colours show."""
+        """Return label, lowest and highest value of the quantity that the colours show."""
         scene = self.simulation.scene
         height = float(np.max(np.array(scene.outline)[:, 1]))
         if self.colouring == "pressure":
