@@ -84,7 +84,7 @@ def bond_functions(scalar):
         moment: t.vec4,
         dt: scalar,
     ):
-        """Return the new force, moment and state of a bond; a broken bond returns the force and moment that broke it.
+        """Return the new force, moment and state of a bond; if the bond breaks, the force and moment that broke it.
 
         `force` consists of the shear force vector and the tension, `moment` of the bending moment vector and the
         torsion. `stretch` is the exact change of the distance between the centres in this step. The approximation

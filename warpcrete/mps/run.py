@@ -1,4 +1,4 @@
-"""Base class for runs of flows, by particles alone or on a grid."""
+"""Base class for runs of flows that are computed with particles alone or with particles and a grid."""
 
 from __future__ import annotations
 

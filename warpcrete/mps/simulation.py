@@ -33,7 +33,7 @@ TYPICAL_DURATION = 0.03
 PROFILE_HEIGHTS = (0.2, 0.5, 0.8)
 """Heights of the result's velocity profiles, relative to the column's height (Xu et al. 2021, Fig. 18)."""
 MAX_BREAKDOWN_TIMES = 6.0
-"""Maximum duration of a flow, in units of the time in which slip reduces the layer's structure to 1/e."""
+"""Simulated time allowed for slip to break the slip layer's structure, in units of the time of its decay to 1/e."""
 MIN_SLIP_RATIO = 0.1
 """Ratio of slip to mean velocity below which a run does not wait until the layer's structure is broken."""
 MAX_STRUCTURE_LEFT = 0.01

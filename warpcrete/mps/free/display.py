@@ -151,7 +151,7 @@ class FreeDisplay(Display):
         return super().cut if self._solid else None
 
     def walls(self) -> list[DrawnWall]:
-        """Return the plate, the walls, and the mould or gate, which moves, as drawn walls."""
+        """Return the drawn walls: the plate, the walls of the scene, and the mould or gate, which moves."""
         scene, found = self.simulation.scene, []
         below = -0.005
         if self._axial:
