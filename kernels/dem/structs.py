@@ -156,8 +156,8 @@ def array_structs(scalar) -> SimpleNamespace:
         # bond state, see `bond_parallel.py`; 0 without a bond, negative if it broke, shape (pairs,)
         bond: wp.array(dtype=wp.int32)
         # `load` holds force and moment of each bond, shape (rows,): shear vector and tension [N], bending vector and
-        # torsion [N m]. It is one array because a GPU moves memory in units of 32 bytes. The host side is in
-        # `warpcrete/dem/engine/bonding.py`.
+        # torsion [N m]. It is one array because a GPU moves memory in units of 32 bytes. How bonds get
+        # their rows is explained in `warpcrete/dem/engine/bonding.py`.
         load: wp.array(dtype=t.vec8)
 
     @wp.struct
