@@ -11,7 +11,10 @@ BLOCK = 256
 
 @functools.cache
 def block_sums(width: int) -> SimpleNamespace:
-    """Build the functions `keep` and `total`, which sum over blocks of `width` threads."""
+    """Build the functions `keep` and `total`, with which kernels sum a value over all threads of all blocks.
+
+    A block has `width` threads. `keep` stores the sum of one block, and `total` adds up the sums of all blocks.
+    """
 
     @wp.func
     def keep(thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64):
@@ -38,7 +41,7 @@ keep, total = block_sums(BLOCK).keep, block_sums(BLOCK).total
 
 @functools.cache
 def serial_scale(scalar):
-    """Build the CPU kernel (one task) that computes the factor by which weights are scaled to reach a wanted sum."""
+    """Build the CPU kernel (one task) that computes the factor by which `weight` is multiplied to sum to `wanted`."""
 
     @wp.kernel(enable_backward=False, module="unique")
     def scale_alone(
@@ -54,7 +57,7 @@ def serial_scale(scalar):
 
 @functools.cache
 def parallel_scale(scalar):
-    """Build the GPU kernels that compute the factor by which weights are scaled to reach a wanted sum.
+    """Build the GPU kernels that compute the factor by which `weight` is multiplied to sum to `wanted`.
 
     `gather` runs in whole blocks and stores partial sums; `divide` then runs in a single block.
     """

@@ -318,7 +318,7 @@ def analytic_wall_functions(scalar, law, half: bool, dissipation: bool, wear: bo
         if here and now != before:
             slots.touching[i] = now
         if here and not far:
-            # The clearance is reduced by 1 % to cover rounding errors.
+            # The stored clearance from the nearest wall is reduced by 1 % to cover rounding errors.
             write_vec4(spheres.clear, i, pack(x, scalar(0.99) * nearest))
         return total_force, total_moment, total_lost
 

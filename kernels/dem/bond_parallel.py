@@ -37,7 +37,7 @@ def load_row(bond: wp.int32):
 
 @wp.func
 def bond_with(kind: wp.int32, row: wp.int32):
-    """Return the bond state for a bond of this kind whose force and moment are stored in this row of `pairs.load`."""
+    """Return the bond state, an integer that packs the bond's `kind` and its `row` of `pairs.load`."""
     return kind | (row << KIND_BITS)
 
 
@@ -84,7 +84,7 @@ def bond_functions(scalar):
         moment: t.vec4,
         dt: scalar,
     ):
-        """Return the new force, moment and state of a bond; a broken bond returns the force and moment that broke it.
+        """Return the new force, moment and state of a bond; if the bond breaks, the force and moment that broke it.
 
         `force` consists of the shear force vector and the tension, `moment` of the bending moment vector and the
         torsion. `stretch` is the exact change of the distance between the centres in this step. The approximation

@@ -34,7 +34,9 @@ def bond_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
         # The next arguments are arrays of the state that this kernel reads and writes.
         pairs: Pairs,
     ):
-        """Bond all pairs within the gap that have no intact bond; `group` >= 0 selects pairs inside that group.
+        """Bond all pairs that have no intact bond and whose surfaces are at most `gap` apart.
+
+        If `group` >= 0, only pairs are bonded of which both spheres belong to bodies of that group.
 
         With `healing`, each list entry has its own row in `pairs.load`, which this kernel clears. Without `healing`,
         the bonds receive their rows in `pairs.load` later.

@@ -102,7 +102,10 @@ def contact_functions(scalar):
 
     @wp.func
     def shear_spring(touch: Touch, history: t.vec3, stiffness: scalar, limit: scalar, dt: scalar):
-        """Advance the shear spring of a contact by one step, and return the same results as `plane_spring`."""
+        """Advance the shear spring of a contact by one step.
+
+        Return its new force, True if it slips, and the energy lost by slip [J].
+        """
         vn = wp.dot(touch.velocity, touch.normal)
         return plane_spring(touch, touch.velocity - vn * touch.normal, history, stiffness, limit, dt)
 

@@ -20,9 +20,9 @@ ESTIMATE_LANES = 4
 
 @functools.cache
 def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcycling: bool, lanes: int) -> wp.Kernel:
-    """Return the kernel over spheres from `begin` on that adds stiffness and damping of contacts to `estimate`.
+    """Return the kernel that adds stiffness and damping of the spheres' contacts to `estimate`, from sphere `begin` on.
 
-    With `stiff` it counts only pairs that are stepped in sub-cycling rounds. With half lists, `first` and `last` bound
+    With `stiff` the kernel counts only pairs that move in sub-cycling rounds. With half lists, `first` and `last` bound
     the chunk of spheres whose pairs are counted. `part` is the number of the CPU thread; it is 0 on a GPU, where
     `lanes` threads share a sphere.
     """
@@ -72,7 +72,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
         slots: Slots,
         pairs: Pairs,
         walls: Walls,
-        # The next argument holds the results of this kernel.
+        # The next argument receives the result.
         estimate: Estimate,
     ):
         i = begin + wp.tid() / wp.static(lanes)

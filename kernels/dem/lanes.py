@@ -89,7 +89,10 @@ def column_functions(scalar):
 
 @functools.cache
 def layout(rolls: bool, history: bool, bonds: bool) -> SimpleNamespace:
-    """Return the first index of each quantity's columns and the total sizes, for float and integer columns."""
+    """Return where the columns of each quantity begin in the float and the integer array of the lanes.
+
+    The result also contains the sizes of both arrays.
+    """
     numbers = dict(position_i=4, velocity_i=4, spin_i=3, position_j=4, velocity_j=4, spin_j=3, sign=1)
     numbers |= (dict(history=3) if history else {}) | (dict(rolling=3) if rolls else {})
     numbers |= dict(bond=len(BOND), bond_force=4, bond_moment=4) if bonds else {}
@@ -322,7 +325,10 @@ def scatter_function(scalar, law, history: bool, bonds: bool, dissipation: bool)
 
 @functools.cache
 def bond_columns(scalar, at: int):
-    """Return `read_bond` and `write_bond`, which access a bond's parameters in the columns that start at index `at`."""
+    """Return `read_bond` and `write_bond`, which read and write the bond parameters of one vector lane.
+
+    The parameters are stored in columns, the first of which starts at index `at`.
+    """
     Bond = bond_functions(scalar).Bond
     assert tuple(Bond.vars) == BOND
     Columns = wp.array(dtype=scalar)

@@ -14,7 +14,10 @@ from .pairs import BLOCK, decode
 from .structs import APART, TOUCHING, array_structs, links_struct
 
 EXTRA_MASKS: int = wp.constant(4)
-"""Number of bit masks per sphere for its list entries beyond the first BLOCK, whose bits are in `spheres.touching`."""
+"""Number of bit masks per sphere for its list entries beyond the first BLOCK entries.
+
+The bits of the first BLOCK entries are in `spheres.touching`.
+"""
 MASKED_ENTRIES: int = wp.constant((int(EXTRA_MASKS) + 1) * int(BLOCK))
 """Number of leading entries of a list row for which a bit mask records whether the pair touches.
 
@@ -72,7 +75,7 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
         flags: wp.array2d(dtype=wp.int32), scenes: Scenes, pairs: Pairs, count: wp.array(dtype=wp.int32),
         spheres: Spheres, links: Links,
     ):  # fmt: skip
-        """Count, for each sphere, the pairs in its row in which it has the lower permanent number.
+        """Count, for each sphere, the pairs of its neighbour list in which it has the lower permanent number.
 
         In scenes with stale lists, also clear the bits that mark touching pairs.
         """
@@ -144,8 +147,8 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
                 links.state[p] = wp.where(remembers, TOUCHING, APART)
                 links.end[row + k] = p - row / 2
                 links.end[row + twin] = -1 - (p - row / 2)
-                # Every step adds up the results of entries that have no touching bit, so these results must start at
-                # zero.
+                # Entries beyond the first MASKED_ENTRIES have no touching bit. Every step adds up their results without
+                # a check, so these results must start at zero.
                 if k - pairs.start[i + s] >= MASKED_ENTRIES or twin - begin >= MASKED_ENTRIES:
                     for each in range(rows):
                         links.result[rows * p + each] = t.vec4()

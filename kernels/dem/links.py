@@ -89,7 +89,7 @@ def result_functions(scalar, count: int):
     def sum_of_links(spheres: Spheres, pairs: Pairs, links: Links, i: wp.int32, row: wp.int32, slot: wp.int32):
         """Add up force, moment and lost energy of the links of sphere i, in list order.
 
-        `row` is the scene's first entry, and `slot` is the sphere's place in `pairs.start`.
+        `row` is the index of the scene's first list entry, and `slot` the sphere's index in `pairs.start`.
         """
         force = t.vec3()
         moment = t.vec3()

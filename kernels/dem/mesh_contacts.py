@@ -142,7 +142,11 @@ def surface_functions(scalar) -> SimpleNamespace:
 
 @functools.cache
 def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
-    """Return functions that merge the contacts of one sphere and match them with those of the previous step."""
+    """Return functions for the contacts of one sphere with meshes.
+
+    They merge contacts with one wall whose normals are nearly parallel, and match contacts with those of the previous
+    step.
+    """
     t = types(scalar)
     Vectors, Values = wp.types.matrix((MESH_SLOTS, 3), scalar), wp.types.vector(MESH_SLOTS, scalar)
 

@@ -131,7 +131,7 @@ def motion_functions(scalar, dissipation: bool):
 
     @wp.func
     def drift_of(scenes: Scenes, s: wp.int32):
-        """Return the displacement of the scene's common drift since the last list rebuild, including this step."""
+        """Return the displacement [m] by the scene's common drift since the last list rebuild, including this step."""
         return scalar(scenes.clock[s, SINCE_BUILD] + scenes.clock[s, DT]) * scenes.reference_velocity[s]
 
     @wp.func

@@ -18,7 +18,7 @@ from ..common.types import vector_functions
 from .structs import APART, SINCE_BUILD, array_structs, links_struct
 
 NEAR = 0.25
-"""Largest gap of a near link when it is chosen, as a fraction of the neighbour list's skin."""
+"""Largest gap between two spheres whose link is chosen as near, as a fraction of the neighbour list's skin."""
 CHOICE_BLOCK = 256
 """Number of threads in a block of the kernel that chooses near links; its launches consist of whole blocks."""
 TAKE_PLACES = """
@@ -58,8 +58,8 @@ def take_place(count: wp.array(dtype=wp.int32), wants: wp.bool) -> wp.int32:
 def near_kernels(scalar) -> SimpleNamespace:
     """Return the two kernels that choose near links.
 
-    First `record_positions` records the current positions; its launch size is the largest of the numbers of spheres and
-    scenes and 2. Then `choose_near` runs over the links, in whole blocks.
+    First `record_positions` records the current positions. It needs a thread for each sphere and for each scene, and at
+    least two threads. Then `choose_near` runs over the links, in whole blocks.
     """
     structs = array_structs(scalar)
     Scenes, Spheres = structs.Scenes, structs.Spheres

@@ -362,7 +362,8 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
                 overlap = radius - distance
             else:
                 known = slots.wall[i, slot] >= 0
-                towards = -half_step  # A mesh contact stores the overlap at the start of the step.
+                # A mesh contact stores the overlap at the start of the step, half a step before the wanted time.
+                towards = -half_step
                 if known:
                     w = scenes.row[s].walls + slots.wall[i, slot]
                     n = slots.normal[i, slot]

@@ -58,7 +58,7 @@ def insert(other: wp.array(dtype=wp.int32), row: wp.int32, found: wp.int32, entr
 
 @wp.func
 def sort_row(other: wp.array(dtype=wp.int32), begin: wp.int32, end: wp.int32):
-    """Sort a long row with Shell sort and Knuth's gap sequence."""
+    """Sort the entries of `other` from `begin` to `end`, a long row, with Shell sort and Knuth's gap sequence."""
     gap = wp.int32(1)
     while gap < (end - begin) / 3:
         gap = 3 * gap + 1
@@ -266,7 +266,7 @@ def half_search_kernel(scalar, bonds: bool) -> wp.Kernel:
         old_pairs: Pairs,
         old_place: wp.array(dtype=wp.int32),
         stretched: wp.array(dtype=scalar),
-        # Outputs.
+        # The next arguments are arrays that this kernel writes.
         count: wp.array(dtype=wp.int32),
         place: wp.array(dtype=wp.int32),
         wanted: wp.array(dtype=wp.int32),

@@ -44,9 +44,10 @@ LONGEST = 1.0e30
 
 
 def estimate_options(half: bool) -> dict:
-    """Return the compiler options of the estimate's kernels; see :func:`contacts.contact_options`.
+    """Return the compiler options of the kernels that estimate the stable step.
 
-    The kernel that reduces the sums does not use `fast_math`, because `fast_math` flushes products of small bodies'
+    The options equal those of :func:`contacts.contact_options`. The kernel that reduces the sums does not use
+    `fast_math`, because `fast_math` flushes products of small bodies'
     moments of inertia to zero.
     """
     return {"fast_math": not half, "cpu_compiler_flags": cpu_flags()}
@@ -100,7 +101,8 @@ def recording_functions(scalar):
     """Return functions that record speeds and wall loads in an `Estimate`, and that combine its parts.
 
     `record_speed` records a speed, `add_wall_stiffness` adds a contact's stiffness and damping to a wall, `fastest`
-    returns a scene's largest speed over all parts, and `least` its smallest value.
+    returns a scene's largest speed over all parts, and `least` the smallest value over all parts of another array. A
+    part is what one CPU thread recorded.
     """
     t = types(scalar)
     Estimate = estimate_struct(scalar)
@@ -175,13 +177,14 @@ def floor_function(scalar, pair_law, wall_law):
         turn: scalar,
         tip: scalar,
     ):
-        """Return stiffness and damping for the next contact of a body in flight, and the stiffness to be resolved.
+        """Return stiffness and damping of the next contact of a body in flight, and the stiffness to be resolved.
 
-        `turn` is the body's total response to a shear force (translation and rotation) over its translation alone;
-        `tip` is the same ratio for a normal force. The step limit holds a reserve of two in stiffness for neighbours
-        that move in opposition. A body with a single contact does not need it, so only half of the shear stiffness
-        counts. Dashpots act half a step late and have no such reserve. The third result is the stiffness that the step
-        must resolve to conserve energy.
+        The contact is the stiffest one with a sphere or wall of any material. `turn` is the body's total response to a
+        shear force (translation and rotation) divided by its translation alone; `tip` is this ratio for a normal force.
+        The limit of the step holds a reserve of a factor of two in stiffness, for neighbours that move in opposition. A
+        body with a single contact does not need the reserve, so only half of the shear stiffness counts. Damping counts
+        in full: dashpots act half a step late, so their limit has no reserve. The third result is the stiffness that
+        the step must resolve for the contact to conserve energy.
         """
         n = t.vec3(scalar(0.0), scalar(0.0), scalar(1.0))
         touch = wall_touch(n, scalar(0.0), -speed * n, scalar(0.0), radius, mass)
@@ -356,14 +359,16 @@ def step_kernel(scalar, subcycling: bool) -> wp.Kernel:
         step = least(estimate.smallest, s)
         if wp.static(subcycling):
             if subcycled.rounds[s] > 0:
-                # The dashpots of stiff bonds have c = RELAXATION step k. With h the length of a round, stability
-                # requires k h^2 + c h <= m, hence h <= stable / sqrt(1 + RELAXATION rounds).
+                # A stiff bond with stiffness k has a dashpot with damping c = RELAXATION step k. A round of length
+                # h = step / rounds is stable for a mass m if k h^2 + c h <= m. With c h = RELAXATION rounds k h^2 and
+                # m / k = stable^2 this gives h <= stable / sqrt(1 + RELAXATION rounds).
                 rounds = wp.float64(subcycled.rounds[s])
                 stiff = subcycled.stable[s] * rounds / wp.sqrt(one + wp.float64(RELAXATION) * rounds)
                 step = wp.min(wp.float64(SUBCYCLED_STEP_FRACTION) * step, stiff)
         for w in range(scenes.row[s].walls, scenes.row[s].walls + scenes.row[s].wall_count):
             if walls.table[w].motion == DRIVEN:
-                # A driven wall has inertia like a body. Its load is at least one contact with the largest sphere.
+                # A driven wall has a mass like a body, so it also limits the step. Its stiffness is at least that of
+                # one contact with the largest sphere, because a sphere may touch the wall in the coming steps.
                 spring = wp.int64(0)
                 dashpot = wp.int64(0)
                 for part in range(estimate.wall_load.shape[0]):
@@ -372,8 +377,8 @@ def step_kernel(scalar, subcycling: bool) -> wp.Kernel:
                 load = wp.float64(1.0e-3) * wp.float64(spring)
                 stiffness = wp.max(load, scenes.row[s].wall_stiffness)
                 mass = walls.table[w].mass
-                # Dashpots are sized for the masses of the aggregate and may be far above critical for the mass of the
-                # wall.
+                # Dashpots are sized for the masses of the aggregate, so they may be far above critical damping for the
+                # mass of the wall. The stable step of the wall therefore accounts for damping.
                 ratio = wp.float64(0.5e-3) * wp.float64(dashpot) / wp.sqrt(mass * stiffness)
                 own = wp.sqrt(mass / stiffness) * (wp.sqrt(one + ratio * ratio) - ratio)
                 step = wp.min(step, own)

@@ -32,8 +32,8 @@ def estimate_struct(scalar):
         smallest: wp.array2d(dtype=wp.float64)
         resolution_step: wp.array2d(
             dtype=wp.float64
-        )  # smallest step limit by impacts and speeds [s], shape (parts, scenes)
-        fastest: wp.array2d(dtype=wp.float64)  # largest speed of a body or wall, shape (CPU threads, scenes) [m/s]
+        )  # smallest step limit from impacts and speeds, by CPU thread and scene, shape (parts, scenes) [s]
+        fastest: wp.array2d(dtype=wp.float64)  # largest speed of any body or wall, shape (parts, scenes) [m/s]
 
     return Estimate
 
@@ -79,7 +79,11 @@ def stiffness_functions(scalar):
 
     @wp.func
     def row_sum(m: t.mat33, scale: t.vec3):
-        """Return the largest absolute row sum of the matrix with elements m[r, c] / sqrt(scale[r] scale[c])."""
+        """Return the largest absolute row sum of the matrix with elements m[r, c] / sqrt(scale[r] scale[c]).
+
+        No eigenvalue of this matrix exceeds the sum. With masses or inertias as `scale`, it bounds the stiffness or
+        damping per mass.
+        """
         largest = scalar(0.0)
         for r in range(3):
             total = scalar(0.0)

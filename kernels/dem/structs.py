@@ -24,7 +24,7 @@ DT_PREVIOUS: int = wp.constant(2)
 SINCE_BUILD: int = wp.constant(3)  # time since the neighbour lists were built [s]
 FORCE_SCALE: int = wp.constant(4)  # integer units per newton in the fixed-point sums of wall forces [1/N]
 STABLE: int = wp.constant(5)  # latest estimate of the stable step, without safety factor [s]
-# Number of columns of `clock`.
+# Number of columns of the array `clock`, whose rows belong to scenes.
 CLOCK = 8
 
 # States of a link, in `links.state`.
@@ -47,7 +47,7 @@ def scene_struct(scalar):
         speed_limit: scalar  # speed limit of the bodies; the scene fails if a body is faster [m/s]
         skin: scalar  # margin of the pair lists beyond contact [m]
         mesh_skin: scalar  # margin of the sphere-triangle candidate lists [m]
-        # part of the mesh skin by which spheres may move before a rebuild; meshes may move by the rest [m]
+        # distance that spheres may move before a rebuild; meshes may move by the rest of the mesh skin [m]
         sphere_allowance: scalar
         growth_rate: scalar  # increase of the size scale factor per step, during growth in packing
         growth_end: scalar  # size scale factor at which the growth stops
@@ -126,7 +126,7 @@ def array_structs(scalar) -> SimpleNamespace:
         velocity: wp.array(dtype=t.vec4)  # velocity of the centre [m/s], and mass of the body [kg]
         spin: wp.array(dtype=t.vec4)  # angular velocity of the body [rad/s], padded to four numbers for fast access
         built: wp.array(dtype=t.vec4)  # position and radius when the lists were built [m]
-        clear: wp.array(dtype=t.vec4)  # centre at the last check of fixed walls, and clearance from them [m]
+        clear: wp.array(dtype=t.vec4)  # centre at the last check of fixed walls, and distance from the nearest one [m]
         force: wp.array(dtype=t.vec3)  # contact force (CPU: all contacts, GPU: walls only); zero between steps [N]
         moment: wp.array(dtype=t.vec3)  # contact moment about the sphere's centre [N m]
         touching: wp.array(dtype=wp.int32)  # bit mask of the first list entries that touched in the last step
@@ -155,13 +155,15 @@ def array_structs(scalar) -> SimpleNamespace:
         rolling: wp.array(dtype=t.vec3)  # moment of the rolling-resistance spring [N m], shape (pairs,)
         # bond state, see `bond_parallel.py`; 0 without a bond, negative if it broke, shape (pairs,)
         bond: wp.array(dtype=wp.int32)
-        # `load` holds the load of each bond, shape (rows,): shear vector and tension [N], bending vector and torsion
-        # [N m]. It is one array because a GPU moves memory in units of 32 bytes. See `warpcrete/dem/engine/bonding.py`.
+        # `load` holds force and moment of each bond, shape (rows,): shear vector and tension [N], bending vector and
+        # torsion [N m]. It is one array because a GPU moves memory in units of 32 bytes. How bonds get
+        # their rows is explained in `warpcrete/dem/engine/bonding.py`.
         load: wp.array(dtype=t.vec8)
 
     @wp.struct
     class Candidates:
-        start: wp.array(dtype=wp.int32)  # first entry of each sphere, and end markers, shape (spheres + scenes,)
+        # index of each sphere's first entry in `face`, and end markers, shape (spheres + scenes,)
+        start: wp.array(dtype=wp.int32)
         # indices within the scene of the triangles within reach of each sphere, shape (candidates,)
         face: wp.array(dtype=wp.int32)
 
@@ -211,7 +213,8 @@ def links_struct(scalar):
         # bit masks that mark the touching pairs among a sphere's list entries after the first BLOCK, EXTRA_MASKS
         # integers per sphere
         later_touching: wp.array(dtype=wp.int32)
-        end: wp.array(dtype=wp.int32)  # for each list entry, the index p of its link in the scene; -1 - p for a twin
+        # for each list entry, the index p of its link in the scene; at twin entries -1 - p
+        end: wp.array(dtype=wp.int32)
         # `result` holds the result of each link in this step. A link has two rows: (force on its lower sphere [N], arm
         # of that sphere [m]) and (contact moment divided by the arm [N], arm of the higher sphere [m]). With bonds,
         # rolling resistance or energy sums it has four rows, two for each sphere: (force on the sphere [N], lost energy
@@ -260,7 +263,7 @@ def subcycled_struct(scalar):
         body_number: wp.array(dtype=wp.int32)  # permanent number of each body
         place: wp.array(dtype=wp.int32)  # current index of each body in the batch's arrays of bodies
         start: wp.array(dtype=wp.int32)  # first row of each body in `force`, and an end marker, shape (bodies + 1,)
-        # twice the index of the pair, plus 1 for the pair's higher sphere, shape (2 pairs,)
+        # for each row of `force`: twice the index of its pair, plus 1 at the pair's higher sphere, shape (2 pairs,)
         ref: wp.array(dtype=wp.int32)
         mass: wp.array(dtype=scalar)  # body mass [kg]
         inertia: wp.array(dtype=t.vec3)  # principal moments of inertia [kg m2]
@@ -271,7 +274,7 @@ def subcycled_struct(scalar):
         spin: wp.array(dtype=t.vec3)  # angular velocity in space axes [rad/s]
         angular_momentum: wp.array(dtype=t.vec3)  # angular momentum in space axes [kg m2/s]
         other_force: wp.array(dtype=t.vec3)  # all forces other than those of stiff pairs, gravity included [N]
-        other_torque: wp.array(dtype=t.vec3)  # torque of those other forces about the centroid [N m]
+        other_torque: wp.array(dtype=t.vec3)  # torque of `other_force` about the centroid [N m]
         # force of each pair on each of its two bodies, grouped by body [N], shape (2 pairs,)
         force: wp.array(dtype=t.vec3)
         # torque of each pair on each of its two bodies about their centroids [N m], shape (2 pairs,)

@@ -15,7 +15,7 @@ from .structs import array_structs, flow_struct, mps_types, row_place
 
 @functools.cache
 def list_kernels(scalar, dimensions: int, serial: bool):
-    """Build the kernels `place`, which writes the points of the hash grid, and `search`, which fills all lists."""
+    """Build the kernels `place` (writes the points of the hash grid) and `search` (fills all neighbour lists)."""
     t = mps_types(scalar, dimensions)
     FlowConstants = flow_struct(scalar)
     structs = array_structs(scalar, dimensions)

@@ -164,8 +164,8 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, slip
                 c = laplacian * scalar(2.0) * mu * other / (mu + other)
                 if wp.static(two_phase):
                     # Between a particle of a rigid grain and a particle of mortar, only half of the distance is mortar
-                    # that can be sheared, which doubles the coefficient. The coefficient is also doubled between
-                    # particles of two different grains. Within one grain nothing is sheared.
+                    # that can be sheared, which doubles the coefficient `c`. The coefficient is also doubled between
+                    # particles of two different grains. It is zero within a grain, because nothing is sheared there.
                     if i < matrix.grain_rows:
                         if j >= matrix.grain_rows:
                             c = laplacian * scalar(2.0) * other

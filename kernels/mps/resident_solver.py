@@ -48,8 +48,8 @@ def sum_functions(width: int) -> SimpleNamespace:
     ) -> wp.float64:
         """Return the contribution `own` if there is a single block; otherwise add it to a partial sum and return 0.
 
-        A thread adds up the returned values. If there are several blocks, the contributions of the threads of a chunk
-        are summed, and the sum is stored in `partial`.
+        The calling thread adds up the returned values. If there are several blocks, the contributions of all threads
+        of a block are summed, and the sum is stored in `partial`.
         """
         if wp.static(alone):
             return own

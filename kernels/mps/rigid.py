@@ -137,8 +137,8 @@ def body_functions(scalar, dimensions: int) -> SimpleNamespace:
 def bodies_kernel(scalar, dimensions: int):
     """Build the kernel that computes centre, inverse inertia and mobilities of each grain for the viscous solve.
 
-    It runs with one thread per grain. The mobilities are velocity per force and spin per moment, for the diagonal of
-    the matrix alone.
+    It runs with one thread per grain. The mobilities of a grain are its velocity per force and its spin per moment.
+    They account for the diagonal of the solve's matrix only.
     """
     mat33 = types(scalar).mat33
     body = body_functions(scalar, dimensions)

@@ -146,7 +146,9 @@ def array_structs(scalar, dimensions: int) -> SimpleNamespace:
         # (3^d * count,). The entry between a cube and itself holds 1 over the diagonal of the coarse matrix instead.
         coefficient: wp.array(dtype=scalar)
         diagonal: wp.array(dtype=scalar)  # Diagonal of the coarse matrix, shape (count,).
-        pair: wp.array(dtype=scalar)  # Coupling of each particle with the cubes around it, shape (3^d * n,); GPU only.
+        # Sum of the matrix coefficients of each particle with the particles of its own cube and of each adjacent cube,
+        # shape (3^d * n,); GPU only.
+        pair: wp.array(dtype=scalar)
 
     @wp.struct
     class Matrix:
@@ -197,7 +199,7 @@ def mps_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def across(x: t.vec) -> t.vec:
-        """Return the component of a vector across the pipe."""
+        """Return the part of a vector that is perpendicular to the pipe's axis."""
         x[last] = scalar(0.0)
         return x
 

@@ -151,9 +151,9 @@ class FlowDisplay(Display):
         return [DrawnWall("pipe", vertices, faces, False, PIPE)]
 
     def _travel(self) -> float:
-        """Return how far the piston is expected to move [m].
+        """Return how far the piston is expected to move during the run [m].
 
-        A flow without a given duration becomes steady within some hundredths of a second.
+        If the scene states no duration, 0.05 s are assumed, in which a flow usually becomes steady.
         """
         duration = self.simulation.scene.duration
         return self.simulation.scene.velocity * (0.05 if duration is None else duration)

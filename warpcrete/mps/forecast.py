@@ -99,11 +99,11 @@ def flow_forecast(
 
 
 def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | None, float, list[str]]:
-    """Run a coarser copy of a flow, whose scene has some `changes`.
+    """Run a coarser copy of a flow; return the run, its simulated time [s], and a list of remarks.
 
-    Return the run, its simulated time [s], and a list of remarks. If the copy has not become steady, the remark is the
-    text `unmet` with the simulated time. If the copy stops with an error, the run is None and the time is the longest
-    allowed one.
+    The copy's scene equals that of the flow except for the attributes in `changes`. If the copy has not become steady,
+    a remark consists of the text `unmet` and the simulated time. If the copy stops with an error, the run is None and
+    the time is the longest allowed one.
     """
     copy = None
     try:
@@ -135,9 +135,10 @@ def step_time(simulation: Any) -> float:
 
 
 def forecast(scene: FluidScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
-    """Return the forecast of a run on a Warp `device`; `probe` times one frame of the recordings.
+    """Return the expected time and memory of a run on a Warp `device`.
 
-    Raises the errors that the run would raise before its first step.
+    `probe` is a function that measures how long the recordings of one frame take. Raises the errors that the run would
+    raise before its first step.
     """
     return flow_forecast(
         lambda: FluidSimulation(scene, device=str(device), precision=precision, threads=threads),

@@ -83,8 +83,8 @@ def flowing() -> list[str]:
 def file_constants(values: Mapping[str, Any]) -> dict[str, float]:
     """Return the constants of the concrete file that a scene's parameters name.
 
-    The result is empty if the concrete is not a file, or if all constants are given already. Constants of laws that the
-    file does not state are those of Bingham's law.
+    The result is empty if the concrete is not a file, or if the parameters already state all constants. Constants of
+    flow laws that the file leaves out get the values that stand for Bingham's law.
     """
     name = values.get("concrete")
     name = str(name) if isinstance(name, os.PathLike) else name
@@ -110,7 +110,7 @@ def file_aggregates(values: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _flow_of(name: str) -> dict[str, float]:
-    """Return the flow constants of a concrete by name or from a file; the concrete `own` has none."""
+    """Return the flow constants of a concrete by name or from a file; for the name `own` the result is empty."""
     if name == "own":
         return {}
     if not is_file(name):

@@ -269,7 +269,7 @@ class MovingParticles(Stepping):
         return self.state.state_dict() | lists
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that the next step depends on."""
+        """Return the arrays and numbers that a checkpoint needs to continue the flow at the next step."""
         return {"arrays": self.state_arrays(), "numbers": {"steps": self.steps, "rebuilds": self.rebuilds}}
 
     def load_state_dict(self, found: dict[str, Any]) -> None:

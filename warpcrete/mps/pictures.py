@@ -57,7 +57,8 @@ def _pressure(axes: Any, run: Run) -> None:
 def _profiles(axes: Any, run: Run) -> None:
     scene = run.scene
     piston = scene.ends == "piston"
-    for part in run.result["profiles"][: None if piston else 1]:  # a periodic pipe has the same profile everywhere
+    # In a periodic pipe all profiles are equal, so only the first one is drawn.
+    for part in run.result["profiles"][: None if piston else 1]:
         axes.plot(
             100 * np.array(part["radius"]["value"]), 100 * np.array(part["velocity"]["value"]), ".", markersize=5,
             label=f"{100 * part['height']['value']:.0f} cm above the piston" if piston else "this run",

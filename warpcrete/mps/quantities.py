@@ -29,7 +29,7 @@ class RunData:
 
     scene: FluidScene
     series: dict[str, np.ndarray]
-    """Columns of the time series, with two rows or more."""
+    """Columns of the time series by name, each with at least two values."""
     theory: Steady
 
     @property
@@ -41,7 +41,7 @@ class RunData:
         return time >= time[-1] * (1 - AVERAGED_FRACTION)
 
     def mean(self, name: str) -> float:
-        """Return the mean of a column of the time series over the rows of `chosen`."""
+        """Return the mean of a column of the time series over the rows that the mask `chosen` selects."""
         return float(self.series[name][self.chosen].mean())
 
     def by_theory(self, name: str) -> float:

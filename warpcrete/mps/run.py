@@ -1,4 +1,4 @@
-"""Base class for runs of flows, by particles alone or on a grid."""
+"""Base class for runs of flows that are computed with particles alone or with particles and a grid."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class FlowRun(Simulation):
             self.__dict__.pop(name, None)
 
     def series(self) -> dict[str, np.ndarray]:
-        """Return the columns of the series so far."""
+        """Return the columns of the time series recorded so far, by name; empty before the first row."""
         return {name: np.array([row[name] for row in self._rows]) for name in (self._rows[0] if self._rows else ())}
 
     def result(self, finished: bool) -> Run:

@@ -188,7 +188,7 @@ class FluidScene(Parametrised, FlowSettings):
     remarks: tuple[str, ...] = ()
     """Remarks on what the scene simplifies, shown before a run."""
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments with which the scene's function makes this scene again; empty if there is no such function."""
+    """Arguments of the function that made this scene, to make it again; empty if no such function exists."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -33,11 +33,11 @@ TYPICAL_DURATION = 0.03
 PROFILE_HEIGHTS = (0.2, 0.5, 0.8)
 """Heights of the result's velocity profiles, relative to the column's height (Xu et al. 2021, Fig. 18)."""
 MAX_BREAKDOWN_TIMES = 6.0
-"""Maximum duration of a flow, in units of the time in which slip reduces the layer's structure to 1/e."""
+"""Simulated time allowed for slip to break the slip layer's structure, in units of the time of its decay to 1/e."""
 MIN_SLIP_RATIO = 0.1
 """Minimum ratio of slip to mean velocity at which a run waits until the slip layer's structure is broken."""
 MAX_STRUCTURE_LEFT = 0.01
-"""Fraction of the yield stress gained at rest that the slip layer may still have in a steady flow."""
+"""Maximum fraction of the yield stress gained at rest that the slip layer may retain in a flow that is steady."""
 COMPARISON_INTERVAL = 5e-3
 """Simulated time between the samples whose agreement shows that the flow is steady [s]."""
 
@@ -125,8 +125,8 @@ class FluidSimulation(FlowRun):
             return False  # The structure may break so slowly that all other quantities already look steady.
         earlier = []
         for wanted in (now["time"] - COMPARISON_INTERVAL, now["time"] - 2 * COMPARISON_INTERVAL):
-            # In the first row the slip layer is not computed yet. Two earlier rows must agree with the last one,
-            # because a single row may agree by chance.
+            # The first row is left out, because the slip layer is not computed yet at the start. Two earlier rows must
+            # agree with the last one, because a single row may agree by chance.
             found = [row for row in self._rows[1:] if row["time"] <= wanted + 1e-9]
             if not found:
                 return False

@@ -173,7 +173,10 @@ def _density_weight(q: np.ndarray) -> np.ndarray:
 
 
 def _sum_at_start(layout: Layout, reach: float, weight: Callable[[np.ndarray], np.ndarray]) -> float:
-    """Return the sum of weights of all neighbours within `reach` spacings, averaged over a layer at mid-height."""
+    """Return the sum of the weights of a particle's neighbours within `reach` spacings, at the start.
+
+    The sum is averaged over the fluid particles of a layer at mid-height.
+    """
     everything = np.concatenate([layout.fluid, layout.wall])
     middle = layout.fluid[np.argmin(np.abs(layout.fluid[:, -1] - 0.5 * layout.height)), -1]
     layer = layout.fluid[np.abs(layout.fluid[:, -1] - middle) < 1e-6 * layout.spacing]

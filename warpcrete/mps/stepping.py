@@ -82,7 +82,7 @@ class Stepping(ABC):
             self._launcher.invalidate_graphs()
 
     def take(self, steps: int) -> None:
-        """Take a number of steps; raise :class:`ConvergenceError` or :class:`InstabilityError` if one fails."""
+        """Take a number of steps; raise :class:`ConvergenceError` or :class:`InstabilityError` if a step fails."""
         self.set_goal(steps=self.steps + steps)
         self._run_to_goal()
 
@@ -222,7 +222,10 @@ class _Run:
             self.outcome = failure
 
     def stop(self, why: KeyboardInterrupt) -> None:
-        """End the run now because of an interruption."""
+        """End the run now because of an interruption (Ctrl-C).
+
+        The outcome of a run that has begun is its unfinished result; otherwise it is the interruption `why`.
+        """
         if self.outcome is None:
             if self._coroutine is None:
                 self.outcome = why

@@ -15,7 +15,7 @@ class Band:
     low: float
     high: float
     shares: Mapping[str, float] = field(default_factory=dict)
-    """Share of each cause in the squared width of the band; the shares add up to 1."""
+    """Fraction that each cause contributes to the squared width of the band, by cause; the fractions add up to 1."""
 
     @property
     def factor(self) -> float:

@@ -20,12 +20,14 @@ GRAVITY = 9.81
 
 SPREADS = (0.500, 0.527, 0.562, 0.611, 0.694, 0.808, 1.132)
 T500_FACTORS = (3.53e-4, 5.58e-4, 7.57e-4, 9.39e-4, 11.34e-4, 12.11e-4, 12.56e-4)
-"""Viscosity over rho g T500 [m], by the spread at rest [m] of :func:`warpcrete.theory.vessels.heap_at_rest`.
+"""Ratio of the viscosity to rho g T500 [m], for each diameter of the spread at rest in `SPREADS` [m].
 
-The factors were measured with this program's own flow: `warpcrete run slump` with 300 Pa s, 2300 kg/m3, yield stresses
-of 80, 65, 50, 35, 20, 10 and 2 Pa, cells of 10 mm, and a mould lifted in 1 s. For comparison, a viscous heap without
-yield stress has 14.8e-4 m (Huppert 1982, about an axis: radius 0.894 (rho g V^3 t / (3 mu))^(1/8)). At 30 Pa s inertia
-and the lift matter: with a yield stress of 50 Pa the factor is 8.7e-4 m for a lift in 1 s and 5.9e-4 m in 3 s.
+T500 is the time until the spread reaches 500 mm. The spreads at rest are those of
+:func:`warpcrete.theory.vessels.heap_at_rest`. The factors were measured with this program's own flow: `warpcrete run
+slump` with 300 Pa s, 2300 kg/m3, yield stresses of 80, 65, 50, 35, 20, 10 and 2 Pa, cells of 10 mm, and a mould lifted
+in 1 s. For comparison, the factor of a viscous heap without yield stress is 14.8e-4 m (Huppert 1982, about an axis:
+radius 0.894 (rho g V^3 t / (3 mu))^(1/8)). At 30 Pa s inertia and the lift matter: with a yield stress of 50 Pa the
+factor is 8.7e-4 m for a lift in 1 s and 5.9e-4 m in 3 s.
 """
 
 
@@ -38,9 +40,9 @@ def yield_of_long_heap(spread: float, density: float) -> float:
 
 
 def yield_of_heap(spread: float, density: float) -> float:
-    """Return the yield stress [Pa] of a heap of diameter `spread` [m] that also resists being stretched.
+    """Return the yield stress [Pa] of the heap of a slump test that comes to rest at a diameter of `spread` [m].
 
-    The theory is that of :func:`warpcrete.theory.vessels.heap_at_rest`.
+    The theory is that of :func:`warpcrete.theory.vessels.heap_at_rest`, in which the heap resists stretching as well.
     """
     return root(lambda stress: heap_volume(spread / 2, stress, density) - VOLUME, 0.0, STIFFEST)
 

@@ -7,8 +7,9 @@ There are three laws, each for the bulk (shear rate g [1/s]) and for the slip la
 - Modified Bingham: tau = tau_0 + mu g + c g^2 (Yahia & Khayat 2001). It thickens, and its viscosity at low rates is mu.
 
 The stress in a pipe or a channel grows linearly from the middle to the wall. Velocities and flows are therefore
-integrals over the stress, which have closed forms if the shear rate g at the wall is used as the variable: with the
-viscous stress h(g) = tau - tau_0 they are sums of J_j = integral of g h^j h'(g) dg from 0 to g, j = 0, 1, 2.
+integrals over the stress. These integrals have closed forms if they are written as functions of the shear rate g at the
+wall. With the viscous stress h(g) = tau - tau_0, they are sums of the integrals J_j of g h^j h'(g) dg from 0 to g, with
+j = 0, 1, 2.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class FlowLaw:
     index: float = 1.0
     """Flow index n."""
     quadratic: float = 0.0
-    """Coefficient c of the square of the rate [Pa s2]."""
+    """Coefficient c of the squared shear rate in the modified Bingham law [Pa s2]; 0 in the other laws."""
 
     @property
     def name(self) -> str:
@@ -113,7 +114,10 @@ class FlowLaw:
             return radius / safe**3 * (yields**2 * zero + 2 * yields * one + two)
 
     def stream(self, outer: Any, inner: Any) -> np.ndarray:
-        """Return the integral of g s^2 ds from the stress `inner` to `outer` [Pa3/s], the flow of a ring of a pipe."""
+        """Return the integral of g s^2 ds from the stress s = `inner` to `outer` [Pa3/s], with the shear rate g.
+
+        The flow that shear within an annulus of a pipe adds is pi times this integral over the stress gradient cubed.
+        """
         high, low = self.integrals(outer), self.integrals(inner)
         zero, one, two = (a - b for a, b in zip(high, low, strict=True))
         return self.yield_stress**2 * zero + 2 * self.yield_stress * one + two

@@ -88,7 +88,10 @@ class Concrete(Declared):
 
 
 CONCRETES = {name: Concrete(name=name, **concrete(name).flow) for name in ("no1", "no2", "no3")}
-"""Concretes of Xu, Li & Jiang 2021, Tables 1 to 3, with a slip layer of zero thickness; slumps 13, 18 and 22 cm."""
+"""Concretes of Xu, Li & Jiang 2021, Tables 1 to 3, by name; their slumps are 13, 18 and 22 cm.
+
+Their slip layer has zero thickness.
+"""
 
 SLIP_VISCOSITY_BY_THICKNESS = {
     "no1": {2e-3: 889.0, 4e-3: 885.0, 6e-3: 882.0},
@@ -218,9 +221,9 @@ def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> S
 def _narrowed(excess: Callable[[float], float], low: float, high: float) -> tuple[float, float]:
     """Narrow an interval around the root of an increasing function to a few floating-point numbers.
 
-    The function is negative at `low` and not negative at `high`, before and afterwards. The Illinois method approaches
-    the root from one side and leaves the other end of the interval behind; steps to both sides of its estimate then
-    catch the root.
+    The function is negative at `low` and not negative at `high`; the same holds for the ends that are returned. The
+    Illinois method approaches the root from one side and leaves the other end of the interval behind. Therefore the
+    function is also evaluated at short distances to both sides of the estimate, which brings the other end close.
     """
     at_low, at_high, last = excess(low), excess(high), math.nan
     if not at_low < 0 <= at_high:
@@ -281,10 +284,10 @@ def restart(
 ) -> Steady:
     """Return the :class:`Steady` state in which concrete starts to move after a rest, with unbroken structure.
 
-    With zero `flow` this is the limit below which nothing moves: a plug of length L in a round pipe of diameter d needs
-    rho g H + 4 (tau_L0 + A_thix t) L / d, as long as its layer bears less than its bulk. A piston that starts at once
-    with a `flow` [m3/s] must drag the layer as well. In both cases the pressure falls to the steady value as shear
-    breaks the structure.
+    With zero `flow` the state has the smallest pressure at which concrete moves. For a plug of length L in a round pipe
+    of diameter d this pressure is rho g H + 4 (tau_L0 + A_thix t) L / d, if the slip layer yields before the bulk. A
+    piston that starts at once with a `flow` [m3/s] must overcome the viscous stress as well. In both cases the pressure
+    falls to the steady value as shear breaks the structure.
     """
     return steady(after_rest(concrete, rest, thixotropy), line, flow, form)
 
@@ -340,7 +343,8 @@ def velocity(concrete: Concrete, line: Line, state: Steady, radius: Sequence[flo
     sheared = np.maximum(r, state.plug_radius)
     gradient = state.wall_stress / line.radius
     if (law := concrete.bulk_law).name != BINGHAM:
-        # The velocity above that at the wall is the integral of the shear rate over the stress, over its gradient.
+        # The velocity relative to the bulk's edge is the integral of the shear rate over the radius. The stress is
+        # proportional to the radius, so this is the integral over the stress, divided by the stress gradient.
         at_wall, at_place = law.integrals(gradient * inner)[0], law.integrals(gradient * sheared)[0]
         return state.slip_velocity + np.where(state.plug_radius < inner, (at_wall - at_place) / (gradient or 1.0), 0.0)
     gained = gradient * (inner**2 - sheared**2) / 2 - concrete.yield_stress * (inner - sheared)
@@ -400,8 +404,9 @@ def slip_constants(
 
 
 def measured_layer(concrete: Concrete, line: Line, flows: Sequence[float], pressures: Sequence[float]) -> StraightLine:
-    """Return the line of :func:`slip_constants` with its standard errors.
+    """Return the line of wall stress over slip velocity that :func:`slip_constants` fits, with its standard errors.
 
+    The line's slope is eta_L, and its offset is tau_L0.
     Raises :class:`SceneError` if the points imply an impossible layer: a viscosity that is not positive or a negative
     yield stress.
     """
@@ -438,8 +443,8 @@ def _law_text(law: FlowLaw) -> str:
 def table(concrete: Concrete, line: Line, flows: Sequence[float] = (), pressures: Sequence[float] = ()) -> str:
     """Return a text table of pressure and slip velocity at `flows` [m3/s], or of the flow at `pressures` [Pa].
 
-    Each form of the theory has a row; at given flows Kaplan's model, which knows Bingham's law only, has one more. If
-    the pressure is too low for flow in one form, the row of this form says so. Raises :class:`SceneError` if nothing
+    Each form of the theory has a row. At given flows Kaplan's model has a row too, if all laws are Bingham's. If the
+    pressure is too low for flow in one form, the row of this form says so. Raises :class:`SceneError` if nothing
     flows in any form.
     """
     lines = [

@@ -30,7 +30,7 @@ class Segregated:
     """Concrete with its aggregate evenly distributed."""
     line: Line
     fraction: float
-    """Volume fraction of aggregate."""
+    """Volume fraction of aggregate in the whole concrete."""
     index: float
     """Segregation index of the aggregate.
 

@@ -86,7 +86,11 @@ def heap_at_rest(
 
 
 def heap_volume(reach: float, yield_stress: float, density: float, gravity: float = 9.81, form: str = "axial") -> float:
-    """Return the volume of a heap at rest of radius `reach` [m]: the whole [m3], or one half in a plane [m2]."""
+    """Return the volume of a heap at rest whose radius or half-width is `reach` [m].
+
+    About an axis the result is the volume of the whole heap [m3]. In a plane it is that of one half per metre of depth
+    [m2].
+    """
     place = (np.arange(LAYERS) + 0.5) * reach / LAYERS
     depth = heap_depth(reach - place, yield_stress, density, gravity, form)
     return float(np.sum(depth * (2 * math.pi * place if form == "axial" else 1.0)) * reach / LAYERS)
@@ -123,9 +127,10 @@ def box_at_rest(
 ) -> tuple[float, float, float]:
     """Return the depths of resting concrete at the near and far end of a box and the length that it covers [m].
 
-    The concrete enters at one end without inertia and sticks to floor and sides. The concrete rests where floor and
-    sides bear its slope: h' = tau (b + 2 h) / (rho g b h) (Nguyen, Roussel & Coussot 2006). The equation is integrated
-    from the far end, or from the front if the concrete does not reach the far end.
+    The concrete enters at one end without inertia and sticks to floor and sides. The concrete comes to rest when
+    the stresses on floor and sides balance the slope h' of its depth: h' = tau (b + 2 h) / (rho g b h) (Nguyen, Roussel
+    & Coussot 2006). The equation is integrated from the far end, or from the front if the concrete does not reach the
+    far end.
     """
     pull = yield_stress / (density * gravity)
 
@@ -176,7 +181,8 @@ def box_yield_stress(reach: float, volume: float, width: float, density: float, 
         reach_a, volume_a = box_slope(near, width)
         return volume_a / reach_a - mean
 
-    # The mean depth is between a half and two thirds of the depth at the near end.
+    # The mean depth is between a half and two thirds of the depth at the near end. The depth at the near end is
+    # therefore searched between 1.5 and 2 times the mean depth.
     near = root(too_deep, 1.5 * mean, 2 * mean)
     return 0.5 * density * gravity * width * box_slope(near, width)[0] / reach
 
@@ -190,7 +196,7 @@ def root(function: Callable[[float], float], low: float, high: float) -> float:
 
 
 def duct_constants(aspect: float) -> tuple[float, float]:
-    """Return the shape constants a and b of a rectangular duct (Kozicki, Chou & Tiu 1966).
+    """Return the shape constants a and b of a rectangular duct (Kozicki, Chou & Tiu 1966) for :func:`duct_stress`.
 
     `aspect` is the short side divided by the long side, 0 to 1. Values between the tabulated ratios are interpolated. A
     slot has a = 1/2 and b = 1.
@@ -238,7 +244,8 @@ def _duct_rate(stress: np.ndarray, a: np.ndarray, b: np.ndarray, law: FlowLaw) -
     if law.name == BINGHAM:
         q = np.minimum(law.yield_stress / stress, 1.0)
         return stress * (1 / (a + b) - q / b + a / (b * (a + b)) * q ** (1 + b / a)) / law.viscosity
-    # The substitution excess = x^3 of its largest value makes the integrand smooth where the shear rate begins.
+    # Integrate over x, where x^3 is the stress above the yield stress divided by its largest value. As a function of x,
+    # the integrand is smooth even at the yield stress, where the shear rate begins.
     x = 0.5 * (NODES + 1)
     over = np.maximum(stress - law.yield_stress, 0.0)[:, None]
     at = law.yield_stress + over * x**3
@@ -257,8 +264,8 @@ def funnel_time(
     The funnel is a stack of slices, each treated as a duct, with the inertia of the jet at the outlet. `half_widths`
     holds the half widths at the outlet and at the brim [m]. `heights` holds the heights of the straight outlet and of
     the whole funnel [m]. `layer` is a slip layer on all walls, as in :func:`duct_stress`; without it, concrete sticks
-    to them. The extensional flow in the taper is left out. The sum of times ends when the level reaches the straight
-    outlet. The concrete left there is already falling, but the slices would hold it back.
+    to them. The extensional flow in the taper is left out. The time is counted until the level reaches the straight
+    outlet. The concrete left in the outlet is already falling, whereas the model of slices would hold it back.
     """
     narrow, brim = half_widths
     throat, whole = heights

@@ -116,9 +116,10 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
             return viscosity
         low = scalar(0.0)
         high = most
-        # Find the corner's stress by bisection. Weight the shear rate with a hat function that falls from the corner to
-        # zero at the far sides of both cells: its mean is (F(s + d) - 2 F(s) + F(s - d)) / d^2, where F is
-        # `double_integral`, s is `middle` and d is `change`.
+        # Find the corner's stress s by bisection: the mean shear rate about the corner must equal `rate`. In this mean
+        # the weight is a hat function, which falls linearly from the corner to zero at the far sides of both cells. The
+        # stress changes by d = `change` over each cell, so the mean is (F(s + d) - 2 F(s) + F(s - d)) / d^2, where F is
+        # `double_integral`.
         for _ in range(20):
             middle = scalar(0.5) * (low + high)
             mean = (
@@ -136,8 +137,8 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
     def beside_wall(g: Grid, stress: scalar, inner: scalar, width: scalar):
         """Return the mean velocity of a wall cell minus the velocity at the wall, and this difference's derivative.
 
-        The derivative is with respect to `stress`, the stress at the wall. The stress falls linearly from there to
-        `inner` on the cell's opposite side.
+        The derivative is with respect to `stress`, the stress at the wall. The stress falls linearly from
+        the wall to the cell's opposite side, where it is `inner`.
         """
         # The stress varies linearly over the cell. Where the stress is tau, the velocity relative to the wall is
         # u = width / change * (F1(stress) - F1(tau)), with F1 = `rate_integral`. The mean of u over the cell follows

@@ -33,7 +33,7 @@ GATE = wp.constant(3)  # Number of the wall that opens at a given time.
 # The following constants are kinds of faces, except ROUGH, which is the number that identifies a wall.
 AIR = wp.constant(0)  # Face without concrete on either side.
 LIQUID = wp.constant(1)  # Face with concrete on at least one side, which can flow through it; its velocity is unknown.
-FIXED = wp.constant(2)  # Face that is the side of a wall; its velocity is the wall's velocity across the face.
+FIXED = wp.constant(2)  # Face that is the side of a wall; its velocity is the wall's velocity normal to it.
 INSIDE = wp.constant(3)  # Face inside a wall.
 ROUGH = wp.constant(4)  # Number that identifies walls to which concrete sticks; walls with higher numbers move.
 GHOST = wp.constant(4)  # Face inside a wall whose velocity enters the shear or stretch of the concrete beside it.

@@ -65,7 +65,8 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
                     flux = area * mesh.velocity[r]
                     if wp.static(of.cut):
                         wall = geometry.surface[r]
-                        if wall > ROUGH:  # A moving wall displaces volume through the closed part of the face.
+                        # Through the closed part of the face, a moving wall carries its own volume into the cell.
+                        if wall > ROUGH:
                             x = f.face_middle(g, face, axis)
                             flux += (f.face_area(g, face, axis) - area) * f.wall_speed(walls, wall, x, axis)
                     into += wp.where(side == 0, flux, -flux)

@@ -332,7 +332,8 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
             c = whole()
             which = wp.int32(0)
             for b in range(dims):
-                # Count half cells from the frame, because integer division would round negative numbers upwards.
+                # Add the frame's cell, two half cells, before the division and subtract it afterwards, because integer
+                # division would round a negative number upwards.
                 c[b] = (half[b] + 2) / 2 - 1
                 which += (half[b] - 2 * c[b]) * (1 << b)
             depth = geometry.depth[f.at(g, c) * corners + which]

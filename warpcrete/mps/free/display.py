@@ -96,7 +96,7 @@ class FreeDisplay(Display):
         return np.stack([x[:, 0] * np.cos(angles), x[:, 0] * np.sin(angles), x[:, 1]], 1)
 
     def scale(self) -> tuple[str, float, float]:
-        """Return label, lowest and highest value of what the colours show."""
+        """Return label, lowest and highest value of the quantity that the colours show."""
         scene = self.simulation.scene
         height = float(np.max(np.array(scene.outline)[:, 1]))
         if self.colouring == "pressure":
@@ -151,7 +151,7 @@ class FreeDisplay(Display):
         return super().cut if self._solid else None
 
     def walls(self) -> list[DrawnWall]:
-        """Return the plate, the walls, and the mould or gate, which moves, as drawn walls."""
+        """Return the drawn walls: the plate, the walls of the scene, and the mould or gate, which moves."""
         scene, found = self.simulation.scene, []
         below = -0.005
         if self._axial:

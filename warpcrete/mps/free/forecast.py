@@ -47,7 +47,7 @@ def forecast(scene: FreeScene, device: Any, precision: str, threads: int | None,
 
 
 def course_of(simulation: FreeSimulation) -> Course:
-    """Return the course of a run until the concrete rests or a funnel is empty."""
+    """Return the expected duration and mean time step of a run until the concrete rests or a funnel is empty."""
     scene = simulation.scene
     # The mean time step is estimated from the Courant number. Concrete that has fallen by its initial height crosses
     # one cell in this time.

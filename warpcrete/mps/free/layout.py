@@ -148,7 +148,7 @@ def _sample_points(room: Room, per_axis: int, chosen: np.ndarray | None = None) 
 
 
 def _sides(scene: FreeScene, axes: int) -> tuple[tuple[str, str], ...]:
-    """Return the kinds of the sides of the room along each of its axes."""
+    """Return, for each axis of the room, the kinds of its two sides: wall, mirror or open side."""
     usual = {"left": MIRROR if scene.axial else WALL, "top": OPEN_SIDE} | dict(scene.sides)
     pairs = SIDES if axes == 3 else (SIDES[0], SIDES[2])
     return tuple((usual.get(lower, WALL), usual.get(upper, WALL)) for lower, upper in pairs)

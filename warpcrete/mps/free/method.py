@@ -1,4 +1,4 @@
-"""Registration of free-surface flows with the rest of the program."""
+"""Entry of free-surface flows in the list of methods, through which the program runs, draws and reports them."""
 
 from ...core.run.method import Method
 from ..stepping import run_abreast

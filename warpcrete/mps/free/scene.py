@@ -193,7 +193,7 @@ class FreeScene(Parametrised, FreeSettings):
 
     @property
     def extent(self) -> np.ndarray:
-        """Lowest and highest corner of the outline within the room, shape (2, 2) [m]."""
+        """Lowest and highest corner of the concrete's `outline` at the start, cut off at the room, shape (2, 2) [m]."""
         corners = np.clip(np.array(self.outline, dtype=float), 0.0, [self.width, self.height])
         return np.stack([corners.min(0), corners.max(0)])
 
@@ -225,5 +225,5 @@ class FreeConcrete(ConcreteParameters, FreeSettings):
         return concrete_of(self.concrete, self.slip_thickness, **constants)
 
     def settings(self) -> dict[str, Any]:
-        """Return the arguments of a scene that control its simulation."""
+        """Return the settings that control the simulation of a scene, those of :class:`FreeSettings`, by name."""
         return {f.name: getattr(self, f.name) for f in fields(FreeSettings)}

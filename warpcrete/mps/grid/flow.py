@@ -60,7 +60,7 @@ class System:
     matrix: Any
     """Coefficients of the system, a struct `Matrix`."""
     arrays: Any
-    """Working arrays of the solve, a struct `Solve` of numbers."""
+    """Working arrays of the solve, a struct `Solve` whose arrays hold one number per row."""
     numbers: Any
     """Struct `FlowConstants`, of which the solve reads only the number of rows."""
 
@@ -220,7 +220,7 @@ class GridFlow(Stepping):
 
     @property
     def holdings(self) -> dict[str, Any]:
-        """Objects that hold the flow's device arrays, by the name under which their memory is reported."""
+        """Objects that hold the flow's device arrays, by the name under which a forecast states their memory."""
         systems = self._systems.values()
         return {
             "particles": self.particles, "grid": self.mesh, "walls": [self.geometry, self.state.opened],
@@ -320,7 +320,7 @@ class GridFlow(Stepping):
 
     @property
     def _force(self) -> float:
-        """Norm of the forces on all faces that change velocities by the typical speed within the longest step."""
+        """Norm of the forces on all faces that change each velocity by the typical speed within the longest step."""
         scene = self.scene
         return scene.concrete.density / scene.time_step * self._volume * self.state.layout.speed * self._size
 
@@ -360,7 +360,7 @@ class GridFlow(Stepping):
         return found
 
     def _disperse(self) -> list[Any]:
-        """Return stages that move crowded particles apart, by a solve with the matrix of the pressure."""
+        """Return stages that move crowded particles apart; they solve a system with the pressure's matrix."""
         kernels, slots = crowd_kernels(self.scalar, self.state.layout.kind), self.state.slots
         assert self.dispersion is not None
         return [
@@ -422,7 +422,7 @@ class GridFlow(Stepping):
         return self.state.state_dict()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything that the next step depends on."""
+        """Return the arrays and numbers that a checkpoint needs to continue the flow at the next step."""
         return {"arrays": self.state_arrays(), "numbers": {"steps": self.steps}}
 
     def load_state_dict(self, found: dict[str, Any]) -> None:

@@ -83,7 +83,7 @@ class Room:
     def places(self, shift: Sequence[float], more: int = 0) -> np.ndarray:
         """Return a point [m] in each cell and frame cell, `shift` cell widths from the cell's lowest corner.
 
-        The shape is (cells + 2 + more, axes), with `more` additional points along each axis.
+        The frame adds 2 points along each axis, and `more` adds further ones. The shape is (*(cells + 2 + more), axes).
         """
         along = [
             o + (np.arange(-1, n + 1 + more) + s) * h
@@ -333,7 +333,10 @@ def wall_distance(wall: PlaneWall | PipeWall | MeshWall, within: np.ndarray) -> 
 
 
 def polygon_distance(corners: Sequence[tuple[float, float]], axes: tuple[int, int] = (0, -1)) -> Distance:
-    """Return the distance function of a polygon that is a wall and extends along any axis that is not among `axes`."""
+    """Return a function that gives the signed distance of points from a polygonal wall [m], negative inside the wall.
+
+    The two coordinates of the corners lie along `axes`. The wall extends without end along any other axis.
+    """
     a = np.array(corners, float)
     b = np.roll(a, -1, 0)
 

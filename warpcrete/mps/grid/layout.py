@@ -55,7 +55,7 @@ class GridLayout:
     rough: tuple[float, float] = (NO_SLIP_VISCOSITY, 0.0)
     """Viscosity [Pa s/m] and yield stress [Pa] of the layer on walls of number ROUGH; by default concrete sticks."""
     slips: bool = True
-    """True if `slip` is the concrete's own slip layer, so that it obeys that layer's law; otherwise it is linear."""
+    """True if `slip` is the concrete's own slip layer, with its flow law; False if the layer's stress is linear."""
     rough_slips: bool = False
     """True if `rough` is the concrete's own slip layer, so that it obeys that layer's law; otherwise it is linear."""
     weightless: bool = False

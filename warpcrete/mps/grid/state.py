@@ -151,7 +151,7 @@ class GridState:
         return self.layout.particle_spacing
 
     def faces(self, name: str) -> np.ndarray:
-        """Return a mesh array with one entry per face, in double precision, shape (axes, *shape)."""
+        """Return an array of the grid with one value per face, in double precision, shape (axes, *shape)."""
         return getattr(self.mesh, name).numpy().astype(float).reshape(-1, *self.shape)
 
     def cells(self, name: str) -> np.ndarray:
@@ -164,7 +164,7 @@ class GridState:
         return whole[(slice(1, -1),) * self.layout.axes]
 
     def state_dict(self) -> dict[str, np.ndarray]:
-        """Return the arrays that the next step depends on."""
+        """Return the arrays that the next step depends on, by name, for a checkpoint."""
         found = {name: getattr(self.particles, name).numpy() for name in PARTICLE_ARRAYS}
         found |= {f"mesh_{name}": getattr(self.mesh, name).numpy() for name in self.mesh_arrays}
         return found | {"flags": self.flags.numpy()}

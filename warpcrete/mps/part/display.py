@@ -17,7 +17,7 @@ from .scene import PartScene
 MAX_DRAWN_PARTICLES = 12000
 """Maximum number of particles that are drawn."""
 FACETS_AROUND, RING_COUNT = 48, 60
-"""Numbers of facets around and of rings along a drawn round wall."""
+"""Number of facets around the axis, and number of rings along the axis, with which a round wall is drawn."""
 OURS, OTHER_LINE, THEORY = (215, 95, 30), (90, 120, 170), (150, 150, 150)
 
 
@@ -56,7 +56,7 @@ class PartDisplay(Display):
         return np.concatenate([frame.to_scene(x * [1.0, sign, 1.0]) for sign in self._mirror_signs])
 
     def scale(self) -> tuple[str, float, float]:
-        """Return label, lowest and highest value of what the colours show."""
+        """Return label, lowest and highest value of the quantity that the colours show."""
         scene = self._scene
         if self.colouring == "pressure":
             return "friction ahead [kPa]", 0.0, 1.2e-3 * scene.friction(0.0, scene.axis.length)

@@ -31,7 +31,10 @@ def forecast(scene: PartScene, device: Any, precision: str, threads: int | None,
 
 
 def _course(simulation: PartSimulation) -> Course:
-    """Return the course of a run until the flow is steady, found with a coarser copy."""
+    """Return the expected duration and time step of a run that ends when the flow is steady.
+
+    A run of a coarser copy of the flow gives the duration.
+    """
     scene = simulation.scene
     spacing = max(scene.spacing, 0.95 * 2 * scene.narrowest / MIN_ACROSS)
     _, reached, remarks = coarser_run(simulation, "the pressure is not steady", spacing=spacing)

@@ -1,4 +1,4 @@
-"""Registration of flows through parts of a line with the rest of the program."""
+"""Entry of flows through parts of a line in the list of methods, by which the program runs, draws and reports them."""
 
 from ...core.run.method import Method
 from ..stepping import run_abreast

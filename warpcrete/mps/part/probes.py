@@ -26,7 +26,10 @@ UNITS = {
 """Units of the columns of the time series."""
 
 FULL = 0.3
-"""Minimum fraction of the bore's volume that cells must cover in a slice one cell thick; other slices are left out."""
+"""Minimum filled fraction of the bore in a slice one cell thick; slices with less are left out of the pressures.
+
+The filled volume of a slice is that of the open parts of its cells with concrete.
+"""
 
 
 def friction_ahead(flow: GridFlow) -> tuple[np.ndarray, np.ndarray]:
@@ -97,7 +100,7 @@ def losses(scene: PartScene, s: np.ndarray, pressure: np.ndarray) -> list[float]
 
 
 def _stretches(sections: Sequence[Section]) -> Iterator[tuple[int, int]]:
-    """Yield the numbers of the first and last section of each series of successive straight sections."""
+    """Yield the indices of the first and last section of each uninterrupted series of straight sections."""
     first = None
     for k, section in enumerate(sections):
         if section.straight and first is None:

@@ -98,7 +98,7 @@ class PartScene(Parametrised, PartSettings):
     bores: Bores
     """Inner radii of the round pipe along its axis; they change in straight pieces only."""
     flow: float
-    """Volume flow [m3/s]."""
+    """Volume flow of the concrete through the part [m3/s]."""
     spacing: float
     """Wanted width of the cells [m]; the nearest width that divides the radius at the start is used."""
     parts: tuple[Section, ...] = ()
@@ -113,7 +113,7 @@ class PartScene(Parametrised, PartSettings):
     published: Mapping[str, float] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments with which the function that made this scene makes it again; empty if no function made the scene."""
+    """Arguments of the function that made this scene, to make it again; empty if no such function exists."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -298,12 +298,12 @@ class PartScene(Parametrised, PartSettings):
         return float(ends[1, 2] - ends[0, 2])
 
     def weight(self, s: np.ndarray) -> np.ndarray:
-        """Return the hydrostatic pressure of the concrete from arc lengths `s` [m] to the end [Pa], shape as `s`."""
+        """Return the hydrostatic pressure [Pa] of concrete between arc lengths `s` [m] and the end, shape as `s`."""
         height = self.axis.at(np.append(s, self.axis.length))[0][:, 2]
         return self.concrete.density * self.gravity * (height[-1] - height[:-1])
 
     def theory(self, s: float) -> Steady:
-        """Return the steady flow through one metre of straight, level pipe with the bore at arc length `s` [m]."""
+        """Return the steady state in one metre of straight, level pipe with the bore's radius at arc length `s` [m]."""
         line = Stretch(radius=float(self.bore(s)), length=1.0, gravity=0.0)
         return steady(self.concrete, line, self.flow)
 
@@ -313,7 +313,7 @@ class PartScene(Parametrised, PartSettings):
         return sum(self._friction(*stretch) for stretch in pairwise([begin, *inner, end]))
 
     def _friction(self, begin: float, end: float) -> float:
-        """Return the frictional loss of a piece whose bore changes linearly or was measured [Pa]."""
+        """Return the frictional loss between two arc lengths [Pa]; the bore must be linear there or that of a mesh."""
         edges = np.linspace(begin, end, 41)
         middles = 0.5 * (edges[1:] + edges[:-1])
         if np.ptp(self.bore(edges)) < 1e-9:
