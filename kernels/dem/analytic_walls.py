@@ -341,7 +341,7 @@ def wall_kernel(scalar, law, dissipation: bool, wear: bool) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def wall_contacts(
-        # The next arguments are arrays of the model.
+        # The next arguments are arrays of the model, which are constant during a run.
         wall_parameters: wp.array(dtype=Parameters),
         segments: wp.array(dtype=Segment),
         # The next arguments are the range of spheres that this launch processes, and the index of the CPU thread.

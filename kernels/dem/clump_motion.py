@@ -144,7 +144,7 @@ def clump_kernel(
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
     def move_clumps(
-        # The next arguments are arrays of the model.
+        # The next arguments are arrays of the model, which are constant during a run.
         segments: wp.array(dtype=Segment), drive_axis: wp.array2d(dtype=wp.int32), drive_force: wp.array(dtype=scalar),
         # The next arguments are the range of bodies of this launch, in which 2^lane_bits threads share a body.
         first: wp.int32, last: wp.int32, lane_bits: wp.int32,

@@ -52,7 +52,7 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
 
     @wp.kernel(module="unique", enable_backward=False, module_options=estimate_options(half))
     def gather_stiffness(
-        # The next arguments are arrays of the model.
+        # The next arguments are arrays of the model, which are constant during a run.
         pair_parameters: wp.array(dtype=PairParameters),
         bond_parameters: wp.array(dtype=Bond),
         wall_parameters: wp.array(dtype=WallParameters),

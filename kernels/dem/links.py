@@ -350,7 +350,7 @@ def link_kernel(
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
     def link_contacts(
-        # The next arguments are arrays of the model.
+        # The next arguments are arrays of the model, which are constant during a run.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
         # The next arguments are arrays of the state that this kernel only reads.

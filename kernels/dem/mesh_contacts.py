@@ -331,7 +331,7 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
     # kernel in another way, which is slower and changes the last digit.
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False)
     def mesh_contacts(
-        # The next arguments are arrays of the model.
+        # The next arguments are arrays of the model, which are constant during a run.
         wall_parameters: wp.array(dtype=parts.Parameters), corners: wp.array(dtype=t.vec3),
         faces: wp.array2d(dtype=wp.int32), across: wp.array2d(dtype=wp.int32), ring_start: wp.array(dtype=wp.int32),
         ring: wp.array(dtype=wp.int32), face_wall: wp.array(dtype=wp.int32), wall_table: wp.array(dtype=parts.Wall),
@@ -456,7 +456,7 @@ def candidate_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
     def kernel(fill: bool):
         @wp.kernel(module="unique", enable_backward=False)
         def find_candidates(
-            # The next arguments are arrays of the model.
+            # The next arguments are arrays of the model, which are constant during a run.
             corners: wp.array(dtype=t.vec3),
             faces: wp.array2d(dtype=wp.int32),
             # The next arguments are arrays of the state that this kernel only reads.

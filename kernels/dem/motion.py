@@ -257,7 +257,7 @@ def sphere_kernel(
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=motion_options(half))
     def move_spheres(
-        # The next arguments are arrays of the model.
+        # The next arguments are arrays of the model, which are constant during a run.
         segments: wp.array(dtype=Segment),
         drive_axis: wp.array2d(dtype=wp.int32),
         drive_force: wp.array(dtype=scalar),

@@ -128,7 +128,7 @@ def body_probe(scalar) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure_bodies(
-        # The next arguments are arrays of the model.
+        # The next arguments are arrays of the model, which are constant during a run.
         segments: wp.array(dtype=Segment),
         drive_axis: wp.array2d(dtype=wp.int32),
         drive_force: wp.array(dtype=scalar),
@@ -305,7 +305,7 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure_contacts(
-        # The next arguments are arrays of the model.
+        # The next arguments are arrays of the model, which are constant during a run.
         pair_parameters: wp.array(dtype=PairParameters),
         bond_parameters: wp.array(dtype=Bond),
         wall_parameters: wp.array(dtype=WallParameters),

@@ -230,7 +230,7 @@ def reduce_kernel(scalar, pair_law, wall_law, half: bool) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False, module_options=estimate_options(True))
     def reduce_step(
-        # The next arguments are arrays of the model.
+        # The next arguments are arrays of the model, which are constant during a run.
         pair_parameters: wp.array(dtype=PairParameters),
         wall_parameters: wp.array(dtype=WallParameters),
         # The next arguments are arrays of the state that this kernel only reads.

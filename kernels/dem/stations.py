@@ -58,7 +58,7 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
 
     @wp.kernel(module="unique", enable_backward=False)
     def measure_forces(
-        # The next arguments are arrays of the model.
+        # The next arguments are arrays of the model, which are constant during a run.
         pair_parameters: wp.array(dtype=PairParameters),
         wall_parameters: wp.array(dtype=WallParameters),
         segments: wp.array(dtype=Segment),

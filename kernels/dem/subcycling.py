@@ -186,7 +186,7 @@ def pair_kernel(scalar, law, history: bool, healing: bool, dissipation: bool) ->
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(True))
     def subcycle_pairs(
-        # The next arguments are arrays of the model.
+        # The next arguments are arrays of the model, which are constant during a run.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
         # The next arguments are the range of pairs that this launch processes, and the number of the round.
@@ -323,7 +323,7 @@ def rounds_kernel(scalar, law, history: bool, healing: bool, dissipation: bool) 
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
     def subcycle_all(
-        # The next arguments are arrays of the model.
+        # The next arguments are arrays of the model, which are constant during a run.
         pair_parameters: wp.array(dtype=Parameters),
         bond_parameters: wp.array(dtype=Bond),
         # The next arguments are the numbers of threads and of barrier participants, and sizes of the arrays.

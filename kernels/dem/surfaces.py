@@ -35,7 +35,7 @@ def surface_kernel(scalar, law, dissipation: bool, wear: bool, width: int) -> wp
 
     @wp.kernel(module="unique", enable_backward=False, grid_stride=False, module_options=contact_options(False))
     def surface_contacts(
-        # The next arguments are arrays of the model.
+        # The next arguments are arrays of the model, which are constant during a run.
         wall_parameters: wp.array(dtype=Parameters),
         segments: wp.array(dtype=Segment),
         # The next arguments are arrays of the state that this kernel only reads.

@@ -108,7 +108,7 @@ class FreeScene(Parametrised, FreeSettings):
     """Published values of result quantities, in SI units."""
     remarks: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Arguments with which the function that made this scene makes it again; empty if no function made the scene."""
+    """Arguments of the function that made this scene, to make it again; empty if no such function exists."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
