@@ -42,7 +42,7 @@ NUMBERS = (
 
 
 def state_fields(structs: SimpleNamespace) -> dict[str, tuple[str, ...]]:
-    """Return, by the names of the structs in STRUCTS, the names of the arrays that a state stores (all but OF_BATCH)."""
+    """Return for each struct in STRUCTS the names of the arrays that a state stores, which are all but OF_BATCH."""
     found: dict[str, tuple[str, ...]] = {}
     for name in STRUCTS:
         fields = struct_of(structs, name).vars
@@ -111,7 +111,7 @@ class State:
     """
 
     flags: DeviceArray
-    """Control flags of the scene, such as halted and failed, listed in `kernels/common/control.py`, shape (1, FLAGS)."""
+    """Control flags of the scene, such as halted or failed, shape (1, FLAGS); see `kernels/common/control.py`."""
     scenes: Scenes
     """Struct `Scenes` of arrays with one row for the scene, such as its clock."""
     bodies: Bodies
@@ -119,7 +119,7 @@ class State:
     spheres: Spheres
     """Struct `Spheres` of arrays with one row for each sphere, such as positions and forces."""
     slots: Slots
-    """Struct `Slots` of arrays with a row for each sphere and a column (slot) for each of its possible wall contacts."""
+    """Struct `Slots` of arrays with a row for each sphere and a column (slot) for each possible wall contact."""
     pairs: Pairs
     """Struct `Pairs` of arrays that form the neighbour list, with contact history and bonds."""
     candidates: Candidates

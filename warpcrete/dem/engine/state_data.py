@@ -86,7 +86,8 @@ def state_hash(state: State) -> str:
     if features.bonds:
         bond = bond[kept][ranks]
         digest.update(np.ascontiguousarray(bond_kinds(bond)).tobytes())
-        # The forces and moments of broken bonds are zero. With healing some zeros may be -0, so set them to +0.
+        # For pairs without an intact bond, `loads` now contains row 0, which may belong to another bond. Hash zeros for
+        # these pairs.
         loads = state.pairs.load.numpy()[bond_rows(np.maximum(bond, 0))]
         loads[bond <= 0] = 0.0
         digest.update(loads.tobytes())
