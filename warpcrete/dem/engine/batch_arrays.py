@@ -23,7 +23,7 @@ from .model import Model
 from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields, struct_of
 from .struct_types import Bodies, Candidates, Pairs, Scenes, Slots, Spheres, Walls
 
-MAXIMUM_ENTRIES = 2**31 - 2**20  # Maximum length of a neighbour list, because its indices are 32-bit integers.
+MAXIMUM_ENTRIES = 2**31 - 2**20  # Maximum length of a neighbour list that 32-bit indices allow, with a reserve.
 FULL = 0.9
 """Fill level above which a scene's arrays grow when those of another scene of the batch must grow.
 
@@ -82,7 +82,7 @@ class JointArrays:
     The range begins at the first number and ends before the second; it is empty for a group without a driving force.
     """
     drive_force: DeviceArray
-    """Driving force along the axis on each body of every body group [N], shape (groups,)."""
+    """Driving force along the axis on each single body of a group [N], for every body group, shape (groups,)."""
     rows: np.ndarray
     """Host copy of `scenes.row`, the parameters of all scenes, as a structured array of shape (scenes,)."""
     slot_scene: DeviceArray
@@ -271,7 +271,7 @@ class JointArrays:
 
     def set(self, s: int, **numbers: float) -> None:
         """Change parameters of scene `s` on host and device, given by the field names of the struct `SceneRow`."""
-        # Return early, because steppers often set values that have not changed.
+        # Return early if nothing changes, because steppers often set the present values again.
         if numbers.items() <= self._settings[s].items():
             return
         if any(np.any(self.rows[name][s] != self.rows.dtype[name].type(value)) for name, value in numbers.items()):

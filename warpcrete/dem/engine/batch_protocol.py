@@ -40,7 +40,7 @@ class BatchArrays(Protocol):
     wall_parameters: DeviceArray
     """Parameters of the contact laws of bodies with walls, for all scenes end to end."""
     pairs: Pairs
-    """Neighbour lists of all scenes, a struct `Pairs`."""
+    """Neighbour lists of all scenes, in a struct `Pairs` of arrays."""
 
 
 class SceneBatch(BatchArrays, Protocol):

@@ -21,11 +21,11 @@ from .state import State
 
 
 def make_bonds(model: Model, state: State, bonds: Bonds, kind: int, group: int = -1) -> int:
-    """Bond, without load, every unbonded listed pair whose gap is at most `bonds.gap` [m].
+    """Bond every unbonded listed pair whose gap is at most `bonds.gap` [m], by a bond without force or moment.
 
-    Only pairs inside body group number `group` are bonded, unless it is -1. Returns the number of bonds of this `kind`
-    afterwards. The neighbour list must be fresh and must reach as far as the gap. Raises :class:`CapacityError` if
-    there are more bonds than can be numbered.
+    If `group` is not -1, only pairs inside the body group of this number are bonded. Returns the number of bonds of
+    this `kind` afterwards. The neighbour list must be up to date and must contain all pairs up to the gap. Raises
+    :class:`CapacityError` if there are more bonds than can be numbered.
     """
     make, _ = bond_kernels(model.scalar)
     before = state.pairs.bond.numpy().copy()

@@ -39,7 +39,7 @@ class Cells:
     shift: DeviceArray
     """Displacement that moves each scene's positions into its block of cells [m], shape (scenes,)."""
     grid: Grid
-    """Device arrays of the cell grid, a struct `Grid`."""
+    """Cell grid, in a struct `Grid` of device arrays."""
     made: int
     """Number of times the grid was allocated; when it changes, launches recorded earlier refer to replaced arrays."""
 
@@ -85,7 +85,7 @@ class Cells:
             self._bounds[s] = self._extent(s, width)
         self._fitted |= due
         low, high = np.floor(self._bounds / width).astype(int).transpose(1, 0, 2)
-        sizes = high - low + 2  # One of the cells stays empty to separate the blocks of two scenes.
+        sizes = high - low + 2  # Include an empty cell, which separates the blocks of two scenes.
         # Place the blocks of all scenes side by side along the axis in which the longest block is shortest.
         axis = int(np.argmin(sizes.max(0)))
         dims = sizes.max(0)

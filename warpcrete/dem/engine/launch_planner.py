@@ -40,7 +40,7 @@ LIFETIME_DECREASE, LIFETIME_INCREASE = 0.95, 1.1
 """Factors that adapt the expected lifetime of neighbour lists.
 
 Lists that became stale are expected to last `LIFETIME_DECREASE` times as many steps next time. The expected lifetime
-grows by the factor `LIFETIME_INCREASE` when lists were still valid at its end.
+grows by the factor `LIFETIME_INCREASE` when lists were still valid at the end of their expected lifetime.
 """
 SHARED_REBUILD_AGE = 0.6
 """Minimum age at which a scene's neighbour lists are rebuilt early, as a fraction of their expected lifetime.
@@ -49,7 +49,7 @@ A rebuild is early if the lists are still valid but those of another scene of th
 """
 NO_SCENES = np.zeros(0, dtype=np.int64)
 DEVICE_CHECK_INTERVAL = 20
-"""Maximum number of steps between two checks by a GPU whether its neighbour lists are stale."""
+"""Maximum number of steps between two checks with which a GPU finds, without the host, that its lists are stale."""
 MINIMUM_LIFETIME = 8
 """Minimum expected lifetime of neighbour lists, in steps."""
 
@@ -57,7 +57,8 @@ MINIMUM_LIFETIME = 8
 class LaunchPlanner:
     """Planner of the number of steps per launch, and of the time at which neighbour lists are rebuilt.
 
-    Its choices affect speed only: a scene halts itself where it must, and the kernels in flight skip a halted scene.
+    The choices of the planner affect speed only: a scene halts itself where it must, and the kernels in flight skip a
+    halted scene.
     """
 
     def __init__(self, parallel: bool, scenes: int) -> None:
@@ -138,9 +139,9 @@ class LaunchPlanner:
     def launch_sizes(self, flags: np.ndarray, clock: np.ndarray, rows: np.ndarray) -> list[int]:
         """Divide the next launch into pieces and return the number of steps of each piece.
 
-        After each piece, a GPU estimates the stable time step of the scenes that need an estimate. If it can, it then
-        also rebuilds stale neighbour lists. The flags, clocks and parameters (`rows`) of all scenes are arrays with one
-        row for each scene.
+        After each piece, a GPU estimates the stable time step of the scenes that need an estimate. A GPU that can
+        rebuild neighbour lists without the host also rebuilds stale lists then. The flags, clocks and parameters
+        (`rows`) of all scenes are arrays with one row for each scene.
         """
         # Convert to plain Python numbers: for one scene, arithmetic on them is ten times as fast as with NumPy, and
         # the GPU idles meanwhile.

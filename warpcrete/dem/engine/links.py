@@ -72,7 +72,7 @@ def copy_links(before: Links, old: np.ndarray, links: Links, capacity: np.ndarra
     """
     copy_array(links.later_touching, before.later_touching)
     first, behind = (np.append(0, np.cumsum(each // 2)) for each in (capacity, old))
-    # Copy the arrays of these names, with these numbers of elements for each link.
+    # Each tuple contains the name of an array and the number of its elements for each link.
     for name, entries in (("link", 1), ("state", 1), ("end", 2)):
         target: DeviceArray = getattr(links, name)
         source: DeviceArray = getattr(before, name)

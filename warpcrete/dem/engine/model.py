@@ -39,7 +39,10 @@ class Features:
     bonds: bool
     """True if some pairs of bodies are bonded or may become bonded."""
     healing: bool
-    """True if bodies that come into contact during the run form new bonds; otherwise bonds form only at set times."""
+    """True if bodies that come into contact during the run form bonds.
+
+    If False, bonds form only at the start of the run and at a rest.
+    """
     subcycling: bool
     """True if stiff bonds are sub-cycled, that is, integrated with several shorter rounds in each step."""
     clumps: bool

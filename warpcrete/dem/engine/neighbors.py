@@ -246,7 +246,7 @@ class NeighborLists:
                 continue
             for s in scenes:
                 first, count = int(b.rows["pairs"][s]), int(self._entries[s])
-                if count:  # For a count of 0, `wp.copy` would copy the whole array.
+                if count:  # Skip a count of 0, for which `wp.copy` would copy the whole array.
                     copy_array(kept, array, first, first, count)
 
     def _rebuild(self, sorted_now: bool, searchers: int | None = None) -> Rebuild:
@@ -280,7 +280,7 @@ class NeighborLists:
         count_faces, face_starts, fill_faces = self._face_stages()
         lists = list_kernels(b.scalar)
         return [
-            # Copy the motion of single spheres to their bodies.
+            # Copy the motion of single spheres to their bodies, because steps move only the spheres.
             Phase("bodies", b.sync_stages()),
             # Copy the previous lists, because the new lists receive their contact history from them.
             Phase("history", [Copy(getattr(self._old, name), getattr(b.pairs, name)) for name in self._kept]),
@@ -300,7 +300,7 @@ class NeighborLists:
             Phase("starts", [self._starts(self.scanned, b.pairs.start, self._total), *face_starts]),
             # Write the neighbours into the rows of the list, with the contact history from the previous lists.
             Phase("fill", [*fill, self._transfer(old)]),
-            # Build the links of a GPU, one for the two list entries of a pair, so that a step computes its force once.
+            # Build the links of a GPU, one for the two list entries of a pair, so that a step computes each pair once.
             Phase("links", self._link_stages(scan)),
             # List the triangles of meshes within reach of each sphere as its mesh candidates.
             Phase("candidates", fill_faces),
@@ -390,7 +390,8 @@ class NeighborLists:
     def _face_stages(self) -> tuple[list[Stage], list[Stage], list[Stage]]:
         """Return three lists of launches for the mesh candidates, the triangles near each sphere.
 
-        They count the candidates, write the index of each sphere's first candidate, and write the candidates.
+        The first list counts the candidates, the second writes the index of each sphere's first candidate, and the
+        third writes the candidates.
         """
         b, n = self.batch, self.batch.sphere_count
         if not b.features.meshes:
@@ -404,7 +405,7 @@ class NeighborLists:
         )
 
     def _found_of(self, total: DeviceArray, what: str, entries: str) -> tuple[np.ndarray, int]:
-        """Return the number of list entries of each scene, and the largest number of neighbours that was not stored.
+        """Return the number of list entries of each scene, and the number of neighbours that the buffer must hold.
 
         The second result is the largest number of neighbours of a sphere for which the search buffer was too small, or
         0 if the buffer was large enough. Both results are read from the device array `total`. Raises

@@ -16,7 +16,7 @@ from .state import State
 from .stepper_protocol import SceneStepper
 
 LARGEST_SHARE = 0.5
-"""Largest fraction of a batch's spheres in running scenes at which these scenes move to a smaller batch."""
+"""Fraction of a batch's spheres in running scenes, at or below which these scenes move to a smaller batch."""
 LAUNCHES_BEFORE_REGROUPING = 20
 """Number of successive launches with few spheres in running scenes, after which these scenes move to a smaller batch.
 

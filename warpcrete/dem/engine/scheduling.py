@@ -30,7 +30,7 @@ POLL_INTERVAL = 50e-6
 class _Scene:
     """Scene with its coroutine, which yields goals (times or numbers of steps), and the state of the last goal.
 
-    `waiting` is True while the goal is not reached. `result` is what the coroutine has returned or raised at its end.
+    `waiting` is True while the coroutine waits for time steps. `result` is what the coroutine has returned or raised at its end.
     """
 
     def __init__(self, stepper: SceneStepper, coroutine: Coroutine) -> None:
@@ -100,7 +100,7 @@ class _Drive:
     def begin(self, stop: KeyboardInterrupt | None) -> None:
         """Run all coroutines until each one yields its first goal.
 
-        After an interruption, `stop` is not None: it is raised inside the coroutines, so that they end.
+        After an interruption, the exception `stop` is raised inside the coroutines instead, so that the coroutines end.
         """
         self.stop = stop
         with self._stream_context():
@@ -138,7 +138,8 @@ class _Drive:
                     what()
             except KeyboardInterrupt as interruption:
                 self.stop = interruption
-            except CapacityError as full:  # Full arrays stop the whole batch.
+            except CapacityError as full:
+                # The scenes share the arrays that are full, so raise the error inside every waiting coroutine.
                 for member in self.waiting:
                     self._proceed(member, full)
             if self.stop is not None:

@@ -31,9 +31,10 @@ NEAR_LINK_INTERVAL = 20
 It equals the default number of steps between two estimates of the stable step.
 """
 THREADS_PER_LINK = 0.5
-"""Number of GPU threads that compute the near links (pairs that may touch soon), divided by the number of all links.
+"""Number of GPU threads that compute the forces of near links, divided by the number of all links.
 
-If there are more near links than threads, some threads compute several links.
+A link is a listed pair; a near link may touch soon. If there are more near links than threads, some threads compute
+several links.
 """
 WALL_LANE_BITS = 3
 """Base-2 logarithm of the largest number of GPU threads that share the planes and pipes of one sphere."""
@@ -137,7 +138,8 @@ def _full_step(batch: Batch) -> list[Stage]:
 def wall_lane_bits(batch: Batch) -> int:
     """Return the base-2 logarithm of the number of GPU threads that share the planes and pipes of one sphere."""
     most = int(batch.rows["analytic"].max())
-    if warp_width(batch.device) == 1 or most <= 2:  # More threads are not faster for two walls.
+    # One thread per sphere computes one or two walls as fast as several threads would.
+    if warp_width(batch.device) == 1 or most <= 2:
         return 0
     bits = min((most - 1).bit_length(), WALL_LANE_BITS)
     return min(bits, max((WALL_THREADS // max(batch.sphere_count, 1)).bit_length() - 1, 0))

@@ -42,7 +42,7 @@ NUMBERS = (
 
 
 def state_fields(structs: SimpleNamespace) -> dict[str, tuple[str, ...]]:
-    """Return for each struct in STRUCTS the names of the arrays that a state stores, which are all but OF_BATCH."""
+    """Return for each struct in STRUCTS the names of the arrays that a state stores, all except those in OF_BATCH."""
     found: dict[str, tuple[str, ...]] = {}
     for name in STRUCTS:
         fields = struct_of(structs, name).vars
@@ -53,7 +53,7 @@ def state_fields(structs: SimpleNamespace) -> dict[str, tuple[str, ...]]:
 class HoldingBatch(Protocol):
     """Protocol of the batch that a state belongs to, for modules that cannot import the class `Batch`.
 
-    These are `state`, which the module `batch` imports, and the probes, which know the batch only through a state.
+    The module `state` cannot, because the module `batch` imports it. The probes know a batch only through a state.
     """
 
     device: wp.Device

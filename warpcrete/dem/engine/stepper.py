@@ -96,9 +96,9 @@ class Stepper:
         *,
         resumed: StepperRecord | None = None,
     ) -> None:
-        """Make the stepper's scene number `index` of the batch to which `lists` belongs.
+        """Join the batch to which `lists` belongs, in which the stepper's scene has the index `index`.
 
-        If `resumed` is given, a `state_dict` of a stepper, this stepper continues as that stepper would have done.
+        If `resumed`, the `state_dict` of an earlier stepper, is given, this stepper continues like the earlier stepper.
         """
         self.lists, self.stable_step, self.index = lists, stable_step, index
         self.batch, state = lists.batch, self.state

@@ -68,9 +68,9 @@ class SceneStepper(Protocol):
     def join(
         self, lists: NeighborLists, stable_step: StableStep, index: int, *, resumed: StepperRecord | None = None
     ) -> None:
-        """Make the stepper's scene number `index` of the batch to which `lists` belongs.
+        """Join the batch to which `lists` belongs, in which the stepper's scene has the index `index`.
 
-        If `resumed` is given, a `state_dict` of a stepper, this stepper continues as that stepper would have done.
+        If `resumed`, the `state_dict` of an earlier stepper, is given, this stepper continues like the earlier stepper.
         """
 
     def state_dict(self) -> StepperRecord:

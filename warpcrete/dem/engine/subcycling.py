@@ -167,8 +167,8 @@ class Subcycles:
         first_pair = np.concatenate([[0], np.cumsum(self._pairs)])
         ref = np.concatenate([ref + 2 * first for (_, _, ref), first in zip(rows, first_pair)])
         counts = np.concatenate([counts for _, counts, _ in rows])
-        # `ends` contains for each pair the rows of its two bodies, and two rows in the array of forces on bodies, which
-        # is sorted by body.
+        # `ends` contains for each pair the rows of its two bodies, and two rows in the array of forces on bodies. This
+        # array is sorted by body.
         ends = np.stack([np.repeat(np.arange(len(counts)), counts)[np.argsort(ref)], np.argsort(ref)], axis=1)
         given: dict[str, HostArray] = {
             "rounds": self._rounds,
@@ -222,7 +222,7 @@ class Subcycles:
         return number, counts, np.argsort(ends, kind="stable")
 
     def _place_bodies(self, s: int, number: np.ndarray) -> None:
-        """Give new sub-cycled bodies the positions and orientations in the state, and zero forces and torques."""
+        """Copy positions and orientations of new sub-cycled bodies from the state, and set their forces to zero."""
         bodies, stored = self.batch.states[s].bodies, self._by_scene[s]
         where = np.argsort(bodies.id.numpy())[number]
         for name in OF_BODIES:
