@@ -30,7 +30,8 @@ POLL_INTERVAL = 50e-6
 class _Scene:
     """Scene with its coroutine, which yields goals (times or numbers of steps), and the state of the last goal.
 
-    `waiting` is True while the coroutine waits for time steps. `result` is what the coroutine has returned or raised at its end.
+    `waiting` is True while the coroutine waits for time steps. `result` is what the coroutine has returned or raised at
+    its end.
     """
 
     def __init__(self, stepper: SceneStepper, coroutine: Coroutine) -> None:
