@@ -3,8 +3,8 @@
 The scenes of a batch share kernels and launches only; each has its own parameters, walls, clock, flags and neighbour
 lists. A scene halts itself on the device when its lists no longer cover every possible contact, when it has reached its
 goal, or when it has failed. Every kernel skips halted scenes, so no contact is missed however many steps are queued,
-and a scene gives bitwise identical results alone and in a batch. A finished scene still costs a little time: see
-`regrouping`.
+and a scene gives bitwise identical results alone and in a batch. A finished scene still costs a little time,
+because every kernel visits it; the module `regrouping` removes finished scenes.
 """
 
 from __future__ import annotations
@@ -153,10 +153,11 @@ class Batch(JointArrays):
         self._wall_launch = None
 
     def use_step(self, step: Step, rebuild: GraphLaunch | None, between_pieces: GraphLaunch | None) -> None:
-        """Set the kernel launches of one step, one list for each CPU thread; they stay valid while `has_step` is True.
+        """Set the kernel launches of one step, `step`, as one list for each CPU thread.
 
-        A GPU launches steps in pieces. After each piece it launches `between_pieces`, which rebuilds neighbour lists
-        and estimates stable time steps, or, if no scene needs estimates, `rebuild`, which only rebuilds the lists.
+        The launches stay valid while `has_step` is True. A GPU launches steps in pieces. After each piece it launches
+        `between_pieces`, which rebuilds stale neighbour lists (only in a batch of one scene) and estimates stable time
+        steps. If no scene needs estimates, it launches `rebuild` instead, which only rebuilds the lists.
         """
         self._step, self._rebuild, self._between_pieces = step, rebuild, between_pieces
 
@@ -223,7 +224,10 @@ class Batch(JointArrays):
         return self.own_walls(s, self._walls)
 
     def wall_values(self) -> DeviceArray:
-        """Write the values of all walls to `wall_array` on the device; they are valid until the next call."""
+        """Write the present values of all walls to `wall_array` on the device and return this array.
+
+        The next call overwrites the values.
+        """
         if self._wall_launch is None:
             self._wall_launch = GraphLaunch([self.wall_stage()], self.device)
         self._wall_launch()
@@ -240,7 +244,7 @@ class Batch(JointArrays):
         return Stage(wall_probe(self.scalar), self.wall_count, reading, self.device, block=DEFAULT_BLOCK)
 
     def own_walls(self, s: int, values: np.ndarray) -> np.ndarray:
-        """Return the rows of `values` for the walls of scene `s`; `values` has one row for each wall of the batch."""
+        """Return the rows for the walls of scene `s` from `values`, which has one row for each wall of the batch."""
         first = int(self.rows["walls"][s])
         return values[first : first + int(self.rows["wall_count"][s])]
 
@@ -280,11 +284,11 @@ class Batch(JointArrays):
         self.exchange.begin_read(self.flags, self.scenes.clock)
 
     def _launch(self, launch_sizes: list[int], interval: int) -> None:
-        """Launch pieces with the numbers of steps `launch_sizes`; a GPU also launches the work that follows each piece.
+        """Launch one piece of time steps for each number of steps in `launch_sizes`.
 
-        This work is described in :meth:`use_step`.
+        After each piece, a GPU also launches `between_pieces` or `rebuild`, see :meth:`use_step`.
         """
-        # A GPU runs all sub-cycling rounds of a step in one kernel.
+        # A GPU runs all sub-cycling rounds of a step in one kernel, so the rounds add no launches to its graphs.
         rounds = 0 if self.parallel else self.subcycles.rounds
         largest = self.planner.largest_graph(self.threads, rounds)
         flags = np.empty((0, 0)) if self.parallel else self.host_flags()
@@ -303,7 +307,7 @@ class Batch(JointArrays):
                 self._launcher.replay(self._step, self._single_thread_step, sizes, ended, appended)
                 if between_pieces is not None and appended is None:
                     between_pieces()
-        finally:  # Copy the motion of spheres to their bodies even after Ctrl-C.
+        finally:  # Copy the motion of spheres to their bodies even if Ctrl-C interrupts the launch.
             for stage in self.sync_stages():
                 stage()
 
@@ -316,11 +320,11 @@ class Batch(JointArrays):
 
     @property
     def settled(self) -> bool:
-        """True if the device has completed the steps that were launched last."""
+        """True if the device has completed the time steps of the latest launch."""
         return self.exchange.read_is_done
 
     def settle(self) -> np.ndarray:
-        """Wait for the launched steps to finish and return a copy of all flags."""
+        """Wait until the device has completed the launched steps; return a copy of the control flags of all scenes."""
         if self.parallel:
             self._flags, self._clock = self.exchange.finish_read()
         return self.host_flags().copy()

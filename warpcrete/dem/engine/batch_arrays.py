@@ -23,7 +23,7 @@ from .model import Model
 from .state import PAIR_ARRAYS, STRUCTS, State, pair_bytes, state_fields, struct_of
 from .struct_types import Bodies, Candidates, Pairs, Scenes, Slots, Spheres, Walls
 
-MAXIMUM_ENTRIES = 2**31 - 2**20  # Maximum length of a neighbour list: its indices are 32-bit integers.
+MAXIMUM_ENTRIES = 2**31 - 2**20  # Maximum length of a neighbour list that 32-bit indices allow, with a reserve.
 FULL = 0.9
 """Fill level above which a scene's arrays grow when those of another scene of the batch must grow.
 
@@ -38,7 +38,7 @@ class JointArrays:
     flags: DeviceArray
     """Control flags of all scenes, such as halted, failed and stale lists, shape (scenes, FLAGS)."""
     scenes: Scenes
-    """Clocks and parameters of all scenes, a struct of arrays that `kernels/dem/structs.py` defines."""
+    """Clocks and parameters of all scenes, in a struct `Scenes` of arrays (see `kernels/dem/structs.py`)."""
     bodies: Bodies
     spheres: Spheres
     slots: Slots
@@ -50,14 +50,22 @@ class JointArrays:
     faces: DeviceArray
     """Indices of the three corners of each triangle of all meshes, shape (faces, 3)."""
     across: DeviceArray
-    """Neighbouring triangles across the three edges of each triangle, as in :class:`Surfaces`, shape (faces, 6)."""
-    ring_start: DeviceArray
-    """Start of each row of the adjacency table `ring`, and the end of the last row, shape (rows + 1,).
+    """Neighbours of each triangle across its three edges, shape (faces, 6).
 
-    There is a row for each mesh corner, followed by a row for each edge shared by three or more triangles.
+    The first three numbers are the corners of the neighbouring triangles that lie opposite to the edges, and the last
+    three are the indices of these triangles. :meth:`Surfaces.across` describes the codes for edges without exactly one
+    neighbour.
+    """
+    ring_start: DeviceArray
+    """Index in `ring` at which each adjacency list begins, and the end of the last list, shape (lists + 1,).
+
+    There is a list for each mesh corner, followed by a list for each edge shared by three or more triangles.
     """
     ring: DeviceArray
-    """Adjacency rows, concatenated: the lowest index of a triangle at a corner or edge, then the corners around it."""
+    """Adjacency lists of mesh corners and shared edges, joined end to end.
+
+    A list contains the lowest index of the triangles at the corner or edge, then the indices of the corners around it.
+    """
     face_wall: DeviceArray
     """Index of the wall to which each triangle belongs, shape (faces,)."""
     pair_parameters: DeviceArray
@@ -69,13 +77,19 @@ class JointArrays:
     segments: DeviceArray
     """Straight and curved segments of the axes of pipes and drives, for all scenes end to end."""
     drive_axis: DeviceArray
-    """First and end index in `segments` of the axis along which each body group is driven, shape (groups, 2)."""
+    """Range in `segments` of the pipe axis along which a force drives each body group, shape (groups, 2).
+
+    The range begins at the first number and ends before the second; it is empty for a group without a driving force.
+    """
     drive_force: DeviceArray
-    """Driving force along the axis on each body of every body group [N], shape (groups,)."""
+    """Driving force along the axis on each single body of a group [N], for every body group, shape (groups,)."""
     rows: np.ndarray
-    """Host copy of `scenes.row`, the parameters of all scenes."""
+    """Host copy of `scenes.row`, the parameters of all scenes, as a structured array of shape (scenes,)."""
     slot_scene: DeviceArray
-    """Scene index of each entry of `pairs.start`, the starts of the neighbour list rows, shape (spheres + scenes,)."""
+    """Scene index of each entry of `pairs.start`, shape (spheres + scenes,).
+
+    `pairs.start` contains the first list entry of each sphere, and an end marker for each scene.
+    """
 
     def __init__(self, models: list[Model], states: list[State], threads: int) -> None:
         """Join the arrays of all models and states, with separate wall forces for each of `threads` CPU threads."""
@@ -96,7 +110,10 @@ class JointArrays:
         self.face_capacity = np.array([len(s.candidates.face) for s in states])
         """Allocated number of each scene's mesh candidates, that is, triangles near a sphere, shape (scenes,)."""
         self.load_capacity = np.array([len(s.pairs.load) for s in states])
-        """Allocated number of each scene's bond loads; unused if contacts heal, because then every pair has a load."""
+        """Allocated number of rows for the forces and moments (loads) of each scene's bonds, shape (scenes,).
+
+        If contacts heal, this number is unused, because then every listed pair has a row.
+        """
         self._join_states()
         self._join_models()
         self._place_pairs()
@@ -135,7 +152,7 @@ class JointArrays:
         """Discard recorded kernel launches, because they refer to arrays that have been replaced."""
 
     def _join_states(self) -> None:
-        """Join the arrays of all states, replace the originals by slices, and allocate the arrays of the batch."""
+        """Join the arrays of all states, replace the states' arrays by slices, and allocate arrays that states lack."""
         for struct in STRUCTS:
             setattr(self, struct, struct_of(self.structs, struct)())
         for struct, names in state_fields(self.structs).items():
@@ -152,14 +169,17 @@ class JointArrays:
         self.slot_scene = self._numbers([n + 1 for n in counts])
 
     def _join(self, parts: Sequence[object], name: str) -> DeviceArray:
-        """Join the arrays `name` of each scene's struct in `parts`, and replace them by slices of the joint array."""
+        """Return the arrays named `name` of all objects in `parts`, one for each scene, joined end to end.
+
+        The array of each object is replaced by its slice of the joint array.
+        """
         arrays: list[DeviceArray] = [getattr(part, name) for part in parts]
         if len(arrays) == 1:
             return arrays[0]
         joint = empty((sum(len(a) for a in arrays), *arrays[0].shape[1:]), dtype=arrays[0].dtype, device=self.device)
         first = 0
         for part, array in zip(parts, arrays):
-            if array.size:  # Without walls an array may have 0 columns; Warp cannot copy it.
+            if array.size:  # Warp cannot copy an array with 0 columns, which a scene without walls may have.
                 view = joint[first : first + len(array)]
                 copy_array(view, array)
                 setattr(part, name, view)
@@ -251,7 +271,8 @@ class JointArrays:
 
     def set(self, s: int, **numbers: float) -> None:
         """Change parameters of scene `s` on host and device, given by the field names of the struct `SceneRow`."""
-        if numbers.items() <= self._settings[s].items():  # steppers often set values that have not changed
+        # Return early if nothing changes, because steppers often set the present values again.
+        if numbers.items() <= self._settings[s].items():
             return
         if any(np.any(self.rows[name][s] != self.rows.dtype[name].type(value)) for name, value in numbers.items()):
             for name, value in numbers.items():
@@ -280,7 +301,9 @@ class JointArrays:
                 f"{MOST_ROWS}; use fewer or larger aggregates"
             )
         before, old = self.links, self.capacity.copy()
-        # Free the result array of the old links, which takes most memory: steps overwrite results before reading them.
+        # A link is a pair of the neighbour list, and the array `result` contains the contact forces of all links. Free
+        # `result`, the largest array of the old links, before new arrays are allocated. Its values are not needed,
+        # because every step computes the forces anew.
         before.result = None
         self._regrow("pairs", used, self.capacity, wanted)
         self.links = make_links(self)
@@ -308,12 +331,12 @@ class JointArrays:
         old = np.concatenate([[0], np.cumsum(capacity)])
         grown = wanted > FULL * capacity
         capacity[grown] = (wanted[grown] + wanted[grown] // 4 + 64) // 2 * 2
-        # If contacts heal, every list entry has a load, and the number of loads is limited.
+        # If contacts heal, every list entry has a row for bond forces, and the number of such rows is limited.
         if struct == "pairs" and self.features.healing:
             np.minimum(capacity, MOST_ROWS, out=capacity)
         new = np.concatenate([[0], np.cumsum(capacity)])
-        # On a GPU, two list entries share a link with up to four rows of results. The array of results thus has up to
-        # twice as many rows as the list has entries, and both must be indexed with 32 bits.
+        # On a GPU, the two list entries of a pair share up to four rows of results. The array of results thus has up to
+        # twice as many rows as the list has entries, and 32-bit integers must suffice as indices of both.
         most = MAXIMUM_ENTRIES // 2 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES
         if new[-1] > most:
             raise CapacityError(
@@ -329,7 +352,7 @@ class JointArrays:
                     copy_array(after, before, int(new[s]), int(old[s]), kept)
                 view = after
                 if self.count > 1:
-                    empty = new[s] == new[s + 1]  # Warp cannot slice an empty array
+                    empty = new[s] == new[s + 1]  # Warp cannot make a slice of length 0, so use one entry instead
                     view = after[:1] if empty else after[int(new[s]) : int(new[s + 1])]
                 setattr(getattr(state, struct), name, view)
             setattr(getattr(self, struct), name, after)

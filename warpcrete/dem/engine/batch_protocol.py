@@ -1,4 +1,4 @@
-"""Protocols of a batch for the modules that `batch` imports and that therefore cannot import its class."""
+"""Protocols of the class `Batch`, for modules that cannot import this class because the module `batch` imports them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .struct_types import Pairs
 
 
 class BatchArrays(Protocol):
-    """Protocol of a batch for modules that only need its scenes and the sizes of their joint arrays."""
+    """Protocol of a batch, for modules that need only the batch's scenes and the sizes of their joint arrays."""
 
     models: list[Model]
     states: list[State]
@@ -36,15 +36,15 @@ class BatchArrays(Protocol):
     capacity: np.ndarray
     """Allocated number of entries of each scene's pair arrays, shape (scenes,)."""
     rows: np.ndarray
-    """Host copy of the parameters of all scenes."""
+    """Host copy of the parameters of all scenes, as a structured array of shape (scenes,)."""
     wall_parameters: DeviceArray
     """Parameters of the contact laws of bodies with walls, for all scenes end to end."""
     pairs: Pairs
-    """Neighbour lists of all scenes, a struct `Pairs`."""
+    """Neighbour lists of all scenes, in a struct `Pairs` of arrays."""
 
 
 class SceneBatch(BatchArrays, Protocol):
-    """Protocol of a batch for modules that also launch its kernels."""
+    """Protocol of a batch, for modules that need its scenes and arrays and also record launches of kernels on them."""
 
     def stage(
         self, kernel: Kernel, dim: Size, *, on_side_stream: bool = False, joins_side_stream: bool = False,

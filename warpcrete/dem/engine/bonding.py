@@ -21,11 +21,11 @@ from .state import State
 
 
 def make_bonds(model: Model, state: State, bonds: Bonds, kind: int, group: int = -1) -> int:
-    """Bond, without load, every unbonded listed pair whose gap is at most `bonds.gap` [m].
+    """Bond every unbonded listed pair whose gap is at most `bonds.gap` [m], by a bond without force or moment.
 
-    Only pairs inside body group number `group` are bonded, unless it is -1. Returns the number of bonds of this `kind`
-    afterwards. The neighbour list must be fresh and must reach as far as the gap. Raises :class:`CapacityError` if
-    there are more bonds than can be numbered.
+    If `group` is not -1, only pairs inside the body group of this number are bonded. Returns the number of bonds of
+    this `kind` afterwards. The neighbour list must be up to date and must contain all pairs up to the gap. Raises
+    :class:`CapacityError` if there are more bonds than can be numbered.
     """
     make, _ = bond_kernels(model.scalar)
     before = state.pairs.bond.numpy().copy()
@@ -62,15 +62,15 @@ def bond_rows(bond: np.ndarray) -> np.ndarray:
 
 
 def _kinds(state: State) -> np.ndarray:
-    """Return the bond kind of every listed pair, each pair once; 0 and negative values mean that there is no bond."""
+    """Return the bond kind of every listed pair, each pair once; 0 means no bond, a negative value a broken bond."""
     return bond_kinds(state.pairs.bond.numpy()[listed_pairs(state)[2]])
 
 
 def _number(state: State, before: np.ndarray) -> None:
-    """Assign rows of `pairs.load` to all bonds in the order of the neighbour list.
+    """Assign a row of `pairs.load` (force and moment of a bond) to every bond, in the order of the neighbour list.
 
-    `before` contains the earlier values of `pairs.bond`. Bonds that existed keep their load, and new bonds start
-    without load.
+    `before` contains the values of `pairs.bond` before the new bonds were made. Bonds that existed keep their force and
+    moment, and new bonds start without.
     """
     i, j, place = listed_pairs(state)
     bond = state.pairs.bond.numpy().copy()
@@ -98,12 +98,14 @@ def _number(state: State, before: np.ndarray) -> None:
 
 
 def _number_copies(state: State, bond: np.ndarray, low: np.ndarray, high: np.ndarray, place: np.ndarray) -> None:
-    """Assign the second row of `pairs.load` to the second list entry of each bond between spheres of two CPU threads.
+    """Assign rows of `pairs.load` to the second list entries of bonds between spheres of two CPU threads, in `bond`.
 
-    `low` and `high` are the indices of the bonded spheres, and `place` is the first list entry of each bond.
+    A pair of such spheres has two entries in the neighbour list, one for each thread. The second entry receives the row
+    after the row of the first entry. `low` and `high` are the indices of the bonded spheres, and `place` is the first
+    list entry of each bond.
     """
     start, other = state.pairs.start.numpy(), state.pairs.other.numpy()[: state.pair_total]
-    # All bonded list entries that are not in `place` are second entries of a bonded pair.
+    # `place` contains the first list entry of each bonded pair, so all other bonded entries are second entries.
     copies = np.flatnonzero(bond[: len(other)] > 0)
     copies = copies[~np.isin(copies, place)]
     i = np.searchsorted(start, copies, "right") - 1

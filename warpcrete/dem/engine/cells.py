@@ -16,11 +16,14 @@ from .struct_types import Grid
 SAMPLED_SPHERES = 4_000
 """Approximate number of spheres sampled to estimate the extent of a scene."""
 FARTHEST_CELL = 1e6
-"""Limit to which a sphere's distance from the middle of its scene is clipped when cells are fitted, in cell widths."""
+"""Largest distance of a sphere from the middle of its scene that counts when the grid is fitted, in cell widths.
+
+Larger distances are reduced to this value.
+"""
 OUTSIDE_PERCENT = 0.1
-"""Percentage of a scene's spheres that may lie outside the scene's cells, at either end of each axis."""
+"""Percentage of a scene's spheres that may lie beyond each end of the scene's block of cells, along each axis."""
 CELLS = 8
-"""Maximum number of cells per sphere; every rebuild clears all cells, so many empty ones cost time."""
+"""Maximum number of cells per sphere. Every rebuild clears all cells, so many empty cells would cost time."""
 FEWEST_CELLS = 4096
 MOST_CELLS = {"cpu": 2**18, "cuda": 2**24}
 
@@ -36,7 +39,7 @@ class Cells:
     shift: DeviceArray
     """Displacement that moves each scene's positions into its block of cells [m], shape (scenes,)."""
     grid: Grid
-    """Device arrays of the cell grid, a struct `Grid`."""
+    """Cell grid, in a struct `Grid` of device arrays."""
     made: int
     """Number of times the grid was allocated; when it changes, launches recorded earlier refer to replaced arrays."""
 
@@ -66,8 +69,8 @@ class Cells:
     def width(self) -> float:
         """Return the width of a cell [m]: the mean sphere diameter plus the skin of the neighbour lists.
 
-        All scenes use the largest of their values. Spheres larger than the mean are few; their search covers more than
-        the adjacent cells.
+        All scenes share one width, the largest that any scene needs. The few spheres larger than the mean search more
+        than the adjacent cells.
         """
         b = self.batch
         scale = b.scenes.scale.numpy() if b.features.growth else 1.0
@@ -82,8 +85,8 @@ class Cells:
             self._bounds[s] = self._extent(s, width)
         self._fitted |= due
         low, high = np.floor(self._bounds / width).astype(int).transpose(1, 0, 2)
-        sizes = high - low + 2  # One empty cell separates the blocks of two scenes.
-        # Line up the blocks of all scenes along the axis in which the largest block is shortest.
+        sizes = high - low + 2  # Include an empty cell, which separates the blocks of two scenes.
+        # Place the blocks of all scenes side by side along the axis in which the longest block is shortest.
         axis = int(np.argmin(sizes.max(0)))
         dims = sizes.max(0)
         dims[axis] = sizes[:, axis].sum()
@@ -93,7 +96,8 @@ class Cells:
         most = min(
             max(CELLS * self.batch.sphere_count, FEWEST_CELLS), MOST_CELLS["cuda" if self.batch.parallel else "cpu"]
         )
-        # Halve the longest side while there are too many cells; positions wrap around, so the search stays correct.
+        # Halve the longest side of the grid while the grid has too many cells. Positions wrap around at the ends of the
+        # grid, so the search still finds every neighbour.
         while np.prod(dims, dtype=float) > most:
             dims[np.argmax(dims)] = (dims.max() + 1) // 2
         if np.all(dims <= self._dims):
@@ -104,7 +108,7 @@ class Cells:
         self._make()
 
     def _extent(self, s: int, width: float) -> np.ndarray:
-        """Return the lowest and highest corner of a box around nearly all spheres of a scene [m], shape (2, 3)."""
+        """Return the lowest and highest corner of a box around nearly all spheres of scene `s` [m], shape (2, 3)."""
         state = self.batch.states[s]
         stride = max(1, state.sphere_count // SAMPLED_SPHERES)
         some = state.spheres.position[::stride]
@@ -126,7 +130,10 @@ class Cells:
             self.grid.per_width.fill_(self.batch.scalar(1 / width))
 
     def stages(self, centre: DeviceArray) -> list[Stage]:
-        """Return the launches that sort the points `centre` into cells; `grid.held` must contain zeros before."""
+        """Return the launches that sort the points `centre` into the cells of the grid.
+
+        `grid.held`, the number of points in each cell, must contain zeros before these launches.
+        """
         b, kernels = self.batch, grid_kernels(self.batch.scalar)
         return [
             b.stage(kernels.count, b.sphere_count, centre=centre, grid=self.grid),

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 
 class DeviceRebuild:
-    """Rebuild of the neighbour lists inside a CUDA graph, which does nothing while the lists are up to date.
+    """Launches that rebuild the neighbour lists inside a CUDA graph; while the lists are up to date, they do nothing.
 
-    If bodies are due for re-sorting, or the new lists do not fit the arrays, the lists stay marked as stale, and the
-    host rebuilds them.
+    If bodies are due for re-sorting, or the new lists do not fit into the arrays, the lists stay marked as stale, and
+    the host rebuilds them.
     """
 
     def __init__(self, lists: NeighborLists) -> None:
@@ -36,7 +36,11 @@ class DeviceRebuild:
 
     @staticmethod
     def possible(batch: Batch) -> bool:
-        """Return whether the device can rebuild the lists: a GPU and a batch of one scene whose spheres do not grow."""
+        """Return whether the device can rebuild the neighbour lists of this batch without the host.
+
+        This requires kernels for GPUs and a batch of one scene, whose spheres do not grow. A GPU must also support
+        conditional CUDA graphs.
+        """
         able = not batch.device.is_cuda or wp.is_conditional_graph_supported()
         return batch.parallel and batch.count == 1 and batch.sphere_count > 0 and not batch.features.growth and able
 
@@ -45,7 +49,7 @@ class DeviceRebuild:
         return int(self.lists.batch.capacity[0])
 
     def stages(self) -> list[Stage]:
-        """Return the launches that decide whether a rebuild is needed and whether the new lists fit the arrays."""
+        """Return the launches that decide whether a rebuild is needed and whether the new lists fit into the arrays."""
         return [self.needs_rebuild, self.fit]
 
     def record(self) -> None:

@@ -1,4 +1,4 @@
-"""Errors of a run that the device has stopped, with the body, the likely cause and the usual cures."""
+"""Errors to raise for a run that the device has stopped; they name the body, the likely cause and the usual cures."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ from .state import State
 
 
 def unstable(time: float, body: int, what: str, cures: str = "") -> InstabilityError:
-    """Return the error for a run that became unstable, with the `time`, the `body`, what happened and usual `cures`."""
+    """Return the error for a run that became unstable at `time` [s].
+
+    Its message contains the permanent number of the `body`, what happened to the body (`what`), and usual `cures`.
+    """
     cures = cures or "a smaller time step (safety below 0.8), softer contacts or bonds, more damping"
     return InstabilityError(f"t = {time:.6g} s, body {body}: {what}; usual cures: {cures}")
 
 
 def failed_body(model: Model, state: State, place: int) -> InstabilityError:
-    """Return the error for a run that the device stopped because of the body at index `place` of the body arrays."""
+    """Return the error for a run that the device stopped because the body at array index `place` failed."""
     own = np.flatnonzero(state.spheres.body.numpy() == place)
     velocity, radius = state.spheres.velocity.numpy()[own, :3], state.spheres.position.numpy()[own, 3]
     body, speeds = int(state.bodies.id.numpy()[place]), np.linalg.norm(velocity, axis=1)
@@ -39,7 +42,10 @@ def failed_body(model: Model, state: State, place: int) -> InstabilityError:
 
 
 def _wall_passed(model: Model, state: State, spheres: np.ndarray, radius: np.ndarray) -> str:
-    """Return the name of a mesh wall that the centre of one of the `spheres` has crossed; empty if there is none."""
+    """Return the name of a mesh wall that the centre of a sphere has crossed, or an empty string.
+
+    `spheres` contains the indices of the spheres to check, and `radius` contains their radii [m].
+    """
     if not model.features.meshes:
         return ""
     walls, overlap = (getattr(state.slots, name).numpy()[spheres] for name in ("wall", "overlap"))

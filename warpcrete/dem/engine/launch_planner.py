@@ -19,7 +19,10 @@ from ...kernels.dem.structs import DT, TIME
 LAUNCH = {"cpu": 64, "cuda": 512}
 """Maximum number of steps launched before the host checks for Ctrl-C, by kind of device."""
 BATCH_LAUNCH = 40
-"""Maximum number of steps queued on a GPU for a batch of several scenes before the host handles halted scenes."""
+"""Maximum number of steps that the host queues on a GPU for a batch of several scenes.
+
+After these steps the host serves the scenes that have halted.
+"""
 LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 64}
 """Maximum number of steps in one recorded graph.
 
@@ -32,18 +35,21 @@ STABLE_CHUNK_STEPS = 256
 The division often changes soon after the start of a run, which makes recorded graphs useless.
 """
 NEVER = 2**31 - 1
-"""Step count that no scene ever reaches, used where a scene has no goal in steps."""
+"""Step count that no scene ever reaches; the goal of a scene that runs until a given time instead of a step count."""
 LIFETIME_DECREASE, LIFETIME_INCREASE = 0.95, 1.1
 """Factors that adapt the expected lifetime of neighbour lists.
 
 Lists that became stale are expected to last `LIFETIME_DECREASE` times as many steps next time. The expected lifetime
-grows by the factor `LIFETIME_INCREASE` when lists were still valid at its end.
+grows by the factor `LIFETIME_INCREASE` when lists were still valid at the end of their expected lifetime.
 """
 SHARED_REBUILD_AGE = 0.6
-"""Minimum age of lists, divided by their expected lifetime, at which they are rebuilt together with another scene's."""
+"""Minimum age at which a scene's neighbour lists are rebuilt early, as a fraction of their expected lifetime.
+
+A rebuild is early if the lists are still valid but those of another scene of the batch must be rebuilt.
+"""
 NO_SCENES = np.zeros(0, dtype=np.int64)
 DEVICE_CHECK_INTERVAL = 20
-"""Maximum number of steps after which a GPU checks by itself whether its lists are stale."""
+"""Maximum number of steps between two checks with which a GPU finds, without the host, that its lists are stale."""
 MINIMUM_LIFETIME = 8
 """Minimum expected lifetime of neighbour lists, in steps."""
 
@@ -51,15 +57,17 @@ MINIMUM_LIFETIME = 8
 class LaunchPlanner:
     """Planner of the number of steps per launch, and of the time at which neighbour lists are rebuilt.
 
-    Its choices affect speed only: a scene halts itself where it must, and the kernels in flight skip a halted scene.
+    The choices of the planner affect speed only: a scene halts itself where it must, and the kernels in flight skip a
+    halted scene.
     """
 
     def __init__(self, parallel: bool, scenes: int) -> None:
         self.parallel, self.scenes = parallel, scenes
-        # Step count at which the lists of each scene were built, and their expected lifetime in steps.
+        # For each scene, the step count at which its lists were built, and the expected lifetime of its lists in steps.
         self._built_at_step = np.zeros(scenes, dtype=np.int64)
         self._expected_lifetime = np.full(scenes, 64.0 if scenes == 1 else np.inf)
-        # False for scenes that joined with lists of unknown age, whose lifetime cannot be measured.
+        # `_age_known` is False for scenes that joined the batch with lists of unknown age. The lifetime of these lists
+        # cannot be measured.
         self._age_known = np.ones(scenes, dtype=bool)
         self._steps_since_capture = 0
         self.rebuilds_on_device = False
@@ -77,7 +85,10 @@ class LaunchPlanner:
         self._steps_since_capture = 0
 
     def largest_graph(self, threads: int, rounds: int) -> int:
-        """Return the maximum number of steps in one graph if each step has `rounds` sub-cycling rounds."""
+        """Return the maximum number of steps in one recorded graph of launches.
+
+        Each step consists of the launches of `threads` CPU threads and has `rounds` sub-cycling rounds.
+        """
         kind = (
             "cuda"
             if self.parallel
@@ -90,9 +101,10 @@ class LaunchPlanner:
     def scenes_to_rebuild(self, flags: np.ndarray, sort_every: np.ndarray, among: Sequence[int]) -> np.ndarray:
         """Return the numbers of the scenes whose neighbour lists should be rebuilt now.
 
-        These are the scenes with stale lists. Several scenes on a GPU share the launches of a rebuild, so scenes of
-        `among` whose lists will soon be stale are included: a launch for fewer scenes would take almost as long.
-        `flags` are the control flags of all scenes; `sort_every` is the number of steps between sortings.
+        These are the scenes with stale lists. On a GPU, several scenes share the launches of a rebuild, and a launch
+        for fewer scenes would take almost as long. A GPU therefore includes those of the running scenes `among` whose
+        lists will soon be stale. `flags` are the control flags of all scenes; `sort_every` is the number of steps
+        between two re-sortings of each scene's bodies.
         """
         if not flags[:, int(STALE)].any() and (self.scenes == 1 or not self.parallel):
             return NO_SCENES
@@ -101,7 +113,7 @@ class LaunchPlanner:
         chosen = np.zeros(self.scenes, dtype=bool)
         chosen[list(among)] = True
         chosen &= flags[:, int(FAILED)] == 0
-        # Lists that are rebuilt early, because bodies are re-sorted, say nothing about the lifetime of lists.
+        # Do not measure the lifetime of lists that are rebuilt early because bodies are re-sorted.
         early = (sort_every > 0) & (steps % np.maximum(sort_every, 1) == 0)
         became_stale = chosen & stale & ~early & self._age_known
         self._expected_lifetime[became_stale] = np.maximum(
@@ -127,8 +139,9 @@ class LaunchPlanner:
     def launch_sizes(self, flags: np.ndarray, clock: np.ndarray, rows: np.ndarray) -> list[int]:
         """Divide the next launch into pieces and return the number of steps of each piece.
 
-        After each piece a GPU estimates the stable time step of the scenes that need an estimate, and rebuilds the
-        lists that it rebuilds by itself. `flags`, `clock` and `rows` have one row for each scene of the batch.
+        After each piece, a GPU estimates the stable time step of the scenes that need an estimate. A GPU that can
+        rebuild neighbour lists without the host also rebuilds stale lists then. The flags, clocks and parameters
+        (`rows`) of all scenes are arrays with one row for each scene.
         """
         # Convert to plain Python numbers: for one scene, arithmetic on them is ten times as fast as with NumPy, and
         # the GPU idles meanwhile.
@@ -156,16 +169,17 @@ class LaunchPlanner:
             self._expected_lifetime[s] - (slots[s][int(STEPS)] - self._built_at_step[s]) for s in running
         )
         if self.scenes > 1:
-            # Scenes that halted until their lists were rebuilt are some steps behind the others. The first piece lasts
-            # until the last scene needs an estimate of its stable step; scenes that need it earlier halt and wait.
+            # The scenes of a batch need the next estimate of their stable step after different numbers of steps,
+            # because some scenes have waited for new lists. The first piece lasts until the last scene needs an
+            # estimate; the other scenes halt and wait.
             piece = min(piece, BATCH_LAUNCH)
             sizes = [min(max(estimates), piece, count)]
             most = min(BATCH_LAUNCH, remaining_lifetime)
             while sum(sizes) < count and sum(sizes) + piece <= most:
                 sizes.append(min(piece, count - sum(sizes)))
             return sizes
-        # Once the lists are stale, the device skips the rest of the queued steps. The launch therefore ends when the
-        # lists are expected to become stale, judging by their last lifetime.
+        # The device skips all queued steps after the lists have become stale. If the host rebuilds the lists, the
+        # launch therefore ends when the lists are expected to become stale, judging by their last lifetime.
         if self.rebuilds_on_device:
             every = max(int(rows["sort_every"][0]), 0) or NEVER
             count = min(count, every - slots[0][int(STEPS)] % every)

@@ -19,7 +19,7 @@ from .struct_types import Links
 
 
 def make_even(states: list[State]) -> None:
-    """Make the length of all pair arrays even: a link belongs to two list entries, one for each sphere of the pair."""
+    """Make the length of all pair arrays even, because a link belongs to two entries of the neighbour list."""
     for state in states:
         for name in pair_bytes(state.model):
             array: DeviceArray = getattr(state.pairs, name)
@@ -30,12 +30,12 @@ def make_even(states: list[State]) -> None:
 
 
 def rows_of(features: Features) -> int:
-    """Return the number of rows, of four numbers each, in which a link with these features stores its results."""
+    """Return the number of rows of four numbers in which a link (a listed pair) stores its force and moment."""
     return result_rows(features.bonds, features.pair_law.rolls, features.dissipation)
 
 
 def make_links(batch: BatchArrays) -> Links:
-    """Allocate empty links for all listed pairs of a batch; on a CPU, which uses no links, the arrays have length 0."""
+    """Return new, unused links for all listed pairs of a batch; for a CPU, which uses no links, arrays of length 0."""
     struct = declared(links_struct(batch.scalar))
     lists = int(batch.capacity.sum()) if batch.parallel else 0
     few = {
@@ -57,20 +57,23 @@ def make_links(batch: BatchArrays) -> Links:
         for s in range(1, batch.count):
             if first[s] < first[s + 1]:
                 links.scene[first[s] : first[s + 1]].fill_(s)
-        # No near links (pairs that may touch soon) are selected yet, so let kernels visit all links.
+        # The kernels visit only near links (pairs that may touch soon). No near links are selected yet, so set the
+        # flags that let the kernels visit all links instead.
         links.near_list_exceeded.fill_(1)
         links.near_count.assign(np.array([0, 1], dtype=np.int32))
     return links
 
 
 def copy_links(before: Links, old: np.ndarray, links: Links, capacity: np.ndarray) -> None:
-    """Copy the links of each scene into enlarged arrays.
+    """Copy the links of each scene from the arrays of `before` into the enlarged arrays of `links`.
 
-    `old` and `capacity` are the numbers of list entries of each scene before and after, shape (scenes,).
+    `old` and `capacity` are the allocated numbers of neighbour list entries of each scene, before and after the
+    enlargement, shape (scenes,).
     """
     copy_array(links.later_touching, before.later_touching)
     first, behind = (np.append(0, np.cumsum(each // 2)) for each in (capacity, old))
-    for name, entries in (("link", 1), ("state", 1), ("end", 2)):  # Name and number of elements per link of each array.
+    # Each tuple contains the name of an array and the number of its elements for each link.
+    for name, entries in (("link", 1), ("state", 1), ("end", 2)):
         target: DeviceArray = getattr(links, name)
         source: DeviceArray = getattr(before, name)
         for s in np.flatnonzero(old):

@@ -17,14 +17,14 @@ from .model import Model
 from .neighbors import MOST_KEPT
 from .state import State, pair_bytes
 
-BONDS_PER_SPHERE = 4  # bonded pairs per sphere in a dense packing, with a reserve
+BONDS_PER_SPHERE = 4  # Assumed number of bonded pairs per sphere in a dense packing, with a reserve.
 PAIRS_PER_SPHERE = (
-    8  # listed pairs per sphere of a dense packing, with a reserve, if each pair is listed once (half list)
+    8  # Assumed number of half list entries per sphere in a dense packing, with a reserve; a full list has twice that.
 )
 
 
 def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
-    """Return the device memory of a body without its spheres, and of a sphere with its listed pairs [B].
+    """Return the device memory of a body without its spheres, and that of a sphere with its listed pairs [B].
 
     `table` must contain at least one body.
     """
@@ -40,27 +40,32 @@ def bytes_per_body(model: Model, table: BodyTable) -> tuple[float, float]:
     listed = PAIRS_PER_SPHERE if model.features.half_list else 2 * PAIRS_PER_SPHERE
     pair = sum(pair_bytes(model).values())
     scalar = bytes_of(model.scalar)
-    # Add the neighbour list, the previous list (source of contact history), the starts of its rows, and the cell grid.
+    # `listing` is the memory per sphere for neighbour lists and bonds [B]. It begins with the current and the previous
+    # neighbour list, the first list entry of each sphere, and the cell grid of the neighbour search.
     listing = 2 * listed * pair + 8 * 4 + 3 * scalar + 24
-    # Count the memory for the loads of bonds (forces and moments), which half lists store twice per bond. If bonds may
-    # heal, every pair already has room for its load.
+    # Add memory for the forces and moments of bonds, which half lists may store twice per bond. If bonds may heal, the
+    # memory of a listed pair already includes a force and a moment.
     if model.features.bonds and not model.features.healing:
         listing += (2 if model.features.half_list else 1) * BONDS_PER_SPHERE * 8 * scalar
     estimate = 4 * 6 * scalar
     probes = 8 * int(CONTACT_COLUMNS) + listed * scalar
     if model.features.half_list:
-        listing += 4 * listed + 4  # Add the buffer of found neighbours, and where they begin in it.
+        # Add memory for the search buffer, and for the index in this buffer of each sphere's first neighbour.
+        listing += 4 * listed + 4
     else:
-        listing += 4 * MOST_KEPT  # Add the buffer in which the search stores neighbours.
-        # Add the links, one for the two list entries of a pair: pair, scene, state, a second copy of the pair for links
-        # that may touch soon, the link's index at both entries, and result rows. Add for each sphere its position when
-        # such near links were last selected, and the bits that mark touching neighbours.
+        # Add memory for the buffer in which the neighbour search stores the neighbours of each sphere.
+        listing += 4 * MOST_KEPT
+        # Add memory for the links of a GPU. A link represents the two list entries of a pair. It stores the pair twice
+        # (in the list of all links and in that of near links, which may touch soon), its scene, its state, its index
+        # at both entries, and its forces and moments. Each sphere stores its position at the last selection of near
+        # links, and bits that mark touching neighbours.
         listing += listed * (24 + 2 * rows_of(model.features) * scalar) + 4 * scalar + 4 * int(EXTRA_MASKS)
     if model.features.subcycling and model.scene.hydration is not None:
-        # Add the sub-cycled bonds: a sphere has at most three bonded pairs, and the hydrated fraction of them is stiff.
+        # Add memory for the sub-cycled bonds. Each sphere has at most three bonded pairs, of which the fraction
+        # `hydration.fraction` is stiff and therefore sub-cycled.
         listing += 3 * model.scene.hydration.fraction * (44 * scalar + 80) + 30 * scalar
     if model.features.analytic:
-        listing += 4 * scalar  # Add the sphere's position when its wall distance was last measured.
+        listing += 4 * scalar  # Add memory for the sphere's position at the last check of its distance from walls.
     body = size("bodies") + 3 * 4 + 8 * int(BODY_COLUMNS) + 2 * 8 + 4 * 4
     return float(body), size("spheres", "slots") / state.sphere_count + listing + estimate + probes
 

@@ -29,25 +29,28 @@ class Features:
     """Features that a scene needs; they determine the stages of a step and the specialisation of kernels."""
 
     pair_law: type[ContactLaw]
-    """Contact law between bodies."""
+    """Class of the contact law that acts between bodies."""
     wall_law: type[ContactLaw]
-    """Contact law between bodies and walls."""
+    """Class of the contact law that acts between bodies and walls."""
     mixed: bool
-    """True if the bodies are not all of one material, so that the contact law's parameters differ between pairs."""
+    """True if bodies are of several materials, so that the parameters of the contact law may differ between pairs."""
     history: bool
-    """True if contacts between bodies store a history, which for springs is the shear force."""
+    """True if contacts between bodies store a history, for example the force of the shear spring."""
     bonds: bool
-    """True if contacts are bonded or may become bonded."""
+    """True if some pairs of bodies are bonded or may become bonded."""
     healing: bool
-    """True if bodies that come into contact during the run form a bond, instead of only the bonds made at the start."""
+    """True if bodies that come into contact during the run form bonds.
+
+    If False, bonds form only at the start of the run and at a rest.
+    """
     subcycling: bool
     """True if stiff bonds are sub-cycled, that is, integrated with several shorter rounds in each step."""
     clumps: bool
-    """True if bodies are moved as clumps: some have several spheres, or sub-cycling requires it."""
+    """True if the kernel for clumps moves the bodies, because some have several spheres or bonds are sub-cycled."""
     rotation: bool
-    """True if bodies rotate; single spheres do not if they have no friction, shear damping or bonds."""
+    """True if bodies rotate; single spheres without friction, shear damping and bonds need no rotation."""
     drives: bool
-    """True if forces along a pipe's axis act on groups of bodies."""
+    """True if the scene prescribes driving forces along a pipe axis on groups of bodies."""
     walls: bool
     analytic: bool
     """True if some walls are planes or pipes, whose contacts are computed by formulas instead of meshes."""
@@ -59,16 +62,19 @@ class Features:
     growth: bool
     """True if the sizes of bodies grow, as during packing."""
     half_list: bool
-    """True if neighbour lists contain a pair inside a thread's chunk once (CPU) instead of at both spheres (GPU)."""
+    """True if neighbour lists contain a pair only once (CPU); False if they contain it at both spheres (GPU).
+
+    On a CPU, pairs of spheres that belong to different threads are an exception: they are listed at both spheres.
+    """
     dissipation: bool
-    """True if kernels sum up dissipated energy, as a check of the energy balance needs."""
+    """True if kernels sum up the dissipated energy, which a check of the energy balance needs."""
     wear: bool
-    """True if the work of sliding and impacts on walls is summed up, from which their wear follows."""
+    """True if kernels sum up the work of sliding and impacts on walls, from which the wear of the walls is computed."""
 
 
 @dataclass(frozen=True, repr=False)
 class Model:
-    """Constant arrays of a scene on a device; nothing changes after construction."""
+    """Constant data of a scene and the arrays of these data on a device; nothing changes after construction."""
 
     scene: Scene
     device: wp.Device
@@ -85,9 +91,9 @@ class Model:
     analytic_walls: int
     """Number of planes and pipes among the walls; their contacts are computed by formulas."""
     pair_parameters: DeviceArray
-    """Parameters of `features.pair_law`, one row for each pair of the m materials, shape (m * m,)."""
+    """Parameters of `features.pair_law` for each ordered pair of the m entries of `materials`, shape (m * m,)."""
     wall_parameters: DeviceArray
-    """Parameters of `features.wall_law`, one row for each pair of a body's and a wall's material, shape (m * m,)."""
+    """Parameters of `features.wall_law` for each ordered pair of the m entries of `materials`, shape (m * m,)."""
     bond_parameters: DeviceArray
     """Parameters of the bond kinds, shape (kinds + 1,); row 0 means no bond."""
     wall_table: DeviceArray
@@ -97,11 +103,14 @@ class Model:
     segments: DeviceArray
     """Lines and arcs of all pipe axes, shape (segments,); without axes it has one unused row."""
     drive_axis: DeviceArray
-    """First and end index in `segments` of the axis along which each body group is driven, (groups, 2); else 0."""
+    """Range in `segments` of the pipe axis along which a force drives each body group, shape (groups, 2).
+
+    The range begins at the first number and ends before the second. Both are 0 for a group without a driving force.
+    """
     drive_force: DeviceArray
-    """Driving force along the axis on each body of every body group [N], shape (groups,)."""
+    """Driving force along the axis on each single body of a group [N], for every body group, shape (groups,)."""
     meshes: tuple[wp.Mesh, ...]
-    """The ``wp.Mesh`` objects, kept alive because the wall table refers to them by number."""
+    """The ``wp.Mesh`` objects of all mesh walls, kept alive because the wall table refers to them only by number."""
 
     def __repr__(self) -> str:
         return f"<Model of scene {self.scene.name!r} on {self.device}: {len(self.walls)} walls>"
@@ -131,8 +140,9 @@ def build_model(scene: Scene, device: wp.Device, precision: str, *, growth: bool
     bond_kinds = _bond_kinds(scene)
     shapes = [b.template for b in scene.bodies] + list(scene.fill.templates if scene.fill else ())
     subcycling = not growth and subcycled(scene)
-    # Sub-cycled bodies need the kernel for clumps even if they are single spheres: a body then has the velocity of
-    # the present round, but its spheres have the mean velocity over the step.
+    # Sub-cycled bodies need the kernel for clumps even if they are single spheres, because the velocity of a sub-cycled
+    # body differs from that of its spheres: the body has the velocity of the present sub-cycling round, and the spheres
+    # have the mean velocity over the step.
     clumps = subcycling or any(t is not None and len(t.radii) > 1 for t in shapes)
     features = Features(
         pair_law=type(pair_laws[0]),
@@ -183,7 +193,8 @@ def build_model(scene: Scene, device: wp.Device, precision: str, *, growth: bool
 def subcycled(scene: Scene) -> bool:
     """Return whether hydrated bonds are sub-cycled, that is, integrated with several shorter rounds in each step.
 
-    This is so if the scene has hydrated bonds much stiffer than everything else, or if it requests more than one round.
+    Bonds are sub-cycled if hydrated bonds are much stiffer than all other contacts and bonds, or if the scene requests
+    more than one round.
     Local damping excludes sub-cycling, because it depends on the sum of all forces, which is not known within a round.
     Rolling resistance excludes sub-cycling, because the rounds do not implement it.
     """
@@ -198,13 +209,13 @@ def subcycled(scene: Scene) -> bool:
 
 
 class _Axes:
-    """Collector of the segments (lines and arcs) of several pipe axes in one list."""
+    """List of the segments (lines and arcs) of all pipe axes of a scene."""
 
     def __init__(self) -> None:
         self._segments: list[dict[str, Any]] = []
 
     def add(self, axis: Axis) -> tuple[int, int]:
-        """Add the segments of `axis` and return their first and end index."""
+        """Append the segments of `axis`; return the index of its first segment and the index after its last segment."""
         first = len(self._segments)
         self._segments.extend(axis.parametrised())
         return first, len(self._segments)
@@ -226,7 +237,7 @@ class _Axes:
 def _wall_rows(
     walls: Sequence[Wall], materials: Sequence[str], axes: _Axes, scalar: Scalar, device: wp.Device
 ) -> tuple[DeviceArray, tuple[wp.Mesh, ...]]:
-    """Return the wall properties as an array on the device, and the ``wp.Mesh`` objects to which they refer."""
+    """Return the properties of all walls as an array on the device, and the ``wp.Mesh`` objects of the mesh walls."""
     WallRow: Struct = wall_struct(scalar)
     rows: list[object] = []
     kept: list[wp.Mesh] = []
@@ -247,7 +258,7 @@ def _wall_rows(
 
 
 def _drives(scene: Scene, groups: Sequence[str], axes: _Axes) -> tuple[np.ndarray, np.ndarray]:
-    """Return the range of axis segments, and the driving force on each body [N], for every group of bodies."""
+    """Return for every body group the range of segments of its driving axis, and the driving force on each body [N]."""
     axis, force = np.zeros((len(groups), 2), dtype=np.int32), np.zeros(len(groups))
     for drive in scene.drives:
         group = groups.index(drive.group)
@@ -276,7 +287,10 @@ def _bond_kinds(scene: Scene) -> tuple[Bonds, ...]:
 
 
 def _both_ways(scene: Scene, materials: Sequence[str]) -> dict[tuple[str, str], ContactLaw]:
-    """Return the contact laws that replace the default law, by pair of materials; both orders of a pair are keys."""
+    """Return the contact laws that replace the default law, by pair of materials.
+
+    Both orders of a pair are keys of the returned dict.
+    """
     contacts: dict[tuple[str, str], ContactLaw] = {}
     for (a, b), contact in scene.contacts.items():
         for name in (a, b):
@@ -294,7 +308,7 @@ def _law_table(
     ours: Iterable[str],
     theirs: Iterable[str],
 ) -> list[ContactLaw]:
-    """Return a contact law for every pair of materials, as a flattened square table.
+    """Return a contact law for every ordered pair of materials, as a flattened square table.
 
     All pairs of materials that can touch must follow one type of law; otherwise :class:`SceneError` is raised. Pairs
     that cannot touch need an entry as well and get the law of a pair that can.

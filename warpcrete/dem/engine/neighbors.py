@@ -2,8 +2,8 @@
 
 A list contains all pairs whose gap is less than the skin, and serves for many steps, until some sphere may have moved
 too far (L. Verlet, Phys. Rev. 159 (1967) 98). Each sphere has a row of neighbours in the list. In a full list (GPU)
-each pair is in the rows of both spheres. In a half list (CPU) it is in the row of one of its spheres. Each CPU thread
-computes one chunk of the spheres; only a pair between two chunks is listed for both spheres.
+each pair is in the rows of both spheres. In a half list (CPU) a pair is in the row of one of its spheres. Each CPU
+thread computes one chunk of the spheres; only a pair between two chunks is listed for both spheres.
 """
 
 from __future__ import annotations
@@ -35,13 +35,16 @@ from .state import PAIR_ARRAYS, pair_bytes, struct_of
 from .struct_types import Pairs
 
 DRIFT_LANES = 64
-"""Threads per scene that sum the spheres' velocities to find their mean, the common drift."""
+"""Number of threads that sum the velocities of a scene's spheres to find their mean velocity, the common drift."""
 OCTANTS = 8
-"""GPU threads that find the neighbours of one sphere if spheres are few: one thread for each octant around it."""
+"""Number of GPU threads that find the neighbours of one sphere if spheres are few, one for each octant around it."""
 KEPT = 32
-"""Neighbours per sphere that the search stores for filling the lists; a sphere with more is searched a second time."""
+"""Maximum number of neighbours per sphere that a GPU stores when it counts neighbours.
+
+The lists are filled from these stored neighbours. For a sphere with more neighbours, the search is repeated.
+"""
 MOST_KEPT = 64
-"""Larger number of stored neighbours, used once some sphere had more than `KEPT` but at most `MOST_KEPT` neighbours."""
+"""Value that replaces `KEPT` once some sphere has had more than `KEPT` but at most `MOST_KEPT` neighbours."""
 
 
 class NeighborLists:
@@ -56,7 +59,7 @@ class NeighborLists:
         self.batch = batch
         self._builds = np.zeros(batch.count, dtype=int)
         self.by_device = zeros(1, dtype=wp.int32, device=batch.device)
-        """Number of list rebuilds that the GPU started by itself, shape (1,); 0 for batches of several scenes."""
+        """Number of list rebuilds that a GPU has done without the host, shape (1,); 0 in a batch of several scenes."""
         f, t = batch.features, types(batch.scalar)
         n, scenes = batch.sphere_count, batch.count
         self._cells = Cells(batch)
@@ -77,14 +80,14 @@ class NeighborLists:
         self._searchers = self._searchers_for(n)
         self._finds = new((0, 0) if f.half_list else (KEPT, n))
         self._boxes = new((batch.threads, 2), t.vec3)
-        # The last element of `_total` receives the largest number of neighbours of a sphere for which `_finds`, the
-        # buffer for found neighbours, was too small.
+        # `_total` and `_face_total` receive the number of list entries of each scene. The last element of `_total`
+        # receives the largest number of neighbours of a sphere for which the search buffer `_finds` was too small.
         self._total, self._face_total = new(scenes + 1), new(scenes + 1)
         self._identity = DeviceArray(np.arange(n), dtype=wp.int32, device=batch.device)
         self._old_place, self._new_place = new(n), new(n)
         self._lanes = new((scenes, DRIFT_LANES), wp.vec3d)
         self._stretched = new(n if f.bonds and f.half_list else 0, batch.scalar)
-        # The previous lists, from which a rebuild copies the contact history to the new lists.
+        # `_old` contains the previous lists, from which a rebuild copies the contact history to the new lists.
         self._old: Pairs = struct_of(batch.structs, "pairs")()
         self._old.start = new(n + scenes)
         self._entries = np.array([state.pair_total for state in batch.states])
@@ -98,11 +101,11 @@ class NeighborLists:
         return self._builds + int(self.by_device.numpy()[0])
 
     def _searchers_for(self, spheres: int) -> int:
-        """Return the number of threads that find one sphere's neighbours when lists of `spheres` spheres are built."""
+        """Return the number of threads per sphere that find neighbours when a rebuild concerns `spheres` spheres."""
         return OCTANTS if self.batch.parallel and spheres < MANY_SPHERES else 1
 
     def __call__(self) -> None:
-        """Rebuild the lists of every scene that is flagged as stale."""
+        """Rebuild the neighbour lists of every scene whose lists are marked as stale."""
         with self.batch.changing():
             self._build()
 
@@ -130,12 +133,12 @@ class NeighborLists:
         if self._cells.made > made and b.planner.rebuilds_on_device:
             b.invalidate_graphs()
         rebuild = self._search(sort) if b.features.half_list else self._rebuild(sort)
-        # For half lists, `_search` has already launched all phases of the rebuild before `count`.
+        # For half lists, `_search` has already launched the phases `cells` and `search`.
         rebuild.launch("count" if b.features.half_list else "cells", "starts")
         wanted, longest = self._found_of(self._total, "neighbour list", "pairs")
         if np.any(wanted > b.capacity):
             b.reserve_pairs(np.maximum(wanted, self._entries))
-            # In the larger arrays the lists of the scenes begin at other places, so copy the old lists again.
+            # In the larger arrays, the lists of the scenes begin at other indices, so copy the old lists again.
             self._keep_old(np.flatnonzero(stale))
         self._entries[stale] = wanted[stale]
         if b.features.meshes:
@@ -145,12 +148,15 @@ class NeighborLists:
         self._rebuild(sort).launch("fill", "near")
         if len(self._finds) < longest <= MOST_KEPT:
             self._finds = empty((MOST_KEPT, b.sphere_count), dtype=wp.int32, device=b.device)
-            self._version = ()  # All launches must be recorded again with the larger buffer.
+            self._version = ()  # Record all launches again, because the larger buffer replaces the old one.
             if b.planner.rebuilds_on_device:
                 b.invalidate_graphs()
 
     def _search(self, sort: bool) -> Rebuild:
-        """Find the neighbours for half lists, enlarge buffers that were too small, and return the rebuild."""
+        """Launch the phases `cells` and `search` for half lists, and return the rebuild with all phases.
+
+        If the search buffers are too small, they are enlarged and the search is repeated.
+        """
         b = self.batch
         rebuild = self._rebuild(sort)
         rebuild.launch("cells", "cells")
@@ -176,23 +182,26 @@ class NeighborLists:
             self._recorded.clear()
 
     def device_rebuild(self) -> Rebuild:
-        """Return the rebuild for use inside a CUDA graph, for a batch of one scene; see :class:`DeviceRebuild`.
+        """Return the phases of a rebuild for :class:`DeviceRebuild`, which launches them inside a CUDA graph.
 
-        The device launches all phases of a rebuild. The host instead copies the old lists by itself and begins at the
-        phase `cells`.
+        The device launches all phases. A rebuild by the host instead begins at the phase `cells`, after the host has
+        copied the old lists.
         """
         self._searchers = self._searchers_for(self.batch.sphere_count)
         self._keep_old(np.arange(self.batch.count))
         return self._rebuild(False)
 
     def lay_out_cells(self) -> None:
-        """Fit the grid of cells to scenes whose neighbour lists were loaded from a checkpoint instead of built."""
+        """Fit the grid of cells to scenes that have no grid yet, because their lists were loaded from a checkpoint."""
         width = self._cells.width()
         self._cells.fit(width, np.zeros(self.batch.count, dtype=bool))
         self._cells.use_width(width)
 
     def link(self, s: int) -> None:
-        """Build the links of scene `s`, whose lists came from a checkpoint; does nothing for half lists."""
+        """Build the links (listed pairs) of scene `s` from neighbour lists that a checkpoint contained.
+
+        Half lists have no links, so nothing is done for them.
+        """
         if self.batch.features.half_list:
             return
         before = self.batch.flags.numpy().copy()
@@ -209,20 +218,21 @@ class NeighborLists:
         b = self.batch
         self._keep_old(np.arange(b.count))
         stages = self._rebuild(False).kernel_stages()
-        # A rebuild of only some scenes may involve so few spheres that eight threads find the neighbours of each one.
+        # Add the kernels for `OCTANTS` threads per sphere. They are needed when only a few scenes of the batch are
+        # rebuilt, because these scenes have few spheres.
         if b.parallel and self._searchers == 1 and b.count > 1:
             stages += self._rebuild(False, OCTANTS).kernel_stages("search", "fill")
         return [*stages, *sorting_kernels(b)]
 
     def _keep_old(self, scenes: np.ndarray) -> None:
-        """Copy the current lists of `scenes`, because their new lists receive the contact history from the copies."""
+        """Copy the current neighbour lists of `scenes` to `_old`, the source of contact history for the new lists."""
         b = self.batch
         # Copy whole arrays for a single scene on a GPU, because only the device may know how many entries are used.
         whole = 4 * len(scenes) > b.count > 1 or (b.count == 1 and b.parallel)
         for name in PAIR_ARRAYS:
             array: DeviceArray = getattr(b.pairs, name)
             kept: DeviceArray | None = getattr(self._old, name)
-            if name not in self._kept:  # Kernels never read this array of old lists: no copy is needed.
+            if name not in self._kept:  # No kernel reads this array of the old lists, so do not copy it.
                 if kept is not array:
                     setattr(self._old, name, array)
                     self._recorded.clear()
@@ -236,13 +246,14 @@ class NeighborLists:
                 continue
             for s in scenes:
                 first, count = int(b.rows["pairs"][s]), int(self._entries[s])
-                if count:  # For a count of 0, `wp.copy` would copy the whole array.
+                if count:  # Skip a count of 0, for which `wp.copy` would copy the whole array.
                     copy_array(kept, array, first, first, count)
 
     def _rebuild(self, sorted_now: bool, searchers: int | None = None) -> Rebuild:
-        """Return the recorded phases of a rebuild; `sorted_now` tells them that bodies have just been re-sorted.
+        """Return the recorded phases of a rebuild, for the present arrays.
 
-        `searchers` is the number of threads that find the neighbours of one sphere; by default the present number.
+        `sorted_now` must be True if the bodies have just been re-sorted. `searchers` is the number of threads that find
+        the neighbours of one sphere; by default it is the number chosen for the present rebuild.
         """
         version = self.batch.version, self._cells.made
         if self._version != version:
@@ -256,8 +267,9 @@ class NeighborLists:
     def _phases(self, sorted_now: bool, searchers: int) -> list[Phase]:
         """Return the phases of a rebuild, in the only order in which they may run.
 
-        No phase before `starts` changes the current lists. A device that finds its arrays too small therefore stops
-        after `count`, and the host repeats the rebuild: it reads the lengths of the lists once `starts` has run.
+        No phase before `starts` changes the current lists. If a device that rebuilds its lists without the host finds
+        after `count` that its arrays are too small, it can therefore stop, and the host repeats the rebuild. The host
+        reads the lengths of the lists after `starts`.
         """
         b, n = self.batch, self.batch.sphere_count
         old_place = self._old_place if sorted_now else self._identity
@@ -268,7 +280,7 @@ class NeighborLists:
         count_faces, face_starts, fill_faces = self._face_stages()
         lists = list_kernels(b.scalar)
         return [
-            # Copy the motion of single spheres to their bodies.
+            # Copy the motion of single spheres to their bodies, because steps move only the spheres.
             Phase("bodies", b.sync_stages()),
             # Copy the previous lists, because the new lists receive their contact history from them.
             Phase("history", [Copy(getattr(self._old, name), getattr(b.pairs, name)) for name in self._kept]),
@@ -282,27 +294,30 @@ class NeighborLists:
             ]),
             # Find the neighbours of each sphere and count them.
             Phase("search", search),
-            # Compute the starts of the list rows from their lengths by a prefix sum.
+            # Compute the index of each sphere's first list entry, as prefix sums of the numbers of neighbours.
             Phase("count", [*scan, *count_faces]),
-            # Write the starts of the list rows; from here on the previous lists are invalid.
+            # Write the index of each sphere's first list entry; from here on the previous lists are invalid.
             Phase("starts", [self._starts(self.scanned, b.pairs.start, self._total), *face_starts]),
             # Write the neighbours into the rows of the list, with the contact history from the previous lists.
             Phase("fill", [*fill, self._transfer(old)]),
-            # Build the links: a GPU computes the contact force of a pair once per link, not per list entry.
+            # Build the links of a GPU, one for the two list entries of a pair, so that a step computes each pair once.
             Phase("links", self._link_stages(scan)),
             # List the triangles of meshes within reach of each sphere as its mesh candidates.
             Phase("candidates", fill_faces),
-            # Find the list entries of sub-cycled pairs and bodies in the new lists.
+            # Find the new list entries of sub-cycled pairs, and the new array indices of their bodies.
             Phase("subcycles", b.subcycles.locating()),
-            # Compute the common drift (mean velocity); the skin limits the motion of spheres relative to it.
+            # Compute the mean velocity (common drift), because the skin limits motion relative to the common drift.
             Phase("drift", [b.stage(lists.drift, (b.count, DRIFT_LANES), lanes=self._lanes)]),
             Phase("fresh", [b.stage(lists.clear_stale, b.count, lanes=self._lanes)]),
-            # Select the near links, whose spheres may touch within the next steps.
+            # Select the near links, which are the pairs that may touch within the next steps.
             Phase("near", near_stages(b)),
         ]  # fmt: skip
 
     def _stretch_stages(self, old: Arguments) -> list[Recordable]:
-        """Return the launches that measure the longest bond of each sphere; empty unless half lists have bonds."""
+        """Return the launches that measure the longest bond of each sphere.
+
+        The result is empty without bonds, and for full lists, whose search does not need this length.
+        """
         b = self.batch
         if not (b.features.bonds and b.features.half_list):
             return []
@@ -312,7 +327,10 @@ class NeighborLists:
     def _search_stages(
         self, old: Arguments, new_place: DeviceArray, searchers: int
     ) -> tuple[list[Recordable], list[Stage]]:
-        """Return the launches that find neighbours, and on a GPU those that write the neighbours into the lists."""
+        """Return the launches of the phase `search`, which finds neighbours, and of `fill`, which writes the lists.
+
+        On a CPU the second list is empty, because the transfer of contact history writes the lists.
+        """
         b, f, n = self.batch, self.batch.features, self.batch.sphere_count
         grid: Arguments = {"grid": self._cells.grid, "shift": self._cells.shift, "count": self._count}
         if not f.half_list:
@@ -337,7 +355,10 @@ class NeighborLists:
         return b.stage(kernel, b.sphere_count + b.count, scanned=scanned, start=start, total=total)
 
     def _transfer(self, old: Arguments) -> Recordable:
-        """Return the launch that copies contact history from the old to the new lists; on a CPU one for each thread."""
+        """Return the launch that copies contact history from the old to the new neighbour lists.
+
+        On a CPU it is a group of launches, one for each thread, and it also writes the neighbours into the lists.
+        """
         b, f = self.batch, self.batch.features
         lanes = 1 if f.half_list else OCTANTS
         kernel = transfer_kernel(b.scalar, f.half_list, f.history, f.pair_law.rolls, f.bonds, f.healing, lanes)
@@ -351,7 +372,7 @@ class NeighborLists:
         return Chunks(parts, b.launch_chunks) if f.half_list else parts[0]
 
     def _link_stages(self, scan: list[Stage]) -> list[Stage]:
-        """Return the launches that build a GPU's links from the new lists; empty for half lists, which have no links.
+        """Return the launches that build a GPU's links (pairs) from the new lists; empty for half lists.
 
         `scan` contains the launches of the prefix sum that gives the index of each sphere's first link.
         """
@@ -367,7 +388,11 @@ class NeighborLists:
         ]
 
     def _face_stages(self) -> tuple[list[Stage], list[Stage], list[Stage]]:
-        """Return the launches that count mesh candidates, write the starts of their rows, and fill the rows."""
+        """Return three lists of launches for the mesh candidates, the triangles near each sphere.
+
+        The first list counts the candidates, the second writes the index of each sphere's first candidate, and the
+        third writes the candidates.
+        """
         b, n = self.batch, self.batch.sphere_count
         if not b.features.meshes:
             return [], [], []
@@ -380,10 +405,12 @@ class NeighborLists:
         )
 
     def _found_of(self, total: DeviceArray, what: str, entries: str) -> tuple[np.ndarray, int]:
-        """Return each scene's number of list entries, and the longest row for which the search buffer was too small.
+        """Return the number of list entries of each scene, and the number of neighbours that the buffer must hold.
 
-        Both are read from the device array `total`; the length of that row is 0 if the buffer was large enough.
-        Raises :class:`CapacityError` for more entries than 32 bits can count.
+        The second result is the largest number of neighbours of a sphere for which the search buffer was too small, or
+        0 if the buffer was large enough. Both results are read from the device array `total`. Raises
+        :class:`CapacityError` for more entries than 32 bits can count; its message names the list by `what` and
+        `entries`.
         """
         (found,) = self.batch.exchange.read(total)
         found = found.astype(np.int64)

@@ -1,4 +1,4 @@
-"""Phases of a list rebuild: recorded launches in one fixed order, which the host and CUDA graphs share."""
+"""Phases of a rebuild of the neighbour lists: recorded launches in one fixed order, for the host and CUDA graphs."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from ...core.device.launching import Stage
 
 @dataclass
 class Phase:
-    """Named part of a rebuild of the neighbour lists, which always runs as a whole."""
+    """Named group of consecutive launches in a rebuild of the neighbour lists; a rebuild runs all of them or none."""
 
     name: str
     stages: Sequence[Recordable]
-    """Launches in their order; empty if the scenes or the device do not need this phase."""
+    """Launches of the phase in their order; empty if the scenes or the device do not need this phase."""
 
 
 class Chunks:
-    """Launches of one kernel on the chunks of several CPU threads, each on its own thread."""
+    """Group of launches of one kernel, one launch for the chunk of bodies of each CPU thread."""
 
     def __init__(self, stages: list[Stage], launch_chunks: Callable[[list[Stage]], None]) -> None:
-        """Group launches, one for each chunk; the function `launch_chunks` launches all of them on their threads."""
+        """Create a group of the launches `stages`, which `launch_chunks` will launch, each on its own CPU thread."""
         self.stages, self._in_parts = stages, launch_chunks
 
     def record(self) -> None:
@@ -39,16 +39,16 @@ class Chunks:
 class Rebuild:
     """All phases of a rebuild of the neighbour lists, as launches recorded on the batch's present arrays.
 
-    Every rebuild launches consecutive phases (sections) of this one list. It is used by the host, by a CUDA graph that
-    decides by itself when to rebuild, and at a restart from a checkpoint. Between two sections, the host or the graph
-    checks whether the new lists fit the arrays.
+    Every rebuild launches sections, that is, consecutive phases, of this one list. The host, a CUDA graph that decides
+    by itself when to rebuild, and a restart from a checkpoint launch different sections. Between two sections, the host
+    or the graph checks whether the new lists fit into the arrays.
     """
 
     def __init__(self, phases: Sequence[Phase], device: wp.Device) -> None:
         self.phases, self._device = list(phases), device
         self._places = {phase.name: place for place, phase in enumerate(self.phases)}
         self.graphs: dict[tuple[str, str], wp.Graph] = {}
-        """CUDA graphs of sections, by the names of their first and last phase."""
+        """CUDA graphs of sections (consecutive phases), by the names of the first and the last phase."""
         self._launched: set[tuple[str, str]] = set()
 
     def section(self, first: str, last: str) -> list[Recordable]:
@@ -72,7 +72,7 @@ class Rebuild:
             self._launched.add(key)
 
     def launch_singly(self, first: str, last: str) -> None:
-        """Launch the phases from `first` to `last` one by one, for example while a graph is captured."""
+        """Launch the kernels of the phases from `first` to `last` one by one, for example to capture a graph."""
         for stage in self.section(first, last):
             stage()
 

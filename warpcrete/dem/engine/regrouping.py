@@ -16,23 +16,26 @@ from .state import State
 from .stepper_protocol import SceneStepper
 
 LARGEST_SHARE = 0.5
-"""Maximum share of a batch's spheres that belong to running scenes, at which the batch is regrouped."""
+"""Fraction of a batch's spheres in running scenes, at or below which these scenes move to a smaller batch."""
 LAUNCHES_BEFORE_REGROUPING = 20
-"""Number of successive launches with few running spheres before a batch is regrouped.
+"""Number of successive launches with few spheres in running scenes, after which these scenes move to a smaller batch.
 
-If the remaining scenes end soon, regrouping costs more than it saves.
+The delay is useful because the move costs more than it saves if the running scenes end soon.
 """
 MEMORY_SHARE = 0.5
-"""Share of free memory that the new batch may use; the old batch stays in memory, and other batches may grow."""
+"""Fraction of the free device memory that the new, smaller batch may use.
+
+The rest is a reserve, because other batches may grow.
+"""
 SETTINGS = (
     "local_damping", "skin", "mesh_skin", "sphere_allowance", "growth_rate", "growth_end", "safety", "largest_step",
     "fixed_step", "until", "interval", "expected_speed", "held",
 )  # fmt: skip
-"""Parameters of a scene on the device that may change during a run and are therefore copied to a new batch."""
+"""Names of the scene parameters that may change during a run and are therefore copied to the new batch."""
 
 
 class Regrouping:
-    """Decision, made before each launch of a GPU batch, whether its running scenes move to a smaller batch."""
+    """Rule that decides before each launch of a GPU batch whether its running scenes move to a smaller batch."""
 
     def __init__(self) -> None:
         self._few = 0
@@ -48,14 +51,14 @@ class Regrouping:
         if self._few <= LAUNCHES_BEFORE_REGROUPING:
             return
         self._few = 0
-        # Ended scenes refer to the old batch, so its memory is not freed, and the new batch must fit beside it.
+        # The old batch stays in memory, because ended scenes refer to it. The new batch must fit into the free memory.
         needed = footprint(stepper=steppers[0])["stepper"] * spheres / max(batch.sphere_count, 1)
         if needed < MEMORY_SHARE * memory_free(batch.device):
             regroup(steppers)
 
 
 def regroup(steppers: Sequence[SceneStepper]) -> None:
-    """Move steppers of one batch to a new batch of their own; their results stay the same to the bit."""
+    """Move the scenes of some steppers of one batch to a new batch; the results stay the same to the bit."""
     old = steppers[0].batch
     old.flush()
     before = [(stepper.index, stepper.state_dict()) for stepper in steppers]

@@ -1,4 +1,7 @@
-"""Bonds and wall layer of a scene that rests; both grow by a law instead of time steps (Roussel 2006)."""
+"""Bonds and lubrication layer of a scene that rests.
+
+During the rest, their strength grows by a formula, without time steps (Roussel 2006).
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from ..scene.scene import Bonds, Scene
 
 
 def bonds_after_rest(scene: Scene) -> Bonds | None:
-    """Return the scene's bonds after its rest; None if it has no bonds, or never rests."""
+    """Return the scene's bonds with the strength after its rest; None if the scene has no bonds or never rests."""
     if scene.rest is None or scene.bonds is None:
         return None
     gained = scene.rest.gained
@@ -19,5 +22,5 @@ def bonds_after_rest(scene: Scene) -> Bonds | None:
 
 
 def has_layer(scene: Scene, law: type) -> bool:
-    """Return whether the scene rests and the walls' contact `law` has a layer, whose yield stress grows at rest."""
+    """Return whether the scene rests and the contact `law` of its walls is that of a lubrication layer."""
     return scene.rest is not None and issubclass(law, LubricationLayer)

@@ -1,4 +1,4 @@
-"""Scheduling of many scenes: each is a coroutine that yields its next goal, and a batch steps towards all goals.
+"""Scheduling of many scenes: each scene has a coroutine that yields goals, and a batch steps towards all goals.
 
 Only this module knows how the coroutines of runs, packings and single steppers become launches of a batch.
 """
@@ -24,11 +24,15 @@ from .stages import step_stages
 from .stepper_protocol import SceneStepper
 
 POLL_INTERVAL = 50e-6
-"""Time that the host waits before it asks again whether some batch has completed its steps [s]."""
+"""Time that the host waits between two checks whether some batch has completed its launched steps [s]."""
 
 
 class _Scene:
-    """Coroutine of one scene, with its progress towards the goal (a time or a number of steps) that it yielded last."""
+    """Scene with its coroutine, which yields goals (times or numbers of steps), and the state of the last goal.
+
+    `waiting` is True while the coroutine waits for time steps. `result` is what the coroutine has returned or raised at
+    its end.
+    """
 
     def __init__(self, stepper: SceneStepper, coroutine: Coroutine) -> None:
         self.stepper, self.coroutine = stepper, coroutine
@@ -37,7 +41,7 @@ class _Scene:
         self.result: Any = None
 
     def proceed(self, error: BaseException | None = None) -> None:
-        """Run the coroutine until it waits for time steps or ends; an `error` is raised inside the coroutine."""
+        """Run the coroutine until it needs time steps or ends; raise `error`, if one is given, inside the coroutine."""
         self.waiting = False
         try:
             while True:
@@ -61,7 +65,7 @@ class _Scene:
 
 
 class _Drive:
-    """Driver that runs the coroutines of the scenes of one batch, launch by launch."""
+    """Driver of one batch: launches time steps, then continues the coroutines of the scenes that have reached goals."""
 
     def __init__(
         self, scenes: dict[int, tuple[SceneStepper, Coroutine]], stream: wp.Stream | None, *, regroups: bool
@@ -69,7 +73,8 @@ class _Drive:
         self._members = {number: _Scene(*pair) for number, pair in scenes.items()}
         self._stream = stream
         self._regroup = Regrouping() if regroups else None
-        self._launched: Batch | None = None  # The batch of the latest launch.
+        # `_launched` is the batch of the latest launch of time steps; it is None before the first launch.
+        self._launched: Batch | None = None
         self.stop: KeyboardInterrupt | None = None
 
     @property
@@ -84,24 +89,27 @@ class _Drive:
 
     @property
     def results(self) -> dict[int, Any]:
-        """Return values or exceptions of the coroutines, by the scenes' numbers."""
+        """Value that each coroutine returned or exception that it raised, by the number of its scene."""
         return {number: member.result for number, member in self._members.items()}
 
     @property
     def settled(self) -> bool:
-        """True if the device has completed the latest launch."""
+        """True if the device has completed the latest launch of time steps."""
         assert self._launched is not None
         return self._launched.settled
 
     def begin(self, stop: KeyboardInterrupt | None) -> None:
-        """Run all coroutines to their first goals, or, after an interruption, to their ends."""
+        """Run all coroutines until each one yields its first goal.
+
+        After an interruption, the exception `stop` is raised inside the coroutines instead, so that the coroutines end.
+        """
         self.stop = stop
         with self._stream_context():
             for member in self._members.values():
                 self._proceed(member, self.stop)
 
     def launch(self) -> None:
-        """Launch the next steps of the batch, unless a run was interrupted."""
+        """Launch the next time steps of the batch; after an interruption, raise it inside the coroutines instead."""
         self._guarded(self._launch)
 
     def collect(self) -> None:
@@ -131,7 +139,8 @@ class _Drive:
                     what()
             except KeyboardInterrupt as interruption:
                 self.stop = interruption
-            except CapacityError as full:  # The neighbour lists are full, which affects all scenes of the batch.
+            except CapacityError as full:
+                # The scenes share the arrays that are full, so raise the error inside every waiting coroutine.
                 for member in self.waiting:
                     self._proceed(member, full)
             if self.stop is not None:
@@ -151,10 +160,11 @@ class _Drive:
 
     @staticmethod
     def _device_launches(stepper: SceneStepper) -> tuple[GraphLaunch | None, GraphLaunch | None]:
-        """Return two launches, one of which a GPU inserts between steps; both rebuild neighbour lists.
+        """Return the two launches of which a GPU inserts one between pieces of steps.
 
-        The second launch also estimates stable time steps. Only a batch of one scene can rebuild its lists on the
-        device; for other batches the first is None and the second only estimates.
+        The first launch rebuilds stale neighbour lists. The second launch also estimates stable time steps. Only a GPU
+        with a batch of one scene can rebuild its lists without the host. If it cannot, the first launch is None, and
+        the second launch only estimates. On a CPU both are None.
         """
         batch = stepper.batch
         batch.planner.rebuilds_on_device = DeviceRebuild.possible(batch)
@@ -190,11 +200,11 @@ class _Drive:
 
 
 def drive(scenes: dict[int, tuple[SceneStepper, Coroutine]]) -> dict[int, Any]:
-    """Run the coroutines of all scenes of one batch to their ends; `scenes` maps numbers to steppers and coroutines.
+    """Run the coroutines of all scenes of one batch to their ends.
 
-    Returns by number what each coroutine returned or raised. Afterwards the steppers may belong to different batches
-    and must not be passed to this function together again. An interruption (Ctrl-C) is raised inside every coroutine
-    that is waiting.
+    `scenes` maps the number of each scene to its stepper and its coroutine. The result maps these numbers to what each
+    coroutine returned or raised. Afterwards the steppers may belong to different batches and must not be passed to this
+    function together again. An interruption (Ctrl-C) is raised inside every coroutine that is waiting.
     """
     (results,) = drive_batches([(scenes, None)])
     return results
@@ -203,9 +213,10 @@ def drive(scenes: dict[int, tuple[SceneStepper, Coroutine]]) -> dict[int, Any]:
 def drive_batches(
     groups: Sequence[tuple[dict[int, tuple[SceneStepper, Coroutine]], wp.Stream | None]], *, regroups: bool = True
 ) -> list[dict[int, Any]]:
-    """Run :func:`drive` for several batches at the same time, each on its own GPU stream (None: the default stream).
+    """Run the coroutines of several batches at the same time, each batch on its own GPU stream, as :func:`drive` does.
 
-    While some batches step, the host serves others. This requires that the host reads arrays only through an
+    `groups` contains for each batch its scenes, as in :func:`drive`, and its stream (None: the default stream). While
+    some batches step, the host serves other batches. This requires that the host reads arrays only through an
     `Exchange`, because ``numpy()`` waits for all streams. With `regroups`, a batch is made smaller once most of its
     scenes have ended.
     """
@@ -240,7 +251,7 @@ def drive_batches(
 
 
 def drive_one(stepper: SceneStepper, coroutine: Coroutine) -> Any:
-    """Run one scene's coroutine; return what it returns, raise what it raises."""
+    """Run the coroutine of one scene to its end; return the coroutine's value, or raise its exception."""
     result = drive_batches([({0: (stepper, coroutine)}, None)], regroups=False)[0][0]
     if isinstance(result, BaseException):
         raise result

@@ -18,9 +18,9 @@ SORTED = {
     "spheres": ("scene", "body", "force", "moment"),
     "slots": (),
 }
-"""Structs whose arrays are permuted when bodies are re-sorted, each with the names of its arrays that are not permuted.
+"""Structs whose arrays are permuted when bodies are re-sorted, and for each struct the arrays that are not permuted.
 
-Those arrays are recomputed, do not depend on the order, or contain only zeros.
+The arrays that are not permuted are recomputed, do not depend on the order, or contain only zeros.
 """
 
 
@@ -59,14 +59,14 @@ def sort_bodies(batch: Batch, due: np.ndarray, old_place: DeviceArray, new_place
 
 
 def sorting_kernels(batch: Batch) -> list[Kernel]:
-    """Return all kernels that a re-sorting launches, so that they can be compiled."""
+    """Return all kernels that a re-sorting launches, so that they can be compiled before the run."""
     order: Iterable[Kernel] = vars(order_kernels(batch.scalar)).values() if batch.body_count > 1 else ()
     moved = {(a.dtype, a.ndim == 2) for struct in SORTED for a in _moved(batch, struct)}
     return [*order, *(permute_kernels(batch.scalar)[kind] for kind in moved)]
 
 
 def _moved(batch: Batch, struct: str) -> list[DeviceArray]:
-    """Return the arrays of a struct that must be permuted when bodies are re-sorted."""
+    """Return the arrays of the struct named `struct` that must be permuted when bodies are re-sorted."""
     names = struct_of(batch.structs, struct).vars
     arrays: list[DeviceArray] = [getattr(getattr(batch, struct), name) for name in names if name not in SORTED[struct]]
     return [array for array in arrays if array.size]

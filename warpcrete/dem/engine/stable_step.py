@@ -1,4 +1,4 @@
-"""Estimate of the largest stable time step of a scene."""
+"""Estimate of the largest stable time step of a scene, and of the largest speed that a scene can reach."""
 
 from __future__ import annotations
 
@@ -62,7 +62,10 @@ class StableStep:
         self._estimate_for([s])
 
     def precompute(self, scenes: list[int]) -> None:
-        """Estimate the stable steps of several scenes in advance; on a GPU this takes as long as a single one."""
+        """Estimate the stable steps of several scenes of a GPU batch together, before they are needed.
+
+        On a GPU, this takes as long as the estimate for one scene. On a CPU, nothing is done.
+        """
         if len(scenes) > 1 and self.batch.parallel:
             self._estimate_for(scenes)
             self._precomputed = set(scenes)
@@ -81,18 +84,19 @@ class StableStep:
             self._launch(scenes[0])()
 
     def by_device(self, first: Sequence[Recordable] = ()) -> GraphLaunch:
-        """Return a launch that estimates the stable step of every scene that waits for it and lets the scene continue.
+        """Return a GPU launch that estimates the stable step of every scene that has halted for an estimate.
 
-        It works without the host and is for GPUs only. The launches `first` precede the estimate.
+        The scenes then continue without the host. The launches `first` run before the estimate.
         """
         return GraphLaunch([*first, *(stage for phase in self._phases(-1, True) for stage in phase)], self.batch.device)
 
     def kernels(self) -> list[Stage]:
-        """Return all launches of an estimate, so that their kernels can be compiled."""
+        """Return all launches of an estimate, so that their kernels can be compiled before the run."""
         return [stage for phase in self._phases(-1 if self.batch.parallel else 0, False) for stage in phase]
 
     def _launch(self, s: int) -> Callable[[], None]:
-        if self._version != self.batch.version:  # Discard launches that refer to replaced arrays.
+        # Discard recorded launches if arrays to which they refer have been replaced.
+        if self._version != self.batch.version:
             self._recorded.clear()
             self._version = self.batch.version
         # A CPU estimates one scene at a time, chunk by chunk; a GPU estimates all scenes with the same launch.
@@ -116,9 +120,11 @@ class StableStep:
         return phase_by_phase
 
     def _phases(self, which: int, by_device: bool) -> list[list[Stage]]:
-        """Return the launches of an estimate for scene `which`, or for all due scenes if it is -1, as a list of phases.
+        """Return the launches that estimate the stable step of scene `which`, as a list of phases.
 
-        The phases run one after the other; the launches of one phase may run in parallel on CPU threads.
+        If `which` is -1, the launches estimate all scenes for which an estimate is due. With `by_device`, the device
+        decides which scenes these are. The phases run one after the other; the launches of one phase may run in
+        parallel on CPU threads.
         """
         b, f = self.batch, self.batch.features
         own: Arguments = {"due": self._due, "estimate": self._estimate}
@@ -154,7 +160,10 @@ class StableStep:
 
 
 def expected_speed(scene: Scene, horizon: float) -> float:
-    """Return the largest speed [m/s] to expect: that of walls, plus what forces can add within `horizon` [s]."""
+    """Return an upper estimate of the speed of walls and bodies within the time `horizon` [s] from now [m/s].
+
+    It is the largest prescribed speed of a wall, plus the speed that gravity or the force on a driven wall can add.
+    """
     gained = [float(np.linalg.norm(scene.gravity))]
     gained += [abs(w.motion.force) / w.motion.mass for w in scene.walls if isinstance(w.motion, Driven)]
     return max((wall.top_speed() for wall in scene.walls), default=0.0) + max(gained) * horizon

@@ -26,20 +26,36 @@ from .links import rows_of
 MANY_SPHERES = 200_000
 """Number of spheres above which one thread per sphere suffices to keep a GPU busy while neighbour lists are built."""
 NEAR_LINK_INTERVAL = 20
-"""Steps between two selections of the near links (pairs that may touch soon), and between two stable step estimates."""
+"""Number of steps between two selections of the near links, which are the pairs that may touch soon.
+
+It equals the default number of steps between two estimates of the stable step.
+"""
 THREADS_PER_LINK = 0.5
-"""Number of threads that compute the near links, divided by the number of all links; a thread may compute several."""
+"""Number of GPU threads that compute the forces of near links, divided by the number of all links.
+
+A link is a listed pair; a near link may touch soon. If there are more near links than threads, some threads compute
+several links.
+"""
 WALL_LANE_BITS = 3
 """Base-2 logarithm of the largest number of GPU threads that share the planes and pipes of one sphere."""
 WALL_THREADS = 100_000
-"""Largest number of GPU threads for wall contacts if several threads share the walls of a sphere. More threads would
-not hide more memory latency: eight threads for each of 100,000 spheres took a tenth longer than with this limit."""
+"""Largest total number of GPU threads for wall contacts if several threads share the walls of each sphere.
+
+More threads would not hide more memory latency: with 100,000 spheres, eight threads for each sphere took a tenth longer
+than the single thread that this limit allows.
+"""
 LANE_BITS = 2
-"""Base-2 logarithm of the number of GPU threads per clump if clumps are few, or if links have many result rows."""
+"""Base-2 logarithm of the number of GPU threads that move one clump, if a clump has several threads.
+
+A clump has several threads if spheres are few, or if the forces of each contact take more than two rows of memory.
+"""
 
 
 def tasks(batch: Batch, bodies: int) -> int:
-    """Return the number of kernel tasks for this many bodies; a CPU task computes SPAN bodies in vector lanes."""
+    """Return the number of tasks of a kernel for `bodies` bodies or spheres.
+
+    A task on a CPU computes SPAN bodies in vector lanes; a task on a GPU computes one body.
+    """
     return -(-bodies // SPAN) if batch.features.half_list else bodies
 
 
@@ -88,7 +104,10 @@ def near_stages(batch: Batch) -> list[Stage]:
 
 
 def _full_step(batch: Batch) -> list[Stage]:
-    """Return the launches of one GPU step; the kernels for walls run on a second stream beside those for bodies."""
+    """Return the launches of one GPU step.
+
+    The kernels for walls run on a side stream, at the same time as the kernels for bodies.
+    """
     b, f, n = batch, batch.features, batch.sphere_count
     width = warp_width(b.device)
     stages = near_stages(b)
@@ -119,14 +138,15 @@ def _full_step(batch: Batch) -> list[Stage]:
 def wall_lane_bits(batch: Batch) -> int:
     """Return the base-2 logarithm of the number of GPU threads that share the planes and pipes of one sphere."""
     most = int(batch.rows["analytic"].max())
-    if warp_width(batch.device) == 1 or most <= 2:  # One thread computes two walls as fast as several threads.
+    # One thread per sphere computes one or two walls as fast as several threads would.
+    if warp_width(batch.device) == 1 or most <= 2:
         return 0
     bits = min((most - 1).bit_length(), WALL_LANE_BITS)
     return min(bits, max((WALL_THREADS // max(batch.sphere_count, 1)).bit_length() - 1, 0))
 
 
 def _half_contacts(batch: Batch, part: int, first: int, last: int) -> list[Stage]:
-    """Return the CPU launches for the forces on a chunk of spheres: from spheres, planes and pipes, and meshes."""
+    """Return the CPU launches that compute the contact forces on the spheres from `first` to `last` - 1."""
     b, f = batch, batch.features
     contacts = contact_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
     stages = [b.stage(contacts, tasks(b, last - first), first=first, last=last)]

@@ -31,18 +31,18 @@ OF_BATCH = {
     "spheres": ("scene", "clear"),
     "walls": ("scene", "table", "rest_position", "step_force"),
 }
-"""Arrays that only a batch has and a state does not store, by struct of STRUCTS.
+"""Names of the arrays that a batch has but the states of its scenes do not store, by the name of their struct.
 
-A batch can calculate their values from its models, or the values are needed only within a step.
+The batch can calculate these arrays from its models, or their values are needed only within a step.
 """
 NUMBERS = (
     "body_count", "sphere_count", "largest_radius", "smallest_radius", "mean_radius", "total_mass", "chunks",
 )  # fmt: skip
-"""Names of the attributes of a state, in addition to the arrays, that a checkpoint stores."""
+"""Names of the attributes of a state that a checkpoint stores in addition to the arrays."""
 
 
 def state_fields(structs: SimpleNamespace) -> dict[str, tuple[str, ...]]:
-    """Return, for each struct in STRUCTS, the names of its arrays that belong to a state, not only to a batch."""
+    """Return for each struct in STRUCTS the names of the arrays that a state stores, all except those in OF_BATCH."""
     found: dict[str, tuple[str, ...]] = {}
     for name in STRUCTS:
         fields = struct_of(structs, name).vars
@@ -51,14 +51,17 @@ def state_fields(structs: SimpleNamespace) -> dict[str, tuple[str, ...]]:
 
 
 class HoldingBatch(Protocol):
-    """Batch as its states and their probes see it; they cannot name its class, because the batch imports them."""
+    """Protocol of the batch that a state belongs to, for modules that cannot import the class `Batch`.
+
+    The module `state` cannot, because the module `batch` imports it. The probes know a batch only through a state.
+    """
 
     device: wp.Device
     exchange: Exchange
     version: int
-    """Version of the recorded launches, incremented whenever arrays or chunks change."""
+    """Number that increases whenever arrays or CPU chunks change, which makes recorded launches invalid."""
     rows: np.ndarray
-    """Host copy of the parameters of all scenes."""
+    """Host copy of the parameters of all scenes, as a structured array of shape (scenes,)."""
 
     @property
     def kernel_arrays(self) -> dict[str, object]:
@@ -67,15 +70,15 @@ class HoldingBatch(Protocol):
 
     @cached_property
     def wall_array(self) -> DeviceArray:
-        """Device array of the walls' values, shape (walls, WALL_COLUMNS)."""
+        """Device array for forces, travel and other values of all walls, shape (walls, WALL_COLUMNS)."""
         ...
 
     def wall_stage(self) -> Stage:
-        """Return the launch that writes the walls' values to `wall_array`."""
+        """Return the launch that writes forces, travel and other values of all walls to `wall_array`."""
         ...
 
     def own_walls(self, s: int, values: np.ndarray) -> np.ndarray:
-        """Return the rows of `values` that belong to scene `s`; `values` has one row for each wall of the batch."""
+        """Return the rows for the walls of scene `s` from `values`, which has one row for each wall of the batch."""
         ...
 
     def host_flags(self) -> np.ndarray:
@@ -87,11 +90,14 @@ class HoldingBatch(Protocol):
         ...
 
     def reserve_loads(self, s: int, wanted: int) -> None:
-        """Enlarge the bond loads to at least `wanted` rows for scene `s`."""
+        """Enlarge the array of bond loads (forces and moments of bonds) to at least `wanted` rows for scene `s`."""
 
 
 def struct_of(structs: SimpleNamespace, name: str) -> Struct:
-    """Return the type of the struct that a state has as its attribute `name`; `structs` comes from `array_structs`."""
+    """Return the struct type of the attribute `name` of a state, such as `Bodies` for "bodies".
+
+    `structs` contains all struct types; it comes from `array_structs`.
+    """
     return getattr(structs, name.capitalize())
 
 
@@ -105,21 +111,21 @@ class State:
     """
 
     flags: DeviceArray
-    """Control flags, whose meanings `kernels/common/control.py` defines, shape (1, FLAGS)."""
+    """Control flags of the scene, such as halted or failed, shape (1, FLAGS); see `kernels/common/control.py`."""
     scenes: Scenes
-    """Clock and other values that exist once per scene, a struct `Scenes`."""
+    """Struct `Scenes` of arrays with one row for the scene, such as its clock."""
     bodies: Bodies
-    """Arrays with one row for each body, a struct `Bodies`."""
+    """Struct `Bodies` of arrays with one row for each body, such as positions and velocities."""
     spheres: Spheres
-    """Arrays with one row for each sphere, a struct `Spheres`."""
+    """Struct `Spheres` of arrays with one row for each sphere, such as positions and forces."""
     slots: Slots
-    """Arrays with a place (slot) for each wall contact that a sphere can have, a struct `Slots`."""
+    """Struct `Slots` of arrays with a row for each sphere and a column (slot) for each possible wall contact."""
     pairs: Pairs
-    """Neighbour list with contact history and bonds, a struct `Pairs`."""
+    """Struct `Pairs` of arrays that form the neighbour list, with contact history and bonds."""
     candidates: Candidates
-    """Mesh candidates, which are the triangles near each sphere, a struct `Candidates`."""
+    """Struct `Candidates` of arrays that list the mesh candidates, which are the triangles near each sphere."""
     walls: Walls
-    """Arrays with one row for each wall, a struct `Walls`."""
+    """Struct `Walls` of arrays with one row for each wall, such as positions and impulses."""
 
     def __init__(self, model: Model, table: BodyTable) -> None:
         self.model = model
@@ -150,7 +156,10 @@ class State:
         self._make_scene()
 
     def _fill(self, struct: str, **arrays: HostArray | Shape) -> None:
-        """Create arrays of a struct on the device from host data; a shape as value gives an array of zeros."""
+        """Create the named arrays of the struct `struct` on the device.
+
+        Each value is the host data of an array, or a shape, which creates an array of zeros.
+        """
         target = getattr(self, struct)
         variables = struct_of(self.structs, struct).vars
         for name, value in arrays.items():
@@ -248,7 +257,8 @@ class State:
     def _make_scene(self) -> None:
         clock = np.zeros((1, CLOCK))
         typical_force = self.model.stress_scale * (2 * max(self.largest_radius, 1e-12)) ** 2
-        # Forces are summed as 64-bit integers: the largest sum is 2e5 typical forces, the resolution 5e-14 of one.
+        # Wall forces are summed as 64-bit integers. The largest possible sum is 2e5 times the typical force, and the
+        # resolution is 5e-14 times the typical force.
         clock[0, int(FORCE_SCALE)] = 2.0 ** np.floor(np.log2(2.0**44 / typical_force))
         self._fill("scenes", clock=clock, scale=np.ones(1), reference_velocity=1)
         self.flags = zeros((1, FLAGS), dtype=wp.int32, device=self.model.device)
@@ -260,7 +270,10 @@ class State:
                 yield struct, name, getattr(getattr(self, struct), name)
 
     def scratch(self, name: str, shape: tuple[int, ...], dtype: type) -> DeviceArray:
-        """Return uninitialised device memory for measurements; the same name and shape give the same array again."""
+        """Return an uninitialised device array for temporary values, such as those of measurements.
+
+        Calls with the same name and shape return the same array.
+        """
         if name not in self._scratch or self._scratch[name].shape != shape:
             self._scratch[name] = empty(shape, dtype=dtype, device=self.model.device)
         return self._scratch[name]
@@ -278,20 +291,24 @@ class State:
         self._batch = None
 
     def launches(self, version: int) -> dict[str, Callable[[], Any]]:
-        """Return the recorded launches of measurements by name; a new `version` of the arrays discards all launches."""
+        """Return the dict in which probes store their recorded launches by name.
+
+        `version` is the present version of the batch. If it has changed since the last call, the dict is empty, because
+        the arrays of earlier launches may have been replaced.
+        """
         if self._launches[0] != version:
             self._launches = version, {}
         return self._launches[1]
 
     @property
     def batch(self) -> HoldingBatch:
-        """Batch to which the state belongs; the arrays are slices of the batch's arrays."""
+        """Batch to which the state belongs; the state's arrays are slices of the batch's arrays."""
         assert self._batch is not None, "the state is in no batch"
         return self._batch
 
     @property
     def pair_total(self) -> int:
-        """Number of entries of the neighbour list."""
+        """Number of entries of the scene's neighbour list that are in use."""
         return int(self.pairs.start[-1:].numpy()[0])
 
     @property
@@ -323,7 +340,7 @@ class State:
 
     @property
     def bytes(self) -> int:
-        """Memory size of all arrays of the state [B]."""
+        """Total size in memory of all arrays of the state [B]."""
         return sum(a.size * bytes_of(a.dtype) for _, _, a in self.arrays())
 
     def table(self) -> BodyTable:
@@ -349,21 +366,29 @@ class State:
 
 
 PAIR_ARRAYS = ("other", "history", "rolling", "bond", "load")
-"""Names of the arrays in the struct `pairs` that may have an entry for each listed pair of spheres."""
+"""Names of the arrays of the struct `pairs` that have one entry for each listed pair, if the scene needs them.
+
+An exception is `load`: it has an entry for each listed pair only if contacts heal, and otherwise for each bond.
+"""
 
 
 def pair_bytes(model: Model) -> dict[str, int]:
-    """Return the size of one entry of every array that the scene needs for its listed pairs [B]."""
+    """Return the size of one entry [B], by name, of each array that has an entry for every listed pair of the scene."""
     f = model.features
     used = {"other": True, "history": f.history, "rolling": f.pair_law.rolls}
-    # If bonds heal, every list entry has a load; otherwise only bonds have loads, which are counted separately.
+    # The array `load` (force and moment of bonds) has an entry for every listed pair only if bonds heal. Otherwise it
+    # has an entry for every bond.
     used |= {"bond": f.bonds, "load": f.healing}
     variables = struct_of(array_structs(model.scalar), "pairs").vars
     return {name: bytes_of(variables[name].type.dtype) for name in PAIR_ARRAYS if used[name]}
 
 
 def _shapes(table: BodyTable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return each body's first sphere, the spheres' offsets and radii [m], and the moments of inertia [kg m2]."""
+    """Return the first sphere of each body, the spheres' offsets and radii [m], and the moments of inertia [kg m2].
+
+    Offsets are sphere centres relative to the body's centroid, in the body's axes. The shapes are (bodies + 1,),
+    (spheres, 4) and (bodies, 3).
+    """
     first = np.concatenate([[0], np.cumsum(table.sphere_counts)]).astype(np.int32)
     offsets = np.zeros((int(first[-1]), 4))
     inertia = np.zeros((len(table), 3))

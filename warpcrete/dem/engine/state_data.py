@@ -15,11 +15,11 @@ from .pairs import listed_pairs
 from .state import NUMBERS, State, pair_bytes
 
 EMPTY = {("spheres", "force"), ("spheres", "moment")}
-"""Struct and name of arrays that contain zeros between two steps, so that checkpoints need not store them."""
+"""Arrays, as pairs of struct and name, that contain only zeros between two steps, so checkpoints do not store them."""
 
 
 def state_dict(state: State) -> dict[str, Any]:
-    """Return everything that the next step depends on: arrays by struct and name, and numbers."""
+    """Return everything in the state that the next step depends on: arrays by struct and name, flags and numbers."""
     stored: dict[str, Any] = {"numbers": {name: getattr(state, name) for name in NUMBERS}, "flags": state.flags.numpy()}
     for struct, name, array in state.arrays():
         if (struct, name) not in EMPTY:
@@ -30,7 +30,7 @@ def state_dict(state: State) -> dict[str, Any]:
 
 
 def restore_state(model: Model, stored: dict[str, Any]) -> State:
-    """Return the state that a `state_dict` describes."""
+    """Create a state from the data `stored`, which :func:`state_dict` has returned."""
     scene = model.scene
     table = BodyTable.empty()
     if scene.fill is not None:
@@ -70,7 +70,8 @@ def state_hash(state: State) -> str:
     reach = position[i, 3] + position[j, 3]
     kept = np.linalg.norm(position[i, :3] - position[j, :3], axis=1) < reach
     bond = state.pairs.bond.numpy()[place] if features.bonds else np.zeros(len(place), np.int32)
-    # Without healing, a broken bond acts like no bond. It is stored only while its pair is listed, so ignore it.
+    # Without healing, a broken bond acts like no bond. Whether it is still stored depends on when the lists were
+    # rebuilt, so the hash ignores broken bonds.
     if not features.healing:
         bond = np.maximum(bond, 0)
     kept |= bond > 0
@@ -85,7 +86,8 @@ def state_hash(state: State) -> str:
     if features.bonds:
         bond = bond[kept][ranks]
         digest.update(np.ascontiguousarray(bond_kinds(bond)).tobytes())
-        # The loads of broken bonds are zero, but with healing the zeros may be negative, so set them to +0.
+        # For pairs without an intact bond, `loads` now contains row 0, which may belong to another bond. Hash zeros for
+        # these pairs.
         loads = state.pairs.load.numpy()[bond_rows(np.maximum(bond, 0))]
         loads[bond <= 0] = 0.0
         digest.update(loads.tobytes())

@@ -1,4 +1,4 @@
-"""Stepper: step size, goals and bonds of one scene in a batch."""
+"""Stepper, which advances one scene of a batch in time and controls its step size and its bonds."""
 
 from __future__ import annotations
 
@@ -35,21 +35,21 @@ from .subcycling import MARGIN, rounds_for
 # 2 to 3 % slower than 0.7.
 SKIN = {"cpu": 0.5, "cuda": 0.7, "few": 1.0}
 FEW_SPHERES = 50_000
-MESH_SKIN = 4  # Skin of mesh candidates as a multiple of the skin of pairs.
+MESH_SKIN = 4  # Skin of the mesh candidates (triangles near a sphere), as a multiple of the neighbour lists' skin.
 SORT_EVERY = {"cpu": 1000, "cuda": 4000, "few": 16_000}
-"""Steps between two re-sortings of the bodies by the host.
+"""Number of steps between two re-sortings of the bodies in memory by the host.
 
-Lists are rebuilt 13 to 55 times in this interval. Few bodies fit the cache of a GPU in any order and need less sorting:
-for 28,000 spheres a step takes 1.3 us less if bodies are sorted every 16,000 instead of 4000 steps, and equally long
-without sorting.
+Neighbour lists are rebuilt 13 to 55 times in this interval. If bodies are few, they fit into the cache of a GPU in any
+order and need less sorting: for 28,000 spheres a step takes 1.3 us less if bodies are sorted every 16,000 instead of
+4000 steps, and equally long without sorting.
 """
 
 
 class Stepper:
-    """One scene of a batch: its step size, goals and bonds. A single scene is a batch of one.
+    """Object that advances one scene of a batch in time and controls its step size and its bonds.
 
-    `reaching` is a coroutine, which `scheduling.drive` runs together with the coroutines of other scenes. `advance` and
-    `take` step this scene alone.
+    A single scene is a batch of one. `reaching` is a coroutine, which `scheduling.drive` runs together with the
+    coroutines of other scenes. `advance` and `take` step this scene alone.
     """
 
     def __init__(
@@ -64,18 +64,19 @@ class Stepper:
         resumed: StepperRecord | None = None,
         among: tuple[NeighborLists, StableStep, int] | None = None,
     ) -> None:
-        """Create a stepper in the batch of `among`, or in a batch of its own.
+        """Create a stepper for one scene of an existing batch, or of a new batch if `among` is None.
 
-        `among` contains the neighbour lists and the :class:`StableStep` of a batch, and the scene's number in it.
-        `resumed` is the `state_dict` of a stepper from which this one continues. `skin` [m] and `sort_every` (steps
-        between two re-sortings) are for tests.
+        `among` contains the neighbour lists and the :class:`StableStep` of the existing batch, and the index of the
+        scene in the batch. If `resumed` is given, the new stepper continues like the stepper whose `state_dict` it is.
+        Tests set the `skin` of the neighbour lists [m], and `sort_every`, the number of steps between two re-sortings.
         """
         self.model, self.state, self.time_step = model, state, time_step
         if among is None:
             batch = Batch([model], [state], threads=threads)
             among = NeighborLists(batch), StableStep(batch), 0
             load_kernels(*among[:2])
-        # False before t = 0: until then an unstable fixed step raises a SceneError, later an InstabilityError.
+        # `running` becomes True at t = 0. Before, an unstable fixed step raises a SceneError, and afterwards an
+        # InstabilityError.
         self.running = False
         self._skin, self._sort_every = skin, sort_every
         self._estimated = self._goal_is_steps = False
@@ -84,7 +85,7 @@ class Stepper:
         self._longest_wall_step = (
             LEAP * state.smallest_radius / top_speed if top_speed and state.sphere_count else math.inf
         )
-        """Longest step in which a prescribed wall moves no farther than `LEAP` times the smallest sphere radius [s]."""
+        """Longest step in which no prescribed wall moves farther than `LEAP` times the smallest sphere radius [s]."""
         self.join(*among, resumed=resumed)
 
     def join(
@@ -95,7 +96,10 @@ class Stepper:
         *,
         resumed: StepperRecord | None = None,
     ) -> None:
-        """Become scene `index` of the batch to which `lists` belongs; continue from a `state_dict` if one is given."""
+        """Join the batch to which `lists` belongs, in which the stepper's scene has the index `index`.
+
+        If `resumed`, the `state_dict` of an earlier stepper, is given, this stepper continues like the earlier stepper.
+        """
         self.lists, self.stable_step, self.index = lists, stable_step, index
         self.batch, state = lists.batch, self.state
         kind = "cpu" if not self.batch.parallel else "few" if state.sphere_count < FEW_SPHERES else "cuda"
@@ -109,7 +113,7 @@ class Stepper:
             skin=self.skin,
             sort_every=SORT_EVERY[kind] if self._sort_every is None else self._sort_every,
             mesh_skin=self.mesh_skin,
-            # If meshes move, spheres may use up only half of the mesh skin between two builds, and meshes the rest.
+            # If meshes move, spheres may move by half of the mesh skin before a rebuild, and meshes by the other half.
             sphere_allowance=0.5 * self.mesh_skin if moving_mesh else self.mesh_skin,
         )
         if resumed is not None:
@@ -117,7 +121,8 @@ class Stepper:
                 self._estimated = True
                 self.batch.estimated(index, self.steps - int(resumed["since_estimate"]))
             self.batch.subcycles.load_state_dict(index, resumed["subcycles"])
-        # Rebuild stale lists before the next estimate, as an uninterrupted run does; results must be identical.
+        # Rebuild stale lists now, because a resumed run must give the same results as an uninterrupted run, which
+        # rebuilds stale lists before it estimates the stable step.
         stale = bool(self.batch.host_flags()[index, int(STALE)])
         if resumed is None or stale or index in self.batch.scenes_with_new_chunks:
             self.rebuild()
@@ -126,7 +131,7 @@ class Stepper:
             self.batch.planner.note_joined(index, self.steps)
 
     def state_dict(self) -> StepperRecord:
-        """Return everything that a stepper needs, in addition to the state, to continue identically."""
+        """Return the data that a stepper needs, in addition to the state, to continue with identical results."""
         return {
             "skin": self.skin,
             "since_estimate": self._steps_since_estimate(),
@@ -158,9 +163,10 @@ class Stepper:
         self.lists()
 
     def bond(self, bonds: Bonds, kind: int, group: int = -1) -> int:
-        """Bond all pairs with gaps up to `bonds.gap` [m], or only pairs inside body group `group`.
+        """Bond all unbonded pairs with gaps up to `bonds.gap` [m], and return the number of bonds of this `kind`.
 
-        Returns the number of bonds of this `kind` afterwards.
+        `kind` is the number of the bonds' kind, counted from 1 in the model's `bond_kinds`. If `group` is not -1, only
+        pairs inside the body group of this number are bonded.
         """
         self.batch.set(self.index, skin=max(self.skin, 1.001 * bonds.gap))
         self.rebuild()
@@ -171,7 +177,7 @@ class Stepper:
         return made
 
     def hydrate(self, old: int, new: int, fraction: float, seed: int) -> int:
-        """Change a random fraction of the bonds of kind `old` to kind `new`; return how many have kind `new`."""
+        """Change a random `fraction` of the bonds of kind `old` to kind `new`, and return the number of kind `new`."""
         self._estimated = False
         made = reassign_bonds(self.model, self.state, old, new, fraction, seed)
         if self.batch.features.subcycling and made:
@@ -179,7 +185,11 @@ class Stepper:
         return made
 
     def apply_rest(self) -> float:
-        """Apply the scene's rest to bonds and wall layer; return the wall travel [m] from which slip counts."""
+        """Strengthen the scene's bonds and lubrication layer by what they gain during its rest.
+
+        Pairs without a bond are bonded as well. Returns the travel [m] of the wall `Rest.wall` at the rest, from which
+        the slip along the wall is counted.
+        """
         scene, model, batch = self.model.scene, self.model, self.batch
         assert scene.rest is not None
         if scene.bonds is not None:
@@ -192,18 +202,19 @@ class Stepper:
         return travel_at_rest
 
     def set_layer_gain(self, travel_at_rest: float) -> None:
-        """Set the yield stress that the wall layer gained at rest, minus what slip has worn off.
+        """Add the yield stress that the lubrication layer gained at rest, less the part that slip has worn off since.
 
-        Slip is the wall's travel beyond `travel_at_rest` [m].
+        The slip is the travel of the wall `Rest.wall` beyond `travel_at_rest` [m], its travel at the rest.
         """
         if self.batch.structure is not None:
             self.batch.structure.grow(self.index, travel_at_rest)
 
     def _choose_rounds(self) -> None:
-        """Choose the number of shorter rounds within a step in which hydrated bonds are integrated (sub-cycling)."""
+        """Choose the number of sub-cycling rounds, the shorter steps for hydrated bonds within each time step."""
         subcycles, step = self.batch.subcycles, self.time_step
         subcycles.collect(self.index)
-        # Estimate the step without hydrated bonds, which the estimate leaves out as long as no rounds are set.
+        # Estimate the stable step without the hydrated bonds, which an estimate ignores while the number of rounds is
+        # still 0.
         unbonded_step = self.estimate()
         dt = step.fixed or min(step.safety * SUBCYCLED_STEP_FRACTION * unbonded_step, step.largest)
         ratio = MARGIN * dt / (step.safety * subcycles.stable_step(self.index))
@@ -238,7 +249,7 @@ class Stepper:
         spheres.velocity.assign(velocity)
 
     def estimate(self) -> float:
-        """Estimate the current stable step without safety factor [s] and return it; infinite without bodies."""
+        """Estimate and return the present stable step without safety factor [s], which is infinite without bodies."""
         self._set_step()
         self.stable_step(self.index)
         return self.state.stable_step if self.state.body_count else math.inf
@@ -257,9 +268,9 @@ class Stepper:
         )
 
     def choose_dt(self) -> float:
-        """Estimate the stable step, set the size of the next steps and return that size [s].
+        """Estimate the stable step, set the size of the next time steps, and return this size [s].
 
-        Raises :class:`InstabilityError`, or before the run :class:`SceneError`, if a fixed step is not stable.
+        A fixed step above the stable step raises :class:`SceneError` before t = 0 and :class:`InstabilityError` later.
         """
         fixed = self.time_step.fixed
         stable = self.estimate()
@@ -283,9 +294,9 @@ class Stepper:
         return dt
 
     def _fastest_wall(self, model: Model) -> float:
-        """Return the speed of the fastest prescribed wall [m/s].
+        """Return the largest speed of all walls with prescribed motion [m/s], or 0 without such walls.
 
-        Raises :class:`SceneError` if a wall moves further than the smallest sphere radius in a fixed step.
+        Raises :class:`SceneError` if a wall moves further in a fixed step than the radius of the smallest sphere.
         """
         speeds = {wall.name: wall.top_speed() for wall in model.walls}
         fixed, radius = self.time_step.fixed, self.state.smallest_radius
@@ -298,17 +309,17 @@ class Stepper:
         return max(speeds.values(), default=0.0)
 
     def _steps_since_estimate(self) -> float:
-        """Return the number of steps since the last estimate; infinite if a new estimate is required."""
+        """Return the number of steps since the last stable step estimate; infinite if a new estimate is required."""
         if not self._estimated:
             return math.inf
         flags = self.batch.host_flags()[self.index]
         return float(flags[int(STEPS)] - flags[int(ESTIMATED)])
 
     def reaching(self, goal: Until | Steps) -> Coroutine:
-        """Advance to a time, which is reached to within one step, or by a number of steps of the current size.
+        """Advance the scene to a time, to within one step, or by a number of steps of the current size.
 
-        This coroutine yields whenever the batch must step. It is resumed when the scene has halted, because it has
-        reached the goal, or because the host must estimate its stable step.
+        This coroutine yields whenever the batch must step. It must be resumed when the scene has halted, because the
+        scene has reached the goal or needs a new estimate of its stable step.
         """
         if isinstance(goal, Steps):
             yield from self._take_steps(goal.count)
@@ -337,11 +348,11 @@ class Stepper:
         return self._goal_is_steps and self._steps_since_estimate() >= self.time_step.interval
 
     def advance(self, until: float) -> None:
-        """Step until the simulated time reaches `until` [s], to within one step."""
+        """Advance this scene alone until the simulated time reaches `until` [s], to within one step."""
         drive_one(self, self._yield_goal(Until(until)))
 
     def take(self, count: int) -> None:
-        """Advance the scene by `count` steps of the current size."""
+        """Advance this scene alone by `count` steps of the current size."""
         drive_one(self, self._yield_goal(Steps(count)))
 
     @staticmethod
@@ -349,7 +360,7 @@ class Stepper:
         yield goal
 
     def failure(self, flags: np.ndarray) -> Exception | None:
-        """Return the exception to raise if the control `flags` say that the scene has failed; otherwise None."""
+        """Return the exception to raise if the control flags `flags` of the scene report a failure; otherwise None."""
         failed = int(flags[int(FAILED)])
         if failed < 0:
             wall = self.model.walls[-1 - failed].name
@@ -367,7 +378,10 @@ class Stepper:
         return None
 
     def reached(self, flags: np.ndarray) -> bool:
-        """Return whether by its control `flags` the scene has halted at its goal or to estimate its stable step."""
+        """Return whether the scene has halted because it has reached its goal or needs an estimate of its stable step.
+
+        `flags` contains the control flags of the scene.
+        """
         return int(flags[int(HALTED)]) == int(ARRIVED)
 
 
@@ -379,7 +393,7 @@ def steppers_of(
     resumed: list[StepperRecord | None] | None = None,
     threads: int = 1,
 ) -> list[Stepper]:
-    """Put scenes with equal :func:`batch_key` into one batch and return their steppers."""
+    """Create a batch of scenes that have equal :func:`batch_key`, and return a stepper for each scene."""
     batch = Batch(models, states, threads=threads)
     among = NeighborLists(batch), StableStep(batch)
     load_kernels(*among)

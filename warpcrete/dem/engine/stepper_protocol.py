@@ -1,4 +1,4 @@
-"""Protocol of a stepper for modules that cannot import its class, such as `scheduling`, which `stepper` imports."""
+"""Protocol of a stepper, for modules such as `scheduling` that `stepper` imports and that cannot import `stepper`."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from .state import State
 
 @dataclass(frozen=True)
 class Steps:
-    """Goal that a coroutine may yield instead of a time: a number of further steps of the current size."""
+    """Goal of a scene's coroutine: `count` further time steps of the current size. The other kind of goal is a time."""
 
     count: int
 
 
 class StepperRecord(TypedDict):
-    """Data that a stepper needs, in addition to the state, to continue in the same way."""
+    """Data in a checkpoint that a stepper needs, in addition to the state, to continue with identical results."""
 
     skin: float
     """Skin of the neighbour lists [m]."""
     since_estimate: float
     """Number of steps since the last estimate of the stable step; infinite if a new estimate is required."""
     subcycles: Mapping[str, HostArray | int]
-    """Data of the sub-cycling, see :meth:`.Subcycles.state_dict`."""
+    """Sub-cycled pairs and bodies of the scene and the number of rounds, from :meth:`.Subcycles.state_dict`."""
 
 
 class SceneStepper(Protocol):
-    """Protocol of a stepper, which advances one scene of a batch to goals."""
+    """Protocol of a stepper, which advances one scene of a batch until the scene reaches a goal."""
 
     model: Model
     state: State
@@ -47,26 +47,32 @@ class SceneStepper(Protocol):
     """Index of the scene in its batch."""
 
     def reaching(self, goal: Until | Steps) -> Coroutine:
-        """Return a coroutine that advances to a goal and yields while the batch must step."""
+        """Return a coroutine that advances the scene to a goal and yields whenever the batch must step."""
         ...
 
     def wants_estimate(self) -> bool:
-        """Return whether the stable step must be estimated before the scene takes more steps."""
+        """Return whether the goal is a number of steps and the stable step must be estimated before the next step."""
         ...
 
     def failure(self, flags: np.ndarray) -> Exception | None:
-        """Return the exception to raise if the control `flags` say that the scene has failed; otherwise None."""
+        """Return the exception to raise if the control flags `flags` of the scene report a failure; otherwise None."""
         ...
 
     def reached(self, flags: np.ndarray) -> bool:
-        """Return whether by its control `flags` the scene has halted at its goal or to estimate its stable step."""
+        """Return whether the scene has halted because it has reached its goal or needs an estimate of its stable step.
+
+        `flags` contains the control flags of the scene.
+        """
         ...
 
     def join(
         self, lists: NeighborLists, stable_step: StableStep, index: int, *, resumed: StepperRecord | None = None
     ) -> None:
-        """Become scene `index` of the batch to which `lists` belongs; continue from a `state_dict` if one is given."""
+        """Join the batch to which `lists` belongs, in which the stepper's scene has the index `index`.
+
+        If `resumed`, the `state_dict` of an earlier stepper, is given, this stepper continues like the earlier stepper.
+        """
 
     def state_dict(self) -> StepperRecord:
-        """Return everything that a stepper needs, in addition to the state, to continue identically."""
+        """Return the data that a stepper needs, in addition to the state, to continue with identical results."""
         ...

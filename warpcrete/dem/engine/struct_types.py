@@ -1,4 +1,4 @@
-"""Types of the structs of arrays that kernels take, for type checkers and editors.
+"""Protocols that describe the structs of arrays in the arguments of kernels, for type checkers and editors.
 
 `kernels/dem/structs.py` defines most of these structs, with the meaning, unit and shape of every array. In the same
 folder, `grid.py` defines `Grid` and `stiffness.py` defines `Estimate`. A test compares these names with the structs.
@@ -14,7 +14,7 @@ from ...core.device.arrays import DeviceArray
 
 
 class Scenes(Protocol):
-    """Values that exist once per scene."""
+    """Arrays with one row for each scene: parameters, clock and others."""
 
     row: DeviceArray
     clock: DeviceArray
@@ -23,7 +23,7 @@ class Scenes(Protocol):
 
 
 class Bodies(Protocol):
-    """Arrays of bodies."""
+    """Arrays with one row for each body, such as positions and velocities."""
 
     id: DeviceArray
     scene: DeviceArray
@@ -42,7 +42,7 @@ class Bodies(Protocol):
 
 
 class Spheres(Protocol):
-    """Arrays of spheres."""
+    """Arrays with one row for each sphere, such as positions and forces."""
 
     id: DeviceArray
     scene: DeviceArray
@@ -62,7 +62,7 @@ class Spheres(Protocol):
 
 
 class Slots(Protocol):
-    """Contacts of spheres with walls."""
+    """Arrays of the contacts of spheres with walls, with one row for each sphere."""
 
     touching: DeviceArray
     history: DeviceArray
@@ -75,7 +75,7 @@ class Slots(Protocol):
 
 
 class Pairs(Protocol):
-    """Neighbour list with contact history and bonds."""
+    """Arrays of the neighbour lists, with the contact history and the bond of each listed pair."""
 
     start: DeviceArray
     other: DeviceArray
@@ -86,14 +86,14 @@ class Pairs(Protocol):
 
 
 class Candidates(Protocol):
-    """Triangles of mesh walls near each sphere."""
+    """Arrays that list, for each sphere, the triangles of mesh walls near the sphere (mesh candidates)."""
 
     start: DeviceArray
     face: DeviceArray
 
 
 class Walls(Protocol):
-    """Arrays of walls."""
+    """Arrays with one row for each wall, such as positions and impulses."""
 
     scene: DeviceArray
     table: DeviceArray
@@ -116,7 +116,7 @@ class Walls(Protocol):
 
 
 class Links(Protocol):
-    """Pairs as a GPU evaluates them."""
+    """Arrays of the links of a GPU; a link represents a pair that a neighbour list contains at both spheres."""
 
     link: DeviceArray
     scene: DeviceArray
@@ -132,7 +132,7 @@ class Links(Protocol):
 
 
 class Subcycled(Protocol):
-    """Pairs with stiff bonds, and the bodies that these pairs join."""
+    """Arrays of the sub-cycled pairs, which have stiff bonds, and of the bodies that these bonds join."""
 
     rounds: DeviceArray
     stable: DeviceArray
@@ -170,7 +170,7 @@ class Subcycled(Protocol):
 
 
 class Grid(Protocol):
-    """Cell grid of the neighbour search."""
+    """Arrays of the cell grid in which neighbours are searched, and the numbers of cells along its axes."""
 
     dims: wp.vec3i
     per_width: DeviceArray
@@ -182,7 +182,7 @@ class Grid(Protocol):
 
 
 class Estimate(Protocol):
-    """Sums of the stable step estimate."""
+    """Arrays in which the estimate of the stable step collects sums of stiffness and damping, and extreme values."""
 
     sums: DeviceArray
     wall_load: DeviceArray

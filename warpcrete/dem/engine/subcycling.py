@@ -1,8 +1,8 @@
 """Sub-cycling of stiff bonds: hydrated bonds are integrated in several shorter rounds within each time step.
 
-This is a form of multiple time stepping. The forces of all other contacts on the bodies stay constant during the rounds
-of a step; `kernels/dem/subcycling.py` explains the method. This module manages the sub-cycled pairs and bodies, the
-number of rounds, and the kernel launches.
+Sub-cycling is a form of multiple time stepping. The forces of all other contacts on the bodies stay constant during the
+rounds of a step; `kernels/dem/subcycling.py` explains the method. This module manages the sub-cycled pairs and bodies,
+the number of rounds, and the kernel launches.
 """
 
 from __future__ import annotations
@@ -28,24 +28,30 @@ from .state import pair_bytes
 from .struct_types import Subcycled
 
 MARGIN = 1.1
-"""Factor by which the time step may grow above its first size before the chosen number of rounds limits it."""
+"""Reserve in the number of sub-cycling rounds, which is chosen once.
+
+The rounds allow a time step this many times as large as the time step at the moment of the choice.
+"""
 ROUND_BLOCK = 128
-"""Threads per block of the GPU kernel that computes all sub-cycling rounds of a step."""
+"""Number of threads per block of the GPU kernel that computes all sub-cycling rounds of a step."""
 RESIDENT_BLOCKS = 2
-"""Blocks of the GPU kernel for rounds that always fit on one multiprocessor, however many registers a block needs."""
+"""Number of blocks of the kernel for sub-cycling rounds that always fit on one multiprocessor of a GPU together.
+
+Two blocks of 128 threads fit even if each thread uses the maximum number of registers.
+"""
 OF_BODIES = ("position", "orientation")
-"""Names of arrays of sub-cycled bodies that must be stored in checkpoints, because the next step depends on them."""
+"""Names of the arrays of sub-cycled bodies that checkpoints must contain, because the next step depends on them."""
 OF_ENDS = ("force", "torque")
-"""Names of arrays with a row for each of the two ends of a sub-cycled pair; checkpoints must also contain them."""
+"""Names of the arrays with two rows per sub-cycled pair, one for each body, that checkpoints must contain."""
 BODY_ARRAYS = (
     "body_scene", "body_number", "place", "mass", "inertia", "rounding", "velocity", "spin", "angular_momentum",
     "other_force", "other_torque", *OF_BODIES,
 )  # fmt: skip
-"""Names of arrays with one row per sub-cycled body; most other arrays have one row per sub-cycled pair."""
+"""Names of the arrays of `Subcycled` with one row per body; most of its other arrays have one row per pair."""
 
 
 def rounds_for(ratio: float) -> int:
-    """Return the number of rounds for a step that is `ratio` times the stable step of undamped stiff bonds.
+    """Return the number of rounds for a time step that is `ratio` times the stable step of the undamped stiff bonds.
 
     Stiff bonds have dashpots with a relaxation time of RELAXATION times the step. A round of 1/n of the step is then
     stable if n^2 >= ratio^2 (1 + RELAXATION n); the result is the smallest such whole number.
@@ -55,21 +61,26 @@ def rounds_for(ratio: float) -> int:
 
 
 def round_blocks(count: int, multiprocessors: int, concurrent_batches: int) -> int:
-    """Return the number of GPU blocks for rounds of `count` pairs or bodies, for each of the `concurrent_batches`.
+    """Return the number of GPU blocks that compute the sub-cycling rounds of one batch.
 
-    The blocks of a batch wait for each other after every round, so all of them must be resident on the GPU at once.
+    A round computes `count` pairs or bodies. The blocks of a batch wait for each other after every round, so all of
+    them must be resident on the GPU at once. The `concurrent_batches`, which may compute rounds at the same time,
+    therefore share the blocks that fit on the GPU.
     """
     return max(1, min(-(-count // ROUND_BLOCK), RESIDENT_BLOCKS * multiprocessors // concurrent_batches))
 
 
 class Subcycles:
-    """Sub-cycled pairs (stiff bonds) of all scenes of a batch, in the order of their spheres' permanent numbers."""
+    """Sub-cycled pairs (pairs with stiff bonds) of all scenes of a batch.
+
+    The pairs of each scene are in the order of their spheres' permanent numbers.
+    """
 
     arrays: Subcycled
-    """Device arrays of sub-cycled pairs and bodies, a struct `Subcycled` of `kernels/dem/structs.py`."""
+    """Device arrays of the sub-cycled pairs and bodies, in a struct `Subcycled` of `kernels/dem/structs.py`."""
 
     def __init__(self, batch: SceneBatch) -> None:
-        """Prepare sub-cycling for a :class:`Batch`; there are no sub-cycled pairs yet."""
+        """Prepare the sub-cycling of a batch, without any sub-cycled pairs at first."""
         self.batch = batch
         self._by_scene: list[dict[str, np.ndarray]] = [{} for _ in range(batch.count)]
         self._rounds = np.zeros(batch.count, dtype=np.int32)
@@ -79,7 +90,7 @@ class Subcycles:
 
     @property
     def rounds(self) -> int:
-        """Largest number of sub-cycling rounds per step of any scene."""
+        """Largest number of sub-cycling rounds per step among all scenes of the batch."""
         return int(self._rounds.max(initial=0))
 
     @property
@@ -94,7 +105,7 @@ class Subcycles:
             self.batch.invalidate_graphs()
 
     def collect(self, s: int) -> None:
-        """Make the current hydrated bonds of scene `s` its sub-cycled pairs; other scenes do not change."""
+        """Make all pairs of scene `s` that have hydrated bonds now the sub-cycled pairs of this scene."""
         state = self.batch.states[s]
         i, j, place = listed_pairs(state)
         held = bond_kinds(state.pairs.bond.numpy()[place]) == int(HYDRATED)
@@ -126,7 +137,7 @@ class Subcycles:
             self._restore(s, {name: stored[name] for name in ("lower", "higher", *OF_BODIES, *OF_ENDS)})
 
     def _values(self, s: int) -> dict[str, np.ndarray]:
-        """Return the sub-cycled pairs of a scene, and the arrays of pairs and bodies that a checkpoint needs."""
+        """Return the sub-cycled pairs of scene `s`, and the arrays of pairs and bodies that a checkpoint needs."""
         if not self._by_scene[s]:
             return {}
         pairs = self._by_scene[s]
@@ -156,7 +167,8 @@ class Subcycles:
         first_pair = np.concatenate([[0], np.cumsum(self._pairs)])
         ref = np.concatenate([ref + 2 * first for (_, _, ref), first in zip(rows, first_pair)])
         counts = np.concatenate([counts for _, counts, _ in rows])
-        # For both ends of each sub-cycled pair, store the row of the body, and the end's row in the order of bodies.
+        # `ends` contains for each pair the rows of its two bodies, and two rows in the array of forces on bodies. This
+        # array is sorted by body.
         ends = np.stack([np.repeat(np.arange(len(counts)), counts)[np.argsort(ref)], np.argsort(ref)], axis=1)
         given: dict[str, HostArray] = {
             "rounds": self._rounds,
@@ -193,9 +205,10 @@ class Subcycles:
         self._body_place = zeros(b.body_count if self.pair_count else 0, dtype=wp.int32, device=b.device)
 
     def _rows(self, s: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the sub-cycled bodies of a scene, the number of pair ends on each, and all ends sorted by body.
+        """Return the sub-cycled bodies of scene `s`, the number of pair ends at each body, and the ends, body by body.
 
-        Bodies are given by permanent number. Pair k of the scene has the ends 2k and 2k + 1.
+        The bodies are given by their permanent numbers. The end 2k is the sphere of pair k that has the lower permanent
+        number, and the end 2k + 1 is its other sphere.
         """
         pairs = self._by_scene[s]
         if not pairs:
@@ -203,13 +216,13 @@ class Subcycles:
         state = self.batch.states[s]
         body_of = np.empty(state.sphere_count, dtype=int)
         body_of[state.spheres.id.numpy()] = state.bodies.id.numpy()[state.spheres.body.numpy()]
-        # Order the ends pair by pair, because pair k has the ends 2k and 2k + 1.
+        # `ends` contains the two bodies of each pair, pair by pair.
         ends = body_of[np.stack([pairs["lower"], pairs["higher"]], axis=1).ravel()]
         number, counts = np.unique(ends, return_counts=True)
         return number, counts, np.argsort(ends, kind="stable")
 
     def _place_bodies(self, s: int, number: np.ndarray) -> None:
-        """Initialise new sub-cycled bodies: positions come from the state, and forces and torques are zero."""
+        """Copy positions and orientations of new sub-cycled bodies from the state, and set their forces to zero."""
         bodies, stored = self.batch.states[s].bodies, self._by_scene[s]
         where = np.argsort(bodies.id.numpy())[number]
         for name in OF_BODIES:
@@ -218,14 +231,14 @@ class Subcycles:
             stored.setdefault(name, np.zeros((2 * self._pairs[s], 3)))
 
     def locate(self) -> None:
-        """Find the list entries of sub-cycled pairs and the rows of their bodies after a rebuild of the lists."""
+        """Find the sub-cycled pairs in rebuilt neighbour lists, and the bodies of the pairs in the body arrays."""
         for stage in self.locating():
             stage()
 
     def locating(self) -> list[Stage]:
-        """Return the launches that find the list entries of sub-cycled pairs and the rows of their bodies.
+        """Return the launches that find the sub-cycled pairs in rebuilt neighbour lists, and the pairs' bodies.
 
-        The list is empty if no pair is sub-cycled.
+        The result is empty if no pair is sub-cycled.
         """
         return self._locating() if self.pair_count else []
 
@@ -245,14 +258,14 @@ class Subcycles:
         ]
 
     def kernels(self) -> list[Stage]:
-        """Return launches with all kernels for sub-cycling, so that they can be compiled."""
+        """Return launches of all kernels for sub-cycling, so that the kernels can be compiled before the run."""
         if not self.batch.features.subcycling:
             return []
         rounds = self._round(0, 0) if self.batch.features.half_list else [self._all_rounds()]
         return [*self._locating(), *rounds, self._prediction_stage(0)]
 
     def stages(self, part: int) -> list[Stage]:
-        """Return the launches of CPU thread `part`, or of a GPU, for all sub-cycling rounds of a step."""
+        """Return the launches that compute all sub-cycling rounds of a step, on CPU thread `part` or on a GPU."""
         if not self.batch.features.half_list:
             return [self._all_rounds(), self._prediction_stage(part)]
         meet = self.batch.barrier()
@@ -260,7 +273,10 @@ class Subcycles:
         return [each for stage in (*rounds, self._prediction_stage(part)) for each in (stage, *meet)]
 
     def _all_rounds(self) -> Stage:
-        """Return the one GPU launch for all sub-cycling rounds of a step; all its blocks must be resident at once."""
+        """Return the single GPU launch that computes all sub-cycling rounds of a step.
+
+        All blocks of the launch must be resident at once, because they wait for each other after every round.
+        """
         b, f = self.batch, self.batch.features
         count = max(self.pair_count, self.body_count)
         multiprocessors = int(b.device.sm_count)  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
@@ -285,7 +301,7 @@ class Subcycles:
         return self._stage(prediction_kernel(b.scalar, f.meshes, f.half_list, f.dissipation), part, self.body_count)
 
     def _stage(self, kernel: Kernel, part: int, count: int, **named: Any) -> Stage:
-        """Return a launch of `kernel` over the share of CPU thread `part` in `count` pairs or bodies."""
+        """Return a launch of `kernel` for the pairs or bodies, out of `count`, that CPU thread `part` computes."""
         b = self.batch
         first, last = count * part // b.threads, count * (part + 1) // b.threads
         tasks = -(-(last - first) // SPAN) if b.features.half_list else last - first

@@ -1,4 +1,4 @@
-"""Growth of the wall layer of a batch's scenes while concrete rests, and its wear by slip (Roussel 2006)."""
+"""Growth of the lubrication layer's yield stress while concrete rests, and its loss by slip (Roussel 2006)."""
 
 from __future__ import annotations
 
@@ -19,15 +19,16 @@ def _rest_of(scene: Scene) -> Rest:
 
 
 class Structure:
-    """Yield stress that the lubrication layers of a batch's scenes gained at rest; slip along the wall wears it off.
+    """Yield stress that the lubrication layers of a batch's scenes gained at rest and lose by slip along the wall.
 
-    The gain decays as gained * exp(-slip / breakdown), where slip is the travel of `Rest.wall` since the rest.
+    After the slip s, the fraction exp(-s / breakdown) of the gain is left. The travel of the wall `Rest.wall` since the
+    rest serves as the slip.
     """
 
     def __init__(self, batch: SceneBatch) -> None:
-        """Set up the wall layers of a :class:`Batch`, all of whose scenes have a layer that gains strength at rest."""
+        """Prepare the layers of a batch in which every scene has a lubrication layer that gains strength at rest."""
         self.batch = batch
-        # The model's parameters are constant, so the batch stores the changing yield stress in a copy of them.
+        # The contact parameters of the model must not change, so the batch stores the changing yield stress in a copy.
         batch.wall_parameters = clone(batch.wall_parameters)
         own = [law["yield_stress"] for law in batch.wall_parameters.numpy()]
         self._own_yield = DeviceArray(np.array(own, dtype=float), dtype=batch.scalar, device=batch.device)
@@ -44,7 +45,7 @@ class Structure:
         return DeviceArray(np.asarray(values, dtype=float), dtype=wp.float64, device=self.batch.device)
 
     def stage(self) -> Stage:
-        """Return the launch that computes the yield stress of each scene's layer for the next step."""
+        """Return the launch that computes the present yield stress of each scene's lubrication layer from the slip."""
         b = self.batch
         return b.stage(
             breakdown_kernel(b.scalar, b.features.wall_law), b.count, own_yield=self._own_yield,
@@ -52,14 +53,15 @@ class Structure:
         )  # fmt: skip
 
     def grow(self, s: int, begun: float) -> None:
-        """Add the gain at rest to the yield stress of the layer of scene `s`, minus the part that slip has worn off.
+        """Add the gain at rest to the yield stress of the lubrication layer of scene `s`.
 
-        Slip is the travel of the wall beyond `begun` [m], its travel at the rest.
+        The part of the gain that slip has worn off is left out. The slip is the travel of the wall `Rest.wall` beyond
+        `begun` [m], the travel at the rest.
         """
         self._set(s, _rest_of(self.batch.models[s].scene).layer_gained, begun)
 
     def take(self, s: int, other: Structure, index: int) -> None:
-        """Copy the gain and the slip of the layer of scene `index` of another batch to scene `s` of this batch."""
+        """Copy the gain and the wall travel at the rest from scene `index` of the batch of `other` to scene `s`."""
         self._set(s, other._gained[index], other._travel_at_rest[index])
 
     def _set(self, s: int, gained: float, begun: float) -> None:
