@@ -11,7 +11,7 @@ import numpy as np
 
 from warpcrete.core.run.progress import ProgressBar
 from warpcrete.core.units import number
-from warpcrete.mps.mixes import concrete_of
+from warpcrete.mps.common.mixes import concrete_of
 from warpcrete.record.checks import failed_checks
 from warpcrete.record.loading import load
 from warpcrete.studies.lines.elements import Elements, run_elements

@@ -17,10 +17,10 @@ from warpcrete.dem.pumping.vessels import VesselParameters, check_vessel, vessel
 from warpcrete.dem.scene.scene import Scene
 from warpcrete.geometry.prisms import prism, rectangle
 from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed, Wall
+from warpcrete.mps.common.settings import STEP_ERROR
 from warpcrete.mps.free.checks import check_flow
 from warpcrete.mps.free.knobs import free_knobs
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
-from warpcrete.mps.scene import STEP_ERROR
 from warpcrete.standards import ClosedForm, Outcome, Specimen, StandardTest
 from warpcrete.standards.standard_test import Sizes
 from warpcrete.theory.vessels import box_at_rest, box_yield_stress

@@ -33,8 +33,8 @@ from warpcrete.geometry.one_pipe import (
     parameters_from_mesh,
 )
 from warpcrete.geometry.walls import MeshWall
-from warpcrete.mps.column import FLOW, ConcreteParameters
-from warpcrete.mps.mixes import CONSTANTS, concrete_of
+from warpcrete.mps.column import FLOW
+from warpcrete.mps.common.mixes import CONSTANTS, ConcreteParameters, concrete_of
 from warpcrete.mps.part.layout import INLET_RADIUS
 from warpcrete.mps.part.scene import MIN_ACROSS, PartScene, PartSettings, Section
 

@@ -15,7 +15,7 @@ from ..core.inputs.limits import check_limit, check_velocity
 from ..geometry.axis import Axis, Line
 from ..geometry.pumps import pump_of
 from ..mix.mix import Mix, mix_named, mix_of
-from ..mps.mixes import concrete_of
+from ..mps.common.mixes import concrete_of
 from ..studies.lines.losses import Part, PipeLine, read_line, with_stone
 from ..theory.pipe import Concrete
 

@@ -12,7 +12,7 @@ from ..core.inputs.fingerprints import fingerprint
 from ..core.run.files import atomic_file
 from ..core.run.progress import ProgressBar
 from ..mix.mix import completed
-from ..mps.mixes import concrete_of
+from ..mps.common.mixes import concrete_of
 from ..studies.lines.elements import ElementLine, Elements, element_table_lines, run_elements
 from ..studies.lines.line_folder import line_folder
 from ..studies.lines.losses import PipeLine, friction

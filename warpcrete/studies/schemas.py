@@ -26,7 +26,7 @@ from ..mix import given as mixes
 from ..mix import measurements, stones
 from ..mix.mix import FACTORS
 from ..mix.points import PUMPED
-from ..mps.column import ConcreteParameters
+from ..mps.common.mixes import ConcreteParameters
 from ..scenes import modules
 from ..theory.pipe import Concrete
 from .calibration.targets import TARGET_KEYS

@@ -15,9 +15,9 @@ from ...core.run.method import results_of
 from ...core.run.run import Table
 from ...core.units import quantity
 from ...standards.standard_test import is_at_rest
+from ..common.run import FlowRun
 from ..grid.flow import GridFlow
 from ..grid.state import GridState, check_memory
-from ..run import FlowRun
 from .display import FreeDisplay
 from .layout import free_cells, free_layout
 from .probes import UNITS, bases, measured, reach, surface

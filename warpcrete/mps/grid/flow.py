@@ -36,9 +36,8 @@ from ...kernels.mps.grid.transfer import advect_kernel, extend_kernel, gather_ke
 from ...kernels.mps.grid.walls import side_kernel, wall_kernel
 from ...kernels.mps.resident_solver import resident_blocks, resident_solver
 from ...kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY, array_structs, flow_struct
-from ..allocation import allocate
-from ..stages import ABSOLUTE_PRESSURE_FACTOR, VELOCITY_ERROR
-from ..stepping import Stepping
+from ..common.allocation import allocate
+from ..common.stepping import ABSOLUTE_PRESSURE_FACTOR, VELOCITY_ERROR, Stepping
 from .state import GridState, grid_numbers
 
 HISTORY = 256  # Maximum number of iterations of a solve of which the residual norms are kept.

@@ -14,9 +14,9 @@ from ...core.errors import InstabilityError
 from ...core.run.method import results_of
 from ...core.run.run import Table
 from ...core.units import quantity
+from ..common.run import FlowRun
 from ..grid.flow import GridFlow
 from ..grid.state import GridState, check_memory
-from ..run import FlowRun
 from .display import PartDisplay
 from .layout import part_layout, part_room
 from .probes import UNITS, friction_ahead, losses, measured, stations_of

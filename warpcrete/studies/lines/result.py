@@ -13,7 +13,7 @@ import numpy as np
 from ...core.drawing.html import html_table
 from ...core.run.run import dataframe
 from ...core.units import quantity
-from ...mps.mixes import CONCRETE_CONSTANTS
+from ...mps.common.mixes import CONCRETE_CONSTANTS
 from ...theory.bands import Band, combined
 from ...theory.pipe import Concrete, after_rest
 from .answers import EFFICIENCY, PumpMargin, band_sentences, motor_power, pressure_text

@@ -10,7 +10,7 @@ from typing import Any
 from ...core.errors import between, refuse
 from ...core.run.files import check_new, read_json
 from ...core.units import number
-from ...mps.mixes import CONCRETE_CONSTANTS
+from ...mps.common.mixes import CONCRETE_CONSTANTS
 from ...record.checks import failed_checks
 from ...scenes import modules
 from ...theory.pipe import Concrete

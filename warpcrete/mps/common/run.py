@@ -8,11 +8,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..core.device.footprint import footprint
-from ..core.run.provenance import arrays_hash, provenance
-from ..core.run.run import Table
-from ..core.run.run_loop import Run, Simulation
-from ..core.units import quantity
+from ...core.device.footprint import footprint
+from ...core.run.provenance import arrays_hash, provenance
+from ...core.run.run import Table
+from ...core.run.run_loop import Run, Simulation
+from ...core.units import quantity
 
 
 class FlowRun(Simulation):
@@ -131,3 +131,8 @@ class FlowRun(Simulation):
             "particle_steps_per_second": quantity(flow.steps * flow.count / max(running, 1e-9), "1/s"),
             "memory": quantity(footprint(flow=flow)["flow"], "B"),
         }
+
+
+def largest(values: np.ndarray) -> float:
+    """Return the value of largest magnitude, with its sign; NaN if any value is NaN."""
+    return float(values[np.argmax(np.abs(values))])
