@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from warpcrete.cli.main import CALIBRATE_HELP, LINE_HELP, cli
+from warpcrete.cli.schemas import FOLDER, schemas
 from warpcrete.core.errors import SceneError
 from warpcrete.core.inputs.concretes import concrete, shipped
 from warpcrete.core.inputs.text_files import read_mapping
@@ -18,7 +19,6 @@ from warpcrete.geometry.lines import line_of
 from warpcrete.mix.mix import mix_of
 from warpcrete.scenes import modules
 from warpcrete.studies.calibration.targets import task_of
-from warpcrete.studies.schemas import FOLDER, schemas
 
 SCHEMAS = schemas()
 ROOT = Path(__file__).parents[2]

@@ -28,8 +28,8 @@ from ..mix.mix import FACTORS
 from ..mix.points import PUMPED
 from ..mps.common.mixes import ConcreteParameters
 from ..scenes import modules
+from ..studies.calibration.targets import TARGET_KEYS
 from ..theory.pipe import Concrete
-from .calibration.targets import TARGET_KEYS
 
 Schema = dict[str, Any]
 FOLDER = Path(__file__).parents[1] / "schemas"
