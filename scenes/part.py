@@ -15,7 +15,8 @@ from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.concretes import is_file
 from warpcrete.core.inputs.knobs import Knob, Trading, precisions, scaled
 from warpcrete.core.inputs.limits import check_velocity
-from warpcrete.core.inputs.parameters import Above, FileIf, Needs, OneOf, Within, scene_function
+from warpcrete.core.inputs.parameters import Above, FileIf, Needs, OneOf, Within
+from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.core.run.checks import with_cures
 from warpcrete.core.run.run_loop import Run
 from warpcrete.geometry.axis import Arc, Axis, Line

@@ -19,7 +19,7 @@ from warpcrete.geometry.bores import Bores
 from warpcrete.geometry.curves import curve_through
 from warpcrete.geometry.meshes import enclosed
 from warpcrete.mps.common.mixes import concrete_of
-from warpcrete.studies.lines.elements import SeedResult, WallLaw
+from warpcrete.studies.lines.element_line import SeedResult, WallLaw
 from warpcrete.studies.lines.losses import friction, line_of, with_layer_factor
 from warpcrete.studies.lines.run import run_line
 

@@ -13,7 +13,8 @@ from ..core.run.files import atomic_file
 from ..core.run.progress import ProgressBar
 from ..mix.mix import completed
 from ..mps.common.mixes import concrete_of
-from ..studies.lines.elements import ElementLine, Elements, element_table_lines, run_elements
+from ..studies.lines.element_line import ElementLine, element_table_lines
+from ..studies.lines.elements import Elements, run_elements
 from ..studies.lines.line_folder import line_folder
 from ..studies.lines.losses import PipeLine, friction
 from ..studies.lines.result import LineResult, Stop, lines_of

@@ -14,7 +14,8 @@ from ..core.inputs.parameters import Alias, CompositeRule, Field
 from ..core.run.files import next_folder, read_record
 from ..core.run.progress import ProgressBar
 from ..record.recorders import RECORDERS
-from ..studies.study import Study, resume_study, run_study
+from ..studies.study import resume_study, run_study
+from ..studies.study_result import Study
 from .exits import CHECK_FAILED, INTERRUPTED
 from .options import check_scene, quantity_of
 

@@ -12,8 +12,9 @@ import warp as wp
 
 from ...common.control import HALTED
 from ..structs import array_structs, mps_types, row_place
-from .cells import DT, FORCE, LIQUID, GridKind, grid_functions, grid_parameters_struct, grid_structs
+from .cells import DT, FORCE, LIQUID, GridKind, grid_parameters_struct, grid_structs
 from .other_laws import flow_functions
+from .places import grid_functions
 from .structure import with_gain_function
 
 STIFFENING = wp.constant(2.0)

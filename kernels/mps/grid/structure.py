@@ -13,7 +13,8 @@ import functools
 import warp as wp
 
 from ...common.control import HALTED
-from .cells import DT, LIQUID, GridKind, grid_functions, grid_parameters_struct, grid_structs
+from .cells import DT, LIQUID, GridKind, grid_parameters_struct, grid_structs
+from .places import grid_functions
 
 
 @functools.cache

@@ -21,20 +21,17 @@ from ...geometry.lines import Part, PipeLine, check_crossing, read_line
 from ...geometry.mesh_parts import DIAMETER_TOLERANCE, WAYS, Insert, bore_of
 from ...geometry.one_pipe import check_return, check_straight_ends, ends, parameters_from_line, parameters_from_mesh
 from ..laws import LawChoice, WallLawChoice
-from .parameters import (
-    COARSENINGS,
-    UPRIGHT,
-    WIDEST_STONE,
+from .knobs import COARSENINGS, coarser
+from .parameter_groups import (
     AggregateParameters,
     BondParameters,
     ConcreteChoice,
-    ConcreteDefaults,
     ContactParameters,
     IndexParameters,
     PlugParameters,
     RunParameters,
-    coarser,
 )
+from .parameters import UPRIGHT, WIDEST_STONE, ConcreteDefaults
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level", "mesh")
 ALONE = Needs("line", lambda line: line is None, "is left out")

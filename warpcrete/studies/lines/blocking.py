@@ -20,7 +20,8 @@ from ...mix.blocking import narrowest
 from ...scenes import modules
 from ...theory.bands import wilson_interval
 from ..cases import Case
-from ..study import Study, resume_study, run_listed
+from ..study import resume_study, run_listed
+from ..study_result import Study
 from .elements import SCENE, Elements, part_parameters
 from .line_folder import PARTS
 from .losses import Part, PipeLine
