@@ -8,8 +8,9 @@ import jsonschema
 import pytest
 from click.testing import CliRunner
 
-from warpcrete.cli.main import CALIBRATE_HELP, LINE_HELP, cli
+from warpcrete.cli.main import cli
 from warpcrete.cli.schemas import FOLDER, schemas
+from warpcrete.cli.texts import CALIBRATE_HELP, LINE_HELP
 from warpcrete.core.errors import SceneError
 from warpcrete.core.inputs.concretes import concrete, shipped
 from warpcrete.core.inputs.text_files import read_mapping
