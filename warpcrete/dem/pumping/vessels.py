@@ -335,6 +335,13 @@ def shear_means() -> tuple[float, float, float]:
     return float(np.mean(np.sqrt(np.maximum(across, 0)))), float(np.mean(across)), float(np.mean(along**2))
 
 
+def _core_and_shell(given: VesselParameters) -> dict[str, float]:
+    """Return the constants of the cores and shells of grains, which both laws of mortar have in common."""
+    shell = {"shell_fraction": given.shell_fraction, "shell_modulus": given.shell_modulus}
+    return dict(effective_modulus=given.stiffness, stiffness_ratio=given.stiffness_ratio,
+                friction=given.grain_friction, normal_damping_ratio=given.normal_damping, **shell)  # fmt: skip
+
+
 def mortar_law(given: VesselParameters) -> BinghamMortar:
     """Return a contact law whose stresses add up to the yield stress and viscosity of the concrete.
 
@@ -351,12 +358,7 @@ def mortar_law(given: VesselParameters) -> BinghamMortar:
     slides, square, closes = shear_means()
     filled = 0.75 * CONTACTS * given.packed
     return BinghamMortar(
-        effective_modulus=given.stiffness,
-        stiffness_ratio=given.stiffness_ratio,
-        friction=given.grain_friction,
-        normal_damping_ratio=given.normal_damping,
-        shell_fraction=given.shell_fraction,
-        shell_modulus=given.shell_modulus,
+        **_core_and_shell(given),
         yield_stress=given.yield_stress / (filled * slides),
         plastic_viscosity=given.viscosity * given.shell_fraction / (filled * (square + 3 * closes)),
     )
@@ -376,12 +378,7 @@ def plastic_law(given: VesselParameters) -> PlasticMortar:
     """
     filled = 0.75 * CONTACTS * given.packed
     return PlasticMortar(
-        effective_modulus=given.stiffness,
-        stiffness_ratio=given.stiffness_ratio,
-        friction=given.grain_friction,
-        normal_damping_ratio=given.normal_damping,
-        shell_fraction=given.shell_fraction,
-        shell_modulus=given.shell_modulus,
+        **_core_and_shell(given),
         yield_stress=given.yield_stress / (filled * math.pi / 8),
         plastic_viscosity=given.viscosity * given.shell_fraction / (filled / 6),
         tension=given.shell_tension,

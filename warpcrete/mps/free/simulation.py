@@ -60,15 +60,12 @@ class FreeSimulation(FlowRun):
 
     def watch_row(self, row: dict[str, float]) -> None:
         """Raise :class:`InstabilityError` if the row shows that the state is no longer meaningful."""
-        at = f"t = {row['time']:.6g} s"
-        for name, value in row.items():
-            if not math.isfinite(value):
-                raise InstabilityError(f"{at}: {name} is not a finite number; use a smaller 'time_step'")
+        super().watch_row(row)
         room = self.scene.width - 2 * self.flow.state.layout.spacing
         if self.scene.test and self.scene.test.on_plate and self.flow.steps and reach(self.flow) > room:
             raise InstabilityError(
-                f"{at}: the concrete has reached the edge of the plate, {self.scene.width:g} m from its middle; use a "
-                "larger plate ('plate_radius')"
+                f"t = {row['time']:.6g} s: the concrete has reached the edge of the plate, {self.scene.width:g} m from "
+                "its middle; use a larger plate ('plate_radius')"
             )
 
     @property
