@@ -9,9 +9,9 @@ from typing import Any
 import click
 
 from ..core.run.progress import ProgressBar
+from ..geometry.pipe_line import PipeLine
 from ..studies.lines.blocking import run_blocking
 from ..studies.lines.elements import Elements
-from ..studies.lines.losses import PipeLine
 
 
 def run(line: PipeLine, name: str, rate: float, folder: Path, settings: Mapping[str, Any]) -> None:

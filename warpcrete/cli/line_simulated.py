@@ -11,12 +11,13 @@ import click
 from ..core.inputs.fingerprints import fingerprint
 from ..core.run.files import atomic_file
 from ..core.run.progress import ProgressBar
+from ..geometry.pipe_line import PipeLine
 from ..mix.mix import completed
 from ..mps.common.mixes import concrete_of
 from ..studies.lines.element_line import ElementLine, element_table_lines
 from ..studies.lines.elements import Elements, run_elements
 from ..studies.lines.line_folder import line_folder
-from ..studies.lines.losses import PipeLine, friction
+from ..studies.lines.losses import friction
 from ..studies.lines.result import LineResult, Stop, lines_of
 from ..studies.lines.run import run_line
 from .line_inputs import LineInputs

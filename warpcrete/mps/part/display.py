@@ -42,7 +42,7 @@ class PartDisplay(GridDisplay):
         """Number of times that each drawn particle is drawn: twice if only half of the part is simulated."""
         return len(self._mirror_signs)
 
-    @cached_property
+    @property
     def drawn_particles(self) -> np.ndarray:
         """Indices of the particles that are drawn, shape (n,)."""
         count = self.simulation.state.count

@@ -16,6 +16,7 @@ from ...core.errors import between, refuse
 from ...core.run.files import write_json
 from ...core.units import number, quantity
 from ...dem.measure.blockage import STANDING_RATIO
+from ...geometry.pipe_line import Part, PipeLine
 from ...mix.blocking import narrowest
 from ...scenes import modules
 from ...theory.bands import wilson_interval
@@ -24,7 +25,6 @@ from ..study import resume_study, run_listed
 from ..study_result import Study
 from .elements import SCENE, Elements, part_parameters
 from .line_folder import PARTS
-from .losses import Part, PipeLine
 
 FOLDER = "blocking"
 """Name of the study's folder among the parts of a line."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...core.units import quantity
-from .losses import Part, PipeLine
+from ...geometry.pipe_line import Part, PipeLine
 from .run import GRAVITY
 
 STEPS = 50

@@ -20,13 +20,13 @@ from ...core.run.files import write_json
 from ...core.run.method import Method
 from ...core.run.run_loop import Run
 from ...core.units import number
+from ...geometry.pipe_line import Part, PipeLine
 from ...methods import method_of
 from ...record.checks import failed_checks
 from ...record.loading import load
 from ...scenes import modules
 from .element_line import ElementLine, SeedResult, WallLaw
 from .folder import part_simulation, previous_run
-from .losses import Part, PipeLine
 from .run import folder_name
 
 SCENE = "part-dem"

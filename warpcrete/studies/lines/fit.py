@@ -15,10 +15,11 @@ from ...core.inputs.amounts import amount
 from ...core.inputs.limits import check_limit, check_velocity
 from ...core.inputs.text_files import read_columns
 from ...core.units import quantity
+from ...geometry.pipe_line import Part, PipeLine
 from ...theory.fits import student_t
 from ...theory.pipe import Concrete
 from .fittings import MODEL_ERRORS, library_factor
-from .losses import GRAVITY, Part, PipeLine, straight_friction, with_layer_factor
+from .losses import GRAVITY, straight_friction, with_layer_factor
 
 NAMES = ("slip viscosity", "slip yield", "factor of bends")
 UNITS = ("Pa s/m", "Pa", "")

@@ -10,13 +10,14 @@ from typing import Any
 from ...core.errors import between, refuse
 from ...core.run.files import check_new, read_json
 from ...core.units import number
+from ...geometry.pipe_line import Part, PipeLine
 from ...mps.common.mixes import CONCRETE_CONSTANTS
 from ...record.checks import failed_checks
 from ...scenes import modules
 from ...theory.pipe import Concrete
 from .folder import part_simulation, previous_run
 from .line_folder import LINE_RECORD
-from .losses import GRAVITY, Part, PipeLine, friction, with_layer_factor
+from .losses import GRAVITY, friction, with_layer_factor
 from .result import LineResult, Loss, Stop
 from .theory_line import LAYER_FACTOR, check_settings, line_by_theory, write_result
 
