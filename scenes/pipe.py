@@ -21,9 +21,8 @@ from warpcrete.core.run.run_loop import Run
 from warpcrete.core.units import number
 from warpcrete.dem.measure.blockage_results import blocked_words
 from warpcrete.dem.pumping.components import Plug, fill_of, law_remarks, plug_of, settings_of, sizes_of
-from warpcrete.dem.pumping.knobs import pumping_knobs
 from warpcrete.dem.pumping.parameter_groups import index_settings
-from warpcrete.dem.pumping.parameters import WIDEST_STONE, PipeParameters
+from warpcrete.dem.pumping.parameters import WIDEST_STONE, PipeParameters, pumping_knobs
 from warpcrete.dem.scene.concretes import COVERAGE
 from warpcrete.dem.scene.containers import PipeContainer
 from warpcrete.dem.scene.scene import (

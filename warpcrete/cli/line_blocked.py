@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from ..core.run.progress import ProgressBar
+from ..core.run.progress import progress_bar
 from ..geometry.pipe_line import PipeLine
 from ..studies.lines.blocking import run_blocking
 from ..studies.lines.elements import Elements
@@ -17,12 +17,9 @@ from ..studies.lines.elements import Elements
 def run(line: PipeLine, name: str, rate: float, folder: Path, settings: Mapping[str, Any]) -> None:
     """Simulate the narrowest part with many seeds and print the probability; `settings` are the command's options."""
     elements = Elements(**{key: settings[key] for key in ("shapes", "coarse", "stiffer")})
-    progress = ProgressBar()
-    try:
+    with progress_bar(settings["quiet"]) as tell:
         found = run_blocking(
             line, name, rate, settings["blocking"], out=folder, elements=elements, device=settings["device"],
-            processes=settings["threads"], progress=None if settings["quiet"] else progress,
+            processes=settings["threads"], progress=tell,
         )  # fmt: skip
-    finally:
-        progress.close()
     click.echo("\n" + "\n".join(found.lines))

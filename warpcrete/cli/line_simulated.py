@@ -10,7 +10,7 @@ import click
 
 from ..core.inputs.fingerprints import fingerprint
 from ..core.run.files import atomic_file
-from ..core.run.progress import ProgressBar
+from ..core.run.progress import progress_bar
 from ..geometry.pipe_line import PipeLine
 from ..mix.mix import completed
 from ..mps.common.mixes import concrete_of
@@ -40,21 +40,17 @@ def run(
     if settings["blocking"] is not None:
         asked["blocking"] = settings["blocking"]
     where = {"out": folder, **{key: settings[key] for key in ("known", "device", "threads")}}
-    found, packed, progress = None, None, ProgressBar()
-    try:
-        with line_folder(folder, asked):
-            if method != "dem":
-                found = run_line(
-                    line, concrete_of(name), rate, simulate=True, cells=settings["cells"], stop=stop,
-                    progress=None if settings["quiet"] else progress, **layer, **where,
-                )  # fmt: skip
-            if method != "flow":
-                tell = None if settings["quiet"] else (lambda phase, fraction: progress(phase, fraction, {}))
-                packed = run_elements(line, name, rate, elements=elements, progress=tell, **where)
-            _print(line, name, rate, found, packed, folder, settings["practice"])
-            finish()
-    finally:
-        progress.close()
+    found, packed = None, None
+    with progress_bar(settings["quiet"]) as tell, line_folder(folder, asked):
+        if method != "dem":
+            found = run_line(
+                line, concrete_of(name), rate, simulate=True, cells=settings["cells"], stop=stop, progress=tell,
+                **layer, **where,
+            )  # fmt: skip
+        if method != "flow":
+            packed = run_elements(line, name, rate, elements=elements, progress=tell, **where)
+        _print(line, name, rate, found, packed, folder, settings["practice"])
+        finish()
     return any(each is not None and bool(each.failed) for each in (found, packed))
 
 

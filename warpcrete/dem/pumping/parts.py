@@ -22,7 +22,6 @@ from ...geometry.mesh_parts import DIAMETER_TOLERANCE, WAYS, Insert, bore_of
 from ...geometry.one_pipe import check_return, check_straight_ends, ends, parameters_from_line, parameters_from_mesh
 from ...geometry.pipe_line import Part, PipeLine
 from ..laws import LawChoice, WallLawChoice
-from .knobs import COARSENINGS, coarser
 from .parameter_groups import (
     AggregateParameters,
     BondParameters,
@@ -32,7 +31,7 @@ from .parameter_groups import (
     PlugParameters,
     RunParameters,
 )
-from .parameters import UPRIGHT, WIDEST_STONE, ConcreteDefaults
+from .parameters import COARSENINGS, UPRIGHT, WIDEST_STONE, ConcreteDefaults, coarser
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level", "mesh")
 ALONE = Needs("line", lambda line: line is None, "is left out")

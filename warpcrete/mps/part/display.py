@@ -121,16 +121,7 @@ class PartDisplay(GridDisplay):
                     )
             return [DrawnWall("wall", *together(drawn), False, GLASS)]
         s = np.linspace(0, scene.axis.length, RING_COUNT)
-        points, _, normal, side = scene.axis.frame(s)
-        angle = 2 * np.pi * np.arange(FACETS_AROUND) / FACETS_AROUND
-        ring = np.cos(angle)[None, :, None] * normal[:, None] + np.sin(angle)[None, :, None] * side[:, None]
-        vertices = (points[:, None] + scene.bore(s)[:, None, None] * ring).reshape(-1, 3)
-        row, column = np.meshgrid(np.arange(RING_COUNT - 1), np.arange(FACETS_AROUND), indexing="ij")
-        a, b = (row * FACETS_AROUND + column).ravel(), (row * FACETS_AROUND + (column + 1) % FACETS_AROUND).ravel()
-        faces = np.concatenate(
-            [np.stack([a, b, a + FACETS_AROUND], 1), np.stack([b, b + FACETS_AROUND, a + FACETS_AROUND], 1)]
-        )
-        return [DrawnWall("wall", vertices, faces, False, GLASS)]
+        return [DrawnWall("wall", *scene.axis.swept(s, scene.bore(s), FACETS_AROUND), False, GLASS)]
 
     def bounds(self) -> np.ndarray:
         """Return the lowest and highest corner of all that is drawn [m], shape (2, 3)."""

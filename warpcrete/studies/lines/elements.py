@@ -26,7 +26,7 @@ from ...record.checks import failed_checks
 from ...record.loading import load
 from ...scenes import modules
 from .element_line import ElementLine, SeedResult, WallLaw
-from .folder import part_simulation, previous_run
+from .folder import check_known, part_simulation, previous_run
 from .run import folder_name
 
 SCENE = "part-dem"
@@ -96,13 +96,7 @@ def run_elements(
     :class:`SceneError` for impossible settings, and the error of the first run that failed.
     """
     elements = elements or Elements()
-    if known is not None and not (known / "parts").is_dir():
-        refuse(
-            "known",
-            str(known),
-            "is not the folder of a line with simulated parts",
-            "give the folder of an earlier 'warpcrete line', which contains a folder 'parts'",
-        )
+    check_known(known)
     kinds = dict(_kinds(line))
     jobs = []
     for seed in range(elements.seeds):
