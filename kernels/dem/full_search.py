@@ -11,8 +11,25 @@ from ..common.control import STALE
 from ..common.rows import row_functions
 from ..common.types import types, vector_functions
 from .grid import grid_functions, grid_struct
-from .search import search_functions, sort_row
+from .search import search_functions
 from .structs import array_structs
+
+
+@wp.func
+def sort_row(other: wp.array(dtype=wp.int32), begin: wp.int32, end: wp.int32):
+    """Sort the entries of `other` from `begin` to `end`, a long row, with Shell sort and Knuth's gap sequence."""
+    gap = wp.int32(1)
+    while gap < (end - begin) / 3:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for k in range(begin + gap, end):
+            entry = other[k]
+            at = wp.int32(k)
+            while at - gap >= begin and other[wp.max(at - gap, 0)] > entry:
+                other[at] = other[at - gap]
+                at = at - gap
+            other[at] = entry
+        gap = gap / 3
 
 
 @functools.cache

@@ -11,8 +11,24 @@ from ..common.control import STALE
 from ..common.rows import row_functions
 from ..common.types import types
 from .grid import grid_functions, grid_struct
-from .search import insert, search_functions
+from .search import search_functions
 from .structs import array_structs
+
+
+@wp.func
+def insert(other: wp.array(dtype=wp.int32), row: wp.int32, found: wp.int32, entry: wp.int32):
+    """Insert an entry at its sorted position in a list row that already holds `found` entries.
+
+    Rows are sorted in ascending order, whatever the order in which the grid finds neighbours. The sums of a step then
+    do not depend on the grid, which is shared by all scenes of a batch.
+    """
+    k = row + found
+    for ahead in range(found):
+        if other[k - 1] < entry:
+            break
+        other[k] = other[k - 1]
+        k = k - 1
+    other[k] = entry
 
 
 @functools.cache

@@ -10,6 +10,20 @@ from ..common.types import types, vector_functions
 from .pairs import decode
 from .structs import array_structs
 
+SQUARE_APART = """
+#if defined(__CUDA_ARCH__)
+    const SCALAR x = SUB(a[0], b[0]), y = SUB(a[1], b[1]), z = SUB(a[2], b[2]);
+    return ADD(ADD(MUL(x, x), MUL(y, y)), MUL(z, z));
+#else
+    return wp::length_sq(a - b);
+#endif
+"""
+"""Source of a function that returns the squared distance between two points.
+
+Its intrinsics keep the GPU compiler from fusing multiply and add, so that the result is rounded the same way in every
+kernel.
+"""
+
 
 @functools.cache
 def find_function(scalar, half: bool):
@@ -33,54 +47,6 @@ def find_function(scalar, half: bool):
         return wp.int32(-1)
 
     return find
-
-
-@wp.func
-def insert(other: wp.array(dtype=wp.int32), row: wp.int32, found: wp.int32, entry: wp.int32):
-    """Insert an entry at its sorted position in a list row that already holds `found` entries.
-
-    Rows are sorted in ascending order, whatever the order in which the grid finds neighbours. The sums of a step then
-    do not depend on the grid, which is shared by all scenes of a batch.
-    """
-    k = row + found
-    for ahead in range(found):
-        if other[k - 1] < entry:
-            break
-        other[k] = other[k - 1]
-        k = k - 1
-    other[k] = entry
-
-
-@wp.func
-def sort_row(other: wp.array(dtype=wp.int32), begin: wp.int32, end: wp.int32):
-    """Sort the entries of `other` from `begin` to `end`, a long row, with Shell sort and Knuth's gap sequence."""
-    gap = wp.int32(1)
-    while gap < (end - begin) / 3:
-        gap = 3 * gap + 1
-    while gap > 0:
-        for k in range(begin + gap, end):
-            entry = other[k]
-            at = wp.int32(k)
-            while at - gap >= begin and other[wp.max(at - gap, 0)] > entry:
-                other[at] = other[at - gap]
-                at = at - gap
-            other[at] = entry
-        gap = gap / 3
-
-
-SQUARE_APART = """
-#if defined(__CUDA_ARCH__)
-    const SCALAR x = SUB(a[0], b[0]), y = SUB(a[1], b[1]), z = SUB(a[2], b[2]);
-    return ADD(ADD(MUL(x, x), MUL(y, y)), MUL(z, z));
-#else
-    return wp::length_sq(a - b);
-#endif
-"""
-"""Source of a function that returns the squared distance between two points.
-
-Its intrinsics keep the GPU compiler from fusing multiply and add, so that the result is rounded the same way in every
-kernel.
-"""
 
 
 @functools.cache
