@@ -105,13 +105,8 @@ def full_search_kernels(scalar, bonds: bool, lanes: int) -> tuple[wp.Kernel, wp.
     Grid = grid_struct(scalar)
     region, run_of = grid_functions(scalar).region, grid_functions(scalar).run_of
     f = search_functions(scalar, False, bonds)
-    Query, query_of, padded_reach, is_neighbour, bonded_beyond_skin = (
-        f.Query,
-        f.query_of,
-        f.padded_reach,
-        f.is_neighbour,
-        f.bonded_beyond_skin,
-    )
+    Query, query_of, padded_reach, is_neighbour = f.Query, f.query_of, f.padded_reach, f.is_neighbour
+    bonded_beyond_skin = f.bonded_beyond_skin
     side, within = octant_functions(scalar)
     old_row, add_neighbour = recording_functions(scalar, bonds)
 

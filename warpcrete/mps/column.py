@@ -261,11 +261,8 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
         found = {name: found[name] for name in ("volume", "balance of forces")}
     # Structure that rebuilds while the concrete flows may pass what was gained at rest.
     if scene.gained and not scene.rebuild_rate:
-        peak, least, most = (
-            number(result["restart_pressure"]),
-            scene.theory().pressure,
-            plug_restart_state(scene).pressure,
-        )
+        peak, least = number(result["restart_pressure"]), scene.theory().pressure
+        most = plug_restart_state(scene).pressure
         # A plug that slips as a whole still has most of its layer's gained yield stress when the first sample is taken.
         plug = (
             plug_restart_state(scene).wall_stress

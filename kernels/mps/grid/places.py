@@ -143,9 +143,8 @@ def grid_functions(scalar, of: GridKind) -> SimpleNamespace:
     structs = grid_structs(scalar, dims)
     Fields, Walls, Geometry = structs.Fields, structs.Walls, structs.Geometry
     places = place_functions(scalar, of)
-    at, moved, side_weight, cell_weight, block = (
-        places.at, places.moved, places.side_weight, places.cell_weight, places.block,
-    )  # fmt: skip
+    at, moved, side_weight, cell_weight = places.at, places.moved, places.side_weight, places.cell_weight
+    block = places.block
 
     @wp.func
     def open_area(g: Grid, geometry: Geometry, c: whole, axis: wp.int32) -> scalar:
