@@ -141,10 +141,7 @@ def quantity(unit: str, text: str, number: Mapping[str, Any] | None = None) -> S
     shown = f"{text} [{unit}]" if unit != "1" and f"[{unit}]" not in text else text
     return {
         "description": shown,
-        "anyOf": [
-            {"type": "number", **(number or {})},
-            {"type": "string", "pattern": text_pattern(unit)},
-        ],
+        "anyOf": [{"type": "number", **(number or {})}, {"type": "string", "pattern": text_pattern(unit)}],
     }
 
 

@@ -63,11 +63,7 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
 
 
 def _resumed(
-    scene: str | None,
-    settings: dict[str, Any],
-    rest: dict[str, Any],
-    modules: dict[str, Any],
-    anew: dict[str, Any],
+    scene: str | None, settings: dict[str, Any], rest: dict[str, Any], modules: dict[str, Any], anew: dict[str, Any]
 ) -> Trade:
     folder = settings.pop("resume")
     if scene is not None or settings or rest:

@@ -19,13 +19,7 @@ from ..core.inputs.text_files import errors_located_at, name_of, read_mapping
 from .axis import Axis
 from .course import Course
 from .crossings import first_crossing
-from .line_entries import (
-    AMOUNTS,
-    BEGINS,
-    KEYS,
-    LIMITED_AS,
-    MOST_PARTS,
-)
+from .line_entries import AMOUNTS, BEGINS, KEYS, LIMITED_AS, MOST_PARTS
 from .pipe_line import PipeLine
 from .pumps import Pump, pump_of
 

@@ -133,9 +133,7 @@ class LawParameters:
     friction_angle: Annotated[float, "Friction angle of bonds [degrees]", Within(0, 89), WITH_BONDS] = 30.0
     healing: Annotated[bool, "Bond new contacts when they touch", WITH_BONDS] = True
     plate_grip: Annotated[
-        float,
-        "Ratio of friction, yield stress and viscosity on the plate to those between grains",
-        Within(0),
+        float, "Ratio of friction, yield stress and viscosity on the plate to those between grains", Within(0)
     ] = 2.0
     mould_grip: Annotated[
         float | None,

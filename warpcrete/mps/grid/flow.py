@@ -21,10 +21,7 @@ from ...core.device.device import parallel
 from ...core.device.launching import Launcher, Stage, Step, launch, parameter_names
 from ...kernels.common.control import HALTED
 from ...kernels.common.reductions import BLOCK
-from ...kernels.mps.conjugate_gradient import (
-    OUTCOME,
-    serial_solver,
-)
+from ...kernels.mps.conjugate_gradient import OUTCOME, serial_solver
 from ...kernels.mps.grid.bins import bin_kernels, lift_kernel
 from ...kernels.mps.grid.cells import NOW, WANTED
 from ...kernels.mps.grid.filling import fill_kernel
