@@ -26,7 +26,7 @@ SMALL = dict(diameter=0.1, size_min=12e-3, size_max=20e-3, length=0.5, ramp=0.02
 def own_cache(tmp_path, monkeypatch):
     """Nothing is kept in the user's cache, and times, which no test here looks at, are measured hastily."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    for method in ("dem", "mps"):
+    for method in ("dem", "mps.common"):
         monkeypatch.setattr(f"warpcrete.{method}.forecast.TIMING_TIME", 0.02)
 
 
