@@ -1,6 +1,7 @@
 """Command `warpcrete line`: the pressure that a pipeline needs at its start.
 
-The answer by theory must not import the simulations; `line_simulated` does.
+This module does not import the simulations, because they take longer to load than an answer by theory takes. The module
+`line_simulated` imports them, and is loaded only when a simulation is requested.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ VERDICTS = ("fine", "unknown", "risky", "blocks")
 CRUSHED, ROUNDED = 1 / 3, 0.4
 """Largest ratio of stone to bore that can be pumped, for crushed and for rounded stones (ACI 304.2R)."""
 SAFE = 0.25
-"""Ratio of stone to bore up to which practice expects no arching."""
+"""Ratio of largest stone to bore up to which, by experience, stones do not form an arch."""
 SELF_COMPACTING = 0.55
 """Spread [m] from which a concrete counts as self-compacting (class SF1 of EN 206)."""
 POWDER_MIN, POWDER_SAFE = 250.0, 300.0
@@ -63,7 +63,7 @@ class RuleVerdict:
     rule: str
     """Name of the rule."""
     verdict: str
-    """One of :data:`VERDICTS`."""
+    """Verdict on the mix or the line: 'fine', 'unknown', 'risky' or 'blocks'."""
     found: str
     """The numbers on which the verdict is based."""
     change: str
@@ -106,7 +106,10 @@ def line_rules(line: PipeLine, mix: MixEntries | None) -> list[RuleVerdict]:
 
 
 def narrowest(line: PipeLine) -> Part:
-    """Return the narrowest part of a line; of several equally narrow ones a reducer, a bend, or else the first."""
+    """Return the narrowest part of a line, where stones are most likely to form an arch.
+
+    Among equally narrow parts, a reducer takes precedence, then a bore of a mesh, then a bend, then any other part.
+    """
     order = {"reducer": 0, "bore": 1, "bend": 2, "valve": 9}
     return min(line.parts, key=lambda part: (round(part.narrow, 9), order.get(part.kind, 3), part.number))
 
@@ -221,7 +224,10 @@ def bleeding(mix: MixEntries) -> RuleVerdict:
 
 
 def slump(mix: MixEntries) -> RuleVerdict:
-    """Compare slump or spread with what is pumped: stiff concrete does not fill the pump, wet concrete unmixes."""
+    """Judge whether the slump or the spread of the concrete lies in the range that is usual for pumping.
+
+    Stiffer concrete does not fill the cylinder of the pump, and wetter concrete segregates.
+    """
     name, source = "consistency", f"{JGJ}; B. Palmer, jlconline.com; {SHEN}"
     least, usual, largest = SLUMPS
     if mix.spread is not None:

@@ -78,10 +78,10 @@ def reconciled(candidates: list[Figure]) -> tuple[Figure, list[str]]:
 
 
 def line_uncertainty(error: float, count: int, value: float, default: float) -> float:
-    """Return the uncertainty of a value from a straight line through `count` points.
+    """Return the absolute uncertainty of a slope or intercept of a straight line through `count` measured points.
 
-    With three or more points, this is the half width of the 95 % confidence interval, from the standard `error`. With
-    two points, it is the share `default` of the value.
+    With three or more points, the result is the half width of the 95 % confidence interval, which follows from the
+    standard `error`. Two points give no standard error, so that the result is the fraction `default` of the `value`.
     """
     if count < 3:
         return default * abs(value)

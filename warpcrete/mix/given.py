@@ -134,7 +134,7 @@ class MixEntries:
     thickener: bool = False
     """True if the concrete contains a viscosity-modifying admixture."""
     parts: Mapping[str, float] = field(default_factory=dict)
-    """Ingredients of a cubic metre [kg/m3] by their names."""
+    """Mass of each ingredient in a cubic metre of concrete [kg/m3], by the ingredient's name."""
     paste_share: float | None = None
     """Share of powder, water and admixtures in the volume of the concrete."""
     water_binder: float | None = None
@@ -309,7 +309,7 @@ def _thickener(given: Mapping[str, Any]) -> bool:
 
 
 def _number(given: Mapping[str, Any], name: str) -> float | None:
-    """Return one of the numeric entries :data:`NUMBERS` in SI units, or None if it is missing."""
+    """Return the numeric entry `name` of a mix in its SI unit, or None if the mix does not state it."""
     if given.get(name) is None:
         return None
     entry = NUMBERS[name]

@@ -36,7 +36,7 @@ MIN_AMOUNT = 0.01
 POWDERS = ("cement", "clinker", "cem", "opc", "type", "binder", "powder", "slag", "ggbs", "ggbfs", "limestone",
            "filler", "lime", "marble", "quartz", "metakaolin", "pozzolan", "trass", "ash", "flyash", "pfa", "silica",
            "microsilica", "fume")  # fmt: skip
-"""Words for ingredients whose grains are finer than sand and belong to the paste."""
+"""Words in the names of ingredients that are powder: their grains are finer than sand and belong to the paste."""
 LIQUIDS = ("water", "ice", "superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "admixture",
            "admixtures", "retarder", "accelerator", "entrainer", "stabilizer", "stabiliser", "modifier", "vma", "pce",
            "sp", "latex", "agent")  # fmt: skip
@@ -56,8 +56,8 @@ USUAL_AIR = (-0.02, 0.06)
 """Range of the calculated air content without a warning [m3/m3]: 1 to 3 % are usual, and uncertain densities may make
 the content negative."""
 VOLUME_WARNING, VOLUME_ERROR = 0.03, 0.07
-"""Deviations from a cubic metre [m3/m3] of all ingredients and the stated air, above which the mix causes a warning or
-is refused."""
+"""Largest deviations [m3/m3] of the volume of all ingredients and the stated air from one cubic metre. A deviation
+above the first value causes a warning, and the mix is refused above the second."""
 
 
 def _words(name: str) -> list[str]:
@@ -120,8 +120,8 @@ def _noun(name: str) -> str:
 def paste_volumes(parts: Mapping[str, float]) -> tuple[float, float]:
     """Return the volumes of powder and of liquid in a cubic metre of concrete [m3], without air.
 
-    `parts` are the ingredients [kg/m3]. Both volumes are 0 if there is no water, or if so much is unknown that it may
-    be powder.
+    `parts` are the ingredients [kg/m3]. Both volumes are 0 if the mix has no water. They are also 0 if the mix has a
+    large amount of an ingredient that the program does not know, because that ingredient may be powder.
     """
     powder, liquid, water = 0.0, 0.0, False
     for name, mass in parts.items():

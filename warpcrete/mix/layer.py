@@ -1,8 +1,9 @@
 """Slip layer of a mix: measured, or estimated from the composition, the viscosity or the slump of the concrete.
 
-Pumped concrete slips on a thin layer of paste and fine mortar, whose wall stress is yield stress + viscosity * slip
-velocity; this viscosity is divided by the layer's thickness [Pa s/m]. The estimates hold for pipes of 100 to 150 mm.
-Each has a band that includes the error of the estimate itself.
+Pumped concrete slips on a thin layer of paste and fine mortar at the wall. The wall stress is the layer's yield stress
+plus its viscosity times the slip velocity. This viscosity is that of the material divided by the thickness of the
+layer, in Pa s/m. The estimates hold for pipes of 100 to 150 mm. The uncertainty band of an estimate includes the error
+of the relation from which it follows.
 """
 
 from __future__ import annotations
@@ -163,9 +164,10 @@ def _pair(
     way: str,
     source: str,
 ) -> Pair:
-    """Return an estimated layer.
+    """Return an estimated slip layer, whose yield stress is limited to that of the concrete.
 
-    A layer is concrete without its stones, so that its yield stress cannot exceed the concrete's.
+    The limit holds because the layer is concrete without its stones. `value` is the viscosity and `ends` its band [Pa
+    s/m]. `stress` holds the yield stress with the lower and the upper end of its band [Pa].
     """
     tau, low, high = (min(each, concrete.yield_stress) for each in stress)
     return (Figure("slip viscosity", value, *ends, "Pa s/m", way, source),

@@ -25,7 +25,8 @@ LAWS = {"flow_index": "flow index", "quadratic_viscosity": "quadratic viscosity"
         "slip_quadratic_viscosity": "slip quadratic viscosity"}  # fmt: skip
 """Names of the constants of other laws than Bingham's, which a mix has only if they are stated."""
 FACTORS = {"yield_factor": 1.0, "viscosity_factor": 1.0}
-"""Factors of a section `flow` by which age or temperature change the concrete, with their defaults."""
+"""Factors on yield stresses and viscosities, with their defaults. The section `flow` of a concrete's file states them
+to describe the concrete at another age or temperature."""
 CAUSES = {"slip layer": ("slip_viscosity", "slip_yield"), "viscosity of the bulk": ("viscosity",),
           "yield stress of the bulk": ("yield_stress",), "density": ("density",)}  # fmt: skip
 """Causes of uncertainty, each with the constants of a flow that change together."""
@@ -77,16 +78,20 @@ class Mix:
 
     @property
     def _constants(self) -> dict[str, str]:
-        """Constants of the flow, each with the name of its property; those of laws only if they are stated."""
+        """Names of the constants of the flow, each mapped to the name of the property from which it follows.
+
+        Constants of other laws than Bingham's are included only if the mix states them.
+        """
         known = {figure.name for figure in self.figures}
         return FLOW | {key: name for key, name in LAWS.items() if name in known}
 
     @property
     def variants(self) -> dict[str, tuple[Concrete, Concrete]]:
-        """Pairs of concretes by the cause of their uncertainty.
+        """Pairs of concretes, by the cause of the uncertainty.
 
-        In each pair the properties of one cause, such as the slip layer, are at the lower and at the upper end of their
-        bands. A cause without a band is left out.
+        The first concrete of a pair has the properties of one cause, such as the slip layer, at the lower end of their
+        bands, and the second has them at the upper end. All other properties have their best values. A cause without a
+        band is left out.
         """
         found = {}
         for cause, keys in CAUSES.items():

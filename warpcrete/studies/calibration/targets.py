@@ -84,7 +84,7 @@ class Target:
 
     @property
     def label(self) -> str:
-        """Description of the quantity and its scene, for tables and messages."""
+        """Name of the target in tables and messages: its quantity, its scene and the scene's parameters."""
         given = ", ".join(f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
                           for name, value in self.parameters.items() if name not in ("concrete", "seed"))  # fmt: skip
         return f"{self.quantity.replace('_', ' ')} of {self.scene}" + (f" ({given})" if given else "")

@@ -31,7 +31,8 @@ RECORD = "blocking-probability.json"
 STRAIGHT_DIAMETERS = 2.0
 """Length of straight pipe before and behind the narrowest part [diameters]."""
 TRAVEL_DIAMETERS = 4.0
-"""Travel of the piston [diameters]. A blockage shows after two diameters of standing still at most."""
+"""Travel of the piston [diameters]. It leaves room for the check for blockage, which needs up to two diameters of
+travel to recognise concrete that stands still."""
 MAX_SEEDS = 10_000
 FRICTION = 0.5
 """Friction between stones, as of dry stones: an arch forms where the mortar has been squeezed out between them.

@@ -33,7 +33,8 @@ SCENE = "part-dem"
 STRAIGHT_DIAMETERS = 3.0
 """Length of straight pipe before and behind a simulated bend or reducer [diameters]; straight pipe is twice as long."""
 LARGEST_STONE_RATIO = 0.3
-"""Fraction of the narrowest bore to which the largest stone is enlarged by default."""
+"""Largest stone divided by the narrowest bore of the line. Smaller stones are enlarged to this ratio by default, so
+that fewer elements have to be simulated."""
 MODULUS_FACTOR = 5.0
 """Default factor on the concrete's elastic modulus.
 
@@ -49,7 +50,8 @@ The plug of the first simulation hardly resists. A friction law fitted to its lo
 the friction at high pressure.
 """
 PLUG_PRESSURE_RATIO = 0.04
-"""Pressure of the pressing plug in the second simulation of straight pipe, as a fraction of the modulus."""
+"""Pressure with which a plug at the pipe's outlet resists the flow in the second simulation of straight pipe, divided
+by the elastic modulus of the elements."""
 CONSTANT_FRICTION_RATIO = 0.2
 """Ratio of pressure to modulus above which wall friction is assumed constant, because overlaps become large."""
 STEPS = 50
@@ -68,7 +70,8 @@ class Elements:
     coarse: float | None = None
     """Factor on all stone sizes; None enlarges the largest stone to 0.3 times the narrowest bore."""
     seeds: int = 1
-    """Number of random packings of each kind of part; their scatter gives the uncertainty band of the pressure."""
+    """Number of simulations of each kind of part, each with another random packing of the stones. The scatter of their
+    results gives the range of the pressure."""
     stiffer: float = MODULUS_FACTOR
     """Factor on the concrete's elastic modulus."""
 

@@ -33,7 +33,8 @@ DEPENDENT = 1e-3
 LEAST = (1e-2, -1.0, 0.0)
 """Limits of slip viscosity [Pa s/m], slip yield [Pa] and factor of bends, up to which a fitted value is impossible."""
 NOTHING = {1: 1e-3, 2: 0.0}
-"""Slip yield [Pa] and factor of bends below which the points cannot tell the constant from nothing."""
+"""Values of slip yield [Pa] and factor of bends, by index of the constant. If a fitted value is smaller, the points
+cannot distinguish it from zero; the constant then gets its default value."""
 ITERATIONS = 50
 """Largest number of iterations of the least-squares fit."""
 
@@ -83,7 +84,8 @@ class LineFit:
     pressures: tuple[float, ...]
     """Fitted pressures at the taps [Pa]."""
     uncertainty: float
-    """Half width of the 95 % confidence interval of the straight pipe's friction, relative to it."""
+    """Uncertainty of the friction of straight pipe: half the width of its 95 % confidence interval, divided by the
+    friction."""
 
     @property
     def scatter(self) -> float:
@@ -184,7 +186,8 @@ class _Model:
         self.concrete, self.taps = concrete, taps
         starts = np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
         self.kinds: dict[tuple[Any, ...], Part] = {}
-        """A part of each kind of straight pipe, whose friction per metre the others share."""
+        """For each combination of bore, outlet and slip layer, the first part of that kind. The friction per
+        metre of this part is calculated once and holds for all parts of the kind."""
         self.metres: list[dict[tuple[Any, ...], list[float]]] = []
         """For each tap, by kind: metres behind the tap that count as straight pipe, and metres of bends."""
         self.rises: list[float] = []
@@ -258,7 +261,7 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
     found = _least_squares(model, measured, start, free)
     for place, value in ((2, 1.0), (1, 0.0)):
         if place in free and found[place] < NOTHING[place]:
-            # The points cannot tell this constant from nothing, so it gets a plain value and the others are fitted.
+            # The points cannot distinguish this constant from zero. Give it a default value, and fit the others again.
             free.remove(place)
             start[place] = value
             if place == 2:
@@ -303,7 +306,7 @@ def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
 
 
 def _check_count(taps: Sequence[Tap], free: Sequence[int]) -> None:
-    """Refuse points that are too few to determine the free constants with a band."""
+    """Refuse measured points that are too few to determine the free constants and their uncertainty."""
     if len(taps) <= len(free):
         names = " and ".join(filter(None, (", ".join(NAMES[k] for k in free[:-1]), NAMES[free[-1]])))
         counted = f"{len(taps)} point{'s' if len(taps) != 1 else ''}"
@@ -312,7 +315,7 @@ def _check_count(taps: Sequence[Tap], free: Sequence[int]) -> None:
 
 
 def _check_result(found: np.ndarray, free: Sequence[int]) -> None:
-    """Refuse constants that are impossible."""
+    """Refuse a fit that gave an impossible slip viscosity, slip yield or factor of bends."""
     for place in free:
         if not math.isfinite(found[place]) or found[place] <= LEAST[place]:
             unit = f" {UNITS[place]}" if UNITS[place] else ""
@@ -348,7 +351,11 @@ def _least_squares(model: _Model, measured: np.ndarray, start: np.ndarray, free:
 
 
 def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
-    """Return the fit as lines of Markdown: constants, quality, what to write into the files, and the taps."""
+    """Return a report on the fit as lines of Markdown.
+
+    The report contains the fitted constants, the deviations from the measurements, entries that the user can copy into
+    the files of the concrete and of the line, and a table of the taps.
+    """
     eta, tau, *bends = fit.constants
     off = fit.deviations()
     worst = int(np.argmax(np.abs(off)))

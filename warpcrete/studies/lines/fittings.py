@@ -66,7 +66,7 @@ def range_of(part: Part, straight: float) -> tuple[float, float] | None:
 
 
 def uncertain_kinds(parts: Iterable[Part]) -> tuple[str, ...]:
-    """Return the kinds of parts in a line whose friction is uncertain, in the order of the line."""
+    """Return the kinds of parts with uncertain friction, such as 'bend', in the order in which they occur in a line."""
     return tuple(dict.fromkeys(p.kind for p in parts if p.kind in MODEL_ERRORS and _is_uncertain(p)))
 
 

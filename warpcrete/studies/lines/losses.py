@@ -31,7 +31,8 @@ PLACES, WEIGHTS = np.polynomial.legendre.leggauss(8)
 def friction(part: Part, concrete: Concrete, flow: float) -> float:
     """Return a part's friction [Pa] by the closed form for a straight pipe of the same bore and length.
 
-    The result is multiplied by the factor that the line's file states for the part, or by that of a hose.
+    The closed form is multiplied by the factor that the line's file states for the part. A hose without a stated factor
+    is multiplied by the factor of the program's model of hoses.
     """
     return straight_friction(part, concrete, flow) * part.relative
 

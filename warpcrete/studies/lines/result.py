@@ -76,7 +76,7 @@ class LineResult:
     losses: list[Loss]
     """Losses of the parts, from the start of the line to its end."""
     layer_factor: float
-    """Factor by which the resistance of the slip layer may be wrong, in both directions."""
+    """Factor of the uncertainty of the slip layer: its resistance may be larger or smaller by this factor."""
     simulated: bool
     """True if friction comes from simulations and not from the closed form."""
     folder: Path | None = None
@@ -154,11 +154,14 @@ class LineResult:
         return self.bands()[1][0]
 
     def bands(self) -> tuple[np.ndarray, list[Band]]:
-        """Return places along the line between its parts [m], and the pressure there with its band [Pa].
+        """Return positions along the line [m], and the pressure there with its uncertainty band [Pa].
 
-        For each cause, the pressure is calculated with this cause alone at both ends of its own band. Causes are the
-        concrete and the model errors of fittings; all bends of a line deviate in the same direction. Simulated friction
-        of another concrete is scaled in proportion to the closed form.
+        The positions are the start of the line and the end of each part, and both results have parts + 1 entries. The
+        uncertain inputs are the constants of the concrete and, for each kind of fitting, the error of the model of its
+        friction. Each input in turn is set to the lower and to the upper end of its own band, and the pressure is
+        calculated again; the deviations are then combined in squares. All fittings of a kind, such as all bends, are
+        changed together. For another concrete, the friction of a simulated part is multiplied by the ratio of the
+        friction of both concretes by the closed form.
         """
         return self._bands
 
@@ -249,7 +252,7 @@ class LineResult:
 
     @property
     def band_text(self) -> str:
-        """Description of the uncertainty band of the pressure, for the user."""
+        """Sentences for the user that split the uncertainty of the line's pressure by its causes."""
         return "; ".join(band_sentences(self.band())) or "no uncertainty is stated"
 
     def course(self, of: Callable[[Loss], float]) -> tuple[np.ndarray, np.ndarray]:

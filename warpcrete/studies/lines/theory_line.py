@@ -1,6 +1,8 @@
-"""Pressure of a pump line by closed forms and by factors of simulated fittings, within a tenth of a second.
+"""Pressure of a pump line, calculated in a tenth of a second without any simulation.
 
-This module must not import the simulations, because Warp alone takes longer to import than the answer takes.
+Straight pipe follows from closed forms. Bends and reducers have the friction, relative to straight pipe, that earlier
+simulations of such parts gave. This module must not import the simulations, because importing Warp alone takes longer
+than the calculation.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ LAYER_FACTOR = 2.0
 
 
 def check_settings(flow: float, layer_factor: float) -> None:
-    """Refuse an impossible flow [m3/s] or factor of the slip layer's band."""
+    """Refuse a flow [m3/s] that is not positive, and a factor of the slip layer's uncertainty below 1."""
     positive("flow", flow, "m3/s")
     between("layer_factor", layer_factor, 1, math.inf)
 
