@@ -76,7 +76,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
 
 
 def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[str, Any]) -> None:
-    """Refuse options that contradict each other or have no effect."""
+    """Refuse command-line options that contradict each other, or that have no effect together with the others."""
     if theory and method != "flow":
         raise click.UsageError(
             "--theory: cannot be combined with '--method dem' or '--method both'; leave out --theory or --method"

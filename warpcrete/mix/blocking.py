@@ -20,7 +20,8 @@ from .ingredients import powder_mass, water_mass
 VERDICTS = ("fine", "unknown", "risky", "blocks")
 """Verdicts of a rule, from the best to the worst; 'unknown' means that an entry is missing."""
 CRUSHED, ROUNDED = 1 / 3, 0.4
-"""Largest ratio of stone to bore that can be pumped, for crushed and for rounded stones (ACI 304.2R)."""
+"""Largest ratio of stone diameter to bore that can be pumped: first for crushed, then for rounded stones (ACI
+304.2R)."""
 SAFE = 0.25
 """Ratio of largest stone to bore up to which, by experience, stones do not form an arch."""
 SELF_COMPACTING = 0.55
@@ -45,7 +46,7 @@ FINES_PER_WATER = 1.75
 SLUMPS = (0.05, 0.10, 0.16)
 """Slumps [m]: the least that can be pumped, the least that is usual, and the largest without a plasticizer."""
 LARGEST_SPREAD = 0.795
-"""Largest spread of the 403 flows that were pumped (Shen) [m]."""
+"""Largest spread [m] in 403 flows of concrete through coils of pipe (W. Shen), all of which were pumped."""
 TAPER_RUN = 5.0
 """Length of straight pipe behind a reducer [m] (JGJ/T 10)."""
 

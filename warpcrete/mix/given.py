@@ -98,7 +98,8 @@ PASTE_TOLERANCE = 0.08
 """Largest difference between two shares of powder in the paste, from the ratio of water to binder and from the parts;
 the powder's density accounts for up to 0.07."""
 DENSITY_TOLERANCE = 0.03
-"""Relative difference allowed between two densities that should be equal."""
+"""Largest relative difference between two values of the same density, such as a stated one and a sum of ingredients. If
+they differ by more, the mix is refused."""
 MORTARS = (1200.0, 2800.0)
 """Smallest and largest density of mortar that is possible [kg/m3]."""
 
@@ -110,9 +111,9 @@ class MixEntries:
     density: float
     """Density of the concrete [kg/m3]."""
     summed: bool
-    """True if the density was calculated as the sum of the ingredients."""
+    """True if the entry `density` is missing, so that the density is the sum of the masses of the ingredients."""
     share: float | None
-    """Coarse aggregate as a share of the concrete's volume."""
+    """Volume of coarse aggregate per volume of concrete; None if the mix does not state it."""
     aggregate_density: float
     sieve: tuple[tuple[float, float], ...] | None
     """Openings of the sieves [m], each with the mass fraction of the aggregate that passes the sieve."""
@@ -176,9 +177,10 @@ class MixEntries:
 
 
 def read(given: Mapping[str, Any], folder: Path) -> MixEntries:
-    """Read a mix from its section in a file in `folder`.
+    """Read the section `mix` of a concrete's file, and return its entries in SI units.
 
-    Raises :class:`SceneError` if an entry is invalid or entries contradict each other.
+    Paths in the section are relative to `folder`. Raises :class:`SceneError` if an entry is invalid, or if entries
+    contradict each other.
     """
     if not given:
         refuse(
@@ -381,9 +383,10 @@ def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[
 
 
 def _share(given: Any, heavy: float) -> float:
-    """Return the coarse aggregate's share of the concrete's volume.
+    """Return the volume of coarse aggregate per volume of concrete, from the entry `aggregate` of a mix.
 
-    An amount in kg/m3 is divided by the density `heavy` of the stones [kg/m3].
+    An amount in kg/m3 is divided by the density `heavy` of the stones [kg/m3]. Raises :class:`SceneError` if the stones
+    cannot fit into the volume.
     """
     if is_amount(given, "kg/m3"):
         found = amount("mix aggregate", given, "kg/m3") / heavy

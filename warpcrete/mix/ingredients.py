@@ -46,7 +46,7 @@ ROCKS = ("limestone", "marble", "quartz")
 PLASTICIZERS = ("superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "pce", "sp")
 """Words for admixtures that make a concrete flow."""
 THICKENERS = ("vma", "stabilizer", "stabiliser", "modifier")
-"""Words for viscosity-modifying admixtures."""
+"""Words in the names of ingredients that are viscosity-modifying admixtures."""
 UNKNOWN_MASS = 20.0
 """Mass [kg/m3] above which an unknown ingredient may be powder, so that the paste is unknown; admixtures have less."""
 POSSIBLE_VOLUMES = (0.88, 1.05)
@@ -162,7 +162,7 @@ def mass_per_volume(name: str, value: Any, load: float | None = None) -> float:
 def density_of(name: str) -> float | None:
     """Return the usual density of an ingredient [kg/m3], or None if it varies or is unknown.
 
-    Raises :class:`SceneError` for a name that is probably misspelt.
+    An unknown ingredient causes a warning. Raises :class:`SceneError` for a name that is probably misspelt.
     """
     if any(word in VARIABLE for word in _words(name)):
         return None

@@ -20,8 +20,9 @@ TRIBOMETER_RATIO = (0.3, 2.0)
 """Smallest and largest ratio of the layer constant that pipe pressures imply to the one that a tribometer measured, in
 404 pipe flows of 22 concretes (Tavangar 2022)."""
 PIPE_UNCERTAINTY = 0.3
-"""Relative uncertainty of a layer fitted to pipe pressures of an earlier delivery. Deliveries of one recipe on one line
-differ by more than the 15 % that Mai et al. (2014) found on a single site; Deng et al. (2024) found -38 to +31 %."""
+"""Relative uncertainty of a slip layer that was fitted to pipe pressures of an earlier delivery of the same recipe. On
+one site, Mai et al. (2014) found that deliveries differ by 15 %. Other sites differ by more: Deng et al. (2024) found
+-38 to +31 %."""
 PASTE_CONSTANT, PASTE_DENSEST = 128.0, 0.85
 """Constants of :func:`paste_layer`: viscosity [Pa s/m] and densest packing of the powder. They were fitted to eight
 families of concretes in level lines of 325 to 1,044 m, with water-binder ratios of 0.17 to 0.44; four families were
@@ -39,7 +40,7 @@ AGGREGATE_DENSEST, FILM = 0.80, 3e-3
 """Constants of :func:`film_layer`: densest packing of sand and stones together, and thickness of the layer [m].
 Measured thicknesses are 1 to 3 mm (Deng et al. 2024; Zhao et al. 2024), and Xu's layers imply 6 mm."""
 FILM_ERROR_FACTOR = 3.0
-"""Factor, in both directions, by which a layer may differ from :func:`film_layer`."""
+"""Factor by which the true viscosity of a layer may be larger or smaller than that of :func:`film_layer`."""
 SLUMP_ERROR_FACTOR = 2.0
 """Factor, in both directions, by which a layer may differ from :func:`slump_layer`."""
 ASSUMED = (850.0, 10.0)

@@ -1,4 +1,4 @@
-"""Measurements that a mix states: constants of concrete, mortar and slip layer, and points of instruments."""
+"""Measurements that a mix may state: constants of concrete, mortar and slip layer, and points from instruments."""
 
 from __future__ import annotations
 

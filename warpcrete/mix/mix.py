@@ -29,7 +29,8 @@ FACTORS = {"yield_factor": 1.0, "viscosity_factor": 1.0}
 to describe the concrete at another age or temperature."""
 CAUSES = {"slip layer": ("slip_viscosity", "slip_yield"), "viscosity of the bulk": ("viscosity",),
           "yield stress of the bulk": ("yield_stress",), "density": ("density",)}  # fmt: skip
-"""Causes of uncertainty, each with the constants of a flow that change together."""
+"""Causes of uncertainty, each with the constants of the flow that change together if the cause is at an end of its
+band."""
 UNITS = {"density": "kg/m3", "viscosity": "Pa s", "yield_stress": "Pa", "slip_viscosity": "Pa s/m", "slip_yield": "Pa",
          "flow_index": "1", "quadratic_viscosity": "Pa s2", "slip_flow_index": "1",
          "slip_quadratic_viscosity": "Pa s2/m2", **dict.fromkeys(FACTORS, "1")}  # fmt: skip

@@ -217,7 +217,7 @@ def run_round(
 
 
 def _progress_within(tell: Progress, part: tuple[float, float], group: int, task: Task) -> Progress:
-    """Return a progress callback that converts the progress of one study to the progress of the calibration."""
+    """Return a progress callback for one study, which reports the progress of the whole calibration to `tell`."""
     groups = len(task.groups)
 
     def report_progress(phase: str, fraction: float, figures: dict[str, Any]) -> None:
@@ -269,7 +269,11 @@ def _store_results(study: Study, trials: Sequence[Trial], targets: Sequence[Targ
 
 
 def _update_posterior(calibration: Calibration, seed: int) -> None:
-    """Compute the posterior of the trials so far, and decide whether more trials would change it."""
+    """Compute the posterior of the trials so far, and record whether the search may end (`calibration.settled`).
+
+    The posterior is not updated while too few runs have yielded a target. Raises :class:`WarpcreteError` if a target is
+    missing in all runs, or in too many runs when the trials are used up.
+    """
     searched = calibration.searched
     points = np.array([trial.units for trial in searched])
     values = {target: np.array([trial.values.get(target, math.nan) for trial in searched])

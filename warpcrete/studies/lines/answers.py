@@ -15,7 +15,7 @@ EFFICIENCY = 25 / 36
 [kW] = pressure [bar] * flow [m3/h] / 25 (bestsupportunderground.com, "Long distance concrete pumping"). The hydraulic
 power in the same units is pressure * flow / 36."""
 MARGIN = 1.25
-"""Pressure that a pump should deliver, divided by the pressure that the line needs (AIJ,
+"""Recommended ratio of the pump's largest pressure to the pressure that the line needs (AIJ,
 http://pmkujira.sakura.ne.jp/Exsokuryo/Free/Kentiku/KcheckL3/02-04-KC-017.htm)."""
 LEAST_SHARE = 0.1
 """Share of the band below which a cause is not mentioned, unless it is the largest."""
@@ -31,7 +31,7 @@ ADVICE = {
     "bores": "simulate them with --simulate, or state their 'factor'",
     "thixotropy": "measure how the yield stress grows at rest, and state --thixotropy",
 }
-"""Advice on how to make the band narrower, by cause."""
+"""Advice for the user on how to reduce the uncertainty that comes from a cause, by the name of the cause."""
 
 
 def pressure_text(pressure: float) -> str:
@@ -75,7 +75,10 @@ class PumpMargin:
 
     @property
     def factor(self) -> float:
-        """Pressure of the pump divided by the pressure that the line needs."""
+        """Largest pressure of the pump, divided by the pressure that the line needs.
+
+        The value is infinity if the line needs no pressure.
+        """
         return self.pump.pressure / self.band.value if self.band.value > 0 else float("inf")
 
     @property

@@ -47,7 +47,7 @@ Progress = Callable[[str, float, dict[str, Any]], None]
 
 @dataclass(frozen=True)
 class BlockingProbability:
-    """How many runs of the narrowest part of a line were blocked."""
+    """Result of simulating the narrowest part of a line with many seeds: how many of the runs were blocked."""
 
     part: Part
     runs: int
@@ -59,7 +59,7 @@ class BlockingProbability:
     short: int
     """Number of runs that were not blocked, but ended while part of the concrete stood still."""
     stones: int
-    """Number of stones in the first run."""
+    """Number of stones in the first simulation; the others have other random packings."""
     stone: float
     """Largest stone as simulated [m]."""
     coarse: float

@@ -189,7 +189,9 @@ class _Model:
         """For each combination of bore, outlet and slip layer, the first part of that kind. The friction per
         metre of this part is calculated once and holds for all parts of the kind."""
         self.metres: list[dict[tuple[Any, ...], list[float]]] = []
-        """For each tap, by kind: metres behind the tap that count as straight pipe, and metres of bends."""
+        """For each tap, by the keys of `kinds`: two lengths [m] of pipe between the tap and the end of the line. The
+        first is the length of straight pipe that has the friction of all parts with a known factor. The second is the
+        length of the bends whose factor is fitted."""
         self.rises: list[float] = []
         for tap in taps:
             own: dict[tuple[Any, ...], list[float]] = {}

@@ -36,7 +36,8 @@ class PracticeRow:
 
     rule: str
     pressures: dict[str, float]
-    """Pressures [Pa] by kind of part; weight counts with the part that rises."""
+    """Pressure losses of the line [Pa], summed over the parts of each kind. The pressure due to weight belongs to the
+    kind of the part that rises."""
     implies: str
     """Friction and weight that the rule implies, in words."""
     source: str = ""

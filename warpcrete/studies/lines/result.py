@@ -217,7 +217,7 @@ class LineResult:
         return combined(value, ends)
 
     def practice(self) -> tuple[PracticeRow, list[PracticeRow]]:
-        """Return the pressure of the line, split by kind of part, by this result and by rules of practice."""
+        """Return the pressure of the line by this result, and by each rule of practice, both split by kind of part."""
         ours: dict[str, float] = {}
         for x in self.losses:
             ours[x.part.kind] = ours.get(x.part.kind, 0.0) + x.friction + x.weight
@@ -226,7 +226,7 @@ class LineResult:
         return PracticeRow("this result", ours, ""), rows
 
     def _restart_record(self) -> dict[str, Any] | None:
-        """Return the restart after the stop as an entry of line.json."""
+        """Return the pressures that restart the line after a stop, as an entry of line.json; None without a stop."""
         if self.stop is None:
             return None
         record: dict[str, Any] = {"rest": quantity(self.stop.rest, "s"), "growth": quantity(self.stop.growth, "Pa/s")}
@@ -242,7 +242,7 @@ class LineResult:
         return {"slip layer": (low, high)} if self.layer_factor > 1 else {}
 
     def _course_of(self, concrete: Concrete) -> list[float]:
-        """Return the pressure between the parts [Pa] if the line is filled with another concrete."""
+        """Return the pressures at the start of the line and at the ends of its parts [Pa], for another concrete."""
 
         def loss(x: Loss) -> float:
             own = x.friction * friction(x.part, concrete, self.flow) / x.theory

@@ -25,7 +25,7 @@ class BlockingComparison:
     verdict: str
     """Worst verdict of all rules that could be evaluated."""
     rules: str
-    """Names of the rules that warn of blocking."""
+    """Names of the rules whose verdict on this case is 'risky' or 'blocks', as text."""
 
     @property
     def agrees(self) -> bool:

@@ -34,7 +34,7 @@ limits of rules against blocking. These groups are never held out."""
 
 @dataclass(frozen=True)
 class Case:
-    """Measurement with everything that a user would have known before it."""
+    """Measured case: the measured values, and the inputs that a user would have known before the measurement."""
 
     name: str
     kind: str
@@ -45,7 +45,7 @@ class Case:
     mix: Mapping[str, Any]
     """Section `mix` of a concrete's file, as a user would write it."""
     test: Mapping[str, Any]
-    """Dimensions of the pipe, part, line or apparatus."""
+    """Dimensions of the test: of the pipe, the part, the line or the apparatus in which the case was measured."""
     flows: tuple[float, ...]
     """Flow rates [m3/s]; one for each measured value, or empty."""
     measured: tuple[float, ...]

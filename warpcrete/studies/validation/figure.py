@@ -1,4 +1,4 @@
-"""Figure of predictions over measurements, with the bands of the predictions, on logarithmic axes."""
+"""Figure of predictions over measurements on logarithmic axes, with the uncertainty bands of the predictions."""
 
 from __future__ import annotations
 

@@ -85,7 +85,10 @@ class Validation:
         return "\n".join(lines)
 
     def blocking_lines(self) -> list[str]:
-        """Return the verdicts of the rules against blocking as a Markdown table below its summary."""
+        """Return the comparison of the rules against blocking with observations, as lines of Markdown.
+
+        A sentence states how many verdicts agree with the observations. A table of all cases follows.
+        """
         right = sum(each.agrees for each in self.blocking)
         rows = [(x.case.name, "yes" if x.held_out else "no", "blocked" if x.blocked else "not blocked", x.verdict,
                  x.rules or "-", "yes" if x.agrees else "no") for x in self.blocking]  # fmt: skip
