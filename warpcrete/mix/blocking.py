@@ -91,8 +91,8 @@ def worst(verdicts: Sequence[RuleVerdict]) -> str:
 def blocking_rules(mix: MixEntries | None, bore: float | None = None, stone: float | None = None) -> list[RuleVerdict]:
     """Return the verdicts of all rules on a mix, and on its stones in a `bore` [m].
 
-    `stone` is the size of the largest stone [m]; it replaces that of the mix. Without a mix, only the rule on the bore
-    has an answer.
+    `stone` is the size of the largest stone [m], and takes precedence over the size that the mix states. Without a mix,
+    the result contains only the rule that compares the stone with the bore.
     """
     found = [stone_in_bore(bore, stone or (mix.largest if mix else None), mix)]
     if mix is not None:

@@ -13,8 +13,8 @@ factor is a choice: comparisons of rheometers show that results differ (Ferraris
 but no figure was taken from them."""
 
 CONES = 3.0
-"""Factor by which the bands from spread and slump of one cone may differ before they count as contradictory. In 80
-pairs of Yeh (2007) they differ by up to 1.6."""
+"""Factor by which the bands of yield stress from spread and slump of one cone may differ before they count as
+contradictory. In 80 pairs of Yeh (2007) they differ by up to 1.6."""
 
 
 @dataclass(frozen=True)

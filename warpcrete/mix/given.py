@@ -95,8 +95,9 @@ DENSEST_PASTE = 0.75
 """Largest share of powder in the volume of the paste. A water-binder ratio of 0.12, the least that is ever used, has
 0.74."""
 PASTE_TOLERANCE = 0.08
-"""Largest difference between two shares of powder in the paste, from the ratio of water to binder and from the parts;
-the powder's density accounts for up to 0.07."""
+"""Largest difference between the volume fraction of powder in the paste that follows from the ratio of water to binder,
+and the one that follows from the masses of the parts. A larger difference is a contradiction. The density of the
+powder, which the ratio does not state, accounts for up to 0.07."""
 DENSITY_TOLERANCE = 0.03
 """Largest relative difference between two values of the same density, such as a stated one and a sum of ingredients. If
 they differ by more, the mix is refused."""
@@ -295,7 +296,11 @@ def _water_binder(given: Mapping[str, Any], masses: Mapping[str, float]) -> floa
 
 
 def _thickener(given: Mapping[str, Any]) -> bool:
-    """Return whether the mix says or shows that it contains a viscosity-modifying admixture."""
+    """Return whether the mix contains a viscosity-modifying admixture.
+
+    The entry `thickener` states this, or the name of an ingredient shows it. Raises :class:`SceneError` if both
+    contradict each other.
+    """
     parts = given.get("parts")
     named = parts is not None and any(is_thickener(str(name)) for name in parts)
     if "thickener" not in given:

@@ -30,9 +30,10 @@ COARSE = ("gravel", "stone", "stones", "grit", "chippings", "granite", "basalt",
 """Words for coarse aggregate; a mix may state the density of these ingredients."""
 VARIABLE = ("lightweight", "light", "expanded", "clay", "pumice", "perlite", "recycled", "polypropylene", "polymer",
           "plastic", "glass", "basaltic", "pigment", "rubber")  # fmt: skip
-"""Words for ingredients whose density varies too much for a calculation of their volume."""
+"""Words in the names of ingredients whose density varies so much that their volume cannot be calculated."""
 MIN_AMOUNT = 0.01
-"""Smallest amount of an ingredient [kg/m3]; admixtures amount to 0.1 kg/m3 and more."""
+"""Smallest amount of an ingredient [kg/m3] that is accepted. Even admixtures usually amount to 0.1 kg/m3 or more, so
+that a smaller amount is probably a mistake."""
 POWDERS = ("cement", "clinker", "cem", "opc", "type", "binder", "powder", "slag", "ggbs", "ggbfs", "limestone",
            "filler", "lime", "marble", "quartz", "metakaolin", "pozzolan", "trass", "ash", "flyash", "pfa", "silica",
            "microsilica", "fume")  # fmt: skip
@@ -40,7 +41,7 @@ POWDERS = ("cement", "clinker", "cem", "opc", "type", "binder", "powder", "slag"
 LIQUIDS = ("water", "ice", "superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "admixture",
            "admixtures", "retarder", "accelerator", "entrainer", "stabilizer", "stabiliser", "modifier", "vma", "pce",
            "sp", "latex", "agent")  # fmt: skip
-"""Words for the liquids of the paste: water and dissolved admixtures."""
+"""Words in the names of ingredients that are liquids of the paste: water and dissolved admixtures."""
 ROCKS = ("limestone", "marble", "quartz")
 """Words that mean powder alone, and aggregate if it is crushed or has a grain size."""
 PLASTICIZERS = ("superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "pce", "sp")

@@ -49,8 +49,8 @@ ASSUMED = (850.0, 10.0)
 ASSUMED_ERROR_FACTOR = 3.0
 """Factor, in both directions, by which an assumed slip layer may differ from the true one."""
 ASSUMPTION, ESTIMATE = "assumption", "estimate from"
-"""Beginnings of the origin of a property that was not measured: it does not follow from the mix, or from its paste
-only."""
+"""First words of the origin of a property that no measurement gives. The first is for a property that is assumed,
+because the mix contains no information on it. The second is for one that was estimated from the paste alone."""
 Pair = tuple[Figure, Figure]
 
 
@@ -146,7 +146,7 @@ _SOURCES = {True: "; 30 % between deliveries", False: "; a tribometer differs fr
 
 
 def _factors(uncertainty: float | None, pipe: bool) -> tuple[float, float]:
-    """Return the factors from a measured constant to the ends of its band."""
+    """Return the factors by which a measured constant is multiplied to get the lower and the upper end of its band."""
     if uncertainty is not None:
         return 1 - uncertainty, 1 + uncertainty
     return (1 / (1 + PIPE_UNCERTAINTY), 1 + PIPE_UNCERTAINTY) if pipe else TRIBOMETER_RATIO

@@ -217,7 +217,8 @@ def mix_of(
     for wanted, candidates in (("yield stress", yield_stresses(told)), ("viscosity", viscosities(told))):
         tells = list(candidates) if wanted not in bulk else []
         if wanted == "viscosity" and bends:
-            # Slump flow and straight lines through a viscometer's points give the viscosity of a Bingham fluid.
+            # The other entries, slump flow and the straight line through a viscometer's points, give the viscosity of a
+            # Bingham fluid. They do not apply to a law that bends, so that the viscosity must be stated.
             tells = [each for each in tells if each.way == "concrete"]
             if not tells and wanted not in bulk:
                 refuse("mix viscosity", None, "must be stated beside a flow index or a quadratic viscosity",

@@ -81,7 +81,8 @@ def run_calibration(
     with files_read() as files:
         read = isinstance(targets, Path)
         task, raw = read_task(targets, modules) if read else (task_of(targets, modules), dict(targets))
-    # The record contains the targets, so their file may change before the calibration is resumed.
+    # The record of the calibration contains the targets. The file of targets may therefore change before the
+    # calibration is resumed, and it is left out of the files that must not change.
     files.pop(str(targets.resolve()) if read else "", None)
     free = len(task.free)
     most = 10 + 10 * free if trials is None else trials

@@ -98,7 +98,7 @@ class Posterior:
         return float(mean.min()), float(mean.max())
 
     def interval(self, place: int, part: float = 0.95) -> tuple[float, float]:
-        """Return the central interval of a free parameter that holds the fraction `part` of the posterior."""
+        """Return the central interval of a free parameter that holds the fraction `part` of the posterior samples."""
         edge = 50 * (1 - part)
         low, high = np.percentile(self.samples[:, place], [edge, 100 - edge])
         return self.task.free[place].value(low), self.task.free[place].value(high)

@@ -58,7 +58,8 @@ CONSTANT_FRICTION_RATIO = 0.2
 STEPS = 50
 """Number of steps in which the pressure is integrated along a part."""
 MIN_FLUX_RATIO = 0.8
-"""Ratio of outflow to inflow of solids below which a remark says that the concrete is still being compressed."""
+"""Ratio of outflow to inflow of solids below which a remark warns the user that the concrete is still being
+compressed."""
 SIZE_PARAMETERS = ("size_min", "size_max", "size_mean", "size_deviation")
 
 
@@ -74,7 +75,7 @@ class Elements:
     """Number of simulations of each kind of part, each with another random packing of the stones. The scatter of their
     results gives the range of the pressure."""
     stiffer: float = MODULUS_FACTOR
-    """Factor on the concrete's elastic modulus."""
+    """Factor by which the elastic modulus of the concrete is multiplied in the simulations."""
 
     def __post_init__(self) -> None:
         between("seeds", self.seeds, 1, 100)
@@ -93,7 +94,7 @@ class WallLaw:
     diameter: float
     """Inner diameter of the pipe [m]."""
     start: float
-    """Wall stress at zero pressure [Pa]."""
+    """Wall stress at zero pressure [Pa], which is the share of the lubrication layer in the friction."""
     slope: float
     """Increase of the wall stress per increase of pressure."""
     measured: float

@@ -63,7 +63,7 @@ class FittedConstant:
     high: float
     unit: str
     fitted: bool
-    """False if the points do not determine the constant, which then keeps the value it had before."""
+    """True if the points determine the constant. Otherwise it keeps the value that it had before the fit."""
 
     @property
     def text(self) -> str:
@@ -76,7 +76,7 @@ class FittedConstant:
 
 @dataclass(frozen=True)
 class LineFit:
-    """Fit of a line to its taps."""
+    """Slip layer and factor of bends that were fitted to the pressures at the taps of a line."""
 
     taps: tuple[Tap, ...]
     constants: tuple[FittedConstant, ...]
@@ -89,7 +89,7 @@ class LineFit:
 
     @property
     def scatter(self) -> float:
-        """Standard deviation of the measured from the fitted pressures [Pa]."""
+        """Standard deviation of the measured pressures from the fitted pressures [Pa]."""
         off = self.deviations()
         return math.sqrt(float(off @ off) / (len(off) - sum(each.fitted for each in self.constants)))
 

@@ -38,7 +38,7 @@ class ModelError:
     low: float
     high: float
     source: str
-    """Publications and rules from which the ends of the range come."""
+    """Publications and rules that gave the lower and the upper end of the range."""
 
 
 MODEL_ERRORS = {
@@ -48,7 +48,8 @@ MODEL_ERRORS = {
     "bore": ModelError("bores", 1.0, 2.0, f"as a reducer, 2: {AIJ}"),
     "valve": ModelError("valves", 1.0, 1.0, f"from straight pipe to 0.8 MPa: {JGJ}"),
 }
-"""Ranges of friction by kind of part; the upper end of a valve's range is :data:`VALVE_PRESSURE`."""
+"""Range of the friction relative to straight pipe, by kind of part. For a valve, the upper end here is replaced by the
+pressure loss :data:`VALVE_PRESSURE`."""
 
 
 def range_of(part: Part, straight: float) -> tuple[float, float] | None:

@@ -48,7 +48,8 @@ def straight_friction(part: Part, concrete: Concrete, flow: float) -> float:
 def _friction_per_metre(concrete: Concrete, diameter: float, outlet: float, flow: float) -> float:
     """Return the mean friction per metre [Pa/m] of a pipe whose bore changes evenly from `diameter` to `outlet` [m].
 
-    Most parts of a line share their bores, and the band evaluates each of them for many concretes.
+    The results are cached, because most parts of a line have the same bores, and because the uncertainty band needs the
+    friction of the same parts for many concretes.
     """
 
     def per_metre(bore: float) -> float:

@@ -1,7 +1,8 @@
-"""Rules of practice for the pressure of a pump line (AIJ, JSCE and JGJ/T 10), beside the program's result.
+"""Rules of practice (AIJ, JSCE, JGJ/T 10) for the pressure of a pump line, for comparison with the program's result.
 
-AIJ and JSCE count parts as straight pipe, whose friction they take from a measurement; here it is the program's.
-JGJ/T 10 gives pressures for parts, whatever the concrete and the flow.
+AIJ and JSCE convert bends, reducers and hoses to lengths of straight pipe, and take the friction of straight pipe from
+a measurement. Here, the friction that the program calculates replaces the measurement. JGJ/T 10 states the pressure
+losses themselves, which depend neither on the concrete nor on the flow.
 """
 
 from __future__ import annotations
@@ -19,11 +20,12 @@ GROUPS = {"straight": "straight pipe", "bend": "bends", "reducer": "reducers", "
           "bore": "bores"}  # fmt: skip
 """Columns of the comparison, by kind of part."""
 AIJ_FACTORS = {"straight": 1.0, "bend": 3.0, "reducer": 2.0, "hose": 2.0}
-"""Friction relative to straight pipe of a part's length (AIJ)."""
+"""Friction of a kind of part divided by that of a straight pipe of the same length (AIJ); other kinds have 1."""
 JSCE_RISE = ((0.100, 0.125, 0.150), (3.0, 4.0, 5.0))
 """Diameters [m], and metres of level pipe that stand for one metre of rise, weight included (JSCE)."""
 JSCE_BEND, JSCE_REDUCER, JSCE_HOSE, JSCE_HOSE_LENGTH = 6.0, 3.0, 20.0, 8.0
-"""Metres of level pipe that stand for a bend of 90 degrees, a reducer, and a hose of 5 to 8 m (JSCE)."""
+"""Lengths of level pipe [m] that have the same friction as a bend of 90 degrees, a reducer, and a hose of 5 to 8 m
+(JSCE)."""
 JGJ_LEVEL, JGJ_RISE = 0.1e6 / 20, 0.1e6 / 5
 """Pressure loss of a metre of level pipe and of a metre of rise [Pa/m] (JGJ/T 10)."""
 JGJ_BEND, JGJ_HOSE, JGJ_HOSE_LENGTH, JGJ_VALVE = 0.1e6, 0.2e6, 5.0, 0.8e6
@@ -39,7 +41,7 @@ class PracticeRow:
     """Pressure losses of the line [Pa], summed over the parts of each kind. The pressure due to weight belongs to the
     kind of the part that rises."""
     implies: str
-    """Friction and weight that the rule implies, in words."""
+    """Sentence on the friction, and the pressure of rising concrete, that the rule assumes."""
     source: str = ""
 
     @property

@@ -31,8 +31,8 @@ class Loss:
     friction: float
     """Pressure loss by friction [Pa]."""
     theory: float
-    """Friction by the closed form [Pa]: that of straight pipe of the same bore and length, times the part's stated
-    factor or the model of hoses and valves."""
+    """Friction of the part by the closed form [Pa]: that of straight pipe of the same bore and length, times the factor
+    that the line's file states. Without such a factor, a hose or a valve is multiplied by the factor of its model."""
     weight: float
     """Pressure due to the weight of the concrete over the part's rise [Pa]."""
 
@@ -167,7 +167,7 @@ class LineResult:
 
     @functools.cached_property
     def _bands(self) -> tuple[np.ndarray, list[Band]]:
-        """Places and bands as :meth:`bands` returns them, calculated once."""
+        """Result of :meth:`bands`, calculated at the first use and then stored."""
         places, ours = self.course(lambda loss: loss.friction + loss.weight)
         ends = {cause: [self._course_of(each) for each in pair] for cause, pair in self._variants().items()}
         for kind in uncertain_kinds(self.line.parts):
@@ -282,7 +282,7 @@ class LineResult:
         return found
 
     def record(self) -> dict[str, Any]:
-        """Return the contents of line.json."""
+        """Return the results of the line as the contents of the file line.json."""
         places, bands = self.bands()
         band, margin = bands[0], self.margin
         return {

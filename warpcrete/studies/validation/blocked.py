@@ -19,7 +19,7 @@ class BlockingComparison:
 
     case: Case
     held_out: bool
-    """True if no limit of a rule may be chosen with this case in view."""
+    """True if the case only tests the rules, so that the limits of the rules must not be adjusted to it."""
     blocked: bool
     """True if the concrete blocked."""
     verdict: str

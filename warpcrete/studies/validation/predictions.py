@@ -25,7 +25,7 @@ LINE_DENSITY = "2400 kg/m3"
 
 
 def mix_of_case(case: Case, section: Mapping[str, object] | None = None) -> Mix:
-    """Return the mix of a case, with an assumed density if the publication states none."""
+    """Return the mix of a case; a density of 2400 kg/m3 is assumed if the publication states none."""
     given = dict(section or case.mix)
     if "density" not in given and "parts" not in given:
         given["density"] = LINE_DENSITY

@@ -50,7 +50,7 @@ class Validation:
 
     comparisons: list[Comparison]
     blocking: list[BlockingComparison]
-    """Verdicts of the rules against blocking."""
+    """Comparison of the rules against blocking with observations, for each concrete that blocked or did not block."""
     refused: dict[str, str]
     """Cases that the program refuses to predict, with the reason."""
 
