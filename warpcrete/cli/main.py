@@ -196,7 +196,7 @@ def _repeat_command(path: Path) -> click.Command:
 
 
 class TheoryCommand(click.Command):
-    """Command with one option for each parameter of the scene functions that simulate flows."""
+    """Command that has one option for each parameter of flow scenes that the closed form uses."""
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         return [*_part("options").parameter_options(_part("theory").fields().values()), *super().get_params(ctx)]
@@ -603,7 +603,7 @@ def explain_command(arguments: tuple[str, ...]) -> None:
 
 
 def _fail(text: str, code: int) -> NoReturn:
-    """Print an error as one line and exit."""
+    """Print an error message as one line to stderr, and end the program with the exit code `code`."""
     click.echo(f"error: {one_line(text)}", err=True)
     raise SystemExit(code) from None
 

@@ -38,7 +38,8 @@ SAND_SHARES = (0.38, 0.45)
 PUMPED_SAND_SHARES = (0.365, 0.52)
 """Smallest and largest share of sand in 403 flows that were pumped (Shen)."""
 FINE_SAND = (0.15, 0.30)
-"""Share of the sand below 0.3 mm: with less the concrete unmixes, with more it becomes sticky."""
+"""Lower and upper limit for the fraction of the sand's mass that is finer than 0.3 mm. With less fine sand the concrete
+segregates, with more it becomes sticky."""
 WATER_BINDER = 0.60
 """Largest mass of water over that of powder (JGJ/T 10)."""
 FINES_PER_WATER = 1.75
@@ -48,7 +49,7 @@ SLUMPS = (0.05, 0.10, 0.16)
 LARGEST_SPREAD = 0.795
 """Largest spread [m] in 403 flows of concrete through coils of pipe (W. Shen), all of which were pumped."""
 TAPER_RUN = 5.0
-"""Length of straight pipe behind a reducer [m] (JGJ/T 10)."""
+"""Least length of straight pipe that must follow a reducer [m], so that stones and mortar mix again (JGJ/T 10)."""
 
 ACI = "ACI 304.2R"
 SOCIETY = "Concrete Society: 3.5 to 4 times the stone"

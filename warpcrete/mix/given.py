@@ -64,7 +64,7 @@ NUMBERS = {
     "fine_sand": Entry("Share of the sand's mass below 0.3 mm", "1", 0, 1,
                        "write per cent with the sign, as in '18 %'"),
 }  # fmt: skip
-"""Numeric entries of a mix."""
+"""Entries of a mix that are single numbers, by name, each with its meaning, unit and possible range."""
 OTHERS = {
     "parts": "Mass of every ingredient in a cubic metre [kg/m3], or with its unit; liquids also by volume",
     "aggregate": "Coarse aggregate: share of the volume, or mass in a cubic metre with a unit",
@@ -124,7 +124,7 @@ class MixEntries:
     concrete: Measured
     mortar: Measured
     viscometer_points: tuple[list[float], list[float]] | None
-    """Shear rates [1/s] and stresses [Pa] measured with a viscometer."""
+    """Points measured with a viscometer: shear rates [1/s] and stresses [Pa]; None if the mix states none."""
     slump: float | None
     spread: float | None
     t500: float | None
@@ -140,7 +140,8 @@ class MixEntries:
     paste_share: float | None = None
     """Share of powder, water and admixtures in the volume of the concrete."""
     water_binder: float | None = None
-    """Mass of water over mass of all powder."""
+    """Mass of water divided by the mass of all powder, stated or calculated from the ingredients; None if it is
+    unknown."""
     voids: float | None = None
     """Voids of sand and stones together when compacted, as a share of their bulk volume."""
     fine_sand: float | None = None
@@ -155,7 +156,7 @@ class MixEntries:
 
     @property
     def sand_mass(self) -> float:
-        """Mass of sand in a cubic metre [kg]; 0 if it is not known."""
+        """Mass of sand in a cubic metre of concrete [kg]; 0 if the ingredients do not determine it."""
         sand, _ = sand_and_stone_masses(self.parts)
         if sand == 0 and self.share is not None and self.sand_and_stone is not None:
             return max(self.sand_and_stone - self.share, 0.0) * GRAVEL
@@ -284,7 +285,7 @@ def _sand_and_stone(given: Mapping[str, Any], masses: Mapping[str, float]) -> fl
 
 
 def _paste_share(given: Mapping[str, Any], masses: Mapping[str, float]) -> float | None:
-    """Return the share of powder and liquid in the volume of the concrete; None if the ingredients do not tell it."""
+    """Return the volume of powder and liquid per volume of concrete; None if the ingredients do not determine it."""
     powder, liquid = paste_volumes(masses)
     return powder + liquid if powder > 0 and liquid > 0 else None
 
@@ -327,9 +328,10 @@ def _number(given: Mapping[str, Any], name: str) -> float | None:
 
 
 def _density(given: Mapping[str, Any], heavy: float) -> tuple[float, bool, dict[str, float]]:
-    """Return the concrete's density [kg/m3], whether it is the sum of its ingredients, and these [kg/m3] by name.
+    """Return the concrete's density [kg/m3], True if it is the sum of the ingredients, and the ingredients [kg/m3].
 
-    `heavy` is the density of the coarse aggregate [kg/m3].
+    The ingredients are a mapping from names to masses in a cubic metre; it is empty if the mix lists none. `heavy` is
+    the density of the coarse aggregate [kg/m3].
     """
     own, air = _number(given, "density"), _number(given, "air")
     if "parts" not in given:

@@ -51,8 +51,8 @@ THICKENERS = ("vma", "stabilizer", "stabiliser", "modifier")
 UNKNOWN_MASS = 20.0
 """Mass [kg/m3] above which an unknown ingredient may be powder, so that the paste is unknown; admixtures have less."""
 POSSIBLE_VOLUMES = (0.88, 1.05)
-"""Smallest and largest possible volume of all ingredients in a cubic metre [m3/m3]; air fills the rest, and densities
-vary."""
+"""Smallest and largest possible volume of all ingredients, without air, in a cubic metre of concrete [m3/m3]. The upper
+limit exceeds 1, because the densities of the ingredients vary."""
 USUAL_AIR = (-0.02, 0.06)
 """Range of the calculated air content without a warning [m3/m3]: 1 to 3 % are usual, and uncertain densities may make
 the content negative."""

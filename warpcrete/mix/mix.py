@@ -69,7 +69,10 @@ class Mix:
 
     @property
     def concrete(self) -> Concrete:
-        """The mix as a yield stress fluid with a slip layer, at the age and temperature of `factors`."""
+        """The mix as a yield stress fluid with a slip layer, after multiplication by `factors`.
+
+        The factors describe the concrete at another age or temperature.
+        """
         return scaled(self._plain, *self.factors)
 
     @property

@@ -13,7 +13,8 @@ SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crush
 """Words that a mix uses for the shape of stones, each mapped to the shape of the discrete elements. Instead of a word,
 a mix may state the ratio of longest to shortest width, which becomes an elongated clump of spheres."""
 FINEST, COARSEST = 1e-3, 0.3
-"""Smallest and largest size of stones that count as coarse aggregate [m]."""
+"""Smallest and largest diameter of stones that a mix may state as coarse aggregate [m]. Finer grains belong to the
+mortar."""
 
 
 def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:

@@ -104,7 +104,7 @@ class Posterior:
         return self.task.free[place].value(low), self.task.free[place].value(high)
 
     def relative_width(self, place: int) -> float:
-        """Return a parameter's posterior standard deviation, relative to that of a uniform distribution."""
+        """Return a parameter's posterior standard deviation, divided by that of a uniform distribution on its range."""
         return float(self.samples[:, place].std() / UNIFORM_DEVIATION)
 
     def correlations(self) -> np.ndarray:
@@ -175,7 +175,7 @@ def _log_success(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.nd
 def confounded_pairs(found: Posterior, close: float = 0.9) -> list[tuple[str, str, float]]:
     """Return the pairs of parameters whose correlation has a magnitude of at least `close`.
 
-    The data determine only a combination of the two parameters of such a pair.
+    Each entry holds both names and the correlation. The data determine only a combination of the two parameters.
     """
     names = [free.name for free in found.task.free]
     matrix = found.correlations()

@@ -70,7 +70,8 @@ class Elements:
     shapes: str = "spheres"
     """Shapes of the discrete elements, in the words of the parameter `shapes` of the scene part-dem."""
     coarse: float | None = None
-    """Factor on all stone sizes; None enlarges the largest stone to 0.3 times the narrowest bore."""
+    """Factor by which all stone sizes are multiplied. With None, stones are enlarged until the largest has 0.3 times
+    the narrowest bore; larger stones keep their size."""
     seeds: int = 1
     """Number of simulations of each kind of part, each with another random packing of the stones. The scatter of their
     results gives the range of the pressure."""
@@ -100,7 +101,8 @@ class WallLaw:
     measured: float
     """Largest pressure at which the law was measured [Pa]."""
     largest: float
-    """Pressure above which the wall stress is assumed constant [Pa]."""
+    """Pressure from which on the wall stress is assumed constant [Pa], because overlaps of the elements become
+    large."""
 
     @classmethod
     def of(cls, diameter: float, columns: Mapping[str, np.ndarray], largest: float) -> WallLaw:
@@ -242,11 +244,11 @@ def run_elements(
     threads: int | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> ElementLine:
-    """Compute the pressure that a `line` needs at a `flow` [m3/s] of a `concrete` (name or file) by discrete elements.
+    """Compute the pressure that a `line` needs at a `flow` [m3/s] of a `concrete` by discrete elements.
 
-    Each kind of part is simulated without weight, and on a GPU all parts run together. Runs are stored in `out`,
-    where interrupted runs continue; finished runs in `known`, the folder of an earlier line, are reused. Raises
-    :class:`SceneError` for impossible settings, and the error of the first run that failed.
+    `concrete` is a name or a file. Each kind of part is simulated without weight, and on a GPU all parts run together.
+    The runs are stored in `out`, where interrupted runs continue. Finished runs in `known`, the folder of an earlier
+    line, are reused. Raises :class:`SceneError` for impossible settings, and the error of the first run that failed.
     """
     elements = elements or Elements()
     if known is not None and not (known / "parts").is_dir():

@@ -27,7 +27,8 @@ COLUMNS = {"place": "m", "part": "1", "pressure": "Pa", "flow": "m3/s"}
 """Columns of a file of taps, with their SI units: either `place`, the distance from the pump along the line, or `part`,
 the number of the part before which the tap lies."""
 SAME_FLOW = 0.02
-"""Relative difference up to which flows count as equal; they then do not tell yield stress from viscosity."""
+"""Relative difference between the flows up to which they count as equal. The pressures at equal flows do not
+distinguish the yield stress of the slip layer from its viscosity."""
 DEPENDENT = 1e-3
 """Smallest singular value of the scaled sensitivities at which a constant still counts as determined by the points."""
 LEAST = (1e-2, -1.0, 0.0)
@@ -50,7 +51,7 @@ class Tap:
     flow: float
     """Volume flow [m3/s]."""
     row: int
-    """Line of the file."""
+    """Line of the file in which the pressure was read, for messages."""
 
 
 @dataclass(frozen=True)
@@ -201,7 +202,8 @@ class _Model:
                 kind = (part.diameter, part.outlet, part.layer)
                 self.kinds.setdefault(kind, part)
                 metres = own.setdefault(kind, [0.0, 0.0])
-                # Bends that are fitted start from straight pipe; all other parts weigh as in the prediction.
+                # A bend whose factor is fitted counts as straight pipe here, because the fit multiplies it by the
+                # factor. All other parts have the friction of the prediction.
                 weight = 1.0 if bends and _is_free(part) else library_factor(part)
                 metres[bends and _is_free(part)] += share * part.length * part.relative * weight
                 rise += share * part.rise
@@ -235,9 +237,9 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
     """Fit the slip layer, and the factor of bends, to pressures along a line by least squares.
 
     `concrete` supplies density, viscosity and yield stress of the bulk, and values of constants that the points do not
-    determine. Pressures at a single flow do not tell the layer's yield stress from its viscosity, and taps with the
-    same proportion of bends behind them do not tell the factor of bends. All pressures have the same weight. Raises
-    :class:`SceneError` for too few points or an impossible result.
+    determine. If all pressures were measured at a single flow, they do not distinguish the layer's yield stress from
+    its viscosity. If the same proportion of bends lies behind all taps, the pressures do not determine the factor of
+    bends. All pressures have the same weight. Raises :class:`SceneError` for too few points or an impossible result.
     """
     model = _Model(line, concrete, taps)
     measured = np.array([tap.pressure for tap in taps])
@@ -298,7 +300,11 @@ def _metre(line: PipeLine) -> PipeLine:
 
 
 def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
-    """Return the constants that the points determine; `slopes` are the sensitivities to the constants `free`."""
+    """Return the constants that the points determine, as the first ones of `free`.
+
+    `slopes` are the derivatives of the pressures with respect to the constants `free`, shape (taps, free). A constant
+    is dropped from the end of the list while the columns of `slopes` are linearly dependent.
+    """
     while len(free) > 1:
         scaled = slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
         if np.linalg.matrix_rank(scaled, tol=DEPENDENT) == len(free):

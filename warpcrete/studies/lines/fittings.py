@@ -85,7 +85,8 @@ def library_factor(part: Part) -> float:
     if part.kind == "bend":
         return 1 + float(np.interp(part.diameter / part.radius, *BEND_EXTRA_LOSS))
     if part.kind == "reducer":
-        # A pipe that widens costs what straight pipe of its bores costs.
+        # A pipe that widens has the friction of straight pipe with the same bores, because the interpolation is
+        # constant outside the table.
         return 1 + float(np.interp((part.diameter - part.outlet) / 2 / part.length, *REDUCER_EXTRA_LOSS))
     return 1.0
 

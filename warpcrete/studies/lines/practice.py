@@ -18,7 +18,7 @@ from .fittings import AIJ, JGJ, JSCE
 
 GROUPS = {"straight": "straight pipe", "bend": "bends", "reducer": "reducers", "hose": "hoses", "valve": "valves",
           "bore": "bores"}  # fmt: skip
-"""Columns of the comparison, by kind of part."""
+"""Headings of the columns in the table of rules, by the kind of part that a column sums up."""
 AIJ_FACTORS = {"straight": 1.0, "bend": 3.0, "reducer": 2.0, "hose": 2.0}
 """Friction of a kind of part divided by that of a straight pipe of the same length (AIJ); other kinds have 1."""
 JSCE_RISE = ((0.100, 0.125, 0.150), (3.0, 4.0, 5.0))

@@ -25,14 +25,14 @@ from .practice import PracticeRow, practice_lines, practice_rows
 
 @dataclass(frozen=True)
 class Loss:
-    """Pressure losses of one part of a line."""
+    """Pressure losses of one part of a line, by friction and by weight."""
 
     part: Part
     friction: float
     """Pressure loss by friction [Pa]."""
     theory: float
     """Friction of the part by the closed form [Pa]: that of straight pipe of the same bore and length, times the factor
-    that the line's file states. Without such a factor, a hose or a valve is multiplied by the factor of its model."""
+    that the line's file states. Without such a factor, that of a hose is multiplied by the factor of its model."""
     weight: float
     """Pressure due to the weight of the concrete over the part's rise [Pa]."""
 
@@ -72,7 +72,7 @@ class LineResult:
     line: PipeLine
     concrete: Concrete
     flow: float
-    """Flow rate [m3/s]."""
+    """Flow rate for which the pressure of the line was simulated [m3/s]."""
     losses: list[Loss]
     """Losses of the parts, from the start of the line to its end."""
     layer_factor: float

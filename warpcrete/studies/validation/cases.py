@@ -39,7 +39,8 @@ class Case:
     name: str
     kind: str
     group: str
-    """Mix, line or laboratory that several cases share; they are fitted or held out together."""
+    """Name of the mix, line or laboratory that several cases share. The cases of a group are fitted, or held out,
+    together."""
     source: str
     """Publication and the table, figure or section in it."""
     mix: Mapping[str, Any]

@@ -38,7 +38,7 @@ def _number(case: Case, key: str, unit: str) -> float:
 
 
 def _entry(case: Case, key: str) -> Any:
-    """Return an entry of a case's section `test`; raise :class:`SceneError` if it is missing."""
+    """Return the value of an entry in a case's section `test`; raise :class:`SceneError` if the entry is missing."""
     if key not in case.test:
         refuse("case test", case.name, f"has no {key!r}", f"add '{key}: ...'")
     return case.test[key]
