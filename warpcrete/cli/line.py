@@ -148,7 +148,10 @@ def _judge_blocking(line: PipeLine, given: LineInputs, folder: Path | None, sett
 
 
 def print_rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> None:
-    """Print what the rules of practice say about blocking of the line, and write it to its folder."""
+    """Print the verdicts of the rules of practice on blocking of the line.
+
+    The verdicts are also written to blocking.json in the folder of the line, if there is one.
+    """
     verdicts = line_rules(line, None if mix is None else mix.given)
     part = narrowest(line)
     where = f"narrowest part {part.number}, {part.label}, {1e3 * part.narrow:.4g} mm"

@@ -89,7 +89,7 @@ def _from_file(line: str, settings: Mapping[str, Any]) -> PipeLine:
 
 
 def _straight(settings: Mapping[str, Any]) -> PipeLine:
-    """Return a straight line from options."""
+    """Return a line that consists of one straight pipe, from the options `diameter`, `length` and `rise`."""
     if all(settings[name] is None for name in SHAPE):
         raise click.UsageError(f"line: is missing; give its file, or a straight line as {EXAMPLE}")
     diameter, length = _amount("diameter", settings, "m"), _amount("length", settings, "m")

@@ -1,4 +1,4 @@
-"""Simulated answers of `warpcrete line`: by flows, by discrete elements, or by both."""
+"""Run the simulations of `warpcrete line` by flows, by discrete elements, or by both, and print their results."""
 
 from __future__ import annotations
 

@@ -36,14 +36,16 @@ VOIDS_ERROR = 0.02
 SAND_SHARES = (0.38, 0.45)
 """Share of sand in the aggregate that JGJ/T 10 requires."""
 PUMPED_SAND_SHARES = (0.365, 0.52)
-"""Smallest and largest share of sand in 403 flows that were pumped (Shen)."""
+"""Smallest and largest fraction of sand in the aggregate, in 403 flows of concrete through coils of pipe that were all
+pumped (W. Shen)."""
 FINE_SAND = (0.15, 0.30)
 """Lower and upper limit for the fraction of the sand's mass that is finer than 0.3 mm. With less fine sand the concrete
 segregates, with more it becomes sticky."""
 WATER_BINDER = 0.60
 """Largest mass of water over that of powder (JGJ/T 10)."""
 FINES_PER_WATER = 1.75
-"""Smallest mass of powder and fine sand over that of water."""
+"""Smallest ratio of the mass of powder and fine sand to the mass of water. With less, water may bleed out under
+pressure."""
 SLUMPS = (0.05, 0.10, 0.16)
 """Slumps [m]: the least that can be pumped, the least that is usual, and the largest without a plasticizer."""
 LARGEST_SPREAD = 0.795

@@ -32,7 +32,7 @@ class Figure:
     source: str
     """Author of the relation, and how reliable the value is."""
     instrument: str = "rheometer"
-    """Instrument from which the value comes: a rheometer or a cone."""
+    """Kind of instrument whose errors the value has: 'cone' for slump, spread and T500, otherwise 'rheometer'."""
 
     def __post_init__(self) -> None:
         assert self.low <= self.value <= self.high, self
@@ -45,7 +45,7 @@ class Figure:
 
 
 def short(value: float) -> str:
-    """Format a number with three significant digits, and without an exponent if readers expect none."""
+    """Return a number as text with three significant digits, without an exponent from 0.0001 to 999999."""
     return f"{float(f'{value:.3g}'):g}"
 
 
@@ -89,9 +89,9 @@ def line_uncertainty(error: float, count: int, value: float, default: float) -> 
 
 
 def of_line(name: str, value: float, off: float, unit: str, way: str, count: int) -> Figure:
-    """Return a property from a straight line through `count` points, with the uncertainty `off` in `unit`.
+    """Return a property that is the slope or the intercept of a straight line through `count` points.
 
-    Raises :class:`SceneError` if the value is impossible.
+    `off` is the uncertainty of the value in `unit`. Raises :class:`SceneError` if the value is impossible.
     """
     viscous = unit.startswith("Pa s")
     if value < 0 or (viscous and value == 0):

@@ -25,7 +25,7 @@ DENSITIES = {
     **dict.fromkeys(("barite", "baryte"), 4200.0),
     **dict.fromkeys(("magnetite", "hematite"), 4900.0),
 }  # fmt: skip
-"""Usual densities of ingredients [kg/m3]; the key is a word of the ingredient's name."""
+"""Usual densities of ingredients [kg/m3]. A key is a word that may occur in the name of an ingredient."""
 COARSE = ("gravel", "stone", "stones", "grit", "chippings", "granite", "basalt", "coarse", "pebbles")
 """Words for coarse aggregate; a mix may state the density of these ingredients."""
 VARIABLE = ("lightweight", "light", "expanded", "clay", "pumice", "perlite", "recycled", "polypropylene", "polymer",

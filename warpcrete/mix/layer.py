@@ -31,14 +31,16 @@ PASTE_ERROR_FACTOR = 1.7
 """Factor, in both directions, by which the layer of a mix may differ from :func:`paste_layer`: 90 % of the concretes of
 the fitted families differ by less."""
 PASTE_YIELD = (10.0, 0.0, 50.0)
-"""Yield stress of a layer that is estimated from the paste, with its lower and upper limit [Pa]."""
+"""Yield stress of a slip layer that is estimated from the composition of the paste, with the lower and the upper limit
+of its band [Pa]."""
 THICKENER_FACTOR, THICKENER_ERROR = 3.0, 1.25
-"""Factor by which a viscosity-modifying admixture raises the layer's resistance, and the factor by which it may differ.
-The three concretes of Xu, Li & Jiang (2021), which contain such an admixture, have 2.9 to 3.1 times the wall stress of
-:func:`paste_layer` at 0.5 m/s."""
+"""Factor by which a viscosity-modifying admixture raises the resistance of the slip layer, and the factor by which the
+band becomes wider in both directions because of this. The three concretes of Xu, Li & Jiang (2021), which contain such
+an admixture, have 2.9 to 3.1 times the wall stress of :func:`paste_layer` at 0.5 m/s."""
 AGGREGATE_DENSEST, FILM = 0.80, 3e-3
 """Constants of :func:`film_layer`: densest packing of sand and stones together, and thickness of the layer [m].
-Measured thicknesses are 1 to 3 mm (Deng et al. 2024; Zhao et al. 2024), and Xu's layers imply 6 mm."""
+Measured thicknesses are 1 to 3 mm (Deng et al. 2024; Zhao et al. 2024). The layers of Xu, Li & Jiang (2021) correspond
+to 6 mm."""
 FILM_ERROR_FACTOR = 3.0
 """Factor by which the true viscosity of a layer may be larger or smaller than that of :func:`film_layer`."""
 SLUMP_ERROR_FACTOR = 2.0

@@ -15,8 +15,8 @@ from .points import PUMPED, read_points
 UNITS = {"yield_stress": "Pa", "viscosity": "Pa s"}
 CONCRETE_UNITS = {**UNITS, "flow_index": "1", "quadratic_viscosity": "Pa s2"}
 LAYER_UNITS = {"yield_stress": "Pa", "viscosity": "Pa s/m", "flow_index": "1", "quadratic_viscosity": "Pa s2/m2"}
-"""Measured constants of concrete and slip layer, with their SI units; the last two belong to other laws than
-Bingham's."""
+"""Constants of the slip layer that a mix may state as measured, with their SI units. The last two belong to other laws
+than Bingham's."""
 SLIPPED = {"speed": "m/s", "stress": "Pa"}
 SLIP = {"yield_stress": "slip_yield", "viscosity": "slip_viscosity", "flow_index": "slip_flow_index",
         "quadratic_viscosity": "slip_quadratic_viscosity"}  # fmt: skip
@@ -46,7 +46,7 @@ class Layer:
     rise: float = 0.0
     """Height of the pipe's end above its start [m]."""
     tribometer_points: tuple[list[float], list[float]] | None = None
-    """Speeds [m/s] and stresses [Pa] measured with a tribometer."""
+    """Points measured with a tribometer: speeds [m/s] and stresses [Pa]; None if the mix states none."""
     pipe: bool = False
     """True if `constants` were fitted to pressures of a pipe, False if a tribometer measured them."""
 

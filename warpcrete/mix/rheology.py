@@ -152,7 +152,10 @@ def _factors(share: float) -> tuple[tuple[float, float], ...]:
 
 
 def _from_mortar(own: Figure, given: MixEntries, place: int, source: str) -> Figure:
-    """Return the concrete's viscosity or yield stress, calculated from the same constant of its mortar."""
+    """Return the viscosity or the yield stress of a concrete, calculated from that of its mortar.
+
+    `own` is the measured property of the mortar. `place` is 0 for the viscosity and 1 for the yield stress.
+    """
     assert given.share is not None
     value, least, most = (each[place] for each in _factors(given.share))
     return Figure(own.name, value * own.value, least * own.low, most * own.high, own.unit,

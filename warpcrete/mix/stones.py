@@ -1,4 +1,4 @@
-"""Sizes and shapes of the coarse aggregate, as a mix states them."""
+"""Read the sieve curve, the sizes and the shape of the coarse aggregate from the entries of a mix."""
 
 from __future__ import annotations
 

@@ -347,8 +347,8 @@ def _first_points(
 def _next_points(calibration: Calibration, count: int, seed: int) -> list[list[float]]:
     """Return the points of the next round: a quarter from Optuna, the others from the posterior.
 
-    The first of the others is the maximum of the posterior. Every further point is the posterior sample that is
-    farthest from all points so far, with distances scaled by the posterior's standard deviations.
+    The first point from the posterior is its maximum. Every further point is the posterior sample that is farthest from
+    all points so far, with distances scaled by the posterior's standard deviations.
     """
     assert calibration.posterior is not None
     random = np.random.default_rng(seed)

@@ -25,7 +25,7 @@ START_CANDIDATES = 2048
 """Number of points in the unit cube from which the best ones become the walkers' starting points."""
 WALKERS, STEPS, DISCARDED_STEPS = 64, 300, 100
 FAILURE_RADIUS = 0.15
-"""Radius in the unit cube within which a failed run lowers the estimated probability that runs succeed."""
+"""Distance in the unit cube over which a failed run lowers the estimated probability that other runs succeed."""
 UNIFORM_DEVIATION = 1 / np.sqrt(12)
 """Standard deviation of a uniform distribution on the interval from 0 to 1."""
 

@@ -63,7 +63,7 @@ class BlockingProbability:
     stone: float
     """Largest stone as simulated [m]."""
     coarse: float
-    """Factor by which the stones were enlarged."""
+    """Factor by which the stones were enlarged for the simulation; 1 if they kept their size."""
     friction: float
     """Friction between the stones."""
 
@@ -152,7 +152,11 @@ def run_blocking(
 def _parameters(
     part: Part, line: PipeLine, concrete: str, flow: float, elements: Elements, seed: int
 ) -> dict[str, Any]:
-    """Return the scene parameters of a run, which ends once the part is blocked."""
+    """Return the scene parameters of one simulation. The simulation ends as soon as the part is blocked.
+
+    The smallest values of friction and modulus are :data:`FRICTION` and :data:`MODULUS`, unless the concrete has a
+    contact law of its own.
+    """
     wide = max(part.diameter, part.outlet)
     own = part_parameters(part, False, line, concrete, flow, elements, seed)
     own |= {"straight": STRAIGHT_DIAMETERS * wide, "travel": TRAVEL_DIAMETERS * part.diameter,

@@ -109,7 +109,10 @@ class LineFit:
         return {"slip layer": (low, high)}
 
     def line(self, line: PipeLine) -> PipeLine:
-        """Return the line whose bends have the fitted factor, unless their file states one."""
+        """Return the line whose bends have the fitted factor.
+
+        Bends whose factor the line's file states keep that factor.
+        """
         bends = self.constants[2] if len(self.constants) > 2 else None
         if bends is None or not bends.fitted:
             return line

@@ -1,4 +1,4 @@
-"""Closed-form pressure losses of the parts of a pump line."""
+"""Friction of the parts of a pump line by closed forms, and its dependence on the slip layer."""
 
 from __future__ import annotations
 

@@ -64,10 +64,10 @@ def _summed(parts: Iterable[Part], loss: Callable[[Part], float]) -> dict[str, f
 
 
 def practice_rows(parts: tuple[Part, ...], straight: dict[int, float], weight: float) -> list[PracticeRow]:
-    """Return the pressure of a line by each rule.
+    """Return the pressure of a line by each rule of practice, with what the rule assumes.
 
-    `straight` is the friction [Pa] of straight pipe with the length and bores of each part, by the part's number, and
-    `weight` the pressure of a metre of rise [Pa/m].
+    `straight` maps the number of each part to the friction [Pa] of a straight pipe with the part's length and bores.
+    `weight` is the pressure of a metre of rise [Pa/m].
     """
 
     def per_metre(part: Part) -> float:

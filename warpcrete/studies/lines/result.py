@@ -43,7 +43,10 @@ class Loss:
 
     @property
     def range(self) -> tuple[float, float] | None:
-        """Range of the friction relative to straight pipe, by the model error of the part; None without an error."""
+        """Range of the friction relative to straight pipe, because of the error of the part's model.
+
+        The value is None for parts without such an error, such as straight pipe.
+        """
         return range_of(self.part, self.straight)
 
     def at(self, end: int) -> float:
@@ -74,7 +77,7 @@ class LineResult:
     flow: float
     """Flow rate for which the pressure of the line was simulated [m3/s]."""
     losses: list[Loss]
-    """Losses of the parts, from the start of the line to its end."""
+    """Pressure losses of each part, in the order from the start of the line to its end."""
     layer_factor: float
     """Factor of the uncertainty of the slip layer: its resistance may be larger or smaller by this factor."""
     simulated: bool
@@ -183,10 +186,11 @@ class LineResult:
         return places, found
 
     def restart(self, flow: float = 0.0) -> Band:
-        """Return the pressure at the pump that sets the line in motion after the stop [Pa], by the closed form.
+        """Return the pressure at the pump that restarts the line after a stop [Pa], with its uncertainty band.
 
-        With a `flow` of 0 [m3/s], the result is the pressure at which motion begins; with a larger `flow`, it is the
-        pressure for restarting at that flow at once. Fittings have their friction relative to straight pipe.
+        With a `flow` of 0 [m3/s], the result is the pressure at which the concrete begins to move. With a larger
+        `flow`, it is the pressure for restarting at that flow at once. Straight pipe follows from the closed form, and
+        fittings keep the ratio of their friction to that of straight pipe.
         """
         stop = self.stop
         assert stop is not None, "the line does not stop"

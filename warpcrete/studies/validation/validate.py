@@ -61,7 +61,10 @@ class Validation:
         return html_table([summary_cells(each) for each in self.summaries()], SUMMARY_COLUMNS, repr(self))
 
     def summaries(self) -> list[Summary]:
-        """Return the statistics of each kind, for all cases and for held-out and other cases apart."""
+        """Return statistics for each kind of measurement, in up to four rows: all, held-out, other and simulated cases.
+
+        The rows of held-out and of other cases are left out if they would contain all cases.
+        """
         found = []
         for kind in KINDS:
             own = [each for each in self.comparisons if each.case.kind == kind and not each.simulated]
