@@ -20,9 +20,9 @@ TRIBOMETER_RATIO = (0.3, 2.0)
 """Smallest and largest ratio of the layer constant that pipe pressures imply to the one that a tribometer measured, in
 404 pipe flows of 22 concretes (Tavangar 2022)."""
 PIPE_UNCERTAINTY = 0.3
-"""Relative uncertainty of a slip layer that was fitted to pipe pressures of an earlier delivery of the same recipe. On
-one site, Mai et al. (2014) found that deliveries differ by 15 %. Other sites differ by more: Deng et al. (2024) found
--38 to +31 %."""
+"""Relative uncertainty of a slip layer that was fitted to pipe pressures of an earlier delivery of the same recipe. Mai
+et al. (2014) found that deliveries differ by 15 % on a single site. Over all, the difference is larger: Deng et al.
+(2024) found -38 to +31 %."""
 PASTE_CONSTANT, PASTE_DENSEST = 128.0, 0.85
 """Constants of :func:`paste_layer`: viscosity [Pa s/m] and densest packing of the powder. They were fitted to eight
 families of concretes in level lines of 325 to 1,044 m, with water-binder ratios of 0.17 to 0.44; four families were

@@ -51,7 +51,7 @@ class Tap:
     flow: float
     """Volume flow [m3/s]."""
     row: int
-    """Line of the file in which the pressure was read, for messages."""
+    """Number of the line in the file from which the pressure was read, for messages."""
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ class LineResult:
     line: PipeLine
     concrete: Concrete
     flow: float
-    """Flow rate for which the pressure of the line was simulated [m3/s]."""
+    """Flow rate for which the pressure of the line is calculated [m3/s]."""
     losses: list[Loss]
     """Pressure losses of each part, in the order from the start of the line to its end."""
     layer_factor: float
@@ -246,7 +246,7 @@ class LineResult:
         return {"slip layer": (low, high)} if self.layer_factor > 1 else {}
 
     def _course_of(self, concrete: Concrete) -> list[float]:
-        """Return the pressures at the start of the line and at the ends of its parts [Pa], for another concrete."""
+        """Return the pressures at the line's start and its parts' ends [Pa], if another concrete fills the line."""
 
         def loss(x: Loss) -> float:
             own = x.friction * friction(x.part, concrete, self.flow) / x.theory
