@@ -1,6 +1,7 @@
 """Command `warpcrete line`: the pressure that a pipeline needs at its start.
 
-The answer by theory must not import the simulations; `line_simulated` does.
+This module does not import the simulations, because they take longer to load than an answer by theory takes. The module
+`line_simulated` imports them, and is loaded only when a simulation is requested.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
 
 
 def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[str, Any]) -> None:
-    """Refuse options that contradict each other or have no effect."""
+    """Refuse command-line options that contradict each other, or that have no effect together with the others."""
     if theory and method != "flow":
         raise click.UsageError(
             "--theory: cannot be combined with '--method dem' or '--method both'; leave out --theory or --method"
@@ -147,7 +148,10 @@ def _judge_blocking(line: PipeLine, given: LineInputs, folder: Path | None, sett
 
 
 def print_rules(line: PipeLine, mix: Mix | None, folder: Path | None) -> None:
-    """Print what the rules of practice say about blocking of the line, and write it to its folder."""
+    """Print the verdicts of the rules of practice on blocking of the line.
+
+    The verdicts are also written to blocking.json in the folder of the line, if there is one.
+    """
     verdicts = line_rules(line, None if mix is None else mix.given)
     part = narrowest(line)
     where = f"narrowest part {part.number}, {part.label}, {1e3 * part.narrow:.4g} mm"

@@ -20,9 +20,9 @@ from ..studies.lines.losses import Part, PipeLine, read_line, with_stone
 from ..theory.pipe import Concrete
 
 DENSITY = 2350.0
-"""Density of a concrete of which only the slump or the spread is known [kg/m3]."""
+"""Density [kg/m3] that is assumed for a concrete of which the user states only the slump or the spread."""
 FINEST = 4e-3
-"""Smallest coarse aggregate of a concrete of which only the largest stone is known [m]."""
+"""Diameter of the smallest coarse aggregate [m] that is assumed if the user states only the largest stone."""
 SHAPE = ("diameter", "length", "rise")
 """Options that describe a straight line without a file."""
 EXAMPLE = "--diameter '125 mm' --length '190 m' --rise '20 m'"
@@ -89,7 +89,7 @@ def _from_file(line: str, settings: Mapping[str, Any]) -> PipeLine:
 
 
 def _straight(settings: Mapping[str, Any]) -> PipeLine:
-    """Return a straight line from options."""
+    """Return a line that consists of one straight pipe, from the options `diameter`, `length` and `rise`."""
     if all(settings[name] is None for name in SHAPE):
         raise click.UsageError(f"line: is missing; give its file, or a straight line as {EXAMPLE}")
     diameter, length = _amount("diameter", settings, "m"), _amount("length", settings, "m")

@@ -1,4 +1,4 @@
-"""Simulated answers of `warpcrete line`: by flows, by discrete elements, or by both."""
+"""Run the simulations of `warpcrete line` by flows, by discrete elements, or by both, and print their results."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def run(
     given: LineInputs, method: str, folder: Path, layer: Mapping[str, Any], stop: Stop | None,
     settings: Mapping[str, Any], finish: Callable[[], None],
 ) -> bool:  # fmt: skip
-    """Simulate a line, print its pressure, and return whether a check of a part failed.
+    """Simulate a line, print its pressure, and return True if a simulated part failed a check.
 
-    `layer` holds the uncertainty of the concrete as arguments of `run_line`, and `settings` the options of the command.
-    `finish` is called when the result has been printed, while the folder is locked.
+    `layer` holds the uncertainty of the concrete, as keyword arguments of `run_line`. `settings` holds the options of
+    the command. The function calls `finish` after it has printed the result, while the folder is still locked.
     """
     line, name, rate = given.line, given.name, given.flow
     assert rate is not None

@@ -21,8 +21,8 @@ from .texts import MIX_HELP
 EXIT_TIMEOUT = 3.0
 """Time after which a command that has met a full disk is ended by force [s]."""
 
-# Warp takes half a second to load, and so do the scenes. Each subcommand therefore loads the modules that it needs only
-# when it is called.
+# Warp takes half a second to load, and the scenes take as long again. Each subcommand therefore loads the modules that
+# it needs only when it is called.
 
 
 def _part(name: str) -> ModuleType:
@@ -162,7 +162,10 @@ def _scene_command(name: str, module: ModuleType) -> click.Command:
 
 
 def help_text(docstring: str) -> str:
-    """Return a docstring as help of a command, without the markup of Sphinx and the errors that Python raises."""
+    """Return a docstring as the help text of a command.
+
+    Sphinx markup and sentences on Python exceptions are left out.
+    """
     kept = [part for part in docstring.split("\n\n") if not part.lstrip().startswith("Raises ")]
     text = re.sub(r"\s*Raises\s+:class:`[^`]*`[^.]*\.", "", "\n\n".join(kept))
     return re.sub(r":\w+:`~?\.*(?:[\w.]*\.)?(\w+)`", r"\1", text)
@@ -193,7 +196,7 @@ def _repeat_command(path: Path) -> click.Command:
 
 
 class TheoryCommand(click.Command):
-    """Command with one option for each parameter of the scene functions that simulate flows."""
+    """Command that has one option for each parameter of flow scenes that the closed form uses."""
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         return [*_part("options").parameter_options(_part("theory").fields().values()), *super().get_params(ctx)]
@@ -600,7 +603,7 @@ def explain_command(arguments: tuple[str, ...]) -> None:
 
 
 def _fail(text: str, code: int) -> NoReturn:
-    """Print an error as one line and exit."""
+    """Print an error message as one line to stderr, and end the program with the exit code `code`."""
     click.echo(f"error: {one_line(text)}", err=True)
     raise SystemExit(code) from None
 

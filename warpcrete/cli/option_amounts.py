@@ -1,4 +1,4 @@
-"""Values of options that are amounts with units, read without importing the simulations."""
+"""Functions that read option values with units, such as '10 min', without importing the simulations."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
 
 
 def report(study: Study) -> None:
-    """Print the table and the failed cases."""
+    """Print the table of results, the failed cases with their reasons, and the folder of the study."""
     click.echo()
     if any(each.name in result for result in study.results.values() for each in study.quantities):
         click.echo(study.markdown())
@@ -160,7 +160,7 @@ def _resumed(
 
 
 def recorded_module(folder: Path, kind: str, modules: Mapping[str, Any]) -> Any:
-    """Return the module of the scene that the record of a study names; `kind` is `study` or `trade`.
+    """Return the module of the scene to which the record of a study belongs; `kind` is `study` or `trade`.
 
     Raises :class:`RunFolderError` if the folder holds no such record, or if the scene does not exist in this version.
     """

@@ -20,9 +20,10 @@ from .ingredients import powder_mass, water_mass
 VERDICTS = ("fine", "unknown", "risky", "blocks")
 """Verdicts of a rule, from the best to the worst; 'unknown' means that an entry is missing."""
 CRUSHED, ROUNDED = 1 / 3, 0.4
-"""Largest ratio of stone to bore that can be pumped, for crushed and for rounded stones (ACI 304.2R)."""
+"""Largest ratio of stone diameter to bore that can be pumped: first for crushed, then for rounded stones (ACI
+304.2R)."""
 SAFE = 0.25
-"""Ratio of stone to bore up to which practice expects no arching."""
+"""Ratio of largest stone to bore up to which, by experience, stones do not form an arch."""
 SELF_COMPACTING = 0.55
 """Spread [m] from which a concrete counts as self-compacting (class SF1 of EN 206)."""
 POWDER_MIN, POWDER_SAFE = 250.0, 300.0
@@ -35,19 +36,22 @@ VOIDS_ERROR = 0.02
 SAND_SHARES = (0.38, 0.45)
 """Share of sand in the aggregate that JGJ/T 10 requires."""
 PUMPED_SAND_SHARES = (0.365, 0.52)
-"""Smallest and largest share of sand in 403 flows that were pumped (Shen)."""
+"""Smallest and largest fraction of sand in the aggregate, in 403 flows of concrete through coils of pipe that were all
+pumped (W. Shen)."""
 FINE_SAND = (0.15, 0.30)
-"""Share of the sand below 0.3 mm: with less the concrete unmixes, with more it becomes sticky."""
+"""Lower and upper limit for the fraction of the sand's mass that is finer than 0.3 mm. With less fine sand the concrete
+segregates, with more it becomes sticky."""
 WATER_BINDER = 0.60
 """Largest mass of water over that of powder (JGJ/T 10)."""
 FINES_PER_WATER = 1.75
-"""Smallest mass of powder and fine sand over that of water."""
+"""Smallest ratio of the mass of powder and fine sand to the mass of water. With less, water may bleed out under
+pressure."""
 SLUMPS = (0.05, 0.10, 0.16)
 """Slumps [m]: the least that can be pumped, the least that is usual, and the largest without a plasticizer."""
 LARGEST_SPREAD = 0.795
-"""Largest spread of the 403 flows that were pumped (Shen) [m]."""
+"""Largest spread [m] in 403 flows of concrete through coils of pipe (W. Shen), all of which were pumped."""
 TAPER_RUN = 5.0
-"""Length of straight pipe behind a reducer [m] (JGJ/T 10)."""
+"""Least length of straight pipe that must follow a reducer [m], so that stones and mortar mix again (JGJ/T 10)."""
 
 ACI = "ACI 304.2R"
 SOCIETY = "Concrete Society: 3.5 to 4 times the stone"
@@ -63,7 +67,7 @@ class RuleVerdict:
     rule: str
     """Name of the rule."""
     verdict: str
-    """One of :data:`VERDICTS`."""
+    """Verdict on the mix or the line: 'fine', 'unknown', 'risky' or 'blocks'."""
     found: str
     """The numbers on which the verdict is based."""
     change: str
@@ -90,8 +94,8 @@ def worst(verdicts: Sequence[RuleVerdict]) -> str:
 def blocking_rules(mix: MixEntries | None, bore: float | None = None, stone: float | None = None) -> list[RuleVerdict]:
     """Return the verdicts of all rules on a mix, and on its stones in a `bore` [m].
 
-    `stone` is the size of the largest stone [m]; it replaces that of the mix. Without a mix, only the rule on the bore
-    has an answer.
+    `stone` is the size of the largest stone [m], and takes precedence over the size that the mix states. Without a mix,
+    the result contains only the rule that compares the stone with the bore.
     """
     found = [stone_in_bore(bore, stone or (mix.largest if mix else None), mix)]
     if mix is not None:
@@ -106,7 +110,10 @@ def line_rules(line: PipeLine, mix: MixEntries | None) -> list[RuleVerdict]:
 
 
 def narrowest(line: PipeLine) -> Part:
-    """Return the narrowest part of a line; of several equally narrow ones a reducer, a bend, or else the first."""
+    """Return the narrowest part of a line, where stones are most likely to form an arch.
+
+    Among equally narrow parts, a reducer takes precedence, then a bore of a mesh, then a bend, then any other part.
+    """
     order = {"reducer": 0, "bore": 1, "bend": 2, "valve": 9}
     return min(line.parts, key=lambda part: (round(part.narrow, 9), order.get(part.kind, 3), part.number))
 
@@ -221,7 +228,10 @@ def bleeding(mix: MixEntries) -> RuleVerdict:
 
 
 def slump(mix: MixEntries) -> RuleVerdict:
-    """Compare slump or spread with what is pumped: stiff concrete does not fill the pump, wet concrete unmixes."""
+    """Judge whether the slump or the spread of the concrete lies in the range that is usual for pumping.
+
+    Stiffer concrete does not fill the cylinder of the pump, and wetter concrete segregates.
+    """
     name, source = "consistency", f"{JGJ}; B. Palmer, jlconline.com; {SHEN}"
     least, usual, largest = SLUMPS
     if mix.spread is not None:

@@ -13,8 +13,8 @@ factor is a choice: comparisons of rheometers show that results differ (Ferraris
 but no figure was taken from them."""
 
 CONES = 3.0
-"""Factor by which the bands from spread and slump of one cone may differ before they count as contradictory. In 80
-pairs of Yeh (2007) they differ by up to 1.6."""
+"""Factor by which the bands of yield stress from spread and slump of one cone may differ before they count as
+contradictory. In 80 pairs of Yeh (2007) they differ by up to 1.6."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Figure:
     source: str
     """Author of the relation, and how reliable the value is."""
     instrument: str = "rheometer"
-    """Instrument from which the value comes: a rheometer or a cone."""
+    """Kind of instrument whose errors the value has: 'cone' for slump, spread and T500, otherwise 'rheometer'."""
 
     def __post_init__(self) -> None:
         assert self.low <= self.value <= self.high, self
@@ -45,7 +45,7 @@ class Figure:
 
 
 def short(value: float) -> str:
-    """Format a number with three significant digits, and without an exponent if readers expect none."""
+    """Return a number as text with three significant digits, without an exponent from 0.0001 to 999999."""
     return f"{float(f'{value:.3g}'):g}"
 
 
@@ -78,10 +78,10 @@ def reconciled(candidates: list[Figure]) -> tuple[Figure, list[str]]:
 
 
 def line_uncertainty(error: float, count: int, value: float, default: float) -> float:
-    """Return the uncertainty of a value from a straight line through `count` points.
+    """Return the absolute uncertainty of a slope or intercept of a straight line through `count` measured points.
 
-    With three or more points, this is the half width of the 95 % confidence interval, from the standard `error`. With
-    two points, it is the share `default` of the value.
+    With three or more points, the result is the half width of the 95 % confidence interval, which follows from the
+    standard `error`. Two points give no standard error, so that the result is the fraction `default` of the `value`.
     """
     if count < 3:
         return default * abs(value)
@@ -89,9 +89,9 @@ def line_uncertainty(error: float, count: int, value: float, default: float) -> 
 
 
 def of_line(name: str, value: float, off: float, unit: str, way: str, count: int) -> Figure:
-    """Return a property from a straight line through `count` points, with the uncertainty `off` in `unit`.
+    """Return a property that is the slope or the intercept of a straight line through `count` points.
 
-    Raises :class:`SceneError` if the value is impossible.
+    `off` is the uncertainty of the value in `unit`. Raises :class:`SceneError` if the value is impossible.
     """
     viscous = unit.startswith("Pa s")
     if value < 0 or (viscous and value == 0):

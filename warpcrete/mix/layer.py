@@ -1,8 +1,9 @@
 """Slip layer of a mix: measured, or estimated from the composition, the viscosity or the slump of the concrete.
 
-Pumped concrete slips on a thin layer of paste and fine mortar, whose wall stress is yield stress + viscosity * slip
-velocity; this viscosity is divided by the layer's thickness [Pa s/m]. The estimates hold for pipes of 100 to 150 mm.
-Each has a band that includes the error of the estimate itself.
+Pumped concrete slips on a thin layer of paste and fine mortar at the wall. The wall stress is the layer's yield stress
+plus its viscosity times the slip velocity. This viscosity is that of the material divided by the thickness of the
+layer, in Pa s/m. The estimates hold for pipes of 100 to 150 mm. The uncertainty band of an estimate includes the error
+of the relation from which it follows.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ TRIBOMETER_RATIO = (0.3, 2.0)
 """Smallest and largest ratio of the layer constant that pipe pressures imply to the one that a tribometer measured, in
 404 pipe flows of 22 concretes (Tavangar 2022)."""
 PIPE_UNCERTAINTY = 0.3
-"""Relative uncertainty of a layer fitted to pipe pressures of an earlier delivery. Deliveries of one recipe on one line
-differ by more than the 15 % that Mai et al. (2014) found on a single site; Deng et al. (2024) found -38 to +31 %."""
+"""Relative uncertainty of a slip layer that was fitted to pipe pressures of an earlier delivery of the same recipe. Mai
+et al. (2014) found that deliveries differ by 15 % on a single site. Over all, the difference is larger: Deng et al.
+(2024) found -38 to +31 %."""
 PASTE_CONSTANT, PASTE_DENSEST = 128.0, 0.85
 """Constants of :func:`paste_layer`: viscosity [Pa s/m] and densest packing of the powder. They were fitted to eight
 families of concretes in level lines of 325 to 1,044 m, with water-binder ratios of 0.17 to 0.44; four families were
@@ -29,16 +31,18 @@ PASTE_ERROR_FACTOR = 1.7
 """Factor, in both directions, by which the layer of a mix may differ from :func:`paste_layer`: 90 % of the concretes of
 the fitted families differ by less."""
 PASTE_YIELD = (10.0, 0.0, 50.0)
-"""Yield stress of a layer that is estimated from the paste, with its lower and upper limit [Pa]."""
+"""Yield stress of a slip layer that is estimated from the composition of the paste, with the lower and the upper limit
+of its band [Pa]."""
 THICKENER_FACTOR, THICKENER_ERROR = 3.0, 1.25
-"""Factor by which a viscosity-modifying admixture raises the layer's resistance, and the factor by which it may differ.
-The three concretes of Xu, Li & Jiang (2021), which contain such an admixture, have 2.9 to 3.1 times the wall stress of
-:func:`paste_layer` at 0.5 m/s."""
+"""Factor by which a viscosity-modifying admixture raises the resistance of the slip layer, and the factor by which the
+band becomes wider in both directions because of this. The three concretes of Xu, Li & Jiang (2021), which contain such
+an admixture, have 2.9 to 3.1 times the wall stress of :func:`paste_layer` at 0.5 m/s."""
 AGGREGATE_DENSEST, FILM = 0.80, 3e-3
 """Constants of :func:`film_layer`: densest packing of sand and stones together, and thickness of the layer [m].
-Measured thicknesses are 1 to 3 mm (Deng et al. 2024; Zhao et al. 2024), and Xu's layers imply 6 mm."""
+Measured thicknesses are 1 to 3 mm (Deng et al. 2024; Zhao et al. 2024). The layers of Xu, Li & Jiang (2021) correspond
+to 6 mm."""
 FILM_ERROR_FACTOR = 3.0
-"""Factor, in both directions, by which a layer may differ from :func:`film_layer`."""
+"""Factor by which the true viscosity of a layer may be larger or smaller than that of :func:`film_layer`."""
 SLUMP_ERROR_FACTOR = 2.0
 """Factor, in both directions, by which a layer may differ from :func:`slump_layer`."""
 ASSUMED = (850.0, 10.0)
@@ -47,8 +51,8 @@ ASSUMED = (850.0, 10.0)
 ASSUMED_ERROR_FACTOR = 3.0
 """Factor, in both directions, by which an assumed slip layer may differ from the true one."""
 ASSUMPTION, ESTIMATE = "assumption", "estimate from"
-"""Beginnings of the origin of a property that was not measured: it does not follow from the mix, or from its paste
-only."""
+"""First words of the origin of a property that no measurement gives. The first is for a property that is assumed,
+because the mix contains no information on it. The second is for one that was estimated from the paste alone."""
 Pair = tuple[Figure, Figure]
 
 
@@ -144,7 +148,7 @@ _SOURCES = {True: "; 30 % between deliveries", False: "; a tribometer differs fr
 
 
 def _factors(uncertainty: float | None, pipe: bool) -> tuple[float, float]:
-    """Return the factors from a measured constant to the ends of its band."""
+    """Return the factors by which a measured constant is multiplied to get the lower and the upper end of its band."""
     if uncertainty is not None:
         return 1 - uncertainty, 1 + uncertainty
     return (1 / (1 + PIPE_UNCERTAINTY), 1 + PIPE_UNCERTAINTY) if pipe else TRIBOMETER_RATIO
@@ -163,9 +167,10 @@ def _pair(
     way: str,
     source: str,
 ) -> Pair:
-    """Return an estimated layer.
+    """Return an estimated slip layer, whose yield stress is limited to that of the concrete.
 
-    A layer is concrete without its stones, so that its yield stress cannot exceed the concrete's.
+    The limit holds because the layer is concrete without its stones. `value` is the viscosity and `ends` its band [Pa
+    s/m]. `stress` holds the yield stress with the lower and the upper end of its band [Pa].
     """
     tau, low, high = (min(each, concrete.yield_stress) for each in stress)
     return (Figure("slip viscosity", value, *ends, "Pa s/m", way, source),

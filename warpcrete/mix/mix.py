@@ -23,12 +23,14 @@ FLOW = {"density": "density", "viscosity": "viscosity", "yield_stress": "yield s
 """Names of the constants of a flow; each is mapped to the name of the same property of a mix."""
 LAWS = {"flow_index": "flow index", "quadratic_viscosity": "quadratic viscosity", "slip_flow_index": "slip flow index",
         "slip_quadratic_viscosity": "slip quadratic viscosity"}  # fmt: skip
-"""Names of the constants of other laws than Bingham's, which a mix has only if they are stated."""
+"""Names of the constants of other flow laws than Bingham's. A mix has such a constant only if it states its value."""
 FACTORS = {"yield_factor": 1.0, "viscosity_factor": 1.0}
-"""Factors of a section `flow` by which age or temperature change the concrete, with their defaults."""
+"""Factors on yield stresses and viscosities, with their defaults. The section `flow` of a concrete's file states them
+to describe the concrete at another age or temperature."""
 CAUSES = {"slip layer": ("slip_viscosity", "slip_yield"), "viscosity of the bulk": ("viscosity",),
           "yield stress of the bulk": ("yield_stress",), "density": ("density",)}  # fmt: skip
-"""Causes of uncertainty, each with the constants of a flow that change together."""
+"""Causes of uncertainty, each with the constants of the flow that change together if the cause is at an end of its
+band."""
 UNITS = {"density": "kg/m3", "viscosity": "Pa s", "yield_stress": "Pa", "slip_viscosity": "Pa s/m", "slip_yield": "Pa",
          "flow_index": "1", "quadratic_viscosity": "Pa s2", "slip_flow_index": "1",
          "slip_quadratic_viscosity": "Pa s2/m2", **dict.fromkeys(FACTORS, "1")}  # fmt: skip
@@ -67,7 +69,10 @@ class Mix:
 
     @property
     def concrete(self) -> Concrete:
-        """The mix as a yield stress fluid with a slip layer, at the age and temperature of `factors`."""
+        """The mix as a yield stress fluid with a slip layer, after multiplication by `factors`.
+
+        The factors describe the concrete at another age or temperature.
+        """
         return scaled(self._plain, *self.factors)
 
     @property
@@ -77,16 +82,20 @@ class Mix:
 
     @property
     def _constants(self) -> dict[str, str]:
-        """Constants of the flow, each with the name of its property; those of laws only if they are stated."""
+        """Names of the constants of the flow, each mapped to the name of the property from which it follows.
+
+        Constants of other laws than Bingham's are included only if the mix states them.
+        """
         known = {figure.name for figure in self.figures}
         return FLOW | {key: name for key, name in LAWS.items() if name in known}
 
     @property
     def variants(self) -> dict[str, tuple[Concrete, Concrete]]:
-        """Pairs of concretes by the cause of their uncertainty.
+        """Pairs of concretes, by the cause of the uncertainty.
 
-        In each pair the properties of one cause, such as the slip layer, are at the lower and at the upper end of their
-        bands. A cause without a band is left out.
+        The first concrete of a pair has the properties of one cause, such as the slip layer, at the lower end of their
+        bands, and the second has them at the upper end. All other properties have their best values. A cause without a
+        band is left out.
         """
         found = {}
         for cause, keys in CAUSES.items():
@@ -211,7 +220,8 @@ def mix_of(
     for wanted, candidates in (("yield stress", yield_stresses(told)), ("viscosity", viscosities(told))):
         tells = list(candidates) if wanted not in bulk else []
         if wanted == "viscosity" and bends:
-            # Slump flow and straight lines through a viscometer's points give the viscosity of a Bingham fluid.
+            # The other entries, slump flow and the straight line through a viscometer's points, give the viscosity of a
+            # Bingham fluid. They do not apply to a law that bends, so that the viscosity must be stated.
             tells = [each for each in tells if each.way == "concrete"]
             if not tells and wanted not in bulk:
                 refuse("mix viscosity", None, "must be stated beside a flow index or a quadratic viscosity",

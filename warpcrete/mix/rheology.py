@@ -25,7 +25,7 @@ from .given import PACKING, Measured, MixEntries
 from .layer import ESTIMATE, FILM, FILM_ERROR_FACTOR, PASTE_DENSEST, THICKENER_FACTOR, aggregate_factor, paste_layer
 
 RHEOMETER = 0.2
-"""Relative uncertainty of measured constants of a concrete or mortar that are stated without one."""
+"""Relative uncertainty of measured constants of a concrete or mortar, for a mix that states no uncertainty."""
 READ_SLUMP, READ_SPREAD, READ_TIME = 0.01, 0.02, 0.5
 """Possible reading errors of slump [m], spread [m] and T500 [s]; EN 12350-2 and -8 give a repeatability of 16 to 42
 mm."""
@@ -93,10 +93,11 @@ def viscosities(given: MixEntries) -> Iterator[Figure]:
 
 
 def unknown_viscosity(given: MixEntries) -> Figure:
-    """Return the plastic viscosity of a mix without any measurement of it, from its paste or as an assumption.
+    """Return an estimate of the plastic viscosity of a mix for which no viscosity was measured.
 
-    The paste's viscosity is that of the slip layer (:func:`.layer.paste_layer` times the layer's thickness), and sand
-    and stones thicken it (:func:`.layer.aggregate_factor`).
+    If the composition of the paste is known, its viscosity is that of the slip layer (:func:`.layer.paste_layer`) times
+    the thickness of the layer, and sand and stones raise it (:func:`.layer.aggregate_factor`). Otherwise, the result is
+    an assumption.
     """
     if given.paste_solids is None or given.paste_solids >= PASTE_DENSEST:
         return Figure("viscosity", *ASSUMED_VISCOSITY, "Pa s", "assumption",
@@ -110,7 +111,10 @@ def unknown_viscosity(given: MixEntries) -> Figure:
 
 
 def mortar(given: MixEntries, concrete: Concrete, bulk: dict[str, Figure]) -> list[Figure]:
-    """Return density, viscosity and yield stress of the mortar; empty if the coarse aggregate's share is unknown."""
+    """Return density, viscosity and yield stress of the mortar.
+
+    The result is empty if the volume fraction of the coarse aggregate is unknown.
+    """
     found = []
     if given.share is None:
         return found
@@ -148,7 +152,10 @@ def _factors(share: float) -> tuple[tuple[float, float], ...]:
 
 
 def _from_mortar(own: Figure, given: MixEntries, place: int, source: str) -> Figure:
-    """Return the concrete's viscosity or yield stress, calculated from the same constant of its mortar."""
+    """Return the viscosity or the yield stress of a concrete, calculated from that of its mortar.
+
+    `own` is the measured property of the mortar. `place` is 0 for the viscosity and 1 for the yield stress.
+    """
     assert given.share is not None
     value, least, most = (each[place] for each in _factors(given.share))
     return Figure(own.name, value * own.value, least * own.low, most * own.high, own.unit,

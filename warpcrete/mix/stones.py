@@ -1,4 +1,4 @@
-"""Sizes and shapes of the coarse aggregate, as a mix states them."""
+"""Read the sieve curve, the sizes and the shape of the coarse aggregate from the entries of a mix."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from ..core.inputs.amounts import amount, bare_number
 
 SHAPES = {"spheres": "spheres", "round": "spheres", "rounded": "spheres", "crushed": "reference",
           "angular": "reference", "reference": "reference"}  # fmt: skip
-"""Words for the shape of stones, with the shapes that discrete elements use for them. A numeric shape factor stands for
-a row of spheres."""
+"""Words that a mix uses for the shape of stones, each mapped to the shape of the discrete elements. Instead of a word,
+a mix may state the ratio of longest to shortest width, which becomes an elongated clump of spheres."""
 FINEST, COARSEST = 1e-3, 0.3
-"""Smallest and largest size of stones that count as coarse aggregate [m]."""
+"""Smallest and largest diameter of stones that a mix may state as coarse aggregate [m]. Finer grains belong to the
+mortar."""
 
 
 def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:

@@ -81,7 +81,8 @@ def run_calibration(
     with files_read() as files:
         read = isinstance(targets, Path)
         task, raw = read_task(targets, modules) if read else (task_of(targets, modules), dict(targets))
-    # The record contains the targets, so their file may change before the calibration is resumed.
+    # The record of the calibration contains the targets. The file of targets may therefore change before the
+    # calibration is resumed, and it is left out of the files that must not change.
     files.pop(str(targets.resolve()) if read else "", None)
     free = len(task.free)
     most = 10 + 10 * free if trials is None else trials
@@ -217,7 +218,7 @@ def run_round(
 
 
 def _progress_within(tell: Progress, part: tuple[float, float], group: int, task: Task) -> Progress:
-    """Return a progress callback that converts the progress of one study to the progress of the calibration."""
+    """Return a progress callback for one study, which reports the progress of the whole calibration to `tell`."""
     groups = len(task.groups)
 
     def report_progress(phase: str, fraction: float, figures: dict[str, Any]) -> None:
@@ -269,7 +270,11 @@ def _store_results(study: Study, trials: Sequence[Trial], targets: Sequence[Targ
 
 
 def _update_posterior(calibration: Calibration, seed: int) -> None:
-    """Compute the posterior of the trials so far, and decide whether more trials would change it."""
+    """Compute the posterior of the trials so far, and record whether the search may end (`calibration.settled`).
+
+    The posterior is not updated while too few runs have yielded a target. Raises :class:`WarpcreteError` if a target is
+    missing in all runs, or in too many runs when the trials are used up.
+    """
     searched = calibration.searched
     points = np.array([trial.units for trial in searched])
     values = {target: np.array([trial.values.get(target, math.nan) for trial in searched])
@@ -342,8 +347,8 @@ def _first_points(
 def _next_points(calibration: Calibration, count: int, seed: int) -> list[list[float]]:
     """Return the points of the next round: a quarter from Optuna, the others from the posterior.
 
-    The first of the others is the maximum of the posterior. Every further point is the posterior sample that is
-    farthest from all points so far, with distances scaled by the posterior's standard deviations.
+    The first point from the posterior is its maximum. Every further point is the posterior sample that is farthest from
+    all points so far, with distances scaled by the posterior's standard deviations.
     """
     assert calibration.posterior is not None
     random = np.random.default_rng(seed)

@@ -15,7 +15,8 @@ from .targets import Target, Task
 Outcome = dict[Target, float]
 """Values of the targets in one run; targets without a value are left out."""
 UNREACHABLE_DISTANCE = 3.0
-"""Distance of a target from the closest prediction, in standard deviations, above which the target is unreachable."""
+"""Difference between a target and the best value that parameters can reach, in standard deviations of the target. Above
+this limit, the target counts as unreachable."""
 
 
 @dataclass
@@ -79,9 +80,10 @@ class Calibration:
         return [trial.values[target] for trial in last if target in trial.values]
 
     def off(self, target: Target) -> float:
-        """Return the best value minus the measured one, in the target's standard deviations (NaN if unknown).
+        """Return the best value minus the measured one, divided by the target's standard deviation (NaN if unknown).
 
-        The best value is the mean of the verification runs, or else the prediction for the likeliest parameters.
+        The best value is the mean of the verification runs, or without such runs the prediction for the likeliest
+        parameters.
         """
         assert self.posterior is not None
         runs = self.verification_values(target)

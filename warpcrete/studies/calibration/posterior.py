@@ -25,7 +25,7 @@ START_CANDIDATES = 2048
 """Number of points in the unit cube from which the best ones become the walkers' starting points."""
 WALKERS, STEPS, DISCARDED_STEPS = 64, 300, 100
 FAILURE_RADIUS = 0.15
-"""Radius in the unit cube within which a failed run lowers the estimated probability that runs succeed."""
+"""Distance in the unit cube over which a failed run lowers the estimated probability that other runs succeed."""
 UNIFORM_DEVIATION = 1 / np.sqrt(12)
 """Standard deviation of a uniform distribution on the interval from 0 to 1."""
 
@@ -98,13 +98,13 @@ class Posterior:
         return float(mean.min()), float(mean.max())
 
     def interval(self, place: int, part: float = 0.95) -> tuple[float, float]:
-        """Return the central interval of a free parameter that holds the fraction `part` of the posterior."""
+        """Return the central interval of a free parameter that holds the fraction `part` of the posterior samples."""
         edge = 50 * (1 - part)
         low, high = np.percentile(self.samples[:, place], [edge, 100 - edge])
         return self.task.free[place].value(low), self.task.free[place].value(high)
 
     def relative_width(self, place: int) -> float:
-        """Return a parameter's posterior standard deviation, relative to that of a uniform distribution."""
+        """Return a parameter's posterior standard deviation, divided by that of a uniform distribution on its range."""
         return float(self.samples[:, place].std() / UNIFORM_DEVIATION)
 
     def correlations(self) -> np.ndarray:
@@ -175,7 +175,7 @@ def _log_success(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.nd
 def confounded_pairs(found: Posterior, close: float = 0.9) -> list[tuple[str, str, float]]:
     """Return the pairs of parameters whose correlation has a magnitude of at least `close`.
 
-    The data determine only a combination of the two parameters of such a pair.
+    Each entry holds both names and the correlation. The data determine only a combination of the two parameters.
     """
     names = [free.name for free in found.task.free]
     matrix = found.correlations()

@@ -1,4 +1,4 @@
-"""Starting point of a calibration, estimated from closed-form solutions."""
+"""Initial parameters of a calibration: those whose closed-form predictions are closest to the targets."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def _misfit(task: Task, known: list[Target], point: Any, modules: Mapping[str, A
 
 
 def _closed_form(task: Task, target: Target, point: Any, modules: Mapping[str, Any]) -> float | None:
-    """Return the closed-form prediction of a target's quantity.
+    """Return the closed-form prediction of a target's quantity at a `point` of the unit cube.
 
-    The result is None if there is no closed form, or if nothing would flow.
+    The result is None if the scene has no closed form for the quantity, or if the parameters are impossible.
     """
     module = modules[target.scene]
     try:

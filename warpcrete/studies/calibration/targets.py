@@ -29,7 +29,8 @@ TARGET_KEYS = ("scene", "quantity", "value", "uncertainty", "parameters", "held_
 LOG_SCALE_RATIO = 10.0
 """Ratio of a range's ends from which on the parameter is searched on a logarithmic scale by default."""
 MAX_DEVIATIONS_APART = 3.0
-"""Difference between two values of one quantity, in standard deviations, above which they contradict each other."""
+"""Largest difference between two measured values of one quantity, in standard deviations. Values that differ by more
+contradict each other, and the targets are refused."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class FreeParameter:
     """True if the parameter is a whole number."""
 
     def value(self, unit: float) -> float:
-        """Return the parameter's value at `unit`, a position in the parameter's range from 0 to 1."""
+        """Return the parameter's value at the position `unit`: 0 is the low end of its range and 1 the high end."""
         if self.log:
             found = math.exp(math.log(self.low) + unit * (math.log(self.high) - math.log(self.low)))
         else:
@@ -84,7 +85,7 @@ class Target:
 
     @property
     def label(self) -> str:
-        """Description of the quantity and its scene, for tables and messages."""
+        """Name of the target in tables and messages: its quantity, its scene and the scene's parameters."""
         given = ", ".join(f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
                           for name, value in self.parameters.items() if name not in ("concrete", "seed"))  # fmt: skip
         return f"{self.quantity.replace('_', ' ')} of {self.scene}" + (f" ({given})" if given else "")
@@ -357,7 +358,7 @@ def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
 
 
 def _refuse_contradictions(targets: Sequence[Target]) -> None:
-    """Refuse two measured values of one quantity that contradict each other."""
+    """Refuse targets in which two measured values of the same quantity contradict each other."""
     for place, one in enumerate(targets):
         for other in targets[:place]:
             scatter = math.hypot(one.uncertainty, other.uncertainty)

@@ -11,10 +11,11 @@ from ...geometry.pumps import Pump
 from ...theory.bands import Band
 
 EFFICIENCY = 25 / 36
-"""Hydraulic power over the power of the pump's motor. The rule of practice is motor power [kW] = pressure [bar] * flow
-[m3/h] / 25 (bestsupportunderground.com, "Long distance concrete pumping"); the hydraulic power is a 36th."""
+"""Efficiency of a pump: hydraulic power divided by the power of the motor. The rule of practice for the motor is power
+[kW] = pressure [bar] * flow [m3/h] / 25 (bestsupportunderground.com, "Long distance concrete pumping"). The hydraulic
+power in the same units is pressure * flow / 36."""
 MARGIN = 1.25
-"""Pressure that a pump should deliver, divided by the pressure that the line needs (AIJ,
+"""Recommended ratio of the pump's largest pressure to the pressure that the line needs (AIJ,
 http://pmkujira.sakura.ne.jp/Exsokuryo/Free/Kentiku/KcheckL3/02-04-KC-017.htm)."""
 LEAST_SHARE = 0.1
 """Share of the band below which a cause is not mentioned, unless it is the largest."""
@@ -30,7 +31,7 @@ ADVICE = {
     "bores": "simulate them with --simulate, or state their 'factor'",
     "thixotropy": "measure how the yield stress grows at rest, and state --thixotropy",
 }
-"""Advice on how to make the band narrower, by cause."""
+"""Advice for the user on how to reduce the uncertainty that comes from a cause, by the name of the cause."""
 
 
 def pressure_text(pressure: float) -> str:
@@ -74,7 +75,10 @@ class PumpMargin:
 
     @property
     def factor(self) -> float:
-        """Pressure of the pump divided by the pressure that the line needs."""
+        """Largest pressure of the pump, divided by the pressure that the line needs.
+
+        The value is infinity if the line needs no pressure.
+        """
         return self.pump.pressure / self.band.value if self.band.value > 0 else float("inf")
 
     @property
@@ -91,7 +95,7 @@ class PumpMargin:
         return "perhaps too weak" if over(high) else "strong enough"
 
     def sentence(self) -> str:
-        """Return the comparison in words."""
+        """Return a sentence that tells the user whether the pump suffices, with its pressure, power and flow."""
         if self.pump.flow is not None and self.flow > self.pump.flow:
             return (f"the pump is too weak: it delivers {3600 * self.pump.flow:.4g} m3/h at most, and "
                     f"{3600 * self.flow:.4g} m3/h are wanted")  # fmt: skip

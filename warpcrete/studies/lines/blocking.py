@@ -31,7 +31,8 @@ RECORD = "blocking-probability.json"
 STRAIGHT_DIAMETERS = 2.0
 """Length of straight pipe before and behind the narrowest part [diameters]."""
 TRAVEL_DIAMETERS = 4.0
-"""Travel of the piston [diameters]. A blockage shows after two diameters of standing still at most."""
+"""Travel of the piston [diameters]. It leaves room for the check for blockage, which needs up to two diameters of
+travel to recognise concrete that stands still."""
 MAX_SEEDS = 10_000
 FRICTION = 0.5
 """Friction between stones, as of dry stones: an arch forms where the mortar has been squeezed out between them.
@@ -46,7 +47,7 @@ Progress = Callable[[str, float, dict[str, Any]], None]
 
 @dataclass(frozen=True)
 class BlockingProbability:
-    """How many runs of the narrowest part of a line were blocked."""
+    """Result of simulating the narrowest part of a line with many seeds: how many of the runs were blocked."""
 
     part: Part
     runs: int
@@ -58,11 +59,11 @@ class BlockingProbability:
     short: int
     """Number of runs that were not blocked, but ended while part of the concrete stood still."""
     stones: int
-    """Number of stones in the first run."""
+    """Number of stones in the first simulation; the others have other random packings."""
     stone: float
     """Largest stone as simulated [m]."""
     coarse: float
-    """Factor by which the stones were enlarged."""
+    """Factor by which the stones were enlarged for the simulation; 1 if they kept their size."""
     friction: float
     """Friction between the stones."""
 
@@ -151,7 +152,11 @@ def run_blocking(
 def _parameters(
     part: Part, line: PipeLine, concrete: str, flow: float, elements: Elements, seed: int
 ) -> dict[str, Any]:
-    """Return the scene parameters of a run, which ends once the part is blocked."""
+    """Return the scene parameters of one simulation. The simulation ends as soon as the part is blocked.
+
+    The smallest values of friction and modulus are :data:`FRICTION` and :data:`MODULUS`, unless the concrete has a
+    contact law of its own.
+    """
     wide = max(part.diameter, part.outlet)
     own = part_parameters(part, False, line, concrete, flow, elements, seed)
     own |= {"straight": STRAIGHT_DIAMETERS * wide, "travel": TRAVEL_DIAMETERS * part.diameter,

@@ -31,9 +31,11 @@ from .run import GRAVITY, folder_name
 
 SCENE = "part-dem"
 STRAIGHT_DIAMETERS = 3.0
-"""Length of straight pipe before and behind a simulated bend or reducer [diameters]; straight pipe is twice as long."""
+"""Length of straight pipe before a simulated bend or reducer, and of as much behind it [diameters]. A straight pipe is
+simulated with the same two lengths, one after the other."""
 LARGEST_STONE_RATIO = 0.3
-"""Fraction of the narrowest bore to which the largest stone is enlarged by default."""
+"""Largest stone divided by the narrowest bore of the line. Smaller stones are enlarged to this ratio by default, so
+that fewer elements have to be simulated."""
 MODULUS_FACTOR = 5.0
 """Default factor on the concrete's elastic modulus.
 
@@ -43,19 +45,21 @@ In straight pipe of 125 mm the loss is 9.48 kPa/m with the modulus of Zhan et al
 times that modulus.
 """
 PRESSED_RUN = "pressed"
-"""Mark of the second simulation of straight pipe, in which a plug presses against the concrete.
+"""Word that marks the second simulation of straight pipe, in which a plug at the outlet presses against the concrete.
 
-The plug of the first simulation hardly resists. A friction law fitted to its low pressures alone would overestimate
-the friction at high pressure.
+In the first simulation, the plug hardly resists, and the pressure remains low. A friction law fitted to these low
+pressures alone would overestimate the friction at high pressure.
 """
 PLUG_PRESSURE_RATIO = 0.04
-"""Pressure of the pressing plug in the second simulation of straight pipe, as a fraction of the modulus."""
+"""Pressure with which a plug at the pipe's outlet resists the flow in the second simulation of straight pipe, divided
+by the elastic modulus of the elements."""
 CONSTANT_FRICTION_RATIO = 0.2
 """Ratio of pressure to modulus above which wall friction is assumed constant, because overlaps become large."""
 STEPS = 50
 """Number of steps in which the pressure is integrated along a part."""
 MIN_FLUX_RATIO = 0.8
-"""Ratio of outflow to inflow of solids below which a remark says that the concrete is still being compressed."""
+"""Ratio of outflow to inflow of solids below which a remark warns the user that the concrete is still being
+compressed."""
 SIZE_PARAMETERS = ("size_min", "size_max", "size_mean", "size_deviation")
 
 
@@ -64,13 +68,15 @@ class Elements:
     """Settings for simulating the parts of a line by discrete elements."""
 
     shapes: str = "spheres"
-    """Shapes of the elements, as in the scene part-dem."""
+    """Shapes of the discrete elements, in the words of the parameter `shapes` of the scene part-dem."""
     coarse: float | None = None
-    """Factor on all stone sizes; None enlarges the largest stone to 0.3 times the narrowest bore."""
+    """Factor by which all stone sizes are multiplied. With None, stones are enlarged until the largest has 0.3 times
+    the narrowest bore; larger stones keep their size."""
     seeds: int = 1
-    """Number of random packings of each kind of part; their scatter gives the uncertainty band of the pressure."""
+    """Number of simulations of each kind of part, each with another random packing of the stones. The scatter of their
+    results gives the range of the pressure."""
     stiffer: float = MODULUS_FACTOR
-    """Factor on the concrete's elastic modulus."""
+    """Factor by which the elastic modulus of the concrete is multiplied in the simulations."""
 
     def __post_init__(self) -> None:
         between("seeds", self.seeds, 1, 100)
@@ -89,13 +95,14 @@ class WallLaw:
     diameter: float
     """Inner diameter of the pipe [m]."""
     start: float
-    """Wall stress at zero pressure [Pa]."""
+    """Wall stress at zero pressure [Pa], which is the share of the lubrication layer in the friction."""
     slope: float
     """Increase of the wall stress per increase of pressure."""
     measured: float
     """Largest pressure at which the law was measured [Pa]."""
     largest: float
-    """Pressure above which the wall stress is assumed constant [Pa]."""
+    """Pressure from which on the wall stress is assumed constant [Pa], because overlaps of the elements become
+    large."""
 
     @classmethod
     def of(cls, diameter: float, columns: Mapping[str, np.ndarray], largest: float) -> WallLaw:
@@ -127,7 +134,7 @@ class SeedResult:
     """True for each kind of part whose simulation was blocked."""
 
     def is_blocked(self, part: Part) -> bool:
-        """Return whether the simulation of a part, or of straight pipe of its diameter, was blocked."""
+        """Return whether the simulation of the part, or of a straight pipe of its diameter, was blocked."""
         return any(found for key, found in self.blocked.items() if key[: len(part.loss_key)] == part.loss_key)
 
     def ratio(self, part: Part) -> float:
@@ -135,7 +142,7 @@ class SeedResult:
         return part.factor if part.factor is not None else self.ratios.get(part.loss_key, part.relative_loss)
 
     def course(self, line: PipeLine) -> list[tuple[float, float]]:
-        """Return the pressure losses (friction, weight) of each part of a line [Pa], from its start to its end."""
+        """Return the friction and the weight of each part of a line [Pa], as pairs from its start to its end."""
         pressure, found = 0.0, []
         for part in reversed(line.parts):
             friction = 0.0
@@ -165,12 +172,13 @@ class ElementLine:
     line: PipeLine
     concrete: str
     flow: float
-    """Flow rate [m3/s]."""
+    """Flow rate for which the pressure of the line is calculated [m3/s]."""
     packed: list[SeedResult]
     """Results of the simulated parts, one entry for each seed."""
     remarks: list[str]
     took: dict[str, float] = field(default_factory=dict)
-    """Wall time of each new simulation, which may share the device with others [s], by its folder's name."""
+    """Wall time of each new simulation [s], by the name of its folder. Simulations that ran on the device at the same
+    time share it, so that their times overlap."""
     elapsed: float = 0.0
     """Wall time of all new simulations together, including packing [s]."""
     failed: dict[str, list[str]] = field(default_factory=dict)
@@ -236,11 +244,11 @@ def run_elements(
     threads: int | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> ElementLine:
-    """Compute the pressure that a `line` needs at a `flow` [m3/s] of a `concrete` (name or file) by discrete elements.
+    """Compute the pressure that a `line` needs at a `flow` [m3/s] of a `concrete` by discrete elements.
 
-    Each kind of part is simulated without weight, and on a GPU all parts run together. Runs are stored in `out`,
-    where interrupted runs continue; finished runs in `known`, the folder of an earlier line, are reused. Raises
-    :class:`SceneError` for impossible settings, and the error of the first run that failed.
+    `concrete` is a name or a file. Each kind of part is simulated without weight, and on a GPU all parts run together.
+    The runs are stored in `out`, where interrupted runs continue. Finished runs in `known`, the folder of an earlier
+    line, are reused. Raises :class:`SceneError` for impossible settings, and the error of the first run that failed.
     """
     elements = elements or Elements()
     if known is not None and not (known / "parts").is_dir():
@@ -284,7 +292,11 @@ def run_elements(
 
 
 def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
-    """Yield the kinds of parts that need a simulation, including straight pipe of every diameter."""
+    """Yield each kind of part that needs a simulation, as its key and an example part.
+
+    Straight pipe is needed at every diameter of the line, once with and once without a pressing plug
+    (:data:`PRESSED_RUN`). Parts whose friction the line's file states need no simulation of their own.
+    """
     for part in line.parts:
         if not part.is_by_length and part.factor is None:
             yield part.loss_key, part

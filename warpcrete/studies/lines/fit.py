@@ -27,13 +27,15 @@ COLUMNS = {"place": "m", "part": "1", "pressure": "Pa", "flow": "m3/s"}
 """Columns of a file of taps, with their SI units: either `place`, the distance from the pump along the line, or `part`,
 the number of the part before which the tap lies."""
 SAME_FLOW = 0.02
-"""Relative difference up to which flows count as equal; they then do not tell yield stress from viscosity."""
+"""Relative difference between the flows up to which they count as equal. The pressures at equal flows do not
+distinguish the yield stress of the slip layer from its viscosity."""
 DEPENDENT = 1e-3
 """Smallest singular value of the scaled sensitivities at which a constant still counts as determined by the points."""
 LEAST = (1e-2, -1.0, 0.0)
 """Limits of slip viscosity [Pa s/m], slip yield [Pa] and factor of bends, up to which a fitted value is impossible."""
 NOTHING = {1: 1e-3, 2: 0.0}
-"""Slip yield [Pa] and factor of bends below which the points cannot tell the constant from nothing."""
+"""Values of slip yield [Pa] and factor of bends, by index of the constant. If a fitted value is smaller, the points
+cannot distinguish it from zero; the constant then gets its default value."""
 ITERATIONS = 50
 """Largest number of iterations of the least-squares fit."""
 
@@ -49,7 +51,7 @@ class Tap:
     flow: float
     """Volume flow [m3/s]."""
     row: int
-    """Line of the file."""
+    """Number of the line in the file from which the pressure was read, for messages."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ class FittedConstant:
     high: float
     unit: str
     fitted: bool
-    """False if the points do not determine the constant, which then keeps the value it had before."""
+    """True if the points determine the constant. Otherwise it keeps the value that it had before the fit."""
 
     @property
     def text(self) -> str:
@@ -75,7 +77,7 @@ class FittedConstant:
 
 @dataclass(frozen=True)
 class LineFit:
-    """Fit of a line to its taps."""
+    """Slip layer and factor of bends that were fitted to the pressures at the taps of a line."""
 
     taps: tuple[Tap, ...]
     constants: tuple[FittedConstant, ...]
@@ -83,11 +85,12 @@ class LineFit:
     pressures: tuple[float, ...]
     """Fitted pressures at the taps [Pa]."""
     uncertainty: float
-    """Half width of the 95 % confidence interval of the straight pipe's friction, relative to it."""
+    """Uncertainty of the friction of straight pipe: half the width of its 95 % confidence interval, divided by the
+    friction."""
 
     @property
     def scatter(self) -> float:
-        """Standard deviation of the measured from the fitted pressures [Pa]."""
+        """Standard deviation of the measured pressures from the fitted pressures [Pa]."""
         off = self.deviations()
         return math.sqrt(float(off @ off) / (len(off) - sum(each.fitted for each in self.constants)))
 
@@ -106,7 +109,10 @@ class LineFit:
         return {"slip layer": (low, high)}
 
     def line(self, line: PipeLine) -> PipeLine:
-        """Return the line whose bends have the fitted factor, unless their file states one."""
+        """Return the line whose bends have the fitted factor.
+
+        Bends whose factor the line's file states keep that factor.
+        """
         bends = self.constants[2] if len(self.constants) > 2 else None
         if bends is None or not bends.fitted:
             return line
@@ -184,9 +190,12 @@ class _Model:
         self.concrete, self.taps = concrete, taps
         starts = np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
         self.kinds: dict[tuple[Any, ...], Part] = {}
-        """A part of each kind of straight pipe, whose friction per metre the others share."""
+        """For each combination of bore, outlet and slip layer, the first part of that kind. The friction per
+        metre of this part is calculated once and holds for all parts of the kind."""
         self.metres: list[dict[tuple[Any, ...], list[float]]] = []
-        """For each tap, by kind: metres behind the tap that count as straight pipe, and metres of bends."""
+        """For each tap, by the keys of `kinds`: two lengths [m] of pipe between the tap and the end of the line. The
+        first is the length of straight pipe that has the friction of all parts with a known factor. The second is the
+        length of the bends whose factor is fitted."""
         self.rises: list[float] = []
         for tap in taps:
             own: dict[tuple[Any, ...], list[float]] = {}
@@ -196,7 +205,8 @@ class _Model:
                 kind = (part.diameter, part.outlet, part.layer)
                 self.kinds.setdefault(kind, part)
                 metres = own.setdefault(kind, [0.0, 0.0])
-                # Bends that are fitted start from straight pipe; all other parts weigh as in the prediction.
+                # A bend whose factor is fitted counts as straight pipe here, because the fit multiplies it by the
+                # factor. All other parts have the friction of the prediction.
                 weight = 1.0 if bends and _is_free(part) else library_factor(part)
                 metres[bends and _is_free(part)] += share * part.length * part.relative * weight
                 rise += share * part.rise
@@ -230,9 +240,9 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
     """Fit the slip layer, and the factor of bends, to pressures along a line by least squares.
 
     `concrete` supplies density, viscosity and yield stress of the bulk, and values of constants that the points do not
-    determine. Pressures at a single flow do not tell the layer's yield stress from its viscosity, and taps with the
-    same proportion of bends behind them do not tell the factor of bends. All pressures have the same weight. Raises
-    :class:`SceneError` for too few points or an impossible result.
+    determine. If all pressures were measured at a single flow, they do not distinguish the layer's yield stress from
+    its viscosity. If the same proportion of bends lies behind all taps, the pressures do not determine the factor of
+    bends. All pressures have the same weight. Raises :class:`SceneError` for too few points or an impossible result.
     """
     model = _Model(line, concrete, taps)
     measured = np.array([tap.pressure for tap in taps])
@@ -258,7 +268,7 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
     found = _least_squares(model, measured, start, free)
     for place, value in ((2, 1.0), (1, 0.0)):
         if place in free and found[place] < NOTHING[place]:
-            # The points cannot tell this constant from nothing, so it gets a plain value and the others are fitted.
+            # The points cannot distinguish this constant from zero. Give it a default value, and fit the others again.
             free.remove(place)
             start[place] = value
             if place == 2:
@@ -293,7 +303,11 @@ def _metre(line: PipeLine) -> PipeLine:
 
 
 def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
-    """Return the constants that the points determine; `slopes` are the sensitivities to the constants `free`."""
+    """Return the constants that the points determine, as the first ones of `free`.
+
+    `slopes` are the derivatives of the pressures with respect to the constants `free`, shape (taps, free). A constant
+    is dropped from the end of the list while the columns of `slopes` are linearly dependent.
+    """
     while len(free) > 1:
         scaled = slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)
         if np.linalg.matrix_rank(scaled, tol=DEPENDENT) == len(free):
@@ -303,7 +317,7 @@ def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
 
 
 def _check_count(taps: Sequence[Tap], free: Sequence[int]) -> None:
-    """Refuse points that are too few to determine the free constants with a band."""
+    """Refuse measured points that are too few to determine the free constants and their uncertainty."""
     if len(taps) <= len(free):
         names = " and ".join(filter(None, (", ".join(NAMES[k] for k in free[:-1]), NAMES[free[-1]])))
         counted = f"{len(taps)} point{'s' if len(taps) != 1 else ''}"
@@ -312,7 +326,7 @@ def _check_count(taps: Sequence[Tap], free: Sequence[int]) -> None:
 
 
 def _check_result(found: np.ndarray, free: Sequence[int]) -> None:
-    """Refuse constants that are impossible."""
+    """Refuse a fit that gave an impossible slip viscosity, slip yield or factor of bends."""
     for place in free:
         if not math.isfinite(found[place]) or found[place] <= LEAST[place]:
             unit = f" {UNITS[place]}" if UNITS[place] else ""
@@ -348,7 +362,11 @@ def _least_squares(model: _Model, measured: np.ndarray, start: np.ndarray, free:
 
 
 def fit_lines(fit: LineFit, line: PipeLine) -> list[str]:
-    """Return the fit as lines of Markdown: constants, quality, what to write into the files, and the taps."""
+    """Return a report on the fit as lines of Markdown.
+
+    The report contains the fitted constants, the deviations from the measurements, entries that the user can copy into
+    the files of the concrete and of the line, and a table of the taps.
+    """
     eta, tau, *bends = fit.constants
     off = fit.deviations()
     worst = int(np.argmax(np.abs(off)))

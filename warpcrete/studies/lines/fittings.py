@@ -17,16 +17,17 @@ PARK = "Park et al., ACI Mater. J. 117-3 (2020) 205 (133, 369 and 560 m, four co
 VALVE_PRESSURE = 0.8e6
 """Pressure loss of a stop valve [Pa] (JGJ/T 10)."""
 REDUCER_EXTRA_LOSS = ((0.0, 0.0208, 0.025, 0.0417, 0.05, 0.0833), (0.0, 0.047, 0.082, 0.117, 0.161, 0.452))
-"""Additional pressure loss of a reducer, relative to straight pipe of its bores and length (second row), by the change
-of its radius over its length (first row). Source: simulated flows of the concrete no1 at 20 and 30 m3/h through
-reducers from 150 to 125 mm and from 125 to 100 mm over 0.15 to 0.6 m, with 12 cells across. A pipe that widens from 100
-to 125 mm over 0.5 m has 0.993 times the friction."""
+"""Additional pressure loss of a reducer, as a fraction of the loss in straight pipe of the same bores and length. The
+first tuple holds changes of radius divided by the length of the reducer, the second the additional loss at each of
+them. Source: simulated flows of the concrete no1 at 20 and 30 m3/h through reducers from 150 to 125 mm and from 125 to
+100 mm over 0.15 to 0.6 m, with 12 cells across. In a pipe that widens from 100 to 125 mm over 0.5 m, the simulated loss
+is 0.993 times that of straight pipe."""
 METHODS_ON_BENDS = (
     "Simulated as a fluid, a bend of 90 degrees costs 2 to 13 % more than straight pipe of its length; simulated with "
     "stones, it costs the same for a radius of 0.5 m or more, and half as much again for 0.25 m; therefore count it "
     "by its length, and allow for three times that."
 )
-"""One sentence for site engineers about what flows and discrete elements find in pipes of 150 mm."""
+"""Sentence for site engineers on the friction of bends in pipes of 150 mm, by flows and by discrete elements."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class ModelError:
     low: float
     high: float
     source: str
-    """Publications and rules from which the ends of the range come."""
+    """Publications and rules that gave the lower and the upper end of the range."""
 
 
 MODEL_ERRORS = {
@@ -48,7 +49,8 @@ MODEL_ERRORS = {
     "bore": ModelError("bores", 1.0, 2.0, f"as a reducer, 2: {AIJ}"),
     "valve": ModelError("valves", 1.0, 1.0, f"from straight pipe to 0.8 MPa: {JGJ}"),
 }
-"""Ranges of friction by kind of part; the upper end of a valve's range is :data:`VALVE_PRESSURE`."""
+"""Range of the friction relative to straight pipe, by kind of part. For a valve, the upper end here is replaced by the
+pressure loss :data:`VALVE_PRESSURE`."""
 
 
 def range_of(part: Part, straight: float) -> tuple[float, float] | None:
@@ -66,7 +68,7 @@ def range_of(part: Part, straight: float) -> tuple[float, float] | None:
 
 
 def uncertain_kinds(parts: Iterable[Part]) -> tuple[str, ...]:
-    """Return the kinds of parts in a line whose friction is uncertain, in the order of the line."""
+    """Return the kinds of parts with uncertain friction, such as 'bend', in the order in which they occur in a line."""
     return tuple(dict.fromkeys(p.kind for p in parts if p.kind in MODEL_ERRORS and _is_uncertain(p)))
 
 
@@ -84,7 +86,8 @@ def library_factor(part: Part) -> float:
     if part.kind == "bend":
         return 1 + float(np.interp(part.diameter / part.radius, *BEND_EXTRA_LOSS))
     if part.kind == "reducer":
-        # A pipe that widens costs what straight pipe of its bores costs.
+        # A pipe that widens has the friction of straight pipe with the same bores, because the interpolation is
+        # constant outside the table.
         return 1 + float(np.interp((part.diameter - part.outlet) / 2 / part.length, *REDUCER_EXTRA_LOSS))
     return 1.0
 

@@ -15,9 +15,10 @@ from .line_folder import PARTS
 
 
 def previous_run(lines: Sequence[Path | None], scene: Any, digest: str = "") -> Path | None:
-    """Return the folder of a finished run of the same scene in the folders of several lines; None if there is none.
+    """Return the folder of a finished run of the same scene, or None if there is none.
 
-    `digest` identifies a mesh file and must be part of the folder's name.
+    The folders of several `lines` are searched. If the part has a mesh, `digest` is the checksum of its file, and only
+    folders whose name contains this checksum are considered.
     """
     parts = [line / PARTS for line in lines if line is not None]
     return next((path for each in parts for path, finished in _same(each, scene, digest) if finished), None)
@@ -26,9 +27,10 @@ def previous_run(lines: Sequence[Path | None], scene: Any, digest: str = "") -> 
 def part_simulation(
     scene: Any, check: Any, out: Path | None, called: str, digest: str = "", **settings: Any
 ) -> tuple[Simulation, Path | None]:
-    """Return the simulation of a part and the checkpoint from which it continues; the checkpoint may be None.
+    """Return the simulation of a part and the checkpoint from which it continues, or None instead of the checkpoint.
 
-    The run folder is the interrupted one of the same scene in `out`, or else a new one called `called`.
+    If the folder `out` of the line holds an interrupted run of the same scene, the simulation continues in that run's
+    folder. Otherwise, it starts in a new folder with the name `called`.
     """
     if out is None:
         return Simulation(scene, recorders=[CheckRecorder(check)], **settings), None

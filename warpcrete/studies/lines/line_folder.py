@@ -20,11 +20,12 @@ PARTS = "parts"
 
 @contextmanager
 def line_folder(out: Path | None, asked: Mapping[str, Any]) -> Iterator[None]:
-    """Lock the folder of a line during a `with` block: a new folder, or that of the same interrupted line.
+    """Lock the folder of a line during a `with` block.
 
-    `asked` holds everything on which the line's runs depend, as JSON; `out` may be None for no folder. A block that
-    fails before any run leaves no folder. Raises :class:`RunFolderError` if the folder exists and is complete or
-    belongs to another line.
+    The folder is new, or it is that of an interrupted line, which continues. `asked` holds all inputs on which the
+    line's runs depend, as JSON. With None for `out`, the function does nothing. A folder in which the block has not
+    begun any run is removed if the block fails. Raises :class:`RunFolderError` if the folder exists and holds a
+    finished line, or an interrupted line with other inputs.
     """
     if out is None:
         yield

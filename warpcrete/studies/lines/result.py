@@ -25,14 +25,14 @@ from .practice import PracticeRow, practice_lines, practice_rows
 
 @dataclass(frozen=True)
 class Loss:
-    """Pressure losses of one part of a line."""
+    """Pressure losses of one part of a line, by friction and by weight."""
 
     part: Part
     friction: float
     """Pressure loss by friction [Pa]."""
     theory: float
-    """Friction by the closed form [Pa]: that of straight pipe of the same bore and length, times the part's stated
-    factor or the model of hoses and valves."""
+    """Friction of the part by the closed form [Pa]: that of straight pipe of the same bore and length, times the factor
+    that the line's file states. Without such a factor, that of a hose is multiplied by the factor of its model."""
     weight: float
     """Pressure due to the weight of the concrete over the part's rise [Pa]."""
 
@@ -43,7 +43,10 @@ class Loss:
 
     @property
     def range(self) -> tuple[float, float] | None:
-        """Range of the friction relative to straight pipe, by the model error of the part; None without an error."""
+        """Range of the friction relative to straight pipe, because of the error of the part's model.
+
+        The value is None for parts without such an error, such as straight pipe.
+        """
         return range_of(self.part, self.straight)
 
     def at(self, end: int) -> float:
@@ -72,11 +75,11 @@ class LineResult:
     line: PipeLine
     concrete: Concrete
     flow: float
-    """Flow rate [m3/s]."""
+    """Flow rate for which the pressure of the line is calculated [m3/s]."""
     losses: list[Loss]
-    """Losses of the parts, from the start of the line to its end."""
+    """Pressure losses of each part, in the order from the start of the line to its end."""
     layer_factor: float
-    """Factor by which the resistance of the slip layer may be wrong, in both directions."""
+    """Factor of the uncertainty of the slip layer: its resistance may be larger or smaller by this factor."""
     simulated: bool
     """True if friction comes from simulations and not from the closed form."""
     folder: Path | None = None
@@ -154,17 +157,20 @@ class LineResult:
         return self.bands()[1][0]
 
     def bands(self) -> tuple[np.ndarray, list[Band]]:
-        """Return places along the line between its parts [m], and the pressure there with its band [Pa].
+        """Return positions along the line [m], and the pressure there with its uncertainty band [Pa].
 
-        For each cause, the pressure is calculated with this cause alone at both ends of its own band. Causes are the
-        concrete and the model errors of fittings; all bends of a line deviate in the same direction. Simulated friction
-        of another concrete is scaled in proportion to the closed form.
+        The positions are the start of the line and the end of each part, and both results have parts + 1 entries. The
+        uncertain inputs are the constants of the concrete and, for each kind of fitting, the error of the model of its
+        friction. Each input in turn is set to the lower and to the upper end of its own band, and the pressure is
+        calculated again; the deviations are then combined in squares. All fittings of a kind, such as all bends, are
+        changed together. For another concrete, the friction of a simulated part is multiplied by the ratio of the
+        friction of both concretes by the closed form.
         """
         return self._bands
 
     @functools.cached_property
     def _bands(self) -> tuple[np.ndarray, list[Band]]:
-        """Places and bands as :meth:`bands` returns them, calculated once."""
+        """Result of :meth:`bands`, calculated at the first use and then stored."""
         places, ours = self.course(lambda loss: loss.friction + loss.weight)
         ends = {cause: [self._course_of(each) for each in pair] for cause, pair in self._variants().items()}
         for kind in uncertain_kinds(self.line.parts):
@@ -180,10 +186,11 @@ class LineResult:
         return places, found
 
     def restart(self, flow: float = 0.0) -> Band:
-        """Return the pressure at the pump that sets the line in motion after the stop [Pa], by the closed form.
+        """Return the pressure at the pump that restarts the line after a stop [Pa], with its uncertainty band.
 
-        With a `flow` of 0 [m3/s], the result is the pressure at which motion begins; with a larger `flow`, it is the
-        pressure for restarting at that flow at once. Fittings have their friction relative to straight pipe.
+        With a `flow` of 0 [m3/s], the result is the pressure at which the concrete begins to move. With a larger
+        `flow`, it is the pressure for restarting at that flow at once. Straight pipe follows from the closed form, and
+        fittings keep the ratio of their friction to that of straight pipe.
         """
         stop = self.stop
         assert stop is not None, "the line does not stop"
@@ -214,7 +221,7 @@ class LineResult:
         return combined(value, ends)
 
     def practice(self) -> tuple[PracticeRow, list[PracticeRow]]:
-        """Return the pressure of the line, split by kind of part, by this result and by rules of practice."""
+        """Return the pressure of the line by this result, and by each rule of practice, both split by kind of part."""
         ours: dict[str, float] = {}
         for x in self.losses:
             ours[x.part.kind] = ours.get(x.part.kind, 0.0) + x.friction + x.weight
@@ -223,7 +230,7 @@ class LineResult:
         return PracticeRow("this result", ours, ""), rows
 
     def _restart_record(self) -> dict[str, Any] | None:
-        """Return the restart after the stop as an entry of line.json."""
+        """Return the pressures that restart the line after a stop, as an entry of line.json; None without a stop."""
         if self.stop is None:
             return None
         record: dict[str, Any] = {"rest": quantity(self.stop.rest, "s"), "growth": quantity(self.stop.growth, "Pa/s")}
@@ -239,7 +246,7 @@ class LineResult:
         return {"slip layer": (low, high)} if self.layer_factor > 1 else {}
 
     def _course_of(self, concrete: Concrete) -> list[float]:
-        """Return the pressure between the parts [Pa] if the line is filled with another concrete."""
+        """Return the pressures at the line's start and its parts' ends [Pa], if another concrete fills the line."""
 
         def loss(x: Loss) -> float:
             own = x.friction * friction(x.part, concrete, self.flow) / x.theory
@@ -249,7 +256,7 @@ class LineResult:
 
     @property
     def band_text(self) -> str:
-        """Description of the uncertainty band of the pressure, for the user."""
+        """Sentences for the user that split the uncertainty of the line's pressure by its causes."""
         return "; ".join(band_sentences(self.band())) or "no uncertainty is stated"
 
     def course(self, of: Callable[[Loss], float]) -> tuple[np.ndarray, np.ndarray]:
@@ -279,7 +286,7 @@ class LineResult:
         return found
 
     def record(self) -> dict[str, Any]:
-        """Return the contents of line.json."""
+        """Return the results of the line as the contents of the file line.json."""
         places, bands = self.bands()
         band, margin = bands[0], self.margin
         return {

@@ -119,7 +119,7 @@ def run_line(
 
 
 def _scene_of_part(part: Part, concrete: Concrete, flow: float, cells: int) -> tuple[str, dict[str, Any]]:
-    """Return the scene's name and the parameters that simulate a kind of part without weight."""
+    """Return the name of the scene and the parameters with which it simulates a part without gravity."""
     concrete = with_layer_factor(concrete, part.layer)
     own = {"concrete": "own", **{name: getattr(concrete, name) for name in CONCRETE_CONSTANTS}}
     own |= {"diameter": part.diameter, "flow": flow, "gravity": 0.0}

@@ -19,13 +19,13 @@ class BlockingComparison:
 
     case: Case
     held_out: bool
-    """True if no limit of a rule may be chosen with this case in view."""
+    """True if the case only tests the rules, so that the limits of the rules must not be adjusted to it."""
     blocked: bool
     """True if the concrete blocked."""
     verdict: str
     """Worst verdict of all rules that could be evaluated."""
     rules: str
-    """Names of the rules that warn of blocking."""
+    """Names of the rules whose verdict on this case is 'risky' or 'blocks', as text."""
 
     @property
     def agrees(self) -> bool:

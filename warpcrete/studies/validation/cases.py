@@ -37,18 +37,19 @@ limits of rules against blocking. These groups are never held out."""
 
 @dataclass(frozen=True)
 class Case:
-    """Measurement with everything that a user would have known before it."""
+    """Measured case: the measured values, and the inputs that a user would have known before the measurement."""
 
     name: str
     kind: str
     group: str
-    """Mix, line or laboratory that several cases share; they are fitted or held out together."""
+    """Name of the mix, line or laboratory that several cases share. The cases of a group are fitted, or held out,
+    together."""
     source: str
     """Publication and the table, figure or section in it."""
     mix: Mapping[str, Any]
     """Section `mix` of a concrete's file, as a user would write it."""
     test: Mapping[str, Any]
-    """Dimensions of the pipe, part, line or apparatus."""
+    """Dimensions of the test: of the pipe, the part, the line or the apparatus in which the case was measured."""
     flows: tuple[float, ...]
     """Flow rates [m3/s]; one for each measured value, or empty."""
     measured: tuple[float, ...]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Kind:
-    """Kind of measurement."""
+    """Kind of measurement: what is measured, in words, and its SI unit."""
 
     label: str
     unit: str
@@ -24,7 +24,7 @@ KINDS = {
     "spread": Kind("spread", "m"),
     "funnel": Kind("time of the V-funnel", "s"),
 }
-"""Kinds of measured quantities by name."""
+"""Kinds of measurements whose value is compared with a prediction, by the name that a case states."""
 BLOCKING = "blocking"
 """Kind of case that says whether concrete blocked: its measured value is 1 if it did, and 0 if not."""
 UNITS = {name: kind.unit for name, kind in KINDS.items()} | {BLOCKING: "1"}

@@ -25,7 +25,7 @@ LINE_DENSITY = "2400 kg/m3"
 
 
 def mix_of_case(case: Case, section: Mapping[str, object] | None = None) -> Mix:
-    """Return the mix of a case, with an assumed density if the publication states none."""
+    """Return the mix of a case; a density of 2400 kg/m3 is assumed if the publication states none."""
     given = dict(section or case.mix)
     if "density" not in given and "parts" not in given:
         given["density"] = LINE_DENSITY
@@ -38,7 +38,7 @@ def _number(case: Case, key: str, unit: str) -> float:
 
 
 def _entry(case: Case, key: str) -> Any:
-    """Return an entry of a case's section `test`; raise :class:`SceneError` if it is missing."""
+    """Return the value of an entry in a case's section `test`; raise :class:`SceneError` if the entry is missing."""
     if key not in case.test:
         refuse("case test", case.name, f"has no {key!r}", f"add '{key}: ...'")
     return case.test[key]
@@ -142,7 +142,8 @@ def _slump(case: Case) -> list[Band]:
 def _spread(case: Case) -> list[Band]:
     """Predict the spread [m] from the yield stress of the mix.
 
-    The band includes the reading error and the difference between a heap that resists its stretch and a long one.
+    The uncertainty band has three causes: the yield stress, the reading of the spread, and the theory. The last is the
+    difference between a heap that resists stretching (:func:`heap_at_rest`) and a long heap without this resistance.
     """
     mix = mix_of_case(case)
     own = mix.concrete

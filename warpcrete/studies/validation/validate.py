@@ -50,7 +50,7 @@ class Validation:
 
     comparisons: list[Comparison]
     blocking: list[BlockingComparison]
-    """Verdicts of the rules against blocking."""
+    """Comparison of the rules against blocking with observations, for each concrete that blocked or did not block."""
     refused: dict[str, str]
     """Cases that the program refuses to predict, with the reason."""
 
@@ -61,7 +61,10 @@ class Validation:
         return html_table([summary_cells(each) for each in self.summaries()], SUMMARY_COLUMNS, repr(self))
 
     def summaries(self) -> list[Summary]:
-        """Return the statistics of each kind, for all cases and for held-out and other cases apart."""
+        """Return statistics for each kind of measurement, in up to four rows: all, held-out, other and simulated cases.
+
+        The rows of held-out and of other cases are left out if they would contain all cases.
+        """
         found = []
         for kind in KINDS:
             own = [each for each in self.comparisons if each.case.kind == kind and not each.simulated]
@@ -85,7 +88,10 @@ class Validation:
         return "\n".join(lines)
 
     def blocking_lines(self) -> list[str]:
-        """Return the verdicts of the rules against blocking as a Markdown table below its summary."""
+        """Return the comparison of the rules against blocking with observations, as lines of Markdown.
+
+        A sentence states how many verdicts agree with the observations. A table of all cases follows.
+        """
         right = sum(each.agrees for each in self.blocking)
         rows = [(x.case.name, "yes" if x.held_out else "no", "blocked" if x.blocked else "not blocked", x.verdict,
                  x.rules or "-", "yes" if x.agrees else "no") for x in self.blocking]  # fmt: skip
