@@ -26,7 +26,7 @@ CHANGEABLE_SETTINGS = ("trials", "processes", *ON_WORKERS)
 
 
 def run(arguments: list[str], modules: dict[str, Any]) -> None:
-    """Start or continue a calibration, and print its results."""
+    """Start a new calibration or continue an interrupted one, and print its results."""
     targets, options = parsed(arguments)
     quiet = options.pop("quiet", None) is not None
     settings = single(options, ONE)

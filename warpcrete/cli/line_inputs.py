@@ -81,7 +81,7 @@ def _amount(name: str, settings: Mapping[str, Any], unit: str, limited: str = ""
 
 
 def _from_file(line: str, settings: Mapping[str, Any]) -> PipeLine:
-    """Return the line of a file; options of a line without a file are refused."""
+    """Read a line from its file; refuse the options `--diameter`, `--length` and `--rise`, which replace a file."""
     for name in SHAPE:
         if settings[name] is not None:
             raise click.UsageError(f"{name}: cannot be given together with the file of a line; leave out one of them")
@@ -122,7 +122,7 @@ def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
 
 
 def _flow(settings: Mapping[str, Any], line: PipeLine) -> float | None:
-    """Return the flow [m3/s] that an option states, or else that of the line."""
+    """Return the flow [m3/s] from the command's option; without the option, that from the file of the line."""
     rate = _amount("flow", settings, "m3/s")
     if rate is None:
         if line.flow is None and settings["fit"] is None:

@@ -181,7 +181,8 @@ class PipelineRecorder(Recorder):
 
 
 def pipeline_report(run: Run, settings: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the estimated pressure of the whole pipeline, as labels and texts for the printed report."""
+    """Return lines of a printed report with the estimated pressure of the whole pipeline, as pairs of label and
+    text."""
     if settings["pipeline_vertical"] is None and settings["pipeline_horizontal"] is None:
         return []
     if "pipeline_estimate" not in run.result:

@@ -83,7 +83,8 @@ def _resumed(
 
 
 def report(trade: Trade) -> None:
-    """Print the tables and the path of the folder."""
+    """Print the tables of a trade-off between speed and accuracy, the path of its folder, and how to run what is
+    left."""
     click.echo()
     if trade.points and trade.given.results:
         click.echo(table(trade))

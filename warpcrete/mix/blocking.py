@@ -26,10 +26,11 @@ SAFE = 0.25
 SELF_COMPACTING = 0.55
 """Spread [m] from which a concrete counts as self-compacting (class SF1 of EN 206)."""
 POWDER_MIN, POWDER_SAFE = 250.0, 300.0
-"""Mass of powder [kg/m3] below which concrete blocked (Tuutti 1976), and above which rules are satisfied."""
+"""Two masses of powder in a cubic metre of concrete [kg/m3]. Below the first, concrete blocked in tests (Tuutti 1976).
+From the second on, the rule calls the mix safe."""
 VOIDS = (0.20, 0.27)
-"""Usual range of the voids of sand and stones together when they are compacted [m3/m3]. It is an assumption; it is used
-if the mix states no voids."""
+"""Usual range of the voids between the grains of compacted sand and stones [m3/m3]. The range is an assumption, and
+replaces the voids of a mix that states none."""
 VOIDS_ERROR = 0.02
 """Uncertainty of measured voids [m3/m3]."""
 SAND_SHARES = (0.38, 0.45)
@@ -77,7 +78,7 @@ class RuleVerdict:
         return f"{line}\n{'':8s} -> {self.change}" if self.change else line
 
     def record(self) -> dict[str, str]:
-        """Return the entries of the verdict for a JSON file."""
+        """Return the verdict as a mapping that can be written to a JSON file."""
         return {"rule": self.rule, "verdict": self.verdict, "found": self.found, "change": self.change,
                 "source": self.source}  # fmt: skip
 
@@ -270,5 +271,5 @@ def rule_lines(verdicts: Sequence[RuleVerdict], where: str = "") -> list[str]:
 
 
 def rule_records(verdicts: Sequence[RuleVerdict]) -> dict[str, Any]:
-    """Return the worst verdict and all verdicts for a JSON file."""
+    """Return the worst verdict and all verdicts as a mapping that can be written to a JSON file."""
     return {"worst": worst(verdicts), "rules": [each.record() for each in verdicts]}

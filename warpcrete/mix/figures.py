@@ -39,7 +39,7 @@ class Figure:
 
     @property
     def span(self) -> str:
-        """Value, band and unit as text."""
+        """The property's value, its uncertainty band and its unit as text, such as '30 (20 to 45) Pa s'."""
         band = "" if self.low == self.high else f" ({short(self.low)} to {short(self.high)})"
         return f"{short(self.value)}{band} {self.unit}"
 

@@ -1,4 +1,4 @@
-"""Reading the description of a mix from a file: conversion to SI units and checks of all entries."""
+"""Functions that read the description of a mix from a file, convert its entries to SI units and check them."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ OTHERS = {
     "layer": "Slip layer: its yield stress and viscosity, or points measured in a pipe or with a tribometer",
     "thickener": "True if the concrete contains a viscosity-modifying admixture that parts do not name",
 }
-"""Entries of a mix that are not single numbers, with their meaning."""
+"""Names of those entries of a mix that are not single numbers, each with the entry's meaning."""
 KEYS = ("density", "air", "parts", "volume", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete",
         "mortar", "viscometer", "slump", "spread", "t500", "water_binder", "thickener", "layer", "voids",
         "fine_sand")  # fmt: skip
@@ -90,7 +90,7 @@ BINDER = 3000.0
 """Density of the powder [kg/m3] assumed if the mix states only the ratio of water to binder: cement has 3100, slag 2900
 and fly ash 2250 kg/m3."""
 USUAL_AIR = 0.02
-"""Air content assumed if the mix states none, share of the volume."""
+"""Air content assumed if the mix states none, as a share of the concrete's volume."""
 DENSEST_PASTE = 0.75
 """Largest share of powder in the volume of the paste. A water-binder ratio of 0.12, the least that is ever used, has
 0.74."""
@@ -118,7 +118,8 @@ class MixEntries:
     """Openings of the sieves [m], each with the mass fraction of the aggregate that passes the sieve."""
     sizes: tuple[float, float] | None
     shape: str | None
-    """Shape of the stones, as the discrete element method names it."""
+    """Setting for the shape of the stones in scenes of discrete elements, such as 'spheres'; None if the mix states
+    none."""
     concrete: Measured
     mortar: Measured
     viscometer_points: tuple[list[float], list[float]] | None
@@ -161,7 +162,7 @@ class MixEntries:
 
     @property
     def sand_share(self) -> float | None:
-        """Share of sand in the aggregate, by mass or else by volume; None if it is not known."""
+        """Share of sand in the aggregate, by mass if the ingredients state it, otherwise by volume; None if unknown."""
         sand, stone = sand_and_stone_masses(self.parts)
         if sand > 0 and stone > 0:
             return sand / (sand + stone)

@@ -22,9 +22,9 @@ PIPE_UNCERTAINTY = 0.3
 """Relative uncertainty of a layer fitted to pipe pressures of an earlier delivery. Deliveries of one recipe on one line
 differ by more than the 15 % that Mai et al. (2014) found on a single site; Deng et al. (2024) found -38 to +31 %."""
 PASTE_CONSTANT, PASTE_DENSEST = 128.0, 0.85
-"""Constants of :func:`paste_layer`: viscosity [Pa s/m] and densest packing of the powder. They were fitted to eight
-families of concretes in level lines of 325 to 1,044 m, with water-binder ratios of 0.17 to 0.44; four families were
-held out."""
+"""Constants of the relation in :func:`paste_layer`: the layer's viscosity without powder [Pa s/m], and the densest
+packing of the powder. Both were fitted to the pressures of eight families of concretes in level lines of 325 to 1,044
+m, with water-binder ratios of 0.17 to 0.44; four other families were held out."""
 PASTE_ERROR_FACTOR = 1.7
 """Factor, in both directions, by which the layer of a mix may differ from :func:`paste_layer`: 90 % of the concretes of
 the fitted families differ by less."""
@@ -45,7 +45,7 @@ ASSUMED = (850.0, 10.0)
 """Layer assumed if the mix determines none: viscosity [Pa s/m] and yield stress [Pa] of a self-compacting concrete with
 500 kg of powder in a cubic metre, by :func:`paste_layer`."""
 ASSUMED_ERROR_FACTOR = 3.0
-"""Factor, in both directions, by which an assumed slip layer may differ from the true one."""
+"""Factor by which the viscosity of the true slip layer may be higher or lower than that of :data:`ASSUMED`."""
 ASSUMPTION, ESTIMATE = "assumption", "estimate from"
 """Beginnings of the origin of a property that was not measured: it does not follow from the mix, or from its paste
 only."""
@@ -173,7 +173,7 @@ def _pair(
 
 
 def _fitted(fit: StraightLine, count: int, way: str, pipe: bool) -> Pair:
-    """Return a layer fitted to measured points, with the error of the fit and that of the instrument."""
+    """Return a layer fitted to measured points; its band covers the error of the fit and that of the instrument."""
     found = []
     for name, value, error, unit in (("slip viscosity", fit.slope, fit.slope_error, "Pa s/m"),
                                      ("slip yield", fit.offset, fit.offset_error, "Pa")):  # fmt: skip

@@ -98,7 +98,8 @@ class Mix:
 
     @property
     def flow(self) -> dict[str, float]:
-        """Constants for the section `flow` of a concrete's file, without `factors`."""
+        """Entries for the section `flow` of a concrete's file, such as yield stress and viscosity; the key `factors` is
+        not included."""
         return {key: self[name].value for key, name in self._constants.items()}
 
     @property

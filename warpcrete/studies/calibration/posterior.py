@@ -74,7 +74,7 @@ class Posterior:
     """Emulators by target. Every fitted target has one, and every held-out target for which enough runs yielded a
     value."""
     samples: np.ndarray
-    """Samples of the posterior as points of the unit cube, shape (n, free)."""
+    """Samples of the posterior of the free parameters, each scaled to 0 to 1 over its range, shape (samples, free)."""
     best: np.ndarray
     """Likeliest values of the free parameters, each scaled to 0 to 1 over its range, shape (free,)."""
 

@@ -27,7 +27,8 @@ from ...methods import METHODS, method_of
 KEYS = ("base", "vary", "targets")
 TARGET_KEYS = ("scene", "quantity", "value", "uncertainty", "parameters", "held_out")
 LOG_SCALE_RATIO = 10.0
-"""Ratio of a range's ends from which on the parameter is searched on a logarithmic scale by default."""
+"""Ratio of the upper to the lower end of a parameter's range. From this ratio on, the parameter is searched on a
+logarithmic scale unless its entry `scale` says otherwise."""
 MAX_DEVIATIONS_APART = 3.0
 """Difference between two values of one quantity, in standard deviations, above which they contradict each other."""
 
@@ -61,7 +62,7 @@ class FreeParameter:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A measured quantity of a scene."""
+    """Measured value that the calibration compares with a quantity of a scene's result."""
 
     scene: str
     quantity: str
@@ -330,9 +331,10 @@ def _free(name: str, given: Any, field: Field) -> FreeParameter:
 
 
 def _checked(task: Task, target: Target, modules: Mapping[str, Any]) -> Target:
-    """Return the target with its unit, after checking that its scene measures the quantity.
+    """Return a copy of the target with its unit, after checking that its scene measures the quantity.
 
-    The scene must also be valid at both ends of every parameter range; otherwise :class:`SceneError` is raised.
+    Raises :class:`SceneError` if the scene does not measure the quantity, or if the scene refuses a value at one end of
+    a free parameter's range.
     """
     module = modules[target.scene]
     middle = [0.5] * len(task.free)

@@ -17,7 +17,8 @@ MARGIN = 1.25
 """Pressure that a pump should deliver, divided by the pressure that the line needs (AIJ,
 http://pmkujira.sakura.ne.jp/Exsokuryo/Free/Kentiku/KcheckL3/02-04-KC-017.htm)."""
 LEAST_SHARE = 0.1
-"""Share of the band below which a cause is not mentioned, unless it is the largest."""
+"""Smallest share of the band's width with which a cause of uncertainty is mentioned. The largest cause is always
+mentioned."""
 ADVICE = {
     "slip layer": "measure it with a tribometer, or fit it to pressures of a trial line with --fit",
     "viscosity of the bulk": "measure it with a rheometer, or state t500",
@@ -39,9 +40,10 @@ def pressure_text(pressure: float) -> str:
 
 
 def band_sentences(band: Band, without_advice: Collection[str] = ()) -> list[str]:
-    """Return sentences that split the width of a band of pressure [Pa] by its causes, largest first, with advice.
+    """Return sentences that say which share of the width of a pressure's band [Pa] each cause has, largest share first.
 
-    Causes in `without_advice` get none, because they were measured.
+    Advice on how to reduce the uncertainty follows each cause. Causes in `without_advice` get none, because they were
+    measured.
     """
     shares = sorted(band.shares.items(), key=lambda item: -item[1])
     found = []
@@ -70,7 +72,7 @@ class PumpMargin:
     band: Band
     """Pressure that the line needs [Pa], with its band."""
     flow: float
-    """Flow that is wanted [m3/s]."""
+    """Flow that the pump must deliver into the line [m3/s]."""
 
     @property
     def factor(self) -> float:

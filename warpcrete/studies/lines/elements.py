@@ -190,11 +190,12 @@ class ElementLine:
         return float(np.mean(self.pressures))
 
     def frictions(self) -> np.ndarray:
-        """Return the friction of each part, averaged over the seeds [Pa], shape (parts,)."""
+        """Return the pressure loss of each part due to friction, averaged over the seeds [Pa], shape (parts,)."""
         return np.mean([[friction for friction, _ in each.course(self.line)] for each in self.packed], axis=0)
 
     def weights(self) -> np.ndarray:
-        """Return the pressure due to each part's weight, averaged over the seeds [Pa], shape (parts,)."""
+        """Return the pressure due to the weight of the concrete in each part, averaged over the seeds [Pa], shape
+        (parts,)."""
         return np.mean([[weight for _, weight in each.course(self.line)] for each in self.packed], axis=0)
 
     def blocked(self) -> list[int]:
@@ -431,9 +432,10 @@ def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Map
 
 
 def element_table_lines(found: ElementLine, others: Mapping[str, Sequence[float]]) -> list[str]:
-    """Return a headline and a table of the parts as lines of Markdown.
+    """Return a headline and a table of the line's parts as lines of Markdown.
 
-    `others` holds frictions of the parts from other methods [Pa], with one column of the table for each.
+    `others` maps names of other methods, such as the closed form, to the frictions of the parts that they predict [Pa].
+    Each method adds one column to the table.
     """
     low, high = min(found.pressures), max(found.pressures)
     span = f"; {low / 1e5:.4g} to {high / 1e5:.4g} bar over {len(found.packed)} seeds" if len(found.packed) > 1 else ""

@@ -66,7 +66,7 @@ class FittedConstant:
 
     @property
     def text(self) -> str:
-        """Value with its band in words."""
+        """Name, value and confidence interval of the constant as text, or a remark that it was not determined."""
         unit = f" {self.unit}" if self.unit else ""
         if not self.fitted:
             return f"{self.name} {self.value:.4g}{unit} (not determined by these points, kept)"
@@ -79,7 +79,8 @@ class LineFit:
 
     taps: tuple[Tap, ...]
     constants: tuple[FittedConstant, ...]
-    """Slip viscosity, slip yield and, for a line with bends, their factor."""
+    """Viscosity and yield stress of the slip layer. If the line has bends, the factor of their friction relative to
+    straight pipe is the third constant."""
     pressures: tuple[float, ...]
     """Fitted pressures at the taps [Pa]."""
     uncertainty: float
@@ -96,7 +97,7 @@ class LineFit:
         return np.array(self.pressures) - [tap.pressure for tap in self.taps]
 
     def concrete(self, concrete: Concrete) -> Concrete:
-        """Return a concrete with the fitted slip layer."""
+        """Return a copy of a concrete that has the fitted slip layer."""
         return replace(concrete, slip_viscosity=self.constants[0].value, slip_yield=self.constants[1].value)
 
     def variants(self, concrete: Concrete) -> dict[str, tuple[Concrete, Concrete]]:

@@ -52,10 +52,11 @@ MODEL_ERRORS = {
 
 
 def range_of(part: Part, straight: float) -> tuple[float, float] | None:
-    """Return the range of a part's friction relative to that of straight pipe of its length and bores.
+    """Return the lowest and highest friction of a part, divided by that of straight pipe of the same length and bores.
 
-    `straight` is the friction of this straight pipe [Pa]. The result is None for straight pipe and for a part whose
-    friction the line's file states; a fitted factor has the range of the fit.
+    `straight` is the friction of this straight pipe [Pa]. If the line's file states a factor for the part, or if a fit
+    to a trial line determined the factor, the range is the one stored with the factor, or None. The result is also None
+    for straight pipe.
     """
     error = MODEL_ERRORS.get(part.kind)
     if part.factor is not None:

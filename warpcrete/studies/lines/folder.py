@@ -1,4 +1,4 @@
-"""Folder of a simulated line: it holds one run for each kind of part, and an interrupted line continues in it."""
+"""Folder of a simulated pump line, with one run for each kind of part; an interrupted simulation continues in it."""
 
 from __future__ import annotations
 

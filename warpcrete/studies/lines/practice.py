@@ -53,7 +53,7 @@ def _level(part: Part) -> float:
 
 
 def _summed(parts: Iterable[Part], loss: Callable[[Part], float]) -> dict[str, float]:
-    """Return the sums of a pressure loss over the parts of each kind [Pa]."""
+    """Sum the pressure `loss` of the parts [Pa]; return one sum for each kind of part, such as bends."""
     found: dict[str, float] = {}
     for part in parts:
         found[part.kind] = found.get(part.kind, 0.0) + loss(part)

@@ -62,7 +62,7 @@ class Stop:
     growth: float
     """Growth rate of the yield stresses [Pa/s]."""
     band: tuple[float, float] | None = None
-    """Smallest and largest growth rate [Pa/s]; None if `growth` is certain."""
+    """Lowest and highest growth rate of the yield stresses [Pa/s]; None if `growth` has no uncertainty."""
 
 
 @dataclass(repr=False)
@@ -81,7 +81,7 @@ class LineResult:
     """True if friction comes from simulations and not from the closed form."""
     folder: Path | None = None
     took: dict[str, float] = field(default_factory=dict)
-    """Wall time of each new simulation [s], by its folder's name."""
+    """Wall times of the new simulations [s]; the keys are the names of their folders."""
     failed: dict[str, list[str]] = field(default_factory=dict)
     """Failed checks of the simulations with their findings, by folder name."""
     variants: Mapping[str, tuple[Concrete, Concrete]] | None = None

@@ -10,7 +10,7 @@ from .cases import Case
 from .predictions import mix_of_case
 
 BAD = ("risky", "blocks")
-"""Verdicts of a rule that warn of blocking."""
+"""Verdicts by which a rule warns of blocking."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ from .kinds import BLOCKING, UNITS
 SHIPPED = Path(__file__).parents[2] / "measured" / "cases"
 FILE_KEYS = ("sources", "lines", "cases")
 KEYS = ("id", "kind", "group", "source", "where", "mix", "flow", "measured", "uncertainty", "note", "test")
-"""Entries of a case. `mix` and `test` are the inputs of the prediction, `flow` and `measured` belong together."""
+"""Entries of a measured case in a file. The prediction is made from `mix`, `test` and `flow`. The entry `measured` has
+one value for each value of `flow`."""
 BY_FLOW = ("pipe", "ratio", "line", "fitting", "profile")
 """Kinds of cases whose prediction depends on a flow rate."""
 HELD_OUT_SHARE = 3

@@ -28,4 +28,4 @@ KINDS = {
 BLOCKING = "blocking"
 """Kind of case that says whether concrete blocked: its measured value is 1 if it did, and 0 if not."""
 UNITS = {name: kind.unit for name, kind in KINDS.items()} | {BLOCKING: "1"}
-"""SI units of the measured values, by kind of case."""
+"""SI unit of the measured values for each kind of case."""

@@ -81,7 +81,7 @@ def _ratio(case: Case) -> list[Band]:
 
 
 def _line(case: Case) -> list[Band]:
-    """Predict the pressure at the pump less the weight of the concrete, both for the line's own density."""
+    """Predict the friction of a whole line [Pa]: its pressure at the pump less the weight of the rising concrete."""
     mix = mix_of_case(case)
     line = _line_of(case)
     found = []
