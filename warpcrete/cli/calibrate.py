@@ -22,7 +22,7 @@ ONE = {
     "precision": str, "processes": int, **ON_WORKERS,
 }  # fmt: skip
 CHANGEABLE_SETTINGS = ("trials", "processes", *ON_WORKERS)
-"""Names of settings that may differ when a calibration is continued."""
+"""Names of the command's settings that may be changed when an interrupted calibration continues."""
 
 
 def run(arguments: list[str], modules: dict[str, Any]) -> None:

@@ -107,7 +107,7 @@ def _straight(settings: Mapping[str, Any]) -> PipeLine:
 
 
 def _guessed(settings: Mapping[str, Any], stone: float | None) -> Mix | None:
-    """Return the mix of a concrete of which only slump or spread are known, or None if neither is given."""
+    """Return a mix made from the slump, spread and largest stone on the command line; None if none was given."""
     cones = {name: settings[name] for name in ("slump", "spread") if settings[name] is not None}
     if not cones:
         return None

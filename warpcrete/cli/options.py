@@ -17,7 +17,7 @@ from ..record.recorders import RECORDERS
 
 
 class ParameterOption(click.Option):
-    """Option of a declared parameter. Help pages list the option under the parameter's group."""
+    """Command-line option of a scene's parameter, with the group under which help pages list the option."""
 
     group = ""
 

@@ -32,7 +32,7 @@ VOIDS = (0.20, 0.27)
 """Usual range of the voids between the grains of compacted sand and stones [m3/m3]. The range is an assumption, and
 replaces the voids of a mix that states none."""
 VOIDS_ERROR = 0.02
-"""Uncertainty of measured voids [m3/m3]."""
+"""Uncertainty of a measured volume of voids between sand and stones, above and below the value [m3/m3]."""
 SAND_SHARES = (0.38, 0.45)
 """Share of sand in the aggregate that JGJ/T 10 requires."""
 PUMPED_SAND_SHARES = (0.365, 0.52)
@@ -66,7 +66,7 @@ class RuleVerdict:
     verdict: str
     """One of :data:`VERDICTS`."""
     found: str
-    """The numbers on which the verdict is based."""
+    """Numbers on which the verdict is based, in a sentence."""
     change: str
     """Advice on the mix or the line, or the entry that would answer the question; empty if the verdict is 'fine'."""
     source: str

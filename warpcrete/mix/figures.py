@@ -50,16 +50,17 @@ def short(value: float) -> str:
 
 
 def around(name: str, value: float, off: float, unit: str, way: str, source: str) -> Figure:
-    """Return a property with the relative uncertainty `off` above and below its value."""
+    """Return a property whose band reaches from value * (1 - `off`) to value * (1 + `off`)."""
     return Figure(name, value, value * (1 - off), value * (1 + off), unit, way, source)
 
 
 def reconciled(candidates: list[Figure]) -> tuple[Figure, list[str]]:
     """Return the first of several values for one property, and remarks on differences between the values.
 
-    The candidates come from different entries of the mix. Bands may differ by a factor of :data:`INSTRUMENTS` between a
-    rheometer and a cone, and of :data:`CONES` between spread and slump of one cone, where the slump widens the band.
-    Raises :class:`SceneError` if the bands of two candidates differ by more.
+    The candidates come from different entries of the mix, and each has an uncertainty band. Raises :class:`SceneError`
+    if the first band and another band are too far apart. Bands of the same rheometer must touch. Between a rheometer
+    and a cone, the gap may be a factor of :data:`INSTRUMENTS`. Between spread and slump of the same cone, the gap may
+    be a factor of :data:`CONES`; in this case, the band of the result is widened up to the other band.
     """
     first, remarks = candidates[0], []
     for other in candidates[1:]:

@@ -92,8 +92,8 @@ and fly ash 2250 kg/m3."""
 USUAL_AIR = 0.02
 """Air content assumed if the mix states none, as a share of the concrete's volume."""
 DENSEST_PASTE = 0.75
-"""Largest share of powder in the volume of the paste. A water-binder ratio of 0.12, the least that is ever used, has
-0.74."""
+"""Largest possible share of powder in the volume of the paste. The paste with the lowest water-binder ratio in use,
+0.12, has a share of 0.74."""
 PASTE_TOLERANCE = 0.08
 """Largest difference between two shares of powder in the paste, from the ratio of water to binder and from the parts;
 the powder's density accounts for up to 0.07."""
@@ -143,7 +143,7 @@ class MixEntries:
     voids: float | None = None
     """Voids of sand and stones together when compacted, as a share of their bulk volume."""
     fine_sand: float | None = None
-    """Share of the sand's mass below 0.3 mm."""
+    """Share of the sand's mass that consists of grains below 0.3 mm."""
 
     @property
     def largest(self) -> float | None:
@@ -274,7 +274,7 @@ def _paste_solids(given: Mapping[str, Any], masses: Mapping[str, float]) -> floa
 
 
 def _sand_and_stone(given: Mapping[str, Any], masses: Mapping[str, float]) -> float | None:
-    """Return the share of sand and stones in the volume of the concrete; None if the ingredients do not tell it."""
+    """Return the share of sand and stones in the concrete's volume; None if the ingredients do not determine it."""
     powder, liquid = paste_volumes(masses)
     air = _number(given, "air")
     rest = 1 - powder - liquid - (USUAL_AIR if air is None else air)

@@ -42,7 +42,8 @@ LIQUIDS = ("water", "ice", "superplasticizer", "superplasticiser", "plasticizer"
            "sp", "latex", "agent")  # fmt: skip
 """Words for the liquids of the paste: water and dissolved admixtures."""
 ROCKS = ("limestone", "marble", "quartz")
-"""Words that mean powder alone, and aggregate if it is crushed or has a grain size."""
+"""Words for rocks. An ingredient with such a name is powder, unless its name says that the rock is crushed or states a
+grain size; then it is aggregate."""
 PLASTICIZERS = ("superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "pce", "sp")
 """Words for admixtures that make a concrete flow."""
 THICKENERS = ("vma", "stabilizer", "stabiliser", "modifier")
@@ -53,8 +54,8 @@ POSSIBLE_VOLUMES = (0.88, 1.05)
 """Smallest and largest possible volume of all ingredients in a cubic metre [m3/m3]; air fills the rest, and densities
 vary."""
 USUAL_AIR = (-0.02, 0.06)
-"""Range of the calculated air content without a warning [m3/m3]: 1 to 3 % are usual, and uncertain densities may make
-the content negative."""
+"""Lowest and highest air content of the concrete, calculated from the ingredients [m3/m3], that causes no warning.
+Usual contents are 1 to 3 %; the calculated content may be negative because densities are uncertain."""
 VOLUME_WARNING, VOLUME_ERROR = 0.03, 0.07
 """Deviations from a cubic metre [m3/m3] of all ingredients and the stated air, above which the mix causes a warning or
 is refused."""
@@ -66,7 +67,10 @@ def _words(name: str) -> list[str]:
 
 
 def is_thickener(name: str) -> bool:
-    """Return whether an ingredient is a viscosity-modifying admixture; a hydration stabilizer is a retarder."""
+    """Return whether the name of an ingredient means a viscosity-modifying admixture.
+
+    A "stabilizer" is such an admixture, but a "hydration stabilizer" is not, because it is a retarder.
+    """
     words = _words(name)
     return "hydration" not in words and any(word in THICKENERS or word.startswith("viscosity") for word in words)
 

@@ -40,7 +40,8 @@ Measured thicknesses are 1 to 3 mm (Deng et al. 2024; Zhao et al. 2024), and Xu'
 FILM_ERROR_FACTOR = 3.0
 """Factor, in both directions, by which a layer may differ from :func:`film_layer`."""
 SLUMP_ERROR_FACTOR = 2.0
-"""Factor, in both directions, by which a layer may differ from :func:`slump_layer`."""
+"""Factor by which the viscosity of the true slip layer may be higher or lower than the one that :func:`slump_layer`
+returns."""
 ASSUMED = (850.0, 10.0)
 """Layer assumed if the mix determines none: viscosity [Pa s/m] and yield stress [Pa] of a self-compacting concrete with
 500 kg of powder in a cubic metre, by :func:`paste_layer`."""
@@ -84,11 +85,11 @@ def slump_layer(slump: float) -> tuple[float, float]:
 
 
 def layers(given: MixEntries, concrete: Concrete, viscosity: Figure) -> Iterator[Pair]:
-    """Generate viscosity and yield stress of the slip layer, the most reliable first.
+    """Generate pairs of viscosity and yield stress of the slip layer, the most reliable pair first.
 
-    Each pair follows from one entry of the mix: from measurements, from the paste, from the film between aggregates,
-    from the slump, and last from an assumption. `concrete` supplies density, yield stress and viscosity of the bulk,
-    and `viscosity` is the bulk's viscosity with its band and origin.
+    The pairs come from measurements of the layer, the paste, the film between aggregates, the slump, and finally from
+    an assumption. Sources about which the mix contains nothing are skipped. `concrete` supplies density, yield stress
+    and viscosity of the bulk, and `viscosity` is the bulk's viscosity with its band and origin.
     """
     yield from _measured(given, concrete)
     thick, blur = (THICKENER_FACTOR, THICKENER_ERROR) if given.thickener else (1.0, 1.0)
@@ -140,7 +141,8 @@ def _measured(given: MixEntries, concrete: Concrete) -> Iterator[Pair]:
 
 
 _SOURCES = {True: "; 30 % between deliveries", False: "; a tribometer differs from pipes by 0.3 to 2 (Tavangar 2022)"}
-"""Origin of the band of a measured layer without a stated uncertainty: fitted to pipe pressures, or by a tribometer."""
+"""Words on the origin of a measured layer's band if no uncertainty is stated. The first text is for a layer fitted to
+pipe pressures, and the second for one measured with a tribometer."""
 
 
 def _factors(uncertainty: float | None, pipe: bool) -> tuple[float, float]:

@@ -98,8 +98,7 @@ class Mix:
 
     @property
     def flow(self) -> dict[str, float]:
-        """Entries for the section `flow` of a concrete's file, such as yield stress and viscosity; the key `factors` is
-        not included."""
+        """Entries for the section `flow` of a concrete's file, such as yield stress; the key `factors` is left out."""
         return {key: self[name].value for key, name in self._constants.items()}
 
     @property
@@ -168,7 +167,11 @@ def read_mix(name: Path | str) -> Mix:
 
 
 def mix_named(name: str) -> Mix | None:
-    """Return the mix of a concrete given by its name or path, or None if the concrete has no mix, like `own`."""
+    """Return the mix of a concrete that is given by its name or the path of its file.
+
+    The result is None if the concrete's file has no section `mix`, and for the name `own`, under which users state all
+    constants themselves.
+    """
     return None if name == "own" else mix_in(concrete(name))
 
 

@@ -143,7 +143,7 @@ def _mortar(given: MixEntries, key: str, unit: str) -> Figure | None:
 
 
 def _factors(share: float) -> tuple[tuple[float, float], ...]:
-    """Return the most likely, lowest and highest factor by which aggregate raises viscosity and yield stress."""
+    """Return pairs of factors by which aggregate raises viscosity and yield stress: most likely, lowest and highest."""
     return tuple(thickening(share, *each) for each in (SUSPENSIONS["spheres"], THICKENING_LOWER, THICKENING_UPPER))
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from .targets import Target, Task
 
 START_CANDIDATES = 2048
-"""Number of points in the unit cube from which the best ones become the walkers' starting points."""
+"""Number of points in the unit cube that are compared; the best of them become the walkers' starting points."""
 WALKERS, STEPS, DISCARDED_STEPS = 64, 300, 100
 FAILURE_RADIUS = 0.15
 """Radius in the unit cube within which a failed run lowers the estimated probability that runs succeed."""
@@ -108,7 +108,7 @@ class Posterior:
         return float(self.samples[:, place].std() / UNIFORM_DEVIATION)
 
     def correlations(self) -> np.ndarray:
-        """Return the correlation matrix of the free parameters in the unit cube, shape (free, free)."""
+        """Return the correlations between the free parameters in the posterior samples, shape (free, free)."""
         return np.atleast_2d(np.corrcoef(self.samples.T))
 
 

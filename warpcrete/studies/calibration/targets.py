@@ -98,7 +98,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Task:
-    """The calibration's targets and free parameters."""
+    """Measured targets and free parameters of a calibration."""
 
     base: str | None
     """Concrete (name or file) that provides all properties that are not free; None: each scene's own concrete."""
@@ -127,7 +127,10 @@ class Task:
         return np.array([free.place(values[free.name]) for free in self.free])
 
     def parameters(self, target: Target, values: Mapping[str, float], module: Any) -> dict[str, Any]:
-        """Return the keyword arguments of the target's scene, including the free parameters that the scene has."""
+        """Return the keyword arguments that build a target's scene from the `values` of the free parameters.
+
+        Free parameters that the scene does not have are left out.
+        """
         known = declared_fields(module.scene.parameters)
         base = {"concrete": self.base} if self.base is not None and "concrete" in known else {}
         return {**base, **target.parameters, **{name: value for name, value in values.items() if name in known}}
@@ -279,7 +282,10 @@ def _uncertainty(called: str, given: Any, value: float, quantity: str) -> float:
 
 
 def _field(name: str, targets: Sequence[Target], modules: Mapping[str, Any]) -> Field:
-    """Return the declaration of a free parameter; it must be a number, and at least one target's scene must have it."""
+    """Return the field that declares a free parameter in the targets' scenes.
+
+    Raises :class:`SceneError` if no target's scene has such a parameter, if it is not a number, or if it is the seed.
+    """
     scenes = dict.fromkeys(target.scene for target in targets)
     known = [_known(modules, scene) for scene in scenes]
     fields = [each[name] for each in known if name in each]

@@ -1,4 +1,4 @@
-"""Answers to questions of a site engineer: where the band comes from, the power, and whether the pump suffices."""
+"""Answers to a site engineer: causes of the uncertainty, power of the motor, and whether the pump is strong enough."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class PumpMargin:
 
     @property
     def verdict(self) -> str:
-        """Answer in two or three words: 'strong enough', 'perhaps too weak' or 'too weak'."""
+        """Answer to whether the pump suffices for the line: 'strong enough', 'perhaps too weak' or 'too weak'."""
         value, high = ((x, x * self.flow / EFFICIENCY) for x in (self.band.value, self.band.high))
         limits = (self.pump.pressure, self.pump.power)
 
@@ -112,7 +112,7 @@ class PumpMargin:
         return text
 
     def record(self) -> dict[str, Any]:
-        """Return the comparison as an entry of line.json."""
+        """Return the comparison of the line with its pump as an entry of the file line.json."""
         return {
             "pressure_limit": quantity(self.pump.pressure, "Pa"),
             "flow_limit": None if self.pump.flow is None else quantity(self.pump.flow, "m3/s"),

@@ -29,7 +29,8 @@ FOLDER = "blocking"
 """Name of the study's folder among the parts of a line."""
 RECORD = "blocking-probability.json"
 STRAIGHT_DIAMETERS = 2.0
-"""Length of straight pipe before and behind the narrowest part [diameters]."""
+"""Length of straight pipe before and behind the line's narrowest part in a simulation, in diameters of its wider
+end."""
 TRAVEL_DIAMETERS = 4.0
 """Travel of the piston [diameters]. A blockage shows after two diameters of standing still at most."""
 MAX_SEEDS = 10_000

@@ -91,7 +91,7 @@ class WallLaw:
     start: float
     """Wall stress at zero pressure [Pa]."""
     slope: float
-    """Increase of the wall stress per increase of pressure."""
+    """Slope of the law: increase of the wall stress [Pa] per increase of the pressure [Pa]."""
     measured: float
     """Largest pressure at which the law was measured [Pa]."""
     largest: float
@@ -160,7 +160,7 @@ class SeedResult:
 
 @dataclass(repr=False)
 class ElementLine:
-    """Pressure losses of a pump line, computed by discrete elements."""
+    """Pressure losses of a pump line, computed by the discrete element method."""
 
     line: PipeLine
     concrete: str
@@ -318,9 +318,10 @@ def part_parameters(
 
 
 def scaled_parameters(own: Mapping[str, Any], narrowest: float, elements: Elements) -> dict[str, Any]:
-    """Return a part's scene parameters with the stone sizes and the modulus scaled as `elements` says.
+    """Return a part's scene parameters with scaled stone sizes and a scaled elastic modulus.
 
-    `own` holds the parameters before scaling, and `narrowest` is the narrowest bore of the line [m].
+    `own` holds the parameters before scaling, `narrowest` is the narrowest bore of the line [m], and `elements` states
+    the factors.
     """
     given = modules()[SCENE].scene.declared(dict(own))
     whole = {**own, "modulus": elements.stiffer * given.modulus}

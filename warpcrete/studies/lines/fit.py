@@ -54,7 +54,7 @@ class Tap:
 
 @dataclass(frozen=True)
 class FittedConstant:
-    """Constant of the fit with its 95 % confidence interval."""
+    """Constant of the slip layer or the bends that was fitted to a trial line, with its 95 % confidence interval."""
 
     name: str
     value: float
@@ -93,7 +93,7 @@ class LineFit:
         return math.sqrt(float(off @ off) / (len(off) - sum(each.fitted for each in self.constants)))
 
     def deviations(self) -> np.ndarray:
-        """Return fitted less measured pressures [Pa], shape (taps,)."""
+        """Return the fitted pressures minus the measured ones [Pa], shape (taps,)."""
         return np.array(self.pressures) - [tap.pressure for tap in self.taps]
 
     def concrete(self, concrete: Concrete) -> Concrete:
@@ -118,7 +118,7 @@ class LineFit:
         return replace(line, parts=tuple(own(part) for part in line.parts))
 
     def record(self) -> dict[str, Any]:
-        """Return the fit as an entry of line.json."""
+        """Return the fit to the trial line as an entry of the file line.json."""
         return {
             "constants": {x.name: {"value": x.value, "low": x.low, "high": x.high, "unit": x.unit, "fitted": x.fitted}
                           for x in self.constants},
@@ -278,7 +278,8 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
         value, wide = float(found[place]), float(widths.get(place, 0.0))
         constants.append(FittedConstant(NAMES[place], value, max(value - wide, 0.0), value + wide, UNITS[place],
                                         place in widths))  # fmt: skip
-    # The error of straight pipe's friction follows from those of the layer's constants, which depend on each other.
+    # The errors of the slip layer's two constants are correlated. The error of a straight pipe's friction therefore
+    # follows from their covariance matrix.
     layer = [k for k, place in enumerate(free) if place < 2]
     pipe = _Model(_metre(line), concrete, [Tap(0.0, 1.0, float(flows.mean()), 0)])
     weights = pipe.sensitivities(found, [free[k] for k in layer])[0]
@@ -324,7 +325,7 @@ def _check_result(found: np.ndarray, free: Sequence[int]) -> None:
 
 
 def _least_squares(model: _Model, measured: np.ndarray, start: np.ndarray, free: Sequence[int]) -> np.ndarray:
-    """Return the constants that minimise the squared deviations, by damped Gauss-Newton steps."""
+    """Return the constants that minimise the sum of the squared pressure deviations, by damped Gauss-Newton steps."""
     own, places = start.copy(), list(free)
     off = model.pressures(own) - measured
     for _ in range(ITERATIONS):

@@ -1,4 +1,7 @@
-"""Friction of bends, reducers, hoses, valves and bores over that of straight pipe: its range, and who found it."""
+"""Factors of friction of bends, reducers, hoses, valves and changes of bore, relative to straight pipe.
+
+Each kind of part has a range of factors and the source of this range.
+"""
 
 from __future__ import annotations
 
@@ -76,9 +79,10 @@ def _is_uncertain(part: Part) -> bool:
 
 
 def library_factor(part: Part) -> float:
-    """Return the friction of a bend or reducer relative to straight pipe by simulated flows of similar parts.
+    """Return the friction of a bend or reducer, divided by that of straight pipe of the same length and bores.
 
-    The result is 1 for other parts, and for a part whose friction the line's file states.
+    The factor is interpolated between those of simulated flows through bends and reducers of other sharpness. The
+    result is 1 for other kinds of parts, and for a part for which the line's file states a factor.
     """
     if part.factor is not None:
         return 1.0
@@ -91,7 +95,11 @@ def library_factor(part: Part) -> float:
 
 
 def is_in_library(part: Part) -> bool:
-    """Return whether parts as sharp as this one were simulated for the library."""
+    """Return whether the table of simulated bends and reducers covers a part.
+
+    The table does not cover a bend or reducer that is sharper than the sharpest simulated one, unless the line's file
+    states its factor. Other kinds of parts need no table.
+    """
     if part.factor is not None or part.kind not in ("bend", "reducer"):
         return True
     if part.kind == "bend":

@@ -15,7 +15,7 @@ from ...core.run.folders import locked_folder, new_folder
 LINE_RECORD = "asked.json"
 """Name of the file that describes the folder's line until all its runs are finished."""
 PARTS = "parts"
-"""Name of the folder that holds the runs of the parts."""
+"""Name of the folder that holds the simulation runs of the line's parts."""
 
 
 @contextmanager

@@ -21,7 +21,8 @@ GROUPS = {"straight": "straight pipe", "bend": "bends", "reducer": "reducers", "
 AIJ_FACTORS = {"straight": 1.0, "bend": 3.0, "reducer": 2.0, "hose": 2.0}
 """Friction relative to straight pipe of a part's length (AIJ)."""
 JSCE_RISE = ((0.100, 0.125, 0.150), (3.0, 4.0, 5.0))
-"""Diameters [m], and metres of level pipe that stand for one metre of rise, weight included (JSCE)."""
+"""Rule of the JSCE for rising pipe: diameters of the pipe [m], and for each the length of level pipe that has the same
+pressure loss as one metre of rise [m]. The loss of the rise includes the weight of the concrete."""
 JSCE_BEND, JSCE_REDUCER, JSCE_HOSE, JSCE_HOSE_LENGTH = 6.0, 3.0, 20.0, 8.0
 """Metres of level pipe that stand for a bend of 90 degrees, a reducer, and a hose of 5 to 8 m (JSCE)."""
 JGJ_LEVEL, JGJ_RISE = 0.1e6 / 20, 0.1e6 / 5

@@ -60,7 +60,7 @@ class Stop:
     rest: float
     """Duration [s]."""
     growth: float
-    """Growth rate of the yield stresses [Pa/s]."""
+    """Growth rate of the concrete's yield stresses at rest [Pa/s]."""
     band: tuple[float, float] | None = None
     """Lowest and highest growth rate of the yield stresses [Pa/s]; None if `growth` has no uncertainty."""
 
@@ -90,7 +90,8 @@ class LineResult:
     stop: Stop | None = None
     """Stop of the pump, after which the line must start again; None for no stop."""
     fit: LineFit | None = None
-    """Fit of the slip layer and of the bends to a trial line; None if the concrete's own constants hold."""
+    """Fit of the slip layer and of the bends' factor to pressures of a trial line; None if no trial line was given, so
+    that the concrete's own constants hold."""
 
     def __repr__(self) -> str:
         return f"<LineResult of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
@@ -131,7 +132,7 @@ class LineResult:
 
     @property
     def motor_power(self) -> float:
-        """Power of the pump's motor [W], by the efficiency of practice."""
+        """Power of the pump's motor [W], with the efficiency that a rule of practice assumes."""
         return motor_power(self.pressure, self.flow)
 
     @property

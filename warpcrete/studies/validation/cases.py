@@ -58,10 +58,10 @@ class Case:
 
 
 def held_out_groups(cases: Sequence[Case]) -> set[tuple[str, str]]:
-    """Return the groups, as pairs of kind and group, to which no constant of the program may be fitted.
+    """Return the groups of cases, as pairs of kind and group, that are held out of every fit of a constant.
 
-    They are a third of the groups of each kind, rounded; of two groups one is held out. The order follows from a hash
-    of the names, so that nobody can choose after seeing the results.
+    About a third of the groups of each kind are held out, and one of two. Which groups are held out follows from a hash
+    of their names, so that nobody can choose them after seeing the results.
     """
     found = set()
     for kind in {case.kind for case in cases}:
@@ -78,7 +78,7 @@ def shipped_cases() -> list[Case]:
 
 
 def read_cases(path: Path) -> list[Case]:
-    """Read the cases of a file.
+    """Read the measured cases in a file.
 
     Raises :class:`SceneError` if an entry is unknown or missing, or if two cases have the same name.
     """

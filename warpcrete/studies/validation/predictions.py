@@ -116,16 +116,17 @@ def _layer(case: Case) -> list[Band]:
 
 
 def _layer_share(case: Case) -> list[Band]:
-    """Predict the share of the largest velocity in a pipe that the slip layer contributes."""
+    """Predict the slip velocity at the wall of a pipe, as a share of the largest velocity in the cross-section."""
     mix, line = mix_of_case(case), Line(radius=_number(case, "diameter", "m") / 2, length=1.0, rise=0.0)
     return [_banded(mix, lambda c, q=q: layer_share(c, line, q)) for q in case.flows]
 
 
 def _slump(case: Case) -> list[Band]:
-    """Predict the slump [m] from the yield stress of the mix, or from its spread.
+    """Predict the slump [m] from the mix's yield stress, which may itself follow from the spread.
 
-    A heap that spreads wider than twice its height is described by the theory of wide heaps, a stiffer one by that of
-    tall cones. Aggregate that piles up in the centre raises it by up to 100 mm (:data:`HEAP_CENTRE`).
+    The theory of wide heaps and the theory of tall cones each predict a slump, and the smaller one counts. This is the
+    slump of a homogeneous heap. In a real heap, aggregate piles up in the centre and reduces the slump by up to 100 mm
+    (:data:`HEAP_CENTRE`).
     """
     mix = mix_of_case(case)
 
@@ -197,4 +198,5 @@ PREDICTORS = {
     "spread": _spread,
     "funnel": _funnel,
 }
-"""Functions that return a prediction with its band for each measured value of a case, by the kind of the case."""
+"""Prediction functions, by the kind of the case. Each of them takes a case and returns the predicted value with its
+uncertainty band for each measured value of the case."""

@@ -41,7 +41,7 @@ class Summary:
     inside: float
     """Share of the cases inside their bands."""
     factor: float
-    """Median factor from a prediction to the ends of its band."""
+    """Median over the cases of the factor f of a band that reaches from prediction / f to prediction * f."""
 
 
 @dataclass(repr=False)
