@@ -24,7 +24,7 @@ DENSITY = 2350.0
 FINEST = 4e-3
 """Smallest coarse aggregate of a concrete of which only the largest stone is known [m]."""
 SHAPE = ("diameter", "length", "rise")
-"""Options that describe a straight line without a file."""
+"""Options that describe a straight line, so that no file of a line is necessary."""
 EXAMPLE = "--diameter '125 mm' --length '190 m' --rise '20 m'"
 
 
@@ -34,18 +34,18 @@ class LineInputs:
 
     line: PipeLine
     name: str
-    """Name or file of the concrete, or its slump or spread in words."""
+    """Name or file of the concrete; if only slump or spread are known, a text that states them."""
     mix: Mix | None
     """Mix of the concrete; None for a concrete without a mix."""
     flow: float | None
     """Volume flow [m3/s]; None if neither the line nor an option states it."""
 
     guessed: bool = False
-    """True if the concrete is known by its slump or spread alone."""
+    """True if the user stated only the slump or spread of the concrete."""
 
     @property
     def concrete(self) -> Concrete:
-        """Concrete as a flow."""
+        """The concrete's flow properties: a yield stress fluid with a slip layer."""
         return self.mix.concrete if self.guessed and self.mix is not None else concrete_of(self.name)
 
 
@@ -134,7 +134,10 @@ def _flow(settings: Mapping[str, Any], line: PipeLine) -> float | None:
 
 
 def _with_pump(line: PipeLine, limits: Mapping[str, str | None]) -> PipeLine:
-    """Return the line with the pump that options state, which replace entries of the line's own pump."""
+    """Return the line with a pump whose limits come from the command's options.
+
+    A limit that no option states is that of the line's own pump.
+    """
     stated = {key: value for key, value in limits.items() if value is not None}
     if not stated:
         return line

@@ -30,7 +30,10 @@ def option_amounts(field: str, given: Sequence[str], unit: str) -> list[float]:
 
 
 def growth_of(rest: float | None, thixotropy: float | None) -> float:
-    """Return the stated or usual rate A_thix [Pa/s]; refuse a stated rate if no time of rest is given."""
+    """Return the growth rate A_thix of the yield stress at rest [Pa/s]: the stated one, or else the default.
+
+    Raises :class:`SceneError` if a rate is stated without a time of rest.
+    """
     if thixotropy is not None and rest is None:
         refuse("thixotropy", thixotropy, "needs the duration of the rest", "add, for example, --rest 600 for 600 s")
     return THIXOTROPY if thixotropy is None else thixotropy

@@ -143,9 +143,9 @@ def run(
 
 
 def _pipeline_checked(scene: Any, settings: dict[str, Any]) -> dict[str, Any] | None:
-    """Check the options that describe a pipeline, and return the result of the run in the folder `pipeline_other`.
+    """Check the options on a pipeline's pressure, and return the result in the run folder `pipeline_other`.
 
-    The result is the contents of result.json, or None if the option is not used.
+    The result is the contents of that folder's result.json, or None if the option is not used.
     """
     lengths = {key: settings[key] for key in ("pipeline_vertical", "pipeline_horizontal")}
     for field, value in lengths.items():

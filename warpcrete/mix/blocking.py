@@ -40,11 +40,12 @@ PUMPED_SAND_SHARES = (0.365, 0.52)
 FINE_SAND = (0.15, 0.30)
 """Share of the sand below 0.3 mm: with less the concrete unmixes, with more it becomes sticky."""
 WATER_BINDER = 0.60
-"""Largest mass of water over that of powder (JGJ/T 10)."""
+"""Largest ratio of the mass of water to that of powder that the rule JGJ/T 10 allows."""
 FINES_PER_WATER = 1.75
 """Smallest mass of powder and fine sand over that of water."""
 SLUMPS = (0.05, 0.10, 0.16)
-"""Slumps [m]: the least that can be pumped, the least that is usual, and the largest without a plasticizer."""
+"""Three slumps [m]: the smallest with which concrete can be pumped, the smallest usual one, and the largest that is
+expected without a plasticizer."""
 LARGEST_SPREAD = 0.795
 """Largest spread of the 403 flows that were pumped (Shen) [m]."""
 TAPER_RUN = 5.0
@@ -59,7 +60,7 @@ BLEEDING = "Browne & Bamforth 1977; Kaplan, de Larrard & Sedran 2005"
 
 @dataclass(frozen=True)
 class RuleVerdict:
-    """Verdict of one rule against blocking."""
+    """Verdict of one rule of practice on whether concrete will block a pump line."""
 
     rule: str
     """Name of the rule."""
@@ -68,7 +69,8 @@ class RuleVerdict:
     found: str
     """Numbers on which the verdict is based, in a sentence."""
     change: str
-    """Advice on the mix or the line, or the entry that would answer the question; empty if the verdict is 'fine'."""
+    """Advice on how to change the mix or the line. If the verdict is 'unknown', the advice names the missing entry of
+    the mix; it is empty if the verdict is 'fine'."""
     source: str
 
     @property
@@ -101,7 +103,7 @@ def blocking_rules(mix: MixEntries | None, bore: float | None = None, stone: flo
 
 
 def line_rules(line: PipeLine, mix: MixEntries | None) -> list[RuleVerdict]:
-    """Return the verdicts of all rules on a mix in a line: on its narrowest bore, and on what follows its reducers."""
+    """Return the verdicts of all rules on a mix in a line: at its narrowest bore, and behind its reducers."""
     found = blocking_rules(mix, narrowest(line).narrow, line.largest_stone)
     return [*found, *behind_reducers(line)]
 
@@ -169,7 +171,10 @@ def paste(mix: MixEntries) -> RuleVerdict:
 
 
 def sand_share(mix: MixEntries) -> RuleVerdict:
-    """Compare the share of sand with what is pumped: Tuutti (1976) met an upper limit of stones suddenly."""
+    """Compare the share of sand in the aggregate with the required range and with the range in pumped concretes.
+
+    In the tests of Tuutti (1976), pumping failed suddenly above a certain share of stones.
+    """
     name, source = "sand", f"{JGJ}; {SHEN}; Tuutti 1976"
     share = mix.sand_share
     if share is None:
@@ -245,7 +250,10 @@ def slump(mix: MixEntries) -> RuleVerdict:
 
 
 def behind_reducers(line: PipeLine) -> Iterator[RuleVerdict]:
-    """Yield a verdict for each reducer that narrows: stones unmix in it, and straight pipe behind it mixes them."""
+    """Yield a verdict on the straight pipe behind each reducer that narrows.
+
+    Stones separate from the mortar in a reducer, and a long enough straight pipe behind it mixes them again.
+    """
     for here, part in enumerate(line.parts):
         if part.kind != "reducer" or part.outlet >= part.diameter:
             continue
@@ -262,7 +270,7 @@ def behind_reducers(line: PipeLine) -> Iterator[RuleVerdict]:
 
 
 def rule_lines(verdicts: Sequence[RuleVerdict], where: str = "") -> list[str]:
-    """Return a headline and the verdicts as lines of text."""
+    """Return a headline and the verdicts of the rules, the worst first, as lines of text."""
     counts = [f"{sum(each.verdict == name for each in verdicts)} {name}" for name in reversed(VERDICTS)
               if any(each.verdict == name for each in verdicts)]  # fmt: skip
     order = sorted(verdicts, key=lambda each: -VERDICTS.index(each.verdict))

@@ -30,7 +30,7 @@ class Figure:
     way: str
     """Entry of the mix from which the value is calculated."""
     source: str
-    """Author of the relation, and how reliable the value is."""
+    """Publication of the relation from which the value follows, and a remark on how reliable the value is."""
     instrument: str = "rheometer"
     """Instrument from which the value comes: a rheometer or a cone."""
 

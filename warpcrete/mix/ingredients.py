@@ -27,7 +27,8 @@ DENSITIES = {
 }  # fmt: skip
 """Usual densities of ingredients [kg/m3]; the key is a word of the ingredient's name."""
 COARSE = ("gravel", "stone", "stones", "grit", "chippings", "granite", "basalt", "coarse", "pebbles")
-"""Words for coarse aggregate; a mix may state the density of these ingredients."""
+"""Words for coarse aggregate. Ingredients with such names have the density of coarse aggregate that the mix states, if
+it states one."""
 VARIABLE = ("lightweight", "light", "expanded", "clay", "pumice", "perlite", "recycled", "polypropylene", "polymer",
           "plastic", "glass", "basaltic", "pigment", "rubber")  # fmt: skip
 """Words for ingredients whose density varies too much for a calculation of their volume."""
@@ -49,7 +50,8 @@ PLASTICIZERS = ("superplasticizer", "superplasticiser", "plasticizer", "plastici
 THICKENERS = ("vma", "stabilizer", "stabiliser", "modifier")
 """Words for viscosity-modifying admixtures."""
 UNKNOWN_MASS = 20.0
-"""Mass [kg/m3] above which an unknown ingredient may be powder, so that the paste is unknown; admixtures have less."""
+"""Mass in a cubic metre [kg/m3] above which an ingredient with an unknown name may be powder, so that the volume of the
+paste cannot be calculated. Lighter ingredients count as admixtures."""
 POSSIBLE_VOLUMES = (0.88, 1.05)
 """Smallest and largest possible volume of all ingredients in a cubic metre [m3/m3]; air fills the rest, and densities
 vary."""

@@ -16,8 +16,8 @@ from .figures import Figure, line_uncertainty, of_line
 from .given import MixEntries
 
 TRIBOMETER_RATIO = (0.3, 2.0)
-"""Smallest and largest ratio of the layer constant that pipe pressures imply to the one that a tribometer measured, in
-404 pipe flows of 22 concretes (Tavangar 2022)."""
+"""Range of the ratio between two values of the slip layer's constants: the value that follows from pipe pressures,
+divided by that measured with a tribometer. The range covers 404 pipe flows of 22 concretes (Tavangar 2022)."""
 PIPE_UNCERTAINTY = 0.3
 """Relative uncertainty of a layer fitted to pipe pressures of an earlier delivery. Deliveries of one recipe on one line
 differ by more than the 15 % that Mai et al. (2014) found on a single site; Deng et al. (2024) found -38 to +31 %."""
@@ -124,7 +124,10 @@ def layers(given: MixEntries, concrete: Concrete, viscosity: Figure) -> Iterator
 
 
 def _measured(given: MixEntries, concrete: Concrete) -> Iterator[Pair]:
-    """Generate the measured layer, if there is one, from constants, from pressures of a pipe or from a tribometer."""
+    """Generate the slip layers that the mix states as measured.
+
+    They come from constants of the layer, from pressures of a pipe, and from points of a tribometer.
+    """
     own = given.layer
     if own.constants is not None:
         eta, tau = (own.constants.values[key] for key in ("viscosity", "yield_stress"))

@@ -47,7 +47,8 @@ class Mix:
     remarks: tuple[str, ...] = ()
     """Warnings for the reader of the results."""
     factors: tuple[float, float] = (1.0, 1.0)
-    """Factors on yield stresses and viscosities for another age or temperature, as the section `flow` states them."""
+    """Factors on yield stresses and on viscosities that account for another age or temperature of the concrete, from
+    the section `flow` of the concrete's file."""
 
     def __repr__(self) -> str:
         return f"<Mix {self.name!r}: {', '.join(f'{f.name} {f.span}' for f in self.figures[:5])}>"
@@ -72,7 +73,7 @@ class Mix:
 
     @property
     def _plain(self) -> Concrete:
-        """The mix without its `factors`."""
+        """Concrete as the mix describes it, before the `factors` for another age or temperature are applied."""
         return Concrete(name=self.name, **self.flow)
 
     @property
@@ -256,7 +257,7 @@ def _laws(told: MixEntries, bulk: Mapping[str, Figure]) -> dict[str, Figure]:
 
 
 def _named(key: str, value: Any) -> Figure:
-    """Return a constant that a section `flow` states as a property without uncertainty."""
+    """Return the property that a section `flow` of a concrete's file states; its band has no width."""
     value = amount(f"concrete flow {key}", value, UNITS[key])
     if key in ("yield_stress", "slip_yield", "quadratic_viscosity", "slip_quadratic_viscosity"):
         between(f"concrete flow {key}", value, 0, math.inf, UNITS[key])

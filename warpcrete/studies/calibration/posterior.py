@@ -36,7 +36,7 @@ class Emulator:
     def __init__(self, points: np.ndarray, values: np.ndarray, least: float) -> None:
         """Fit the process to the `values`, shape (n,), at `points` of the unit cube, shape (n, free).
 
-        Differences smaller than `least` between the values are treated as negligible.
+        The scale of the values is at least `least`, so that smaller differences between them are treated as negligible.
         """
         from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, WhiteKernel

@@ -35,7 +35,7 @@ MAX_DEVIATIONS_APART = 3.0
 
 @dataclass(frozen=True)
 class FreeParameter:
-    """A free parameter of the calibration, with its range."""
+    """Parameter that a calibration searches for, with its range."""
 
     name: str
     low: float
@@ -68,7 +68,7 @@ class Target:
     quantity: str
     value: float
     uncertainty: float
-    """Standard deviation, in the unit of `value`."""
+    """Standard deviation of the measured value, in the unit of `value`."""
     parameters: Mapping[str, Any]
     """Parameters of the scene, without the free ones."""
     held_out: bool
@@ -304,7 +304,7 @@ def _field(name: str, targets: Sequence[Target], modules: Mapping[str, Any]) -> 
 
 
 def _free(name: str, given: Any, field: Field) -> FreeParameter:
-    """Check the range of a free parameter and return the parameter."""
+    """Check the range that the user states for a free parameter, and return the parameter with this range."""
     called, whole = f"vary {name}", field.kind is int
     scale = None
     if isinstance(given, Mapping):

@@ -70,7 +70,7 @@ class PumpMargin:
 
     pump: Pump
     band: Band
-    """Pressure that the line needs [Pa], with its band."""
+    """Pressure that the line needs at its start [Pa], with its uncertainty band."""
     flow: float
     """Flow that the pump must deliver into the line [m3/s]."""
 

@@ -93,7 +93,7 @@ class WallLaw:
     slope: float
     """Slope of the law: increase of the wall stress [Pa] per increase of the pressure [Pa]."""
     measured: float
-    """Largest pressure at which the law was measured [Pa]."""
+    """Largest pressure in the measurements to which the law was fitted [Pa]."""
     largest: float
     """Pressure above which the wall stress is assumed constant [Pa]."""
 
@@ -118,7 +118,7 @@ class SeedResult:
     """Results of all simulated parts for one seed."""
 
     laws: Mapping[float, WallLaw]
-    """Friction laws of straight pipe, by its diameter [m]."""
+    """Laws for the wall friction of straight pipe; the keys are the pipe's diameters [m]."""
     ratios: Mapping[tuple[Any, ...], float]
     """Friction of each kind of bend or reducer, divided by that of straight pipe of the same length."""
     density: float
@@ -298,7 +298,7 @@ def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
 def part_parameters(
     part: Part, pressed: bool, line: PipeLine, concrete: str, flow: float, elements: Elements, seed: int
 ) -> dict[str, Any]:
-    """Return the scene parameters that simulate a kind of part without weight."""
+    """Return the parameters of the scene that simulates a part by discrete elements, without weight."""
     wide = max(part.diameter, part.outlet)
     own: dict[str, Any] = {"concrete": concrete, "diameter": part.diameter, "flow": flow, "gravity": 0.0,
                            "straight": STRAIGHT_DIAMETERS * wide, "travel": 2 * part.diameter, "seed": seed,

@@ -29,9 +29,11 @@ the number of the part before which the tap lies."""
 SAME_FLOW = 0.02
 """Relative difference up to which flows count as equal; they then do not tell yield stress from viscosity."""
 DEPENDENT = 1e-3
-"""Smallest singular value of the scaled sensitivities at which a constant still counts as determined by the points."""
+"""Smallest singular value of the matrix of scaled sensitivities with which the measured points determine all constants.
+If one is smaller, constants are removed from the fit."""
 LEAST = (1e-2, -1.0, 0.0)
-"""Limits of slip viscosity [Pa s/m], slip yield [Pa] and factor of bends, up to which a fitted value is impossible."""
+"""Values of slip viscosity [Pa s/m], slip yield [Pa] and factor of bends. A fit whose constant is not above its value
+here is refused as impossible."""
 NOTHING = {1: 1e-3, 2: 0.0}
 """Slip yield [Pa] and factor of bends below which the points cannot tell the constant from nothing."""
 ITERATIONS = 50
@@ -47,7 +49,7 @@ class Tap:
     pressure: float
     """Measured pressure [Pa]."""
     flow: float
-    """Volume flow [m3/s]."""
+    """Volume flow in the line at which the pressure was measured [m3/s]."""
     row: int
     """Line of the file."""
 
@@ -101,7 +103,10 @@ class LineFit:
         return replace(concrete, slip_viscosity=self.constants[0].value, slip_yield=self.constants[1].value)
 
     def variants(self, concrete: Concrete) -> dict[str, tuple[Concrete, Concrete]]:
-        """Return the concrete with the layer at both ends of its band, as the only cause of uncertainty."""
+        """Return the concrete with the fitted slip layer at the lower and at the upper end of its band.
+
+        The pair is the value of the key 'slip layer', which is the only cause of uncertainty after a fit.
+        """
         own = self.concrete(concrete)
         low, high = (with_layer_factor(own, x) for x in (1 / (1 + self.uncertainty), 1 + self.uncertainty))
         return {"slip layer": (low, high)}
@@ -174,7 +179,7 @@ def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Ta
 
 
 def _is_free(part: Part) -> bool:
-    """Return whether the friction of a part is that of a bend whose factor is to be fitted."""
+    """Return True for a bend whose friction factor is fitted because the line's file states none."""
     return part.kind == "bend" and part.factor is None
 
 

@@ -34,10 +34,10 @@ METHODS_ON_BENDS = (
 
 @dataclass(frozen=True)
 class ModelError:
-    """Range of the friction of one kind of part, relative to straight pipe of its length."""
+    """Lowest and highest friction of one kind of part, relative to straight pipe of the same length."""
 
     cause: str
-    """Name of this cause of uncertainty, such as 'bends'."""
+    """Name under which this kind of part appears among the causes of a pressure's uncertainty, such as 'bends'."""
     low: float
     high: float
     source: str

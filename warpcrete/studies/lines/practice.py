@@ -33,7 +33,7 @@ JGJ_BEND, JGJ_HOSE, JGJ_HOSE_LENGTH, JGJ_VALVE = 0.1e6, 0.2e6, 5.0, 0.8e6
 
 @dataclass(frozen=True)
 class PracticeRow:
-    """Pressure of a line by one rule, split by kind of part."""
+    """Pressure of a line by one rule of practice, split by kind of part."""
 
     rule: str
     pressures: dict[str, float]
@@ -49,7 +49,7 @@ class PracticeRow:
 
 
 def _level(part: Part) -> float:
-    """Return the level length of a straight part [m], which may slope."""
+    """Return the horizontal length of a straight part that may slope [m]."""
     return math.sqrt(max(part.length**2 - part.rise**2, 0.0))
 
 

@@ -47,7 +47,11 @@ class Loss:
         return range_of(self.part, self.straight)
 
     def at(self, end: int) -> float:
-        """Return the friction at the lower (0) or upper (1) end of its range [Pa], which includes the friction."""
+        """Return the lower (`end` = 0) or upper (`end` = 1) limit of the part's friction [Pa].
+
+        The limit follows from the part's range of factors. If the computed friction lies outside the range, it is the
+        limit.
+        """
         if self.range is None:
             return self.friction
         return (min, max)[end](self.range[end] * self.straight, self.friction)
@@ -58,7 +62,7 @@ class Stop:
     """Time for which a full line stands still, and the growth of the concrete's yield stresses meanwhile."""
 
     rest: float
-    """Duration [s]."""
+    """Duration of the pump's stop [s]."""
     growth: float
     """Growth rate of the concrete's yield stresses at rest [Pa/s]."""
     band: tuple[float, float] | None = None
@@ -85,8 +89,8 @@ class LineResult:
     failed: dict[str, list[str]] = field(default_factory=dict)
     """Failed checks of the simulations with their findings, by folder name."""
     variants: Mapping[str, tuple[Concrete, Concrete]] | None = None
-    """Pairs of concretes by the cause of their uncertainty; None if only the slip layer is uncertain, by
-    `layer_factor`."""
+    """Two concretes for each cause of uncertainty, at the lower and upper end of that cause's band. None means that
+    only the resistance of the slip layer is uncertain, by the factor `layer_factor`."""
     stop: Stop | None = None
     """Stop of the pump, after which the line must start again; None for no stop."""
     fit: LineFit | None = None
@@ -254,10 +258,10 @@ class LineResult:
         return "; ".join(band_sentences(self.band())) or "no uncertainty is stated"
 
     def course(self, of: Callable[[Loss], float]) -> tuple[np.ndarray, np.ndarray]:
-        """Return places along the line between its parts [m] and the pressure there [Pa], both of shape (parts + 1,).
+        """Return the positions of the parts' ends along the line [m] and the pressures there [Pa], shape (parts + 1,).
 
-        `of` gives the pressure loss of a part. The pressure never falls below zero: where concrete runs down faster
-        than it is pumped, the column breaks and transmits no tension.
+        The function `of` gives the pressure loss of a part from its :class:`Loss`. The pressure never falls below zero:
+        where concrete runs down faster than it is pumped, the column breaks and transmits no tension.
         """
         places = np.concatenate([[0.0], np.cumsum([loss.part.length for loss in self.losses])])
         found = [0.0]

@@ -25,9 +25,10 @@ CELLS = 12
 stretches in parts of 125 mm deviates from theory by -0.7 to 1.7 %, with 8 cells by 1.6 %.
 """
 TUBE_CELLS = 20
-"""Number of particles across a straight pipe, which is cheaper to simulate because it is periodic."""
+"""Number of particles across the bore of a simulated straight pipe. It may be larger than in bends and reducers because
+a periodic pipe is short and cheap to simulate."""
 STRAIGHT_DIAMETERS = 2.5
-"""Length of straight pipe before and behind a simulated bend or reducer [diameters]."""
+"""Length of straight pipe before and behind a simulated bend or reducer, in pipe diameters."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 

@@ -21,15 +21,15 @@ class BlockingComparison:
     held_out: bool
     """True if no limit of a rule may be chosen with this case in view."""
     blocked: bool
-    """True if the concrete blocked."""
+    """True if the concrete blocked in the test."""
     verdict: str
-    """Worst verdict of all rules that could be evaluated."""
+    """Worst verdict among the rules for which the case has all entries."""
     rules: str
     """Names of the rules that warn of blocking."""
 
     @property
     def agrees(self) -> bool:
-        """True if the rules warn of a concrete that blocked, or do not warn of one that did not block."""
+        """True if the rules judged the case correctly: they warn exactly if the concrete blocked."""
         return (self.verdict in BAD) == self.blocked
 
 

@@ -21,7 +21,7 @@ one value for each value of `flow`."""
 BY_FLOW = ("pipe", "ratio", "line", "fitting", "profile")
 """Kinds of cases whose prediction depends on a flow rate."""
 HELD_OUT_SHARE = 3
-"""One in this number of groups is held out."""
+"""Number of groups of cases of which one is held out: 3 means that a third of the groups are held out."""
 FITTED = {
     "slump": ("yeh-2007",),
     "fitting": ("park-2020", "calibe"),
@@ -53,15 +53,15 @@ class Case:
     """Measured values in the SI unit of the case's kind."""
     note: str = ""
     lines: Mapping[str, Any] = field(default_factory=dict, repr=False)
-    """Pump lines of the case's file by name."""
+    """Descriptions of the pump lines in the case's file; the keys are the lines' names."""
     folder: Path = SHIPPED
 
 
 def held_out_groups(cases: Sequence[Case]) -> set[tuple[str, str]]:
     """Return the groups of cases, as pairs of kind and group, that are held out of every fit of a constant.
 
-    About a third of the groups of each kind are held out, and one of two. Which groups are held out follows from a hash
-    of their names, so that nobody can choose them after seeing the results.
+    About a third of the groups of each kind are held out; if a kind has two groups, one is held out. Which groups are
+    held out follows from a hash of their names, so that nobody can choose them after seeing the results.
     """
     found = set()
     for kind in {case.kind for case in cases}:

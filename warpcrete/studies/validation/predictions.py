@@ -21,7 +21,8 @@ from .cases import Case
 LEAST_SLUMP = 0.005
 """Smallest slump that is predicted [m]; a cone's slump is read to 10 mm."""
 LINE_DENSITY = "2400 kg/m3"
-"""Density assumed for a mix that states none; only weight and slump depend on it, and friction does not."""
+"""Density assumed for a mix that states none [kg/m3]. Predictions of weight and slump depend on the density, and those
+of friction do not."""
 
 
 def mix_of_case(case: Case, section: Mapping[str, object] | None = None) -> Mix:
@@ -93,7 +94,7 @@ def _line(case: Case) -> list[Band]:
 
 
 def _fitting(case: Case) -> list[Band]:
-    """Predict the friction of a part divided by that of straight pipe of its length."""
+    """Predict the friction of a part, divided by that of straight pipe of the same length."""
     line = line_of({"diameter": _entry(case, "diameter"), "parts": [_entry(case, "part")]}, case.name, case.folder)
     found = []
     for q in case.flows:
@@ -165,10 +166,11 @@ FUNNEL = (0.0325, 0.2575), (0.15, 0.6), 0.075
 
 
 def _funnel(case: Case) -> list[Band]:
-    """Predict the time of the V-funnel [s].
+    """Predict the time in which concrete flows out of the V-funnel [s].
 
-    Concrete neither sticks to the funnel's wet steel nor slips on it as in a pipe. The prediction is the geometric mean
-    of both times, and its band reaches from one to the other.
+    Concrete slips on the funnel's wet steel less than in a pipe, but does not stick to it. One time is computed with
+    slip and one without. The prediction is the geometric mean of these two times, and its band reaches at least from
+    one to the other.
     """
     mix = mix_of_case(case)
 
