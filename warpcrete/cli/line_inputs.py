@@ -30,7 +30,7 @@ EXAMPLE = "--diameter '125 mm' --length '190 m' --rise '20 m'"
 
 @dataclass(frozen=True)
 class LineInputs:
-    """Inputs of the command: a line, a concrete and a flow."""
+    """Inputs of the command `warpcrete line`: a line, a concrete and a flow."""
 
     line: PipeLine
     name: str

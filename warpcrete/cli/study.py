@@ -73,7 +73,7 @@ def parsed(arguments: list[str]) -> tuple[str | None, dict[str, list[str]]]:
 
 
 def run(arguments: list[str], modules: dict[str, Any]) -> None:
-    """Start or continue a study, and print its table."""
+    """Start a new parameter study or continue an interrupted one, and print its table."""
     scene, options = parsed(arguments)
     settings = _take_settings(options)
     progress = ProgressBar()
@@ -126,7 +126,7 @@ def single(options: dict[str, list[str]], kinds: Mapping[str, Any]) -> dict[str,
 
 
 def _take_settings(options: dict[str, list[str]]) -> dict[str, Any]:
-    """Remove the options of the study itself from `options`, and return their values by name.
+    """Remove the settings of the parameter study from `options`, and return the values of these settings by name.
 
     The options that remain in `options` are parameters of the scene.
     """

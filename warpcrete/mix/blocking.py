@@ -34,7 +34,7 @@ replaces the voids of a mix that states none."""
 VOIDS_ERROR = 0.02
 """Uncertainty of a measured volume of voids between sand and stones, above and below the value [m3/m3]."""
 SAND_SHARES = (0.38, 0.45)
-"""Share of sand in the aggregate that JGJ/T 10 requires."""
+"""Lowest and highest share of sand in the aggregate that the rule JGJ/T 10 requires."""
 PUMPED_SAND_SHARES = (0.365, 0.52)
 """Smallest and largest share of sand in 403 flows that were pumped (Shen)."""
 FINE_SAND = (0.15, 0.30)
@@ -63,7 +63,7 @@ class RuleVerdict:
     """Verdict of one rule of practice on whether concrete will block a pump line."""
 
     rule: str
-    """Name of the rule."""
+    """Name of the rule of practice that gives the verdict."""
     verdict: str
     """One of :data:`VERDICTS`."""
     found: str
@@ -140,7 +140,7 @@ def stone_in_bore(bore: float | None, stone: float | None, mix: MixEntries | Non
 
 
 def powder(mix: MixEntries) -> RuleVerdict:
-    """Compare the mass of powder with the least that could be pumped."""
+    """Compare the mass of powder with the smallest masses with which concretes could be pumped."""
     name, source = "powder", f"Tuutti 1976, 16 mm stone: blocked below 250, least pressure at 320; {JGJ}: 300"
     mass = powder_mass(mix.parts)
     if mass == 0:
@@ -153,7 +153,10 @@ def powder(mix: MixEntries) -> RuleVerdict:
 
 
 def paste(mix: MixEntries) -> RuleVerdict:
-    """Compare the paste with the voids between sand and stones: the paste must fill them, or it cannot carry them."""
+    """Compare the volume of the paste with that of the voids between sand and stones.
+
+    Paste that does not fill the voids cannot carry the sand and stones through a pipe.
+    """
     name, source = "paste and voids", "void meter of Browne & Bamforth 1977"
     if mix.paste_share is None or mix.sand_and_stone is None:
         return RuleVerdict(name, "unknown", "the volume of the paste is not known", "add parts to the mix", source)

@@ -51,7 +51,7 @@ THICKENERS = ("vma", "stabilizer", "stabiliser", "modifier")
 """Words for viscosity-modifying admixtures."""
 UNKNOWN_MASS = 20.0
 """Mass in a cubic metre [kg/m3] above which an ingredient with an unknown name may be powder, so that the volume of the
-paste cannot be calculated. Lighter ingredients count as admixtures."""
+paste cannot be calculated. Lighter unknown ingredients are taken for admixtures and ignored."""
 POSSIBLE_VOLUMES = (0.88, 1.05)
 """Smallest and largest possible volume of all ingredients in a cubic metre [m3/m3]; air fills the rest, and densities
 vary."""

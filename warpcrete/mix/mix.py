@@ -45,7 +45,7 @@ class Mix:
     figures: tuple[Figure, ...]
     """All properties calculated from the mix, in SI units."""
     remarks: tuple[str, ...] = ()
-    """Warnings for the reader of the results."""
+    """Warnings about the mix that are printed with the results."""
     factors: tuple[float, float] = (1.0, 1.0)
     """Factors on yield stresses and on viscosities that account for another age or temperature of the concrete, from
     the section `flow` of the concrete's file."""

@@ -46,7 +46,8 @@ class Emulator:
         smooth = ConstantKernel(0.3, (1e-4, 1e2)) * RBF([0.7] * free, (0.15, 10.0))
         kernel = DotProduct(1.0, (1e-2, 1e2)) + smooth + WhiteKernel(1e-3, (1e-8, 1.0))
         self.process = GaussianProcessRegressor(kernel, n_restarts_optimizer=1, random_state=0, alpha=1e-9)
-        with warnings.catch_warnings():  # ignore warnings about kernel parameters at their bounds
+        # The fit warns if a parameter of the covariance function ends at its bound, which does no harm here.
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             self.process.fit(points - 0.5, (values - self.middle) / self.scale)
         fitted: Any = self.process.kernel_

@@ -17,8 +17,8 @@ MARGIN = 1.25
 """Pressure that a pump should deliver, divided by the pressure that the line needs (AIJ,
 http://pmkujira.sakura.ne.jp/Exsokuryo/Free/Kentiku/KcheckL3/02-04-KC-017.htm)."""
 LEAST_SHARE = 0.1
-"""Smallest share of the band's width with which a cause of uncertainty is mentioned. The largest cause is always
-mentioned."""
+"""Smallest share of the band's squared width with which a cause of uncertainty is mentioned. The largest cause is
+always mentioned."""
 ADVICE = {
     "slip layer": "measure it with a tribometer, or fit it to pressures of a trial line with --fit",
     "viscosity of the bulk": "measure it with a rheometer, or state t500",
@@ -40,7 +40,7 @@ def pressure_text(pressure: float) -> str:
 
 
 def band_sentences(band: Band, without_advice: Collection[str] = ()) -> list[str]:
-    """Return sentences that say which share of the width of a pressure's band [Pa] each cause has, largest share first.
+    """Return sentences that say how much each cause contributes to a pressure's band [Pa], the largest cause first.
 
     Advice on how to reduce the uncertainty follows each cause. Causes in `without_advice` get none, because they were
     measured.

@@ -53,7 +53,7 @@ PLUG_PRESSURE_RATIO = 0.04
 CONSTANT_FRICTION_RATIO = 0.2
 """Ratio of pressure to modulus above which wall friction is assumed constant, because overlaps become large."""
 STEPS = 50
-"""Number of steps in which the pressure is integrated along a part."""
+"""Number of intervals into which a part is divided to integrate the pressure along it."""
 MIN_FLUX_RATIO = 0.8
 """Ratio of outflow to inflow of solids below which a remark says that the concrete is still being compressed."""
 SIZE_PARAMETERS = ("size_min", "size_max", "size_mean", "size_deviation")
@@ -194,8 +194,7 @@ class ElementLine:
         return np.mean([[friction for friction, _ in each.course(self.line)] for each in self.packed], axis=0)
 
     def weights(self) -> np.ndarray:
-        """Return the pressure due to the weight of the concrete in each part, averaged over the seeds [Pa], shape
-        (parts,)."""
+        """Return the pressure due to the concrete's weight in each part [Pa], a mean over the seeds, shape (parts,)."""
         return np.mean([[weight for _, weight in each.course(self.line)] for each in self.packed], axis=0)
 
     def blocked(self) -> list[int]:

@@ -42,7 +42,7 @@ ITERATIONS = 50
 
 @dataclass(frozen=True)
 class Tap:
-    """One measured pressure in a line."""
+    """Pressure that was measured at one place of a trial line."""
 
     place: float
     """Distance from the pump along the line [m]."""
@@ -294,7 +294,7 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
 
 
 def _metre(line: PipeLine) -> PipeLine:
-    """Return a metre of level pipe of the line's first diameter."""
+    """Return a line that consists of one metre of level pipe with the first diameter of the given line."""
     first = line.parts[0].diameter
     return replace(line, parts=(Part(1, "straight", first, 1.0, 0.0, first),))
 

@@ -1,4 +1,4 @@
-"""Kinds of measurements that predictions are compared with: what is measured, and its SI unit."""
+"""Kinds of measurements with which predictions are compared, each with its quantity and SI unit."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from ..lines.run import run_line
 from .cases import Case
 
 LEAST_SLUMP = 0.005
-"""Smallest slump that is predicted [m]; a cone's slump is read to 10 mm."""
+"""Smallest predicted slump [m]: half of the 10 mm to which the slump of a cone is read."""
 LINE_DENSITY = "2400 kg/m3"
 """Density assumed for a mix that states none [kg/m3]. Predictions of weight and slump depend on the density, and those
 of friction do not."""

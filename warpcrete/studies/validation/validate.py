@@ -53,7 +53,7 @@ class Validation:
     blocking: list[BlockingComparison]
     """Verdicts of the rules against blocking."""
     refused: dict[str, str]
-    """Cases that the program refuses to predict, with the reason."""
+    """Reasons why the program refuses to predict some cases; the keys are the names of these cases."""
 
     def __repr__(self) -> str:
         return f"<Validation of {len(self.comparisons) + len(self.blocking)} cases>"
