@@ -42,8 +42,9 @@ funnel that is up to three times as wide as the stones, which is the limit of AC
 friction of 0.05 of Zhan et al. (2019), stones of half the width of the bore still passed.
 """
 MODULUS = 2e6
-"""Smallest elastic modulus of the stones in these simulations [Pa]; stones that the user made softer get this modulus.
-The funnels in which the friction was checked had it, and softer stones squeeze through bores that would block."""
+"""Smallest elastic modulus of the stones in simulations of blocking [Pa]; stones that the user made softer get this
+modulus. Softer stones squeeze through bores that would block. The modulus is that of the simulated funnels in which the
+friction between stones was checked."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 

@@ -30,7 +30,7 @@ SAME_FLOW = 0.02
 """Relative difference up to which flows count as equal; they then do not tell yield stress from viscosity."""
 DEPENDENT = 1e-3
 """Smallest singular value of the matrix of scaled sensitivities with which the measured points determine all constants.
-If one is smaller, constants are removed from the fit."""
+Below this value, a constant is removed from the fit."""
 LEAST = (1e-2, -1.0, 0.0)
 """Values of slip viscosity [Pa s/m], slip yield [Pa] and factor of bends. A fit whose constant is not above its value
 here is refused as impossible."""

@@ -21,8 +21,9 @@ GROUPS = {"straight": "straight pipe", "bend": "bends", "reducer": "reducers", "
 AIJ_FACTORS = {"straight": 1.0, "bend": 3.0, "reducer": 2.0, "hose": 2.0}
 """Friction relative to straight pipe of a part's length (AIJ)."""
 JSCE_RISE = ((0.100, 0.125, 0.150), (3.0, 4.0, 5.0))
-"""Rule of the JSCE for rising pipe: diameters of the pipe [m], and for each the length of level pipe that has the same
-pressure loss as one metre of rise [m]. The loss of the rise includes the weight of the concrete."""
+"""Rule of the JSCE for rising pipe. The first tuple holds diameters of the pipe [m]. The second tuple holds, for each
+diameter, the length of level pipe with the same pressure loss as one metre of rise [m], weight of the concrete
+included."""
 JSCE_BEND, JSCE_REDUCER, JSCE_HOSE, JSCE_HOSE_LENGTH = 6.0, 3.0, 20.0, 8.0
 """Metres of level pipe that stand for a bend of 90 degrees, a reducer, and a hose of 5 to 8 m (JSCE)."""
 JGJ_LEVEL, JGJ_RISE = 0.1e6 / 20, 0.1e6 / 5

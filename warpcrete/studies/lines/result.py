@@ -49,8 +49,8 @@ class Loss:
     def at(self, end: int) -> float:
         """Return the lower (`end` = 0) or upper (`end` = 1) limit of the part's friction [Pa].
 
-        The limit follows from the part's range of factors. If the computed friction lies outside the range, it is the
-        limit.
+        The limit follows from the part's range of factors. A range that does not contain the computed friction is
+        widened up to the computed friction.
         """
         if self.range is None:
             return self.friction
@@ -89,8 +89,9 @@ class LineResult:
     failed: dict[str, list[str]] = field(default_factory=dict)
     """Failed checks of the simulations with their findings, by folder name."""
     variants: Mapping[str, tuple[Concrete, Concrete]] | None = None
-    """Two concretes for each cause of uncertainty, at the lower and upper end of that cause's band. None means that
-    only the resistance of the slip layer is uncertain, by the factor `layer_factor`."""
+    """Pairs of concretes; the keys are the causes of uncertainty. In each pair, the properties of one cause are at the
+    lower and at the upper end of their band. None means that only the resistance of the slip layer is uncertain, by the
+    factor `layer_factor`."""
     stop: Stop | None = None
     """Stop of the pump, after which the line must start again; None for no stop."""
     fit: LineFit | None = None

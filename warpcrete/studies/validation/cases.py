@@ -16,8 +16,8 @@ from .kinds import BLOCKING, UNITS
 SHIPPED = Path(__file__).parents[2] / "measured" / "cases"
 FILE_KEYS = ("sources", "lines", "cases")
 KEYS = ("id", "kind", "group", "source", "where", "mix", "flow", "measured", "uncertainty", "note", "test")
-"""Entries of a measured case in a file. The prediction is made from `mix`, `test` and `flow`. The entry `measured` has
-one value for each value of `flow`."""
+"""Entries of a measured case in a file. The prediction is made from `mix`, `test` and `flow`. If `flow` lists several
+values, `measured` lists one measured value for each of them."""
 BY_FLOW = ("pipe", "ratio", "line", "fitting", "profile")
 """Kinds of cases whose prediction depends on a flow rate."""
 HELD_OUT_SHARE = 3
