@@ -23,7 +23,7 @@ class ParameterOption(click.Option):
 
 
 class GroupedCommand(click.Command):
-    """Command whose help page has a section for each group of parameters."""
+    """Command whose help page has one section for each group of its options."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         sections: dict[str, list[tuple[str, str]]] = {}

@@ -75,7 +75,7 @@ class RuleVerdict:
 
     @property
     def text(self) -> str:
-        """The verdict as one or two lines of text."""
+        """The verdict, its numbers and the advice as one or two lines of text."""
         line = f"{self.verdict:8s} {self.rule}: {self.found} ({self.source})"
         return f"{line}\n{'':8s} -> {self.change}" if self.change else line
 

@@ -46,7 +46,7 @@ ROCKS = ("limestone", "marble", "quartz")
 """Words for rocks. An ingredient with such a name is powder, unless its name says that the rock is crushed or states a
 grain size; then it is aggregate."""
 PLASTICIZERS = ("superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "pce", "sp")
-"""Words for admixtures that make a concrete flow."""
+"""Words in the names of admixtures that make concrete flow more easily."""
 THICKENERS = ("vma", "stabilizer", "stabiliser", "modifier")
 """Words for viscosity-modifying admixtures."""
 UNKNOWN_MASS = 20.0

@@ -54,9 +54,9 @@ Pair = tuple[Figure, Figure]
 
 
 def paste_layer(solids: float) -> float:
-    """Return the layer's viscosity [Pa s/m] from the share of powder in the volume of the paste.
+    """Return the layer's viscosity [Pa s/m] for paste with a volume fraction `solids` of powder.
 
-    The relation is that of Krieger & Dougherty (1959) for spheres, 128 (1 - solids / 0.85)^(-2.5 0.85).
+    The relation has the form of Krieger & Dougherty (1959) for spheres: 128 (1 - solids / 0.85)^(-2.5 0.85).
     """
     return PASTE_CONSTANT * (1 - solids / PASTE_DENSEST) ** (-2.5 * PASTE_DENSEST)
 

@@ -1,7 +1,8 @@
 """Yield stress and viscosity of a mix's concrete and mortar: measured, or from published relations.
 
-Different models of rheometers give different values for the same concrete (Ferraris & Martys 2003; RILEM TC 266-MRP
-2023), so a relation that was derived with one rheometer is at best as accurate as that.
+Rheometers of different models give different values for the same concrete (Ferraris & Martys 2003; RILEM TC 266-MRP
+2023). A relation that was derived with one rheometer is therefore at best as accurate as the agreement between
+rheometers.
 """
 
 from __future__ import annotations

@@ -70,7 +70,7 @@ class Target:
     uncertainty: float
     """Standard deviation of the measured value, in the unit of `value`."""
     parameters: Mapping[str, Any]
-    """Parameters of the scene, without the free ones."""
+    """Parameters with which the scene is simulated, without the free parameters of the calibration."""
     held_out: bool
     """True if the quantity is predicted and compared with the measurement, but not fitted."""
     unit: str
@@ -265,7 +265,7 @@ def _in_unit(called: str, given: Any, quantity: str) -> Any:
 
 
 def _uncertainty(called: str, given: Any, value: float, quantity: str) -> float:
-    """Return a standard deviation that was given as a number or as a percentage of the value."""
+    """Return the standard deviation of a measured value, stated as a number or as a percentage of the value."""
     found = re.fullmatch(r"\s*(\d+\.?\d*|\.\d+)\s*%\s*", given) if isinstance(given, str) else None
     if found:
         given = float(found.group(1)) / 100 * abs(value)
@@ -378,7 +378,7 @@ def _refuse_contradictions(targets: Sequence[Target]) -> None:
 
 
 def found_in(result: Mapping[str, Any], target: Target) -> float | None:
-    """Return the target's quantity from a result.json; None if it is missing or not a finite number."""
+    """Return the value of a target's quantity in a result.json; None if the value is missing or not a finite number."""
     entry = result.get(target.quantity)
     value = None if entry is None else number(entry)
     return value if value is not None and math.isfinite(value) else None

@@ -328,7 +328,8 @@ def scaled_parameters(own: Mapping[str, Any], narrowest: float, elements: Elemen
     sieve = [] if ranged else [entry.split(":") for entry in given.sizes.split(",")]
     least, most = (given.size_min, given.size_max) if ranged else (1e-3 * float(sieve[k][0]) for k in (0, -1))
     factor = elements.coarse or max(1.0, LARGEST_STONE_RATIO * narrowest / most)
-    # Small plug balls would limit the time step, so they are enlarged together with the aggregate.
+    # The plug in the pipe consists of balls. They are enlarged together with the aggregate, because small balls would
+    # limit the time step.
     whole["plug_ball"] = max(factor * given.plug_ball, min(factor * least, narrowest / 5))
     if not ranged:
         return whole | {"sizes": ",".join(f"{factor * float(opening):g}:{passing}" for opening, passing in sieve)}
@@ -343,7 +344,10 @@ def _simulate(
     jobs: Sequence[tuple[Any, int, Any]], kinds: Mapping[Any, Part], runs: dict[tuple[Any, int], Any],
     out: Path | None, device: str | None, threads: int | None, progress: Callable[[str, float], None] | None,
 ) -> dict[str, float]:  # fmt: skip
-    """Run the simulations that are still missing, store them in `runs`, and return their wall times [s]."""
+    """Run the `jobs`, store their runs in the mapping `runs`, and return the wall times [s].
+
+    The keys of `runs` are pairs of kind of part and seed; those of the result are the names of the runs' folders.
+    """
     simulations, checkpoints = [], []
     for key, seed, scene in jobs:
         part = kinds[key]

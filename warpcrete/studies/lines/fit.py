@@ -45,7 +45,7 @@ class Tap:
     """Pressure that was measured at one place of a trial line."""
 
     place: float
-    """Distance from the pump along the line [m]."""
+    """Distance along the line from the pump to the place of the measurement [m]."""
     pressure: float
     """Measured pressure [Pa]."""
     flow: float
@@ -84,7 +84,7 @@ class LineFit:
     """Viscosity and yield stress of the slip layer. If the line has bends, the factor of their friction relative to
     straight pipe is the third constant."""
     pressures: tuple[float, ...]
-    """Fitted pressures at the taps [Pa]."""
+    """Pressures at the taps according to the fit [Pa], in the order of the taps."""
     uncertainty: float
     """Half width of the 95 % confidence interval of the straight pipe's friction, relative to it."""
 

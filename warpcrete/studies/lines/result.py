@@ -152,7 +152,7 @@ class LineResult:
 
     @property
     def margin(self) -> PumpMargin | None:
-        """Comparison with the data sheet of the line's pump; None if the line names no pump."""
+        """Comparison of the line's needs with the data sheet of its pump; None if the line names no pump."""
         return None if self.line.pump is None else PumpMargin(self.line.pump, self.band(), self.flow)
 
     def band(self) -> Band:

@@ -144,7 +144,7 @@ def _scene_of_part(part: Part, concrete: Concrete, flow: float, cells: int) -> t
 
 
 def _loss_from_run(part: Part, result: Mapping[str, Any]) -> float:
-    """Return the friction of a bend or reducer [Pa], or of a straight pipe per metre [Pa/m], from its run."""
+    """Return the friction of a bend or reducer [Pa], or of a metre of straight pipe [Pa/m], from its run's result."""
     if part.is_by_length:
         return 4 * number(result["wall_stress"]) / part.diameter
     return number(result["middle_loss"]) * (part.angle / max(part.angle, 5.0) if part.kind == "bend" else 1.0)

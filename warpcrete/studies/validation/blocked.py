@@ -1,4 +1,4 @@
-"""Comparison of the rules against blocking with concretes that blocked or did not block."""
+"""Test of the rules against blocking on measured concretes, some of which blocked."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BAD = ("risky", "blocks")
 
 @dataclass(frozen=True)
 class BlockingComparison:
-    """Verdict of the rules on one concrete in one bore, and whether the concrete blocked there."""
+    """Verdict of the rules against blocking on one concrete in one bore, and whether the concrete blocked there."""
 
     case: Case
     held_out: bool

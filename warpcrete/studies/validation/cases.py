@@ -42,13 +42,13 @@ class Case:
     group: str
     """Mix, line or laboratory that several cases share; they are fitted or held out together."""
     source: str
-    """Publication and the table, figure or section in it."""
+    """Publication from which the measurement comes, and the table, figure or section in it."""
     mix: Mapping[str, Any]
     """Section `mix` of a concrete's file, as a user would write it."""
     test: Mapping[str, Any]
     """Dimensions of the pipe, part, line or apparatus."""
     flows: tuple[float, ...]
-    """Flow rates [m3/s]; one for each measured value, or empty."""
+    """Flow rates at which the values were measured [m3/s], one for each value; empty if the kind needs no flow."""
     measured: tuple[float, ...]
     """Measured values in the SI unit of the case's kind."""
     note: str = ""
@@ -151,5 +151,5 @@ def _mapping(given: Mapping[str, Any], key: str) -> Mapping[str, Any]:
 
 
 def _listed(given: Any) -> Sequence[Any]:
-    """Return a list as it is, and a single value as a list of one."""
+    """Return a list of values as it is, and a single value as a list with one entry."""
     return given if isinstance(given, Sequence) and not isinstance(given, str) else [given]

@@ -34,7 +34,7 @@ class Comparison:
 
     @property
     def inside(self) -> bool:
-        """True if the measured value lies in the band."""
+        """True if the measured value lies in the uncertainty band of the prediction."""
         return self.band.contains(self.measured)
 
 
