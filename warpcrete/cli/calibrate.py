@@ -22,11 +22,11 @@ ONE = {
     "precision": str, "processes": int, **ON_WORKERS,
 }  # fmt: skip
 CHANGEABLE_SETTINGS = ("trials", "processes", *ON_WORKERS)
-"""Names of settings that may differ when a calibration is continued."""
+"""Names of the command's settings that may be changed when an interrupted calibration continues."""
 
 
 def run(arguments: list[str], modules: dict[str, Any]) -> None:
-    """Start or continue a calibration, and print its results."""
+    """Start a new calibration or continue an interrupted one, and print its results."""
     targets, options = parsed(arguments)
     quiet = options.pop("quiet", None) is not None
     settings = single(options, ONE)

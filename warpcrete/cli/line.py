@@ -108,7 +108,11 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
 
 
 def _layer(mix: Mix | None, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the uncertainty of the concrete: the bands of its mix, or the factor of its slip layer."""
+    """Return the uncertainty of the concrete as keyword arguments for computing a line.
+
+    If the concrete has a mix and no option states a factor, these are the pairs of concretes at the ends of the mix's
+    bands. Otherwise, a factor states how wrong the resistance of the slip layer may be.
+    """
     factor = settings["layer_factor"]
     if mix is not None and factor is None:
         return {"variants": mix.variants}
@@ -118,7 +122,7 @@ def _layer(mix: Mix | None, settings: Mapping[str, Any]) -> dict[str, Any]:
 def _simulated(
     given: LineInputs, method: str, out: Path | None, stop: Stop | None, settings: Mapping[str, Any]
 ) -> bool:  # fmt: skip
-    """Simulate the parts of a line, print its pressure, and return whether a check of a part failed."""
+    """Simulate the parts of a line, print the line's pressure, and return whether a check of a simulation failed."""
     if given.guessed:
         raise click.UsageError("slump: alone suffices for an answer by theory only; write a mix file for simulations")
     job = importlib.import_module(f"{__package__}.line_simulated")

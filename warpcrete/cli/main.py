@@ -19,7 +19,8 @@ from .console import prepare_streams
 from .texts import MIX_HELP
 
 EXIT_TIMEOUT = 3.0
-"""Time after which a command that has met a full disk is ended by force [s]."""
+"""Time that a command has to end by itself after the disk became full [s]. After this time, the process is killed,
+because libraries may wait for disk space without end."""
 
 # Warp takes half a second to load, and the scenes take as long again. Each subcommand therefore loads the modules that
 # it needs only when it is called.

@@ -19,7 +19,7 @@ from .exits import CHECK_FAILED, INTERRUPTED
 from .options import check_scene, quantity_of
 
 CASE_FAILED = 1
-"""Exit code of a study in which a case ended with an error."""
+"""Exit code of a parameter study in which a case ended with an error."""
 RECORDER_NAMES = tuple(kind.name for kind in RECORDERS)
 FLAGS = ("one-at-a-time", *RECORDER_NAMES, "quiet")
 ON_WORKERS = {"scheduler": str, "workers": int}
@@ -37,7 +37,8 @@ SETTINGS = {
 
 
 EXECUTION_SETTINGS = ("processes", *ON_WORKERS)
-"""Settings that determine on which devices or machines cases run; they may change when a study is continued."""
+"""Names of the settings that decide on which devices or machines the cases of a study run. These settings may change
+when a study is continued."""
 
 
 def _execution_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -73,7 +74,7 @@ def parsed(arguments: list[str]) -> tuple[str | None, dict[str, list[str]]]:
 
 
 def run(arguments: list[str], modules: dict[str, Any]) -> None:
-    """Start or continue a study, and print its table."""
+    """Start a new parameter study or continue an interrupted one, and print its table."""
     scene, options = parsed(arguments)
     settings = _take_settings(options)
     progress = ProgressBar()
@@ -126,7 +127,7 @@ def single(options: dict[str, list[str]], kinds: Mapping[str, Any]) -> dict[str,
 
 
 def _take_settings(options: dict[str, list[str]]) -> dict[str, Any]:
-    """Remove the options of the study itself from `options`, and return their values by name.
+    """Remove the settings of the parameter study from `options`, and return the values of these settings by name.
 
     The options that remain in `options` are parameters of the scene.
     """

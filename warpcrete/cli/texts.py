@@ -1,4 +1,4 @@
-"""Help texts of the command line."""
+"""Help text of the command `warpcrete mix`, which is too long for the module of the commands."""
 
 MIX_HELP = """Derive the properties of a concrete from its mix: `warpcrete mix MIX.yaml`.
 

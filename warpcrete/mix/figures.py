@@ -30,7 +30,7 @@ class Figure:
     way: str
     """Entry of the mix from which the value is calculated."""
     source: str
-    """Author of the relation, and how reliable the value is."""
+    """Publication of the relation from which the value follows, and a remark on how reliable the value is."""
     instrument: str = "rheometer"
     """Kind of instrument whose errors the value has: 'cone' for slump, spread and T500, otherwise 'rheometer'."""
 
@@ -39,7 +39,7 @@ class Figure:
 
     @property
     def span(self) -> str:
-        """Value, band and unit as text."""
+        """The property's value, its uncertainty band and its unit as text, such as '30 (20 to 45) Pa s'."""
         band = "" if self.low == self.high else f" ({short(self.low)} to {short(self.high)})"
         return f"{short(self.value)}{band} {self.unit}"
 
@@ -50,16 +50,17 @@ def short(value: float) -> str:
 
 
 def around(name: str, value: float, off: float, unit: str, way: str, source: str) -> Figure:
-    """Return a property with the relative uncertainty `off` above and below its value."""
+    """Return a property whose band reaches from value * (1 - `off`) to value * (1 + `off`)."""
     return Figure(name, value, value * (1 - off), value * (1 + off), unit, way, source)
 
 
 def reconciled(candidates: list[Figure]) -> tuple[Figure, list[str]]:
     """Return the first of several values for one property, and remarks on differences between the values.
 
-    The candidates come from different entries of the mix. Bands may differ by a factor of :data:`INSTRUMENTS` between a
-    rheometer and a cone, and of :data:`CONES` between spread and slump of one cone, where the slump widens the band.
-    Raises :class:`SceneError` if the bands of two candidates differ by more.
+    The candidates come from different entries of the mix, and each has an uncertainty band. Raises :class:`SceneError`
+    if the first band and another band are too far apart. Bands of the same rheometer must touch. Between a rheometer
+    and a cone, the gap may be a factor of :data:`INSTRUMENTS`. Between spread and slump of the same cone, the gap may
+    be a factor of :data:`CONES`; in this case, the band of the result is widened up to the other band.
     """
     first, remarks = candidates[0], []
     for other in candidates[1:]:

@@ -1,4 +1,4 @@
-"""Reading the description of a mix from a file: conversion to SI units and checks of all entries."""
+"""Functions that read the description of a mix from a file, convert its entries to SI units and check them."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ OTHERS = {
     "layer": "Slip layer: its yield stress and viscosity, or points measured in a pipe or with a tribometer",
     "thickener": "True if the concrete contains a viscosity-modifying admixture that parts do not name",
 }
-"""Entries of a mix that are not single numbers, with their meaning."""
+"""Names of those entries of a mix that are not single numbers, each with the entry's meaning."""
 KEYS = ("density", "air", "parts", "volume", "aggregate", "aggregate_density", "sieve", "sizes", "shape", "concrete",
         "mortar", "viscometer", "slump", "spread", "t500", "water_binder", "thickener", "layer", "voids",
         "fine_sand")  # fmt: skip
@@ -90,10 +90,10 @@ BINDER = 3000.0
 """Density of the powder [kg/m3] assumed if the mix states only the ratio of water to binder: cement has 3100, slag 2900
 and fly ash 2250 kg/m3."""
 USUAL_AIR = 0.02
-"""Air content assumed if the mix states none, share of the volume."""
+"""Air content assumed if the mix states none, as a share of the concrete's volume."""
 DENSEST_PASTE = 0.75
-"""Largest share of powder in the volume of the paste. A water-binder ratio of 0.12, the least that is ever used, has
-0.74."""
+"""Largest possible share of powder in the volume of the paste. The paste with the lowest water-binder ratio in use,
+0.12, has a share of 0.74."""
 PASTE_TOLERANCE = 0.08
 """Largest difference between the volume fraction of powder in the paste that follows from the ratio of water to binder,
 and the one that follows from the masses of the parts. A larger difference is a contradiction. The density of the
@@ -120,7 +120,8 @@ class MixEntries:
     """Openings of the sieves [m], each with the mass fraction of the aggregate that passes the sieve."""
     sizes: tuple[float, float] | None
     shape: str | None
-    """Shape of the stones, as the discrete element method names it."""
+    """Setting for the shape of the stones in scenes of discrete elements, such as 'spheres'; None if the mix states
+    none."""
     concrete: Measured
     mortar: Measured
     viscometer_points: tuple[list[float], list[float]] | None
@@ -145,7 +146,7 @@ class MixEntries:
     voids: float | None = None
     """Voids of sand and stones together when compacted, as a share of their bulk volume."""
     fine_sand: float | None = None
-    """Share of the sand's mass below 0.3 mm."""
+    """Share of the sand's mass that consists of grains below 0.3 mm."""
 
     @property
     def largest(self) -> float | None:
@@ -164,7 +165,7 @@ class MixEntries:
 
     @property
     def sand_share(self) -> float | None:
-        """Share of sand in the aggregate, by mass or else by volume; None if it is not known."""
+        """Share of sand in the aggregate, by mass if the ingredients state it, otherwise by volume; None if unknown."""
         sand, stone = sand_and_stone_masses(self.parts)
         if sand > 0 and stone > 0:
             return sand / (sand + stone)
@@ -277,7 +278,7 @@ def _paste_solids(given: Mapping[str, Any], masses: Mapping[str, float]) -> floa
 
 
 def _sand_and_stone(given: Mapping[str, Any], masses: Mapping[str, float]) -> float | None:
-    """Return the share of sand and stones in the volume of the concrete; None if the ingredients do not tell it."""
+    """Return the share of sand and stones in the concrete's volume; None if the ingredients do not determine it."""
     powder, liquid = paste_volumes(masses)
     air = _number(given, "air")
     rest = 1 - powder - liquid - (USUAL_AIR if air is None else air)

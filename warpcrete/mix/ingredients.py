@@ -27,7 +27,8 @@ DENSITIES = {
 }  # fmt: skip
 """Usual densities of ingredients [kg/m3]. A key is a word that may occur in the name of an ingredient."""
 COARSE = ("gravel", "stone", "stones", "grit", "chippings", "granite", "basalt", "coarse", "pebbles")
-"""Words for coarse aggregate; a mix may state the density of these ingredients."""
+"""Words for coarse aggregate. Ingredients with such names have the density of coarse aggregate that the mix states, if
+it states one."""
 VARIABLE = ("lightweight", "light", "expanded", "clay", "pumice", "perlite", "recycled", "polypropylene", "polymer",
           "plastic", "glass", "basaltic", "pigment", "rubber")  # fmt: skip
 """Words in the names of ingredients whose density varies so much that their volume cannot be calculated."""
@@ -43,19 +44,21 @@ LIQUIDS = ("water", "ice", "superplasticizer", "superplasticiser", "plasticizer"
            "sp", "latex", "agent")  # fmt: skip
 """Words in the names of ingredients that are liquids of the paste: water and dissolved admixtures."""
 ROCKS = ("limestone", "marble", "quartz")
-"""Words that mean powder alone, and aggregate if it is crushed or has a grain size."""
+"""Words for rocks. An ingredient with such a name is powder, unless its name says that the rock is crushed or states a
+grain size; then it is aggregate."""
 PLASTICIZERS = ("superplasticizer", "superplasticiser", "plasticizer", "plasticiser", "pce", "sp")
-"""Words for admixtures that make a concrete flow."""
+"""Words in the names of admixtures that make concrete flow more easily."""
 THICKENERS = ("vma", "stabilizer", "stabiliser", "modifier")
 """Words in the names of ingredients that are viscosity-modifying admixtures."""
 UNKNOWN_MASS = 20.0
-"""Mass [kg/m3] above which an unknown ingredient may be powder, so that the paste is unknown; admixtures have less."""
+"""Mass in a cubic metre [kg/m3] above which an ingredient with an unknown name may be powder, so that the volume of the
+paste cannot be calculated. Lighter unknown ingredients are taken for admixtures and ignored."""
 POSSIBLE_VOLUMES = (0.88, 1.05)
 """Smallest and largest possible volume of all ingredients, without air, in a cubic metre of concrete [m3/m3]. The upper
 limit exceeds 1, because the densities of the ingredients vary."""
 USUAL_AIR = (-0.02, 0.06)
-"""Range of the calculated air content without a warning [m3/m3]: 1 to 3 % are usual, and uncertain densities may make
-the content negative."""
+"""Lowest and highest air content of the concrete, calculated from the ingredients [m3/m3], that causes no warning.
+Usual contents are 1 to 3 %; the calculated content may be negative because densities are uncertain."""
 VOLUME_WARNING, VOLUME_ERROR = 0.03, 0.07
 """Largest deviations [m3/m3] of the volume of all ingredients and the stated air from one cubic metre. A deviation
 above the first value causes a warning, and the mix is refused above the second."""
@@ -67,7 +70,10 @@ def _words(name: str) -> list[str]:
 
 
 def is_thickener(name: str) -> bool:
-    """Return whether an ingredient is a viscosity-modifying admixture; a hydration stabilizer is a retarder."""
+    """Return whether the name of an ingredient means a viscosity-modifying admixture.
+
+    A "stabilizer" is such an admixture, but a "hydration stabilizer" is not, because it is a retarder.
+    """
     words = _words(name)
     return "hydration" not in words and any(word in THICKENERS or word.startswith("viscosity") for word in words)
 

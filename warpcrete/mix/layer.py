@@ -17,16 +17,16 @@ from .figures import Figure, line_uncertainty, of_line
 from .given import MixEntries
 
 TRIBOMETER_RATIO = (0.3, 2.0)
-"""Smallest and largest ratio of the layer constant that pipe pressures imply to the one that a tribometer measured, in
-404 pipe flows of 22 concretes (Tavangar 2022)."""
+"""Range of the ratio between two values of the slip layer's constants: the value that follows from pipe pressures,
+divided by that measured with a tribometer. The range covers 404 pipe flows of 22 concretes (Tavangar 2022)."""
 PIPE_UNCERTAINTY = 0.3
 """Relative uncertainty of a slip layer that was fitted to pipe pressures of an earlier delivery of the same recipe. Mai
 et al. (2014) found that deliveries differ by 15 % on a single site. Over all, the difference is larger: Deng et al.
 (2024) found -38 to +31 %."""
 PASTE_CONSTANT, PASTE_DENSEST = 128.0, 0.85
-"""Constants of :func:`paste_layer`: viscosity [Pa s/m] and densest packing of the powder. They were fitted to eight
-families of concretes in level lines of 325 to 1,044 m, with water-binder ratios of 0.17 to 0.44; four families were
-held out."""
+"""Constants of the relation in :func:`paste_layer`: the layer's viscosity without powder [Pa s/m], and the densest
+packing of the powder. Both were fitted to the pressures of eight families of concretes in level lines of 325 to 1,044
+m, with water-binder ratios of 0.17 to 0.44; four other families were held out."""
 PASTE_ERROR_FACTOR = 1.7
 """Factor, in both directions, by which the layer of a mix may differ from :func:`paste_layer`: 90 % of the concretes of
 the fitted families differ by less."""
@@ -44,12 +44,13 @@ to 6 mm."""
 FILM_ERROR_FACTOR = 3.0
 """Factor by which the true viscosity of a layer may be larger or smaller than that of :func:`film_layer`."""
 SLUMP_ERROR_FACTOR = 2.0
-"""Factor, in both directions, by which a layer may differ from :func:`slump_layer`."""
+"""Factor by which the viscosity of the true slip layer may be higher or lower than the one that :func:`slump_layer`
+returns."""
 ASSUMED = (850.0, 10.0)
 """Layer assumed if the mix determines none: viscosity [Pa s/m] and yield stress [Pa] of a self-compacting concrete with
 500 kg of powder in a cubic metre, by :func:`paste_layer`."""
 ASSUMED_ERROR_FACTOR = 3.0
-"""Factor, in both directions, by which an assumed slip layer may differ from the true one."""
+"""Factor by which the viscosity of the true slip layer may be higher or lower than that of :data:`ASSUMED`."""
 ASSUMPTION, ESTIMATE = "assumption", "estimate from"
 """First words of the origin of a property that no measurement gives. The first is for a property that is assumed,
 because the mix contains no information on it. The second is for one that was estimated from the paste alone."""
@@ -57,9 +58,9 @@ Pair = tuple[Figure, Figure]
 
 
 def paste_layer(solids: float) -> float:
-    """Return the layer's viscosity [Pa s/m] from the share of powder in the volume of the paste.
+    """Return the layer's viscosity [Pa s/m] for paste with a volume fraction `solids` of powder.
 
-    The relation is that of Krieger & Dougherty (1959) for spheres, 128 (1 - solids / 0.85)^(-2.5 0.85).
+    The relation has the form of Krieger & Dougherty (1959) for spheres: 128 (1 - solids / 0.85)^(-2.5 0.85).
     """
     return PASTE_CONSTANT * (1 - solids / PASTE_DENSEST) ** (-2.5 * PASTE_DENSEST)
 
@@ -88,11 +89,11 @@ def slump_layer(slump: float) -> tuple[float, float]:
 
 
 def layers(given: MixEntries, concrete: Concrete, viscosity: Figure) -> Iterator[Pair]:
-    """Generate viscosity and yield stress of the slip layer, the most reliable first.
+    """Generate pairs of viscosity and yield stress of the slip layer, the most reliable pair first.
 
-    Each pair follows from one entry of the mix: from measurements, from the paste, from the film between aggregates,
-    from the slump, and last from an assumption. `concrete` supplies density, yield stress and viscosity of the bulk,
-    and `viscosity` is the bulk's viscosity with its band and origin.
+    The pairs come from measurements of the layer, the paste, the film between aggregates, the slump, and finally from
+    an assumption. Sources about which the mix contains nothing are skipped. `concrete` supplies density, yield stress
+    and viscosity of the bulk, and `viscosity` is the bulk's viscosity with its band and origin.
     """
     yield from _measured(given, concrete)
     thick, blur = (THICKENER_FACTOR, THICKENER_ERROR) if given.thickener else (1.0, 1.0)
@@ -127,7 +128,10 @@ def layers(given: MixEntries, concrete: Concrete, viscosity: Figure) -> Iterator
 
 
 def _measured(given: MixEntries, concrete: Concrete) -> Iterator[Pair]:
-    """Generate the measured layer, if there is one, from constants, from pressures of a pipe or from a tribometer."""
+    """Generate the slip layers that the mix states as measured.
+
+    They come from constants of the layer, from pressures of a pipe, and from points of a tribometer.
+    """
     own = given.layer
     if own.constants is not None:
         eta, tau = (own.constants.values[key] for key in ("viscosity", "yield_stress"))
@@ -144,7 +148,8 @@ def _measured(given: MixEntries, concrete: Concrete) -> Iterator[Pair]:
 
 
 _SOURCES = {True: "; 30 % between deliveries", False: "; a tribometer differs from pipes by 0.3 to 2 (Tavangar 2022)"}
-"""Origin of the band of a measured layer without a stated uncertainty: fitted to pipe pressures, or by a tribometer."""
+"""Words on the origin of a measured layer's band if no uncertainty is stated. The first text is for a layer fitted to
+pipe pressures, and the second for one measured with a tribometer."""
 
 
 def _factors(uncertainty: float | None, pipe: bool) -> tuple[float, float]:
@@ -178,7 +183,7 @@ def _pair(
 
 
 def _fitted(fit: StraightLine, count: int, way: str, pipe: bool) -> Pair:
-    """Return a layer fitted to measured points, with the error of the fit and that of the instrument."""
+    """Return a layer fitted to measured points; its band covers the error of the fit and that of the instrument."""
     found = []
     for name, value, error, unit in (("slip viscosity", fit.slope, fit.slope_error, "Pa s/m"),
                                      ("slip yield", fit.offset, fit.offset_error, "Pa")):  # fmt: skip

@@ -48,7 +48,8 @@ class Layer:
     tribometer_points: tuple[list[float], list[float]] | None = None
     """Points measured with a tribometer: speeds [m/s] and stresses [Pa]; None if the mix states none."""
     pipe: bool = False
-    """True if `constants` were fitted to pressures of a pipe, False if a tribometer measured them."""
+    """True if the constants of the slip layer were fitted to pressures of a pipe, False if a tribometer measured
+    them."""
 
 
 def read_constants(name: str, given: Any, units: Mapping[str, str]) -> Measured:

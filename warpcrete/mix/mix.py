@@ -47,9 +47,10 @@ class Mix:
     figures: tuple[Figure, ...]
     """All properties calculated from the mix, in SI units."""
     remarks: tuple[str, ...] = ()
-    """Warnings for the reader of the results."""
+    """Warnings about the mix that are printed with the results."""
     factors: tuple[float, float] = (1.0, 1.0)
-    """Factors on yield stresses and viscosities for another age or temperature, as the section `flow` states them."""
+    """Factors on yield stresses and on viscosities that account for another age or temperature of the concrete, from
+    the section `flow` of the concrete's file."""
 
     def __repr__(self) -> str:
         return f"<Mix {self.name!r}: {', '.join(f'{f.name} {f.span}' for f in self.figures[:5])}>"
@@ -77,7 +78,7 @@ class Mix:
 
     @property
     def _plain(self) -> Concrete:
-        """The mix without its `factors`."""
+        """Concrete as the mix describes it, before the `factors` for another age or temperature are applied."""
         return Concrete(name=self.name, **self.flow)
 
     @property
@@ -107,7 +108,7 @@ class Mix:
 
     @property
     def flow(self) -> dict[str, float]:
-        """Constants for the section `flow` of a concrete's file, without `factors`."""
+        """Entries for the section `flow` of a concrete's file, such as yield stress; the key `factors` is left out."""
         return {key: self[name].value for key, name in self._constants.items()}
 
     @property
@@ -176,7 +177,11 @@ def read_mix(name: Path | str) -> Mix:
 
 
 def mix_named(name: str) -> Mix | None:
-    """Return the mix of a concrete given by its name or path, or None if the concrete has no mix, like `own`."""
+    """Return the mix of a concrete that is given by its name or the path of its file.
+
+    The result is None if the concrete's file has no section `mix`, and for the name `own`, under which users state all
+    constants themselves.
+    """
     return None if name == "own" else mix_in(concrete(name))
 
 
@@ -262,7 +267,7 @@ def _laws(told: MixEntries, bulk: Mapping[str, Figure]) -> dict[str, Figure]:
 
 
 def _named(key: str, value: Any) -> Figure:
-    """Return a constant that a section `flow` states as a property without uncertainty."""
+    """Return the property that a section `flow` of a concrete's file states; its band has no width."""
     value = amount(f"concrete flow {key}", value, UNITS[key])
     if key in ("yield_stress", "slip_yield", "quadratic_viscosity", "slip_quadratic_viscosity"):
         between(f"concrete flow {key}", value, 0, math.inf, UNITS[key])

@@ -1,7 +1,8 @@
 """Yield stress and viscosity of a mix's concrete and mortar: measured, or from published relations.
 
-Different models of rheometers give different values for the same concrete (Ferraris & Martys 2003; RILEM TC 266-MRP
-2023), so a relation that was derived with one rheometer is at best as accurate as that.
+Rheometers of different models give different values for the same concrete (Ferraris & Martys 2003; RILEM TC 266-MRP
+2023). A relation that was derived with one rheometer is therefore at best as accurate as the agreement between
+rheometers.
 """
 
 from __future__ import annotations
@@ -30,20 +31,23 @@ READ_SLUMP, READ_SPREAD, READ_TIME = 0.01, 0.02, 0.5
 """Possible reading errors of slump [m], spread [m] and T500 [s]; EN 12350-2 and -8 give a repeatability of 16 to 42
 mm."""
 HEAP_CENTRE, HEAP_CENTRE_MEDIAN, FLATTEST = 0.10, 0.03, 0.295
-"""Height by which aggregate that piles up in the centre may raise a cone's top above that of a homogeneous heap, its
-median, and largest slump of a cone [m]. For the cones of Yeh (2007), of which both slump and spread were measured, the
-centre is 0 to 100 mm higher than the spread implies (5th and 95th percentile of 82 cones), in the median 30 mm."""
+"""Three heights of slump cones [m]. The first is how much higher the top of a real heap may be than that of a
+homogeneous heap, because aggregate piles up in the centre; the second is the median of this height. The third is the
+largest slump of a cone. The heights of the centre come from 82 cones of Yeh (2007) with measured slump and spread:
+compared with the height that the spread implies, the centre is 0 to 100 mm higher (5th to 95th percentile), and 30 mm
+in the median."""
 THICKENING_UPPER, THICKENING_LOWER = (3.25, PACKING), (2.5, 0.65)
-"""Intrinsic viscosity and densest packing for the lower and the upper end of the band of factors by which aggregate
-thickens mortar. The upper end stands for rough grains: an intrinsic viscosity a third above that of spheres, which is a
-choice (ascribed to Barnes, Hutton & Walters 1989, for ground gypsum; not seen), in the packing of equal spheres (Mahaut
-et al. 2008). The lower end stands for spheres of mixed sizes.
-"""
+"""Intrinsic viscosity of the aggregate and volume fraction of its densest packing, for two estimates of the factor by
+which aggregate thickens mortar. The first pair, for the highest factor, stands for rough grains. Its packing is that of
+equal spheres in random loose packing (Mahaut et al. 2008), and its intrinsic viscosity is a choice, 30 % above that of
+spheres; the choice is ascribed to Barnes, Hutton & Walters (1989), for ground gypsum, but was not checked there. The
+second pair, for the lowest factor, stands for spheres of mixed sizes."""
 T500_ERROR_FACTOR = 1.3
 """Factor by which the relation for T500 may be wrong, because of inertia and of lifting the cone in 1 to 3 s, as found
 in simulations."""
 USUAL_AGGREGATE = 0.66
-"""Share of sand and stones in the volume of a concrete whose parts are not known; 0.57 to 0.70 are usual."""
+"""Share of sand and stones in the concrete's volume, assumed if the mix states no ingredients. Usual shares are 0.57 to
+0.70."""
 ASSUMED_VISCOSITY = (70.0, 20.0, 400.0)
 """Plastic viscosity assumed if the mix contains no information about it, with its lower and upper limit [Pa s]. The
 band covers the three concretes of Xu, Li & Jiang (2021) and thinner ones."""
@@ -147,7 +151,7 @@ def _mortar(given: MixEntries, key: str, unit: str) -> Figure | None:
 
 
 def _factors(share: float) -> tuple[tuple[float, float], ...]:
-    """Return the most likely, lowest and highest factor by which aggregate raises viscosity and yield stress."""
+    """Return pairs of factors by which aggregate raises viscosity and yield stress: most likely, lowest and highest."""
     return tuple(thickening(share, *each) for each in (SUSPENSIONS["spheres"], THICKENING_LOWER, THICKENING_UPPER))
 
 

@@ -162,7 +162,7 @@ def _continue(
 
 
 def _search(calibration: Calibration, modules: Mapping[str, Any], where: Mapping[str, Any], tell: Progress) -> None:
-    """Run rounds until the answer is settled or the trials are used up, then verify the answer."""
+    """Run rounds of simulations until the parameters are settled or no trials are left; then verify the best ones."""
     settings, rounds = calibration.record["settings"], calibration.record["rounds"]
     most = settings["trials"]
     place = 0

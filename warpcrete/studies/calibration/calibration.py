@@ -68,7 +68,7 @@ class Calibration:
 
     @property
     def searched(self) -> list[Trial]:
-        """Trials of the search, without the verification runs."""
+        """Trials that search for the parameters; the runs that verify the answer are left out."""
         return [trial for trial in self.trials if not trial.proof]
 
     def verification_values(self, target: Target) -> list[float]:
@@ -92,7 +92,7 @@ class Calibration:
 
     @property
     def findings(self) -> list[str]:
-        """Sentences about unreachable targets, undetermined parameters and failed runs."""
+        """Sentences about targets that cannot be reached, parameters that remain undetermined, and runs that failed."""
         if self.posterior is None:
             return []
         found, task = self.posterior, self.task

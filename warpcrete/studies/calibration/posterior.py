@@ -22,7 +22,7 @@ import numpy as np
 from .targets import Target, Task
 
 START_CANDIDATES = 2048
-"""Number of points in the unit cube from which the best ones become the walkers' starting points."""
+"""Number of points in the unit cube that are compared; the best of them become the walkers' starting points."""
 WALKERS, STEPS, DISCARDED_STEPS = 64, 300, 100
 FAILURE_RADIUS = 0.15
 """Distance in the unit cube over which a failed run lowers the estimated probability that other runs succeed."""
@@ -36,7 +36,7 @@ class Emulator:
     def __init__(self, points: np.ndarray, values: np.ndarray, least: float) -> None:
         """Fit the process to the `values`, shape (n,), at `points` of the unit cube, shape (n, free).
 
-        Differences smaller than `least` between the values are treated as negligible.
+        The scale of the values is at least `least`, so that smaller differences between them are treated as negligible.
         """
         from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, WhiteKernel
@@ -46,7 +46,8 @@ class Emulator:
         smooth = ConstantKernel(0.3, (1e-4, 1e2)) * RBF([0.7] * free, (0.15, 10.0))
         kernel = DotProduct(1.0, (1e-2, 1e2)) + smooth + WhiteKernel(1e-3, (1e-8, 1.0))
         self.process = GaussianProcessRegressor(kernel, n_restarts_optimizer=1, random_state=0, alpha=1e-9)
-        with warnings.catch_warnings():  # ignore warnings about kernel parameters at their bounds
+        # The fit warns if a parameter of the covariance function ends at its bound, which does no harm here.
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             self.process.fit(points - 0.5, (values - self.middle) / self.scale)
         fitted: Any = self.process.kernel_
@@ -74,7 +75,7 @@ class Posterior:
     """Emulators by target. Every fitted target has one, and every held-out target for which enough runs yielded a
     value."""
     samples: np.ndarray
-    """Samples of the posterior as points of the unit cube, shape (n, free)."""
+    """Samples of the posterior of the free parameters, each scaled to 0 to 1 over its range, shape (samples, free)."""
     best: np.ndarray
     """Likeliest values of the free parameters, each scaled to 0 to 1 over its range, shape (free,)."""
 
@@ -108,7 +109,7 @@ class Posterior:
         return float(self.samples[:, place].std() / UNIFORM_DEVIATION)
 
     def correlations(self) -> np.ndarray:
-        """Return the correlation matrix of the free parameters in the unit cube, shape (free, free)."""
+        """Return the correlations between the free parameters in the posterior samples, shape (free, free)."""
         return np.atleast_2d(np.corrcoef(self.samples.T))
 
 

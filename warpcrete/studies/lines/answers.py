@@ -1,4 +1,4 @@
-"""Answers to questions of a site engineer: where the band comes from, the power, and whether the pump suffices."""
+"""Answers to a site engineer: causes of the uncertainty, power of the motor, and whether the pump is strong enough."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ MARGIN = 1.25
 """Recommended ratio of the pump's largest pressure to the pressure that the line needs (AIJ,
 http://pmkujira.sakura.ne.jp/Exsokuryo/Free/Kentiku/KcheckL3/02-04-KC-017.htm)."""
 LEAST_SHARE = 0.1
-"""Share of the band below which a cause is not mentioned, unless it is the largest."""
+"""Smallest share of the band's squared width with which a cause of uncertainty is mentioned. The largest cause is
+always mentioned."""
 ADVICE = {
     "slip layer": "measure it with a tribometer, or fit it to pressures of a trial line with --fit",
     "viscosity of the bulk": "measure it with a rheometer, or state t500",
@@ -40,9 +41,10 @@ def pressure_text(pressure: float) -> str:
 
 
 def band_sentences(band: Band, without_advice: Collection[str] = ()) -> list[str]:
-    """Return sentences that split the width of a band of pressure [Pa] by its causes, largest first, with advice.
+    """Return sentences that say how much each cause contributes to a pressure's band [Pa], the largest cause first.
 
-    Causes in `without_advice` get none, because they were measured.
+    Advice on how to reduce the uncertainty follows each cause. Causes in `without_advice` get none, because they were
+    measured.
     """
     shares = sorted(band.shares.items(), key=lambda item: -item[1])
     found = []
@@ -69,9 +71,9 @@ class PumpMargin:
 
     pump: Pump
     band: Band
-    """Pressure that the line needs [Pa], with its band."""
+    """Pressure that the line needs at its start [Pa], with its uncertainty band."""
     flow: float
-    """Flow that is wanted [m3/s]."""
+    """Flow that the pump must deliver into the line [m3/s]."""
 
     @property
     def factor(self) -> float:
@@ -83,7 +85,7 @@ class PumpMargin:
 
     @property
     def verdict(self) -> str:
-        """Answer in two or three words: 'strong enough', 'perhaps too weak' or 'too weak'."""
+        """Answer to whether the pump suffices for the line: 'strong enough', 'perhaps too weak' or 'too weak'."""
         value, high = ((x, x * self.flow / EFFICIENCY) for x in (self.band.value, self.band.high))
         limits = (self.pump.pressure, self.pump.power)
 
@@ -114,7 +116,7 @@ class PumpMargin:
         return text
 
     def record(self) -> dict[str, Any]:
-        """Return the comparison as an entry of line.json."""
+        """Return the comparison of the line with its pump as an entry of the file line.json."""
         return {
             "pressure_limit": quantity(self.pump.pressure, "Pa"),
             "flow_limit": None if self.pump.flow is None else quantity(self.pump.flow, "m3/s"),

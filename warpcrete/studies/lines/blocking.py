@@ -26,22 +26,26 @@ from .line_folder import PARTS
 from .losses import Part, PipeLine
 
 FOLDER = "blocking"
-"""Name of the study's folder among the parts of a line."""
+"""Name of the folder with the runs for the probability of a blockage, next to the folders of the line's parts."""
 RECORD = "blocking-probability.json"
 STRAIGHT_DIAMETERS = 2.0
-"""Length of straight pipe before and behind the narrowest part [diameters]."""
+"""Length of straight pipe before and behind the line's narrowest part in a simulation, in diameters of its wider
+end."""
 TRAVEL_DIAMETERS = 4.0
 """Travel of the piston [diameters]. It leaves room for the check for blockage, which needs up to two diameters of
 travel to recognise concrete that stands still."""
 MAX_SEEDS = 10_000
 FRICTION = 0.5
-"""Friction between stones, as of dry stones: an arch forms where the mortar has been squeezed out between them.
+"""Coefficient of friction between stones, as for dry stones.
 
-With this friction, stones of one size block a funnel if it is up to three times as wide as they are, which is the limit
-of ACI 304.2R for crushed stones. With the friction of 0.05 of Zhan et al. (2019), stones of half the bore passed.
+An arch forms where the mortar has been squeezed out between the stones. With this friction, stones of one size block a
+funnel that is up to three times as wide as the stones, which is the limit of ACI 304.2R for crushed stones. With the
+friction of 0.05 of Zhan et al. (2019), stones of half the width of the bore still passed.
 """
 MODULUS = 2e6
-"""Smallest elastic modulus of the stones [Pa], with which that funnel was simulated; softer ones squeeze through."""
+"""Smallest elastic modulus of the stones in simulations of blocking [Pa]; stones that the user made softer get this
+modulus. Softer stones squeeze through bores that would block. The modulus is that of the simulated funnels in which the
+friction between stones was checked."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 
@@ -51,9 +55,9 @@ class BlockingProbability:
 
     part: Part
     runs: int
-    """Number of finished runs."""
+    """Number of runs that finished, blocked or not."""
     blocked: int
-    """Number of blocked runs."""
+    """Number of runs that ended because the part was blocked."""
     failed: int
     """Number of runs that ended with an error, and do not count."""
     short: int
@@ -61,11 +65,11 @@ class BlockingProbability:
     stones: int
     """Number of stones in the first simulation; the others have other random packings."""
     stone: float
-    """Largest stone as simulated [m]."""
+    """Size of the largest stone in the simulation, after stones were enlarged [m]."""
     coarse: float
     """Factor by which the stones were enlarged for the simulation; 1 if they kept their size."""
     friction: float
-    """Friction between the stones."""
+    """Coefficient of friction between the stones in the simulation."""
 
     @property
     def probability(self) -> float:
@@ -74,11 +78,11 @@ class BlockingProbability:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % confidence interval of the probability (Wilson 1927)."""
+        """95 % confidence interval of the probability of a blockage (Wilson 1927)."""
         return wilson_interval(self.blocked, self.runs)
 
     def record(self) -> dict[str, Any]:
-        """Return the contents of the JSON file."""
+        """Return the results as the contents of the file blocking-probability.json."""
         low, high = self.interval
         return {
             "part": {"number": self.part.number, "what": self.part.label, "bore": quantity(self.part.narrow, "m")},
@@ -90,7 +94,7 @@ class BlockingProbability:
 
     @property
     def lines(self) -> list[str]:
-        """The result as lines of text."""
+        """The probability of a blockage and its conditions as lines of text."""
         low, high = self.interval
         ratio = self.stone / self.part.narrow
         state = "was blocked in" if self.blocked else "not blocked:"

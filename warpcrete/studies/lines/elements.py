@@ -56,7 +56,7 @@ by the elastic modulus of the elements."""
 CONSTANT_FRICTION_RATIO = 0.2
 """Ratio of pressure to modulus above which wall friction is assumed constant, because overlaps become large."""
 STEPS = 50
-"""Number of steps in which the pressure is integrated along a part."""
+"""Number of intervals into which a part is divided to integrate the pressure along it."""
 MIN_FLUX_RATIO = 0.8
 """Ratio of outflow to inflow of solids below which a remark warns the user that the concrete is still being
 compressed."""
@@ -97,9 +97,9 @@ class WallLaw:
     start: float
     """Wall stress at zero pressure [Pa], which is the share of the lubrication layer in the friction."""
     slope: float
-    """Increase of the wall stress per increase of pressure."""
+    """Slope of the law: increase of the wall stress [Pa] per increase of the pressure [Pa]."""
     measured: float
-    """Largest pressure at which the law was measured [Pa]."""
+    """Largest pressure in the measurements to which the law was fitted [Pa]."""
     largest: float
     """Pressure from which on the wall stress is assumed constant [Pa], because overlaps of the elements become
     large."""
@@ -125,7 +125,7 @@ class SeedResult:
     """Results of all simulated parts for one seed."""
 
     laws: Mapping[float, WallLaw]
-    """Friction laws of straight pipe, by its diameter [m]."""
+    """Laws for the wall friction of straight pipe; the keys are the pipe's diameters [m]."""
     ratios: Mapping[tuple[Any, ...], float]
     """Friction of each kind of bend or reducer, divided by that of straight pipe of the same length."""
     density: float
@@ -167,7 +167,7 @@ class SeedResult:
 
 @dataclass(repr=False)
 class ElementLine:
-    """Pressure losses of a pump line, computed by discrete elements."""
+    """Pressure losses of a pump line, computed by the discrete element method."""
 
     line: PipeLine
     concrete: str
@@ -198,11 +198,11 @@ class ElementLine:
         return float(np.mean(self.pressures))
 
     def frictions(self) -> np.ndarray:
-        """Return the friction of each part, averaged over the seeds [Pa], shape (parts,)."""
+        """Return the pressure loss of each part due to friction, averaged over the seeds [Pa], shape (parts,)."""
         return np.mean([[friction for friction, _ in each.course(self.line)] for each in self.packed], axis=0)
 
     def weights(self) -> np.ndarray:
-        """Return the pressure due to each part's weight, averaged over the seeds [Pa], shape (parts,)."""
+        """Return the pressure due to the concrete's weight in each part [Pa], a mean over the seeds, shape (parts,)."""
         return np.mean([[weight for _, weight in each.course(self.line)] for each in self.packed], axis=0)
 
     def blocked(self) -> list[int]:
@@ -309,7 +309,7 @@ def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
 def part_parameters(
     part: Part, pressed: bool, line: PipeLine, concrete: str, flow: float, elements: Elements, seed: int
 ) -> dict[str, Any]:
-    """Return the scene parameters that simulate a kind of part without weight."""
+    """Return the parameters of the scene that simulates a part by discrete elements, without weight."""
     wide = max(part.diameter, part.outlet)
     own: dict[str, Any] = {"concrete": concrete, "diameter": part.diameter, "flow": flow, "gravity": 0.0,
                            "straight": STRAIGHT_DIAMETERS * wide, "travel": 2 * part.diameter, "seed": seed,
@@ -329,9 +329,10 @@ def part_parameters(
 
 
 def scaled_parameters(own: Mapping[str, Any], narrowest: float, elements: Elements) -> dict[str, Any]:
-    """Return a part's scene parameters with the stone sizes and the modulus scaled as `elements` says.
+    """Return a part's scene parameters with scaled stone sizes and a scaled elastic modulus.
 
-    `own` holds the parameters before scaling, and `narrowest` is the narrowest bore of the line [m].
+    `own` holds the parameters before scaling, `narrowest` is the narrowest bore of the line [m], and `elements` states
+    the factors.
     """
     given = modules()[SCENE].scene.declared(dict(own))
     whole = {**own, "modulus": elements.stiffer * given.modulus}
@@ -339,7 +340,8 @@ def scaled_parameters(own: Mapping[str, Any], narrowest: float, elements: Elemen
     sieve = [] if ranged else [entry.split(":") for entry in given.sizes.split(",")]
     least, most = (given.size_min, given.size_max) if ranged else (1e-3 * float(sieve[k][0]) for k in (0, -1))
     factor = elements.coarse or max(1.0, LARGEST_STONE_RATIO * narrowest / most)
-    # Small plug balls would limit the time step, so they are enlarged together with the aggregate.
+    # The plug in the pipe consists of balls. They are enlarged together with the aggregate, because small balls would
+    # limit the time step.
     whole["plug_ball"] = max(factor * given.plug_ball, min(factor * least, narrowest / 5))
     if not ranged:
         return whole | {"sizes": ",".join(f"{factor * float(opening):g}:{passing}" for opening, passing in sieve)}
@@ -354,7 +356,10 @@ def _simulate(
     jobs: Sequence[tuple[Any, int, Any]], kinds: Mapping[Any, Part], runs: dict[tuple[Any, int], Any],
     out: Path | None, device: str | None, threads: int | None, progress: Callable[[str, float], None] | None,
 ) -> dict[str, float]:  # fmt: skip
-    """Run the simulations that are still missing, store them in `runs`, and return their wall times [s]."""
+    """Run the `jobs`, store their runs in the mapping `runs`, and return the wall times [s].
+
+    The keys of `runs` are pairs of kind of part and seed; those of the result are the names of the runs' folders.
+    """
     simulations, checkpoints = [], []
     for key, seed, scene in jobs:
         part = kinds[key]
@@ -443,9 +448,10 @@ def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Map
 
 
 def element_table_lines(found: ElementLine, others: Mapping[str, Sequence[float]]) -> list[str]:
-    """Return a headline and a table of the parts as lines of Markdown.
+    """Return a headline and a table of the line's parts as lines of Markdown.
 
-    `others` holds frictions of the parts from other methods [Pa], with one column of the table for each.
+    `others` maps names of other methods, such as the closed form, to the frictions of the parts that they predict [Pa].
+    Each method adds one column to the table.
     """
     low, high = min(found.pressures), max(found.pressures)
     span = f"; {low / 1e5:.4g} to {high / 1e5:.4g} bar over {len(found.packed)} seeds" if len(found.packed) > 1 else ""

@@ -30,9 +30,11 @@ SAME_FLOW = 0.02
 """Relative difference between the flows up to which they count as equal. The pressures at equal flows do not
 distinguish the yield stress of the slip layer from its viscosity."""
 DEPENDENT = 1e-3
-"""Smallest singular value of the scaled sensitivities at which a constant still counts as determined by the points."""
+"""Smallest singular value of the matrix of scaled sensitivities with which the measured points determine all constants.
+Below this value, a constant is removed from the fit."""
 LEAST = (1e-2, -1.0, 0.0)
-"""Limits of slip viscosity [Pa s/m], slip yield [Pa] and factor of bends, up to which a fitted value is impossible."""
+"""Values of slip viscosity [Pa s/m], slip yield [Pa] and factor of bends. A fit whose constant is not above its value
+here is refused as impossible."""
 NOTHING = {1: 1e-3, 2: 0.0}
 """Values of slip yield [Pa] and factor of bends, by index of the constant. If a fitted value is smaller, the points
 cannot distinguish it from zero; the constant then gets its default value."""
@@ -42,21 +44,21 @@ ITERATIONS = 50
 
 @dataclass(frozen=True)
 class Tap:
-    """One measured pressure in a line."""
+    """Pressure that was measured at one place of a trial line."""
 
     place: float
-    """Distance from the pump along the line [m]."""
+    """Distance along the line from the pump to the place of the measurement [m]."""
     pressure: float
     """Measured pressure [Pa]."""
     flow: float
-    """Volume flow [m3/s]."""
+    """Volume flow in the line at which the pressure was measured [m3/s]."""
     row: int
     """Number of the line in the file from which the pressure was read, for messages."""
 
 
 @dataclass(frozen=True)
 class FittedConstant:
-    """Constant of the fit with its 95 % confidence interval."""
+    """Constant of the slip layer or the bends that was fitted to a trial line, with its 95 % confidence interval."""
 
     name: str
     value: float
@@ -68,7 +70,7 @@ class FittedConstant:
 
     @property
     def text(self) -> str:
-        """Value with its band in words."""
+        """Name, value and confidence interval of the constant as text, or a remark that it was not determined."""
         unit = f" {self.unit}" if self.unit else ""
         if not self.fitted:
             return f"{self.name} {self.value:.4g}{unit} (not determined by these points, kept)"
@@ -81,9 +83,10 @@ class LineFit:
 
     taps: tuple[Tap, ...]
     constants: tuple[FittedConstant, ...]
-    """Slip viscosity, slip yield and, for a line with bends, their factor."""
+    """Viscosity and yield stress of the slip layer. If the line has bends, the factor of their friction relative to
+    straight pipe is the third constant."""
     pressures: tuple[float, ...]
-    """Fitted pressures at the taps [Pa]."""
+    """Pressures at the taps according to the fit [Pa], in the order of the taps."""
     uncertainty: float
     """Uncertainty of the friction of straight pipe: half the width of its 95 % confidence interval, divided by the
     friction."""
@@ -95,15 +98,18 @@ class LineFit:
         return math.sqrt(float(off @ off) / (len(off) - sum(each.fitted for each in self.constants)))
 
     def deviations(self) -> np.ndarray:
-        """Return fitted less measured pressures [Pa], shape (taps,)."""
+        """Return the fitted pressures minus the measured ones [Pa], shape (taps,)."""
         return np.array(self.pressures) - [tap.pressure for tap in self.taps]
 
     def concrete(self, concrete: Concrete) -> Concrete:
-        """Return a concrete with the fitted slip layer."""
+        """Return a copy of a concrete that has the fitted slip layer."""
         return replace(concrete, slip_viscosity=self.constants[0].value, slip_yield=self.constants[1].value)
 
     def variants(self, concrete: Concrete) -> dict[str, tuple[Concrete, Concrete]]:
-        """Return the concrete with the layer at both ends of its band, as the only cause of uncertainty."""
+        """Return the concrete with the fitted slip layer at the lower and at the upper end of its band.
+
+        The pair is the value of the key 'slip layer', which is the only cause of uncertainty after a fit.
+        """
         own = self.concrete(concrete)
         low, high = (with_layer_factor(own, x) for x in (1 / (1 + self.uncertainty), 1 + self.uncertainty))
         return {"slip layer": (low, high)}
@@ -123,7 +129,7 @@ class LineFit:
         return replace(line, parts=tuple(own(part) for part in line.parts))
 
     def record(self) -> dict[str, Any]:
-        """Return the fit as an entry of line.json."""
+        """Return the fit to the trial line as an entry of the file line.json."""
         return {
             "constants": {x.name: {"value": x.value, "low": x.low, "high": x.high, "unit": x.unit, "fitted": x.fitted}
                           for x in self.constants},
@@ -179,7 +185,7 @@ def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Ta
 
 
 def _is_free(part: Part) -> bool:
-    """Return whether the friction of a part is that of a bend whose factor is to be fitted."""
+    """Return True for a bend whose friction factor is fitted because the line's file states none."""
     return part.kind == "bend" and part.factor is None
 
 
@@ -287,7 +293,8 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
         value, wide = float(found[place]), float(widths.get(place, 0.0))
         constants.append(FittedConstant(NAMES[place], value, max(value - wide, 0.0), value + wide, UNITS[place],
                                         place in widths))  # fmt: skip
-    # The error of straight pipe's friction follows from those of the layer's constants, which depend on each other.
+    # The errors of the slip layer's two constants are correlated. The error of a straight pipe's friction therefore
+    # follows from their covariance matrix.
     layer = [k for k, place in enumerate(free) if place < 2]
     pipe = _Model(_metre(line), concrete, [Tap(0.0, 1.0, float(flows.mean()), 0)])
     weights = pipe.sensitivities(found, [free[k] for k in layer])[0]
@@ -297,7 +304,7 @@ def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit
 
 
 def _metre(line: PipeLine) -> PipeLine:
-    """Return a metre of level pipe of the line's first diameter."""
+    """Return a line that consists of one metre of level pipe with the first diameter of the given line."""
     first = line.parts[0].diameter
     return replace(line, parts=(Part(1, "straight", first, 1.0, 0.0, first),))
 
@@ -337,7 +344,7 @@ def _check_result(found: np.ndarray, free: Sequence[int]) -> None:
 
 
 def _least_squares(model: _Model, measured: np.ndarray, start: np.ndarray, free: Sequence[int]) -> np.ndarray:
-    """Return the constants that minimise the squared deviations, by damped Gauss-Newton steps."""
+    """Return the constants that minimise the sum of the squared pressure deviations, by damped Gauss-Newton steps."""
     own, places = start.copy(), list(free)
     off = model.pressures(own) - measured
     for _ in range(ITERATIONS):

@@ -1,4 +1,7 @@
-"""Friction of bends, reducers, hoses, valves and bores over that of straight pipe: its range, and who found it."""
+"""Factors of friction of bends, reducers, hoses, valves and changes of bore, relative to straight pipe.
+
+Each kind of part has a range of factors and the source of this range.
+"""
 
 from __future__ import annotations
 
@@ -32,10 +35,10 @@ METHODS_ON_BENDS = (
 
 @dataclass(frozen=True)
 class ModelError:
-    """Range of the friction of one kind of part, relative to straight pipe of its length."""
+    """Lowest and highest friction of one kind of part, relative to straight pipe of the same length."""
 
     cause: str
-    """Name of this cause of uncertainty, such as 'bends'."""
+    """Name under which this kind of part appears among the causes of a pressure's uncertainty, such as 'bends'."""
     low: float
     high: float
     source: str
@@ -54,10 +57,11 @@ pressure loss :data:`VALVE_PRESSURE`."""
 
 
 def range_of(part: Part, straight: float) -> tuple[float, float] | None:
-    """Return the range of a part's friction relative to that of straight pipe of its length and bores.
+    """Return the lowest and highest friction of a part, divided by that of straight pipe of the same length and bores.
 
-    `straight` is the friction of this straight pipe [Pa]. The result is None for straight pipe and for a part whose
-    friction the line's file states; a fitted factor has the range of the fit.
+    `straight` is the friction of this straight pipe [Pa]. If the line's file states a factor for the part, or if a fit
+    to a trial line determined the factor, the range is the one stored with the factor, or None. The result is also None
+    for straight pipe.
     """
     error = MODEL_ERRORS.get(part.kind)
     if part.factor is not None:
@@ -77,9 +81,10 @@ def _is_uncertain(part: Part) -> bool:
 
 
 def library_factor(part: Part) -> float:
-    """Return the friction of a bend or reducer relative to straight pipe by simulated flows of similar parts.
+    """Return the friction of a bend or reducer, divided by that of straight pipe of the same length and bores.
 
-    The result is 1 for other parts, and for a part whose friction the line's file states.
+    The factor is interpolated between those of simulated flows through bends and reducers of other sharpness. The
+    result is 1 for other kinds of parts, and for a part for which the line's file states a factor.
     """
     if part.factor is not None:
         return 1.0
@@ -93,7 +98,11 @@ def library_factor(part: Part) -> float:
 
 
 def is_in_library(part: Part) -> bool:
-    """Return whether parts as sharp as this one were simulated for the library."""
+    """Return whether the table of simulated bends and reducers covers a part.
+
+    The table does not cover a bend or reducer that is sharper than the sharpest simulated one, unless the line's file
+    states its factor. Other kinds of parts need no table.
+    """
     if part.factor is not None or part.kind not in ("bend", "reducer"):
         return True
     if part.kind == "bend":

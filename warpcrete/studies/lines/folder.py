@@ -1,4 +1,4 @@
-"""Folder of a simulated line: it holds one run for each kind of part, and an interrupted line continues in it."""
+"""Folder of a simulated pump line, with one run for each kind of part; an interrupted simulation continues in it."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def part_simulation(
 
 
 def _same(folder: Path, scene: Any, digest: str) -> Iterator[tuple[Path, bool]]:
-    """Yield each folder with a run of the same scene, and whether that run is complete."""
+    """Yield each folder in `folder` that holds a run of the given scene, and True if that run is complete."""
     for here in sorted(folder.iterdir()) if folder.is_dir() else ():
         record, result = here / "scene.json", here / "result.json"
         if digest not in here.name or not record.is_file():
@@ -56,7 +56,10 @@ def _same(folder: Path, scene: Any, digest: str) -> Iterator[tuple[Path, bool]]:
 
 
 def _free_folder(folder: Path) -> Path:
-    """Return `folder`, or a numbered variant of it if it exists; names of similar parts may agree after rounding."""
+    """Return the path `folder`, or the path with a number appended if this folder exists.
+
+    Two similar parts may have the same name because their dimensions are rounded in it.
+    """
     count, free = 1, folder
     while free.exists():
         count += 1

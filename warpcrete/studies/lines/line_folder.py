@@ -1,4 +1,4 @@
-"""Lock of a line's folder: an interrupted line continues in it, and another line is refused."""
+"""Lock of the folder of a simulated line; it admits the same line after an interruption, and refuses another one."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from ...core.run.files import read_json, write_json
 from ...core.run.folders import locked_folder, new_folder
 
 LINE_RECORD = "asked.json"
-"""Name of the file that describes the folder's line until all its runs are finished."""
+"""Name of the file with the inputs of the simulated line; the file exists until all runs of the line are finished."""
 PARTS = "parts"
-"""Name of the folder that holds the runs of the parts."""
+"""Name of the folder that holds the simulation runs of the line's parts."""
 
 
 @contextmanager

@@ -24,9 +24,10 @@ def pipeline_pressure(vertical: float, horizontal: float, height: float, distanc
 
 
 def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> None:
-    """Refuse scenes to which Zhan's Eq. 13 does not apply, and an unsuitable `other` result, read from `source`.
+    """Refuse a scene to which Eq. 13 of Zhan et al. (2019) does not apply, or a second result that does not suit it.
 
-    Raises :class:`SceneError` for the scene and :class:`RunFolderError` for the result.
+    `other` is the result of a run of pipe in the other direction, and `source` the place from which it was read, for
+    error messages. Raises :class:`SceneError` for the scene and :class:`RunFolderError` for the result.
     """
     pipe = getattr(scene, "pipe", None)
     if pipe is None:

@@ -22,7 +22,9 @@ GROUPS = {"straight": "straight pipe", "bend": "bends", "reducer": "reducers", "
 AIJ_FACTORS = {"straight": 1.0, "bend": 3.0, "reducer": 2.0, "hose": 2.0}
 """Friction of a kind of part divided by that of a straight pipe of the same length (AIJ); other kinds have 1."""
 JSCE_RISE = ((0.100, 0.125, 0.150), (3.0, 4.0, 5.0))
-"""Diameters [m], and metres of level pipe that stand for one metre of rise, weight included (JSCE)."""
+"""Rule of the JSCE for rising pipe. The first tuple holds diameters of the pipe [m]. The second tuple holds, for each
+diameter, the length of level pipe with the same pressure loss as one metre of rise [m], weight of the concrete
+included."""
 JSCE_BEND, JSCE_REDUCER, JSCE_HOSE, JSCE_HOSE_LENGTH = 6.0, 3.0, 20.0, 8.0
 """Lengths of level pipe [m] that have the same friction as a bend of 90 degrees, a reducer, and a hose of 5 to 8 m
 (JSCE)."""
@@ -34,7 +36,7 @@ JGJ_BEND, JGJ_HOSE, JGJ_HOSE_LENGTH, JGJ_VALVE = 0.1e6, 0.2e6, 5.0, 0.8e6
 
 @dataclass(frozen=True)
 class PracticeRow:
-    """Pressure of a line by one rule, split by kind of part."""
+    """Pressure of a line by one rule of practice, split by kind of part."""
 
     rule: str
     pressures: dict[str, float]
@@ -51,12 +53,12 @@ class PracticeRow:
 
 
 def _level(part: Part) -> float:
-    """Return the level length of a straight part [m], which may slope."""
+    """Return the horizontal length of a straight part that may slope [m]."""
     return math.sqrt(max(part.length**2 - part.rise**2, 0.0))
 
 
 def _summed(parts: Iterable[Part], loss: Callable[[Part], float]) -> dict[str, float]:
-    """Return the sums of a pressure loss over the parts of each kind [Pa]."""
+    """Sum the pressure `loss` of the parts [Pa]; return one sum for each kind of part, such as bends."""
     found: dict[str, float] = {}
     for part in parts:
         found[part.kind] = found.get(part.kind, 0.0) + loss(part)

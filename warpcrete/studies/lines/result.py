@@ -50,7 +50,11 @@ class Loss:
         return range_of(self.part, self.straight)
 
     def at(self, end: int) -> float:
-        """Return the friction at the lower (0) or upper (1) end of its range [Pa], which includes the friction."""
+        """Return the lower (`end` = 0) or upper (`end` = 1) limit of the part's friction [Pa].
+
+        The limit follows from the part's range of factors. A range that does not contain the computed friction is
+        widened up to the computed friction.
+        """
         if self.range is None:
             return self.friction
         return (min, max)[end](self.range[end] * self.straight, self.friction)
@@ -61,11 +65,11 @@ class Stop:
     """Time for which a full line stands still, and the growth of the concrete's yield stresses meanwhile."""
 
     rest: float
-    """Duration [s]."""
+    """Duration of the pump's stop [s]."""
     growth: float
-    """Growth rate of the yield stresses [Pa/s]."""
+    """Growth rate of the concrete's yield stresses at rest [Pa/s]."""
     band: tuple[float, float] | None = None
-    """Smallest and largest growth rate [Pa/s]; None if `growth` is certain."""
+    """Lowest and highest growth rate of the yield stresses [Pa/s]; None if `growth` has no uncertainty."""
 
 
 @dataclass(repr=False)
@@ -84,16 +88,18 @@ class LineResult:
     """True if friction comes from simulations and not from the closed form."""
     folder: Path | None = None
     took: dict[str, float] = field(default_factory=dict)
-    """Wall time of each new simulation [s], by its folder's name."""
+    """Wall times of the new simulations [s]; the keys are the names of their folders."""
     failed: dict[str, list[str]] = field(default_factory=dict)
     """Failed checks of the simulations with their findings, by folder name."""
     variants: Mapping[str, tuple[Concrete, Concrete]] | None = None
-    """Pairs of concretes by the cause of their uncertainty; None if only the slip layer is uncertain, by
-    `layer_factor`."""
+    """Pairs of concretes; the keys are the causes of uncertainty. In each pair, the properties of one cause are at the
+    lower and at the upper end of their band. None means that only the resistance of the slip layer is uncertain, by the
+    factor `layer_factor`."""
     stop: Stop | None = None
     """Stop of the pump, after which the line must start again; None for no stop."""
     fit: LineFit | None = None
-    """Fit of the slip layer and of the bends to a trial line; None if the concrete's own constants hold."""
+    """Fit of the slip layer and of the bends' factor to pressures of a trial line; None if no trial line was given, so
+    that the concrete's own constants hold."""
 
     def __repr__(self) -> str:
         return f"<LineResult of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
@@ -134,7 +140,7 @@ class LineResult:
 
     @property
     def motor_power(self) -> float:
-        """Power of the pump's motor [W], by the efficiency of practice."""
+        """Power of the pump's motor [W], with the efficiency that a rule of practice assumes."""
         return motor_power(self.pressure, self.flow)
 
     @property
@@ -149,7 +155,7 @@ class LineResult:
 
     @property
     def margin(self) -> PumpMargin | None:
-        """Comparison with the data sheet of the line's pump; None if the line names no pump."""
+        """Comparison of the line's needs with the data sheet of its pump; None if the line names no pump."""
         return None if self.line.pump is None else PumpMargin(self.line.pump, self.band(), self.flow)
 
     def band(self) -> Band:
@@ -260,10 +266,10 @@ class LineResult:
         return "; ".join(band_sentences(self.band())) or "no uncertainty is stated"
 
     def course(self, of: Callable[[Loss], float]) -> tuple[np.ndarray, np.ndarray]:
-        """Return places along the line between its parts [m] and the pressure there [Pa], both of shape (parts + 1,).
+        """Return the positions of the parts' ends along the line [m] and the pressures there [Pa], shape (parts + 1,).
 
-        `of` gives the pressure loss of a part. The pressure never falls below zero: where concrete runs down faster
-        than it is pumped, the column breaks and transmits no tension.
+        The function `of` gives the pressure loss of a part from its :class:`Loss`. The pressure never falls below zero:
+        where concrete runs down faster than it is pumped, the column breaks and transmits no tension.
         """
         places = np.concatenate([[0.0], np.cumsum([loss.part.length for loss in self.losses])])
         found = [0.0]

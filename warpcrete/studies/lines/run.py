@@ -25,9 +25,10 @@ CELLS = 12
 stretches in parts of 125 mm deviates from theory by -0.7 to 1.7 %, with 8 cells by 1.6 %.
 """
 TUBE_CELLS = 20
-"""Number of particles across a straight pipe, which is cheaper to simulate because it is periodic."""
+"""Number of particles across the bore of a simulated straight pipe. It may be larger than in bends and reducers because
+a periodic pipe is short and cheap to simulate."""
 STRAIGHT_DIAMETERS = 2.5
-"""Length of straight pipe before and behind a simulated bend or reducer [diameters]."""
+"""Length of straight pipe before and behind a simulated bend or reducer, in pipe diameters."""
 Progress = Callable[[str, float, dict[str, Any]], None]
 
 
@@ -50,14 +51,18 @@ def run_line(
     """Compute the pressure that a `line` needs at a `flow` [m3/s] of a `concrete`.
 
     By default, the answer is that of :func:`line_by_theory`. With `simulate`, each kind of part is simulated once,
-    without weight. Straight pipe is periodic. A bend or reducer lies between straight stretches with `cells` cells
-    across the narrowest bore, and its loss excludes that of these stretches. The band of the pressure belongs to a
-    slip layer whose resistance is wrong by `layer_factor`, or to the pairs of concretes in `variants`, as
-    :attr:`warpcrete.mix.mix.Mix.variants` gives them, and to the model errors of fittings. After a `stop`, the line
-    starts again. Runs are stored in the new folder `out`, or in one locked by
-    :func:`warpcrete.studies.lines.line_folder.line_folder`, where interrupted runs continue; finished runs in `known`,
-    the folder of an earlier line, are reused. Raises :class:`SceneError` for an
-    impossible flow or setting.
+    without weight. A straight pipe is simulated as a periodic one. A bend or reducer is simulated between two straight
+    stretches, whose friction is subtracted, with `cells` cells across the narrowest bore.
+
+    The pressure has an uncertainty band. Its causes are the model errors of fittings, and either a factor
+    `layer_factor` on the resistance of the slip layer or, if `variants` is given, its pairs of concretes (see
+    :attr:`warpcrete.mix.mix.Mix.variants`). With a `stop`, the result includes the pressure that starts the line again
+    after the pump has rested.
+
+    Runs are stored in the folder `out`. It must be new, or be locked by
+    :func:`warpcrete.studies.lines.line_folder.line_folder`; in the latter case, interrupted runs continue. Finished
+    runs in `known`, the folder of an earlier line, are reused. Raises :class:`SceneError` for an impossible flow or
+    setting.
     """
     check_settings(flow, layer_factor)
     between("cells", cells, 8, math.inf)
@@ -139,7 +144,7 @@ def _scene_of_part(part: Part, concrete: Concrete, flow: float, cells: int) -> t
 
 
 def _loss_from_run(part: Part, result: Mapping[str, Any]) -> float:
-    """Return the friction of a bend or reducer [Pa], or of a straight pipe per metre [Pa/m], from its run."""
+    """Return the friction of a bend or reducer [Pa], or of a metre of straight pipe [Pa/m], from its run's result."""
     if part.is_by_length:
         return 4 * number(result["wall_stress"]) / part.diameter
     return number(result["middle_loss"]) * (part.angle / max(part.angle, 5.0) if part.kind == "bend" else 1.0)

@@ -17,13 +17,14 @@ SHIPPED = Path(__file__).parents[2] / "measured" / "cases"
 FILE_KEYS = ("sources", "lines", "cases")
 KEYS = ("id", "kind", "group", "source", "where", "mix", "flow", "measured", "scatter", "uncertainty", "note",
         "test")  # fmt: skip
-"""Entries of a case. `mix` and `test` are the inputs of the prediction, `flow` and `measured` belong together."""
+"""Entries of a measured case in a file. The prediction is made from `mix`, `test` and `flow`. If `flow` lists several
+values, `measured` lists one measured value for each of them."""
 SCATTER_KEYS = ("concretes", "from", "to")
 """Entries of a case's section `scatter`, which describes the concretes of which the measured value is the mean."""
 BY_FLOW = ("pipe", "ratio", "line", "fitting", "profile")
 """Kinds of cases whose prediction depends on a flow rate."""
 HELD_OUT_SHARE = 3
-"""One in this number of groups is held out."""
+"""Number of groups of cases of which one is held out: 3 means that a third of the groups are held out."""
 FITTED = {
     "slump": ("yeh-2007",),
     "fitting": ("park-2020", "calibe"),
@@ -45,13 +46,13 @@ class Case:
     """Name of the mix, line or laboratory that several cases share. The cases of a group are fitted, or held out,
     together."""
     source: str
-    """Publication and the table, figure or section in it."""
+    """Publication from which the measurement comes, and the table, figure or section in it."""
     mix: Mapping[str, Any]
     """Section `mix` of a concrete's file, as a user would write it."""
     test: Mapping[str, Any]
     """Dimensions of the test: of the pipe, the part, the line or the apparatus in which the case was measured."""
     flows: tuple[float, ...]
-    """Flow rates [m3/s]; one for each measured value, or empty."""
+    """Flow rates at which the values were measured [m3/s], one for each value; empty if the kind needs no flow."""
     measured: tuple[float, ...]
     """Measured values in the SI unit of the case's kind."""
     concretes: int = 1
@@ -60,15 +61,15 @@ class Case:
     """Smallest and largest value of these concretes, in the SI unit of the case's kind; None for a single concrete."""
     note: str = ""
     lines: Mapping[str, Any] = field(default_factory=dict, repr=False)
-    """Pump lines of the case's file by name."""
+    """Descriptions of the pump lines in the case's file; the keys are the lines' names."""
     folder: Path = SHIPPED
 
 
 def held_out_groups(cases: Sequence[Case]) -> set[tuple[str, str]]:
-    """Return the groups, as pairs of kind and group, to which no constant of the program may be fitted.
+    """Return the groups of cases, as pairs of kind and group, that are held out of every fit of a constant.
 
-    They are a third of the groups of each kind, rounded; of two groups one is held out. The order follows from a hash
-    of the names, so that nobody can choose after seeing the results.
+    About a third of the groups of each kind are held out; if a kind has two groups, one is held out. Which groups are
+    held out follows from a hash of their names, so that nobody can choose them after seeing the results.
     """
     found = set()
     for kind in {case.kind for case in cases}:
@@ -85,7 +86,7 @@ def shipped_cases() -> list[Case]:
 
 
 def read_cases(path: Path) -> list[Case]:
-    """Read the cases of a file.
+    """Read the measured cases in a file.
 
     Raises :class:`SceneError` if an entry is unknown or missing, or if two cases have the same name.
     """
@@ -181,5 +182,5 @@ def _mapping(given: Mapping[str, Any], key: str) -> Mapping[str, Any]:
 
 
 def _listed(given: Any) -> Sequence[Any]:
-    """Return a list as it is, and a single value as a list of one."""
+    """Return a list of values as it is, and a single value as a list with one entry."""
     return given if isinstance(given, Sequence) and not isinstance(given, str) else [given]

@@ -14,7 +14,10 @@ from .predictions import PREDICTORS, line_weight
 
 @dataclass(frozen=True)
 class Comparison:
-    """Prediction of one case next to its measurement; several flows are averaged geometrically."""
+    """Predicted and measured value of one case.
+
+    If the case was measured at several flows, both values are geometric means over the flows.
+    """
 
     case: Case
     held_out: bool
@@ -27,7 +30,7 @@ class Comparison:
 
     @property
     def ratio(self) -> float:
-        """Prediction divided by measurement."""
+        """Predicted value divided by the measured one."""
         return self.band.value / self.measured
 
     @property

@@ -1,4 +1,4 @@
-"""Kinds of measurements that predictions are compared with: what is measured, and its SI unit."""
+"""Kinds of measurements with which predictions are compared, each with its quantity and SI unit."""
 
 from __future__ import annotations
 
@@ -28,4 +28,4 @@ KINDS = {
 BLOCKING = "blocking"
 """Kind of case that says whether concrete blocked: its measured value is 1 if it did, and 0 if not."""
 UNITS = {name: kind.unit for name, kind in KINDS.items()} | {BLOCKING: "1"}
-"""SI units of the measured values, by kind of case."""
+"""SI unit of the measured values for each kind of case."""

@@ -30,29 +30,30 @@ class Summary:
 
     kind: str
     chosen: str
-    """Cases in the statistics: "all", "held out", "others" or "simulated"."""
+    """Name of the set of cases that the statistics cover: "all", "held out", "others" or "simulated"."""
     count: int
     groups: int
-    """Number of independent groups among the cases."""
+    """Number of groups (mixes, lines or laboratories) to which the cases belong; groups are independent of each
+    other."""
     ratio: float
-    """Median of prediction over measurement."""
+    """Median of the ratio of prediction to measurement."""
     error: float
-    """Median factor between prediction and measurement, less 1."""
+    """Median over the cases of the factor between prediction and measurement, less 1; 0.2 means a factor of 1.2."""
     inside: float
     """Share of the concretes inside the bands of their cases."""
     factor: float
-    """Median factor from a prediction to the ends of its band."""
+    """Median over the cases of the factor f of a band that reaches from prediction / f to prediction * f."""
 
 
 @dataclass(repr=False)
 class Validation:
-    """All comparisons, with their statistics, table and figure."""
+    """Comparisons of all cases with their predictions, as statistics, table and figure."""
 
     comparisons: list[Comparison]
     blocking: list[BlockingComparison]
     """Comparison of the rules against blocking with observations, for each concrete that blocked or did not block."""
     refused: dict[str, str]
-    """Cases that the program refuses to predict, with the reason."""
+    """Reasons why the program refuses to predict some cases; the keys are the names of these cases."""
 
     def __repr__(self) -> str:
         return f"<Validation of {len(self.comparisons) + len(self.blocking)} cases>"
@@ -99,7 +100,7 @@ class Validation:
                 *markdown(BLOCKING_COLUMNS, rows)]  # fmt: skip
 
     def record(self) -> dict[str, Any]:
-        """Return the contents of validation.json, in SI units."""
+        """Return the contents of the file validation.json, with all values in SI units."""
         return {
             "summaries": [vars(each) for each in self.summaries()],
             "cases": [
