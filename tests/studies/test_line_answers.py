@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from warpcrete import SceneError
 from warpcrete.cli.main import cli
 from warpcrete.geometry.pumps import Pump, pump_of
-from warpcrete.studies.lines.answers import EFFICIENCY, band_sentences
+from warpcrete.studies.lines.answers import EFFICIENCY, band_sentences, pressure_text
 from warpcrete.studies.lines.fittings import METHODS_ON_BENDS, MODEL_ERRORS, VALVE_PRESSURE, library_factor
 from warpcrete.studies.lines.losses import line_of
 from warpcrete.studies.lines.result import Stop, lines_of
@@ -187,6 +187,13 @@ def test_a_pump_is_compared_with_its_data_sheet():
 def test_pumps_that_cannot_be_are_refused(pump, says):
     with pytest.raises(SceneError, match=says):
         line({"straight": 1}, pump=pump)
+
+
+def test_a_pressure_that_no_pump_delivers_is_remarked():
+    assert not any("no concrete pump" in x for x in pumped({"straight": 100}).remarks())
+    far = pumped({"straight": 40e5 / METRE * 11})
+    assert far.pressure > 400e5 and any("deliver more than 400 bar" in x for x in far.remarks())
+    assert pressure_text(6894757.0) == "68.95 bar (6.89 MPa, 1000 psi)"
 
 
 def test_a_restart_has_a_band():

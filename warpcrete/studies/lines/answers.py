@@ -36,8 +36,8 @@ ADVICE = {
 
 
 def pressure_text(pressure: float) -> str:
-    """Return a pressure [Pa] in bar and MPa."""
-    return f"{pressure / 1e5:.4g} bar ({pressure / 1e6:.3g} MPa)"
+    """Return a pressure [Pa] in bar, MPa and psi."""
+    return f"{pressure / 1e5:.4g} bar ({pressure / 1e6:.3g} MPa, {pressure / 6894.757:.4g} psi)"
 
 
 def band_sentences(band: Band, without_advice: Collection[str] = ()) -> list[str]:

@@ -22,6 +22,10 @@ from .fittings import METHODS_ON_BENDS, MODEL_ERRORS, is_in_library, range_of, u
 from .losses import GRAVITY, Part, PipeLine, friction, straight_friction, with_layer_factor
 from .practice import PracticeRow, practice_lines, practice_rows
 
+HIGHEST_PUMP = 400e5
+"""Highest pressure of concrete that a pump is known to deliver [Pa]: the pump of Burj Khalifa
+(https://www.khl.com/news/world-record-pump-height/1006787.article)."""
+
 
 @dataclass(frozen=True)
 class Loss:
@@ -284,6 +288,9 @@ class LineResult:
         found += [f"part {x.part.number}, {x.part.label}, is sharper than all parts of the library of simulated parts; "
                   "--simulate computes it" for x in self.losses
                   if not self.simulated and not is_in_library(x.part)]  # fmt: skip
+        if self.pressure > HIGHEST_PUMP:
+            found.append(f"no concrete pump is known to deliver more than {HIGHEST_PUMP / 1e5:.0f} bar; use a wider "
+                         "pipe, a smaller flow, concrete with less friction, or a second pump on the way")  # fmt: skip
         course = self.course(lambda loss: loss.friction + loss.weight)[1]
         for number, loss in enumerate(self.losses):
             if course[number + 1] + loss.friction + loss.weight < 0:
