@@ -104,7 +104,7 @@ def column(kind, device, **law):
 
 
 def sheared(run):
-    """Return the part of the mean velocity that is not slip, measured and by theory: all that the bulk's law decides."""
+    """Return the part of the mean velocity that is not slip, measured and by theory; the law of the bulk decides it."""
     return np.array([U - run.result[name]["value"] for name in ("slip_velocity", "slip_velocity_theory")])
 
 
