@@ -22,7 +22,8 @@ from warpcrete import scenes
 from warpcrete.core.run.files import next_folder
 from warpcrete.core.units import number
 from warpcrete.studies.cases import Case
-from warpcrete.studies.study import Study, resume_study, run_listed
+from warpcrete.studies.study import resume_study, run_listed
+from warpcrete.studies.study_result import Study
 from warpcrete.theory.bands import wilson_interval
 
 STONE = 0.016

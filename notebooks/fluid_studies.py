@@ -19,8 +19,8 @@ from matplotlib.figure import Figure
 from warpcrete import scenes
 from warpcrete.core.device.device import default_threads, find_device
 from warpcrete.core.run.run_loop import Run
+from warpcrete.mps.common.stepping import run_abreast
 from warpcrete.mps.simulation import FluidSimulation
-from warpcrete.mps.stepping import run_abreast
 from warpcrete.theory import pipe as theory
 
 MIXES = ("no1", "no2", "no3")

@@ -11,11 +11,12 @@ import numpy as np
 
 from warpcrete.core.run.progress import ProgressBar
 from warpcrete.core.units import number
-from warpcrete.mps.mixes import concrete_of
+from warpcrete.geometry.pipe_line import PipeLine
+from warpcrete.mps.common.mixes import concrete_of
 from warpcrete.record.checks import failed_checks
 from warpcrete.record.loading import load
 from warpcrete.studies.lines.elements import Elements, run_elements
-from warpcrete.studies.lines.losses import PipeLine, line_of
+from warpcrete.studies.lines.losses import line_of
 from warpcrete.studies.lines.run import run_line
 
 BENDS = (0.25, 0.5, 1.0)

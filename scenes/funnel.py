@@ -9,7 +9,8 @@ from typing import Annotated
 
 from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
-from warpcrete.core.inputs.parameters import Above, OneOf, scene_function
+from warpcrete.core.inputs.parameters import Above, OneOf
+from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.mps.free.checks import check_flow
 from warpcrete.mps.free.knobs import free_knobs
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene

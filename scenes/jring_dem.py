@@ -11,8 +11,9 @@ import numpy as np
 
 from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
-from warpcrete.core.inputs.parameters import Above, Within, scene_function
-from warpcrete.dem.pumping.vessels import check_vessel, vessel_knobs
+from warpcrete.core.inputs.parameters import Above, Within
+from warpcrete.core.inputs.scene_functions import scene_function
+from warpcrete.dem.pumping.vessel_checks import check_vessel, vessel_knobs
 from warpcrete.dem.scene.scene import Scene
 from warpcrete.geometry.prisms import truncated_cone
 from warpcrete.geometry.walls import MeshWall

@@ -8,8 +8,10 @@ from typing import Annotated
 
 from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
-from warpcrete.core.inputs.parameters import Above, scene_function
-from warpcrete.dem.pumping.vessels import VesselParameters, check_vessel, vessel_knobs, vessel_remarks
+from warpcrete.core.inputs.parameters import Above
+from warpcrete.core.inputs.scene_functions import scene_function
+from warpcrete.dem.pumping.vessel_checks import check_vessel, vessel_knobs, vessel_remarks
+from warpcrete.dem.pumping.vessels import VesselParameters
 from warpcrete.dem.scene.scene import Scene
 from warpcrete.geometry.prisms import prism, rectangle
 from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed, Wall

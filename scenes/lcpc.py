@@ -11,16 +11,18 @@ from typing import Annotated
 
 from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.knobs import Knob, Trading
-from warpcrete.core.inputs.parameters import Above, OneOf, Within, scene_function
+from warpcrete.core.inputs.parameters import Above, OneOf, Within
+from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.core.run.method import Quantity
-from warpcrete.dem.pumping.vessels import VesselParameters, check_vessel, vessel_knobs, vessel_remarks
+from warpcrete.dem.pumping.vessel_checks import check_vessel, vessel_knobs, vessel_remarks
+from warpcrete.dem.pumping.vessels import VesselParameters
 from warpcrete.dem.scene.scene import Scene
 from warpcrete.geometry.prisms import prism, rectangle
 from warpcrete.geometry.walls import MeshWall, PlaneWall, Prescribed, Wall
+from warpcrete.mps.common.settings import STEP_ERROR
 from warpcrete.mps.free.checks import check_flow
 from warpcrete.mps.free.knobs import free_knobs
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
-from warpcrete.mps.scene import STEP_ERROR
 from warpcrete.standards import ClosedForm, Outcome, Specimen, StandardTest
 from warpcrete.standards.standard_test import Sizes
 from warpcrete.theory.vessels import box_at_rest, box_yield_stress

@@ -15,7 +15,8 @@ from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.concretes import is_file
 from warpcrete.core.inputs.knobs import Knob, Trading, precisions, scaled
 from warpcrete.core.inputs.limits import check_velocity
-from warpcrete.core.inputs.parameters import Above, FileIf, Needs, OneOf, Within, scene_function
+from warpcrete.core.inputs.parameters import Above, FileIf, Needs, OneOf, Within
+from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.core.run.checks import with_cures
 from warpcrete.core.run.run_loop import Run
 from warpcrete.geometry.axis import Arc, Axis, Line
@@ -33,8 +34,8 @@ from warpcrete.geometry.one_pipe import (
     parameters_from_mesh,
 )
 from warpcrete.geometry.walls import MeshWall
-from warpcrete.mps.column import FLOW, ConcreteParameters
-from warpcrete.mps.mixes import CONSTANTS, concrete_of
+from warpcrete.mps.column import FLOW
+from warpcrete.mps.common.mixes import CONSTANTS, ConcreteParameters, concrete_of
 from warpcrete.mps.part.layout import INLET_RADIUS
 from warpcrete.mps.part.scene import MIN_ACROSS, PartScene, PartSettings, Section
 

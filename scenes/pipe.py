@@ -15,13 +15,14 @@ import numpy as np
 from warpcrete.core.errors import refuse
 from warpcrete.core.inputs.concretes import concrete, shipped
 from warpcrete.core.inputs.knobs import Trading
-from warpcrete.core.inputs.parameters import scene_function
+from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.core.run.checks import with_cures
 from warpcrete.core.run.run_loop import Run
 from warpcrete.core.units import number
 from warpcrete.dem.measure.blockage_results import blocked_words
 from warpcrete.dem.pumping.components import Plug, fill_of, law_remarks, plug_of, settings_of, sizes_of
-from warpcrete.dem.pumping.parameters import WIDEST_STONE, PipeParameters, index_settings, pumping_knobs
+from warpcrete.dem.pumping.parameter_groups import index_settings
+from warpcrete.dem.pumping.parameters import WIDEST_STONE, PipeParameters, pumping_knobs
 from warpcrete.dem.scene.concretes import COVERAGE
 from warpcrete.dem.scene.containers import PipeContainer
 from warpcrete.dem.scene.scene import (

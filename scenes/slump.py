@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from warpcrete.core.inputs.knobs import Knob, Trading
-from warpcrete.core.inputs.parameters import Above, OneOf, Within, scene_function
+from warpcrete.core.inputs.parameters import Above, OneOf, Within
+from warpcrete.core.inputs.scene_functions import scene_function
+from warpcrete.mps.common.mixes import CONSTANTS
 from warpcrete.mps.free.checks import check_flow
 from warpcrete.mps.free.knobs import free_knobs
 from warpcrete.mps.free.scene import FreeConcrete, FreeScene
-from warpcrete.mps.mixes import CONSTANTS
 from warpcrete.standards import SLUMP
 from warpcrete.theory.vessels import cone_volume, long_heap_spread
 

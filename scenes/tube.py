@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-from warpcrete.core.inputs.parameters import scene_function
+from warpcrete.core.inputs.scene_functions import scene_function
 from warpcrete.mps.column import FlowParameters, check_flow, column_scene, flow_trading
 from warpcrete.mps.scene import FluidScene
 

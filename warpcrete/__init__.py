@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from .methods import Simulation
     from .studies.api import study
     from .studies.calibration.calibrate import calibrate
-    from .studies.explain import explain
     from .studies.loading import load
+    from .studies.tradeoffs.explain import explain
     from .studies.tradeoffs.trade import trade
 
 __all__ = [
@@ -59,7 +59,7 @@ _LAZY |= {
     "load": "studies.loading",
     "study": "studies.api",
     "trade": "studies.tradeoffs.trade",
-    "explain": "studies.explain",
+    "explain": "studies.tradeoffs.explain",
     "calibrate": "studies.calibration.calibrate",
     "read_mix": "mix.mix",
 }

@@ -14,12 +14,7 @@ from .mps.part.method import METHOD as PARTS_OF_LINES
 
 __all__ = ["METHODS", "Run", "Simulation", "method_of"]
 
-METHODS: tuple[Method, ...] = (
-    DISCRETE_ELEMENTS,
-    MOVING_PARTICLES,
-    FREE_FLOWS,
-    PARTS_OF_LINES,
-)
+METHODS: tuple[Method, ...] = (DISCRETE_ELEMENTS, MOVING_PARTICLES, FREE_FLOWS, PARTS_OF_LINES)
 
 
 def method_of(scene: Any) -> Method:

@@ -72,10 +72,7 @@ def parallel_scale(scalar):
 
     @wp.kernel(enable_backward=False, module="unique")
     def divide(
-        blocks: wp.int32,
-        wanted: wp.float64,
-        partial: wp.array(dtype=wp.float64),
-        factor: wp.array(dtype=wp.float64),
+        blocks: wp.int32, wanted: wp.float64, partial: wp.array(dtype=wp.float64), factor: wp.array(dtype=wp.float64)
     ):
         i = wp.tid()
         sum = total(i, partial, 0, blocks)

@@ -76,13 +76,7 @@ def bond_functions(scalar):
 
     @wp.func
     def bond_force(
-        p: Bond,
-        touch: Touch,
-        stretch: scalar,
-        relative_spin: t.vec3,
-        force: t.vec4,
-        moment: t.vec4,
-        dt: scalar,
+        p: Bond, touch: Touch, stretch: scalar, relative_spin: t.vec3, force: t.vec4, moment: t.vec4, dt: scalar
     ):
         """Return the new force, moment and state of a bond; if the bond breaks, the force and moment that broke it.
 

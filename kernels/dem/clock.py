@@ -4,18 +4,7 @@ import functools
 
 import warp as wp
 
-from ..common.control import (
-    ARRIVED,
-    ESTIMATED,
-    FAILED,
-    GOAL,
-    HALTED,
-    LATE,
-    OVERFLOW,
-    STALE,
-    STEPS,
-    WAITS,
-)
+from ..common.control import ARRIVED, ESTIMATED, FAILED, GOAL, HALTED, LATE, OVERFLOW, STALE, STEPS, WAITS
 from .structs import DT, DT_PREVIOUS, SINCE_BUILD, TIME, array_structs
 
 CLOSE = 1.0e-6

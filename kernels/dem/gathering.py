@@ -29,9 +29,8 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
     t = types(scalar)
     sum_of_group = group_functions(scalar, lanes).sum_of_group
     structs = array_structs(scalar)
-    Scenes, Bodies, Spheres, Slots, Pairs, Walls = (
-        structs.Scenes, structs.Bodies, structs.Spheres, structs.Slots, structs.Pairs, structs.Walls
-    )  # fmt: skip
+    Scenes, Bodies, Spheres, Slots = structs.Scenes, structs.Bodies, structs.Spheres, structs.Slots
+    Pairs, Walls = structs.Pairs, structs.Walls
     Estimate = estimate_struct(scalar)
     PairParameters = pair_law.functions(scalar).Parameters
     WallParameters, wall_stiffness = wall_law.functions(scalar).Parameters, wall_law.functions(scalar).stiffness
@@ -43,10 +42,8 @@ def gather_kernel(scalar, pair_law, wall_law, half: bool, bonds: bool, subcyclin
     shape = wall_functions(scalar)
     Segment, distance_to_wall, into_wall = shape.Segment, shape.distance_to_wall, shape.into_wall
     xyz = vector_functions(scalar).xyz
-    record_speed, add_wall_stiffness = (
-        recording_functions(scalar).record_speed,
-        recording_functions(scalar).add_wall_stiffness,
-    )
+    record_speed = recording_functions(scalar).record_speed
+    add_wall_stiffness = recording_functions(scalar).add_wall_stiffness
     rows = row_functions(scalar)
     read_vec3, read_vec4 = rows.read_vec3, rows.read_vec4
 

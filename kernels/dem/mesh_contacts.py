@@ -1,10 +1,8 @@
 """Contact of spheres with triangle meshes.
 
-A mesh contact is accepted only where the triangle's closest point is a local minimum of the distance to the *whole*
-surface. On an edge, a step along either adjacent face must not lead closer to the sphere's centre; at a corner, the
-same holds for every edge that meets there. This gives exactly one contact on any triangulated plane and on convex edges
-and corners, whatever the triangle sizes. Facets that approximate a concave curved surface can each hold a minimum.
-Minima whose normals differ by less than `MERGE_ANGLE` therefore count as one contact, and the deepest one is used.
+A mesh contact is accepted only where a triangle's closest point is a local minimum of the distance to the *whole*
+surface (`mesh_faces`). Facets that approximate a concave curved surface can each hold a minimum. Minima whose normals
+differ by less than `MERGE_ANGLE` therefore count as one contact, and the deepest one is used.
 
 A surface also hides what lies behind it. The farther of two contacts is dropped if its point lies behind the plane
 through the nearer contact point, perpendicular to the nearer normal. A tolerance of BEHIND allows for rounded corners.
@@ -22,11 +20,11 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from ..common.control import FAILED, HALTED, OVERFLOW, STALE
-from ..common.geometry import triangle_functions
+from ..common.control import FAILED, HALTED, OVERFLOW
 from ..common.types import SPAN, types, vector_functions
-from ..common.walls import BORDER, SHARED, wall_struct
+from ..common.walls import wall_struct
 from .analytic_walls import surface_touch_function, wall_force_function
+from .mesh_faces import surface_functions
 from .structs import DT_PREVIOUS, FORCE_SCALE, array_structs
 from .wear import wear_functions
 
@@ -39,105 +37,6 @@ BEHIND = 2.0e-2
 # contacts, the flag OVERFLOW is set.
 MESH_SLOTS = 6
 Owners = wp.types.vector(MESH_SLOTS, wp.int32)
-
-
-@functools.cache
-def surface_functions(scalar) -> SimpleNamespace:
-    """Return functions for a face: its closest point, the test for a local minimum of the distance, and the normal."""
-    t = types(scalar)
-    Wall = wall_struct(scalar)
-    closest_on_triangle = triangle_functions(scalar).closest_on_triangle
-    safe_normalize = vector_functions(scalar).safe_normalize
-
-    @wp.func
-    def closest_on_face(p: t.vec3, face: wp.int32, corners: wp.array(dtype=t.vec3), faces: wp.array2d(dtype=wp.int32)):
-        point, feature = closest_on_triangle(
-            p, corners[faces[face, 0]], corners[faces[face, 1]], corners[faces[face, 2]]
-        )
-        return point, feature
-
-    @wp.func
-    def falls_towards(direction: t.vec3, offset: t.vec3):
-        # Return True if a step along `direction` on the surface comes nearer to the sphere's centre. The tolerance
-        # covers rounding in single precision. Minima reported twice because of the tolerance are merged by angle later.
-        return wp.dot(direction, offset) > scalar(1.0e-3) * wp.length(direction) * wp.length(offset)
-
-    @wp.func
-    def across_edge(inward: t.vec3, along: t.vec3):
-        return inward - (wp.dot(inward, along) / wp.dot(along, along)) * along
-
-    @wp.func
-    def is_minimum(
-        feature: wp.int32,
-        face: wp.int32,
-        wall: Wall,
-        offset: t.vec3,
-        corners: wp.array(dtype=t.vec3),
-        faces: wp.array2d(dtype=wp.int32),
-        across: wp.array2d(dtype=wp.int32),
-        ring_start: wp.array(dtype=wp.int32),
-        ring: wp.array(dtype=wp.int32),
-    ):
-        """Return True if the face's closest point is a local minimum of the distance to the whole surface.
-
-        `offset` points from the closest point to the sphere's centre. Only the face with the lowest number reports a
-        point that several faces share.
-        """
-        if feature == 0:
-            return True
-        if feature < 4:
-            edge = feature - 1
-            # `across` describes what lies beyond each edge of a face. Column `edge` holds the corner of the
-            # neighbouring face that is not on the edge, and column `edge + 3` holds the number of the neighbouring
-            # face.
-            beyond = across[face, edge]
-            if beyond == BORDER:
-                return True
-            a = corners[faces[face, edge]]
-            along = corners[faces[face, (edge + 1) % 3]] - a
-            if beyond <= SHARED:
-                row = SHARED - beyond
-                if ring[ring_start[row]] != face - wall.first_face:
-                    # Avoid a duplicate: of several faces at this edge, only the face with the lowest index reports the
-                    # edge.
-                    return False
-                for k in range(ring_start[row] + 1, ring_start[row + 1]):
-                    if falls_towards(across_edge(corners[ring[k]] - a, along), offset):
-                        return False
-                return True
-            if across[face, edge + 3] < face:
-                return False  # Avoid a duplicate: the neighbouring face has the lower index and reports this edge.
-            return not falls_towards(across_edge(corners[beyond] - a, along), offset)
-        corner = faces[face, feature - 4]
-        a = corners[corner]
-        lowest = ring[ring_start[corner]]
-        if lowest != face - wall.first_face:
-            # Avoid a duplicate: only the face with the lowest index of all faces at a corner reports the corner.
-            return False
-        for k in range(ring_start[corner] + 1, ring_start[corner + 1]):
-            if falls_towards(corners[ring[k]] - a, offset):
-                return False
-        return True
-
-    @wp.func
-    def normal_of(
-        offset: t.vec3,
-        face: wp.int32,
-        orientation: t.quat,
-        corners: wp.array(dtype=t.vec3),
-        faces: wp.array2d(dtype=wp.int32),
-    ):
-        """Return the unit normal into the wall at a face's point closest to a sphere.
-
-        The normal is opposite to `offset`, the vector from this point to the sphere's centre. If the centre lies on the
-        face, the result is the face's own normal, which follows from the order of the face's corners.
-        """
-        a = corners[faces[face, 0]]
-        plain = wp.cross(corners[faces[face, 1]] - a, corners[faces[face, 2]] - a)
-        n = -safe_normalize(offset, -wp.normalize(plain))
-        return wp.quat_rotate(orientation, n)
-
-    return SimpleNamespace(closest_on_face=closest_on_face, is_minimum=is_minimum, normal_of=normal_of)
 
 
 @functools.cache
@@ -442,59 +341,3 @@ def mesh_kernel(scalar, law, half: bool, dissipation: bool, wear: bool) -> wp.Ke
                 spheres.dissipated_energy[i] = spheres.dissipated_energy[i] + total_lost
 
     return mesh_contacts
-
-
-@functools.cache
-def candidate_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
-    """Return the kernels that count and store the faces within reach (radius plus mesh skin) of each sphere."""
-    t = types(scalar)
-    structs = array_structs(scalar)
-    Scenes, Spheres, Candidates, Walls = structs.Scenes, structs.Spheres, structs.Candidates, structs.Walls
-    xyz = vector_functions(scalar).xyz
-    closest_on_face = surface_functions(scalar).closest_on_face
-
-    def kernel(fill: bool):
-        @wp.kernel(module="unique", enable_backward=False)
-        def find_candidates(
-            # The next arguments are arrays of the model, which are constant during a run.
-            corners: wp.array(dtype=t.vec3),
-            faces: wp.array2d(dtype=wp.int32),
-            # The next arguments are arrays of the state that this kernel only reads.
-            flags: wp.array2d(dtype=wp.int32),
-            scenes: Scenes,
-            spheres: Spheres,
-            walls: Walls,
-            # The next arguments are arrays that this kernel writes: each sphere's candidate count, or the candidates.
-            count: wp.array(dtype=wp.int32),
-            candidates: Candidates,
-        ):
-            i = wp.tid()
-            s = spheres.scene[i]
-            if flags[s, STALE] == 0:
-                return
-            x = xyz(spheres.position[i])
-            reach = spheres.position[i][3] + scenes.row[s].mesh_skin
-            found = wp.int32(0)
-            place = scenes.row[s].candidates + candidates.start[i + s]
-            first_wall = scenes.row[s].walls
-            for w in range(first_wall + scenes.row[s].analytic, first_wall + scenes.row[s].wall_count):
-                local = wp.quat_rotate_inv(walls.orientation[w], x - walls.position[w])
-                centre = wp.vec3(wp.float32(local[0]), wp.float32(local[1]), wp.float32(local[2]))
-                # The mesh's tree is in single precision; the margin covers its rounding.
-                margin = wp.float32(reach) + wp.float32(1.0e-6) * wp.length(centre)
-                box = wp.vec3(margin, margin, margin)
-                query = wp.mesh_query_aabb(walls.table[w].mesh, centre - box, centre + box)
-                local_face = wp.int32(0)
-                while wp.mesh_query_aabb_next(query, local_face):
-                    face = walls.table[w].first_face + local_face
-                    point, feature = closest_on_face(local, face, corners, faces)
-                    if wp.length(local - point) <= reach:
-                        if wp.static(fill):
-                            candidates.face[place + found] = face - scenes.row[s].faces
-                        found += 1
-            if not wp.static(fill):
-                count[i + s] = found
-
-        return find_candidates
-
-    return kernel(False), kernel(True)

@@ -289,9 +289,8 @@ def contact_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: 
     """
     t = types(scalar)
     structs = array_structs(scalar)
-    Scenes, Bodies, Spheres, Slots, Pairs, Walls = (
-        structs.Scenes, structs.Bodies, structs.Spheres, structs.Slots, structs.Pairs, structs.Walls
-    )  # fmt: skip
+    Scenes, Bodies, Spheres, Slots = structs.Scenes, structs.Bodies, structs.Spheres, structs.Slots
+    Pairs, Walls = structs.Pairs, structs.Walls
     PairParameters = pair_law.functions(scalar).Parameters
     WallParameters, wall_energy = wall_law.functions(scalar).Parameters, wall_law.functions(scalar).energy
     Bond = bond_functions(scalar).Bond

@@ -22,9 +22,7 @@ def force_probe(scalar, pair_law, wall_law, half: bool, history: bool, bonds: bo
     """
     t = types(scalar)
     structs = array_structs(scalar)
-    Scenes, Spheres, Slots, Pairs, Walls = (
-        structs.Scenes, structs.Spheres, structs.Slots, structs.Pairs, structs.Walls
-    )  # fmt: skip
+    Scenes, Spheres, Slots, Pairs, Walls = structs.Scenes, structs.Spheres, structs.Slots, structs.Pairs, structs.Walls
     PairParameters, pair_force = pair_law.functions(scalar).Parameters, pair_law.functions(scalar).force
     WallParameters, wall_force_of = wall_law.functions(scalar).Parameters, wall_law.functions(scalar).force
     pair_touch = pair_functions(scalar).pair_touch

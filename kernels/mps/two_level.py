@@ -221,11 +221,8 @@ def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK
 
     The kernel runs as `parties` blocks of `width` threads. With `width` = WIDE there must be only one block.
     """
-    accumulate, total_of, total = (
-        sum_functions(width).accumulate,
-        sum_functions(width).total_of,
-        block_sums(width).total,
-    )
+    accumulate, total_of = sum_functions(width).accumulate, sum_functions(width).total_of
+    total = block_sums(width).total
     f, row = solver_functions(scalar, dimensions, vector), row_functions(scalar, dimensions, vector, False)
     Solve, value = f.Solve, f.value
     Matrix = array_structs(scalar, dimensions).Matrix

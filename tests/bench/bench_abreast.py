@@ -13,7 +13,7 @@ import warp as wp
 import warpcrete
 from warpcrete import scenes
 from warpcrete.core.device.device import find_device
-from warpcrete.mps.stepping import run_abreast
+from warpcrete.mps.common.stepping import run_abreast
 
 CASES = {
     "channel, piston, 5 mm": lambda k: scenes.channel(duration=0.1, flow=1.5e-3 * (1 + 0.002 * k)),

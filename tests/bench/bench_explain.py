@@ -11,7 +11,7 @@ import warp as wp
 from warpcrete import Simulation, scenes
 from warpcrete.core.device.device import default_threads, find_device
 from warpcrete.core.units import number
-from warpcrete.studies.explain import explain
+from warpcrete.studies.tradeoffs.explain import explain
 
 SMALL = dict(diameter=0.1, length=0.5, ramp=0.15, travel=0.3)
 SCENES = {

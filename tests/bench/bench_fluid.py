@@ -20,12 +20,12 @@ import warp as wp
 from warpcrete import scenes
 from warpcrete.core.device.device import find_device
 from warpcrete.kernels.mps.structs import PRESSURE
+from warpcrete.mps import grid_probes as grid_probes
 from warpcrete.mps import probes
-from warpcrete.mps.grid import probes as grid_probes
 from warpcrete.mps.grid.flow import GridFlow
-from warpcrete.mps.grid.layout import pipe_layout
 from warpcrete.mps.grid.state import GridState
 from warpcrete.mps.particles import MovingParticles
+from warpcrete.mps.pipe_grid import pipe_layout
 from warpcrete.mps.stages import step_parts
 from warpcrete.mps.state import FluidState
 

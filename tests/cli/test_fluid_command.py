@@ -11,7 +11,8 @@ import pytest
 from click.testing import CliRunner
 from pumping import command, wait_until
 
-from warpcrete.cli.main import cli, help_text
+from warpcrete.cli.main import cli
+from warpcrete.cli.scene_commands import help_text
 from warpcrete.scenes import modules
 
 COMMAND = [sys.executable, "-c", "from warpcrete.cli import main; main()"]

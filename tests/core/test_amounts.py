@@ -6,10 +6,10 @@ import time
 import pytest
 
 from warpcrete import SceneError
+from warpcrete.cli.schemas import text_pattern
 from warpcrete.core.inputs.amounts import LONGEST, UNITS, amount, is_amount, unit_names
 from warpcrete.mix.ingredients import mass_per_volume
 from warpcrete.mix.mix import mix_of
-from warpcrete.studies.schemas import text_pattern
 
 YARD = 0.764554857984
 """Volume of a cubic yard [m3]."""

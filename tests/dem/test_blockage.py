@@ -17,7 +17,7 @@ from warpcrete.dem.scene.scene import Blockage, Bodies, Scene
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.walls import PipeWall, PlaneWall
 from warpcrete.studies.cases import Case
-from warpcrete.studies.study import Study
+from warpcrete.studies.study_result import Study
 
 SHORT = dict(
     diameter=0.08, length=0.24, travel=0.14, ramp=0.02, settle=0.3, size_min=8e-3, size_max=14e-3, unit="horizontal"

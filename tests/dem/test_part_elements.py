@@ -18,8 +18,8 @@ from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.bores import Bores
 from warpcrete.geometry.curves import curve_through
 from warpcrete.geometry.meshes import enclosed
-from warpcrete.mps.mixes import concrete_of
-from warpcrete.studies.lines.elements import SeedResult, WallLaw
+from warpcrete.mps.common.mixes import concrete_of
+from warpcrete.studies.lines.element_line import SeedResult, WallLaw
 from warpcrete.studies.lines.losses import friction, line_of, with_layer_factor
 from warpcrete.studies.lines.run import run_line
 

@@ -15,9 +15,9 @@ from warpcrete.core.inputs.parameters import Needs, declared_fields
 from warpcrete.core.units import number
 from warpcrete.geometry.axis import Axis, Line
 from warpcrete.geometry.bores import Bores
+from warpcrete.mps.common.stepping import run_abreast
 from warpcrete.mps.part.layout import INLET, Frame, part_layout
 from warpcrete.mps.part.simulation import PartSimulation
-from warpcrete.mps.stepping import run_abreast
 from warpcrete.scenes import modules
 
 SHORT = {"straight": 0.2, "spacing": 0.0125}

@@ -22,6 +22,8 @@ LAYERS |= {f"kernels.{name}": 2 for name in METHODS if (ROOT / "kernels" / name)
 INSIDE = {
     "core": {"": 0, "inputs": 1, "device": 1, "drawing": 2, "run": 3},
     "dem": {"laws": 0, "scene": 1, "pumping": 2, "engine": 2, "measure": 3, "": 4},
+    "mps": {"common": 0, "grid": 1, "": 2, "free": 2, "part": 2},
+    "studies": {"": 0, "calibration": 1, "lines": 1, "reproduction": 1, "tradeoffs": 1, "validation": 2},
 }
 """Subpackages of a package and how high they stand; those at the same height do not import each other."""
 ALONE = {("scenes", "methods"), ("record", "verification")}
@@ -158,9 +160,9 @@ def test_text_is_read_and_written_as_utf_8():
 
 
 PARSERS = {"json.load", "json.loads", "csv.reader", "csv.DictReader", "yaml.load", "yaml.safe_load", "YAML"}
-OWN_FILES = {"record.loading": "csv.reader", "studies.explain": "json.loads", "core.run.checkpoint": "json.loads",
-             "studies.lines.folder": "json.loads", "studies.lines.line_folder": "json.loads",
-             "record.run_folder": "json.loads"}  # fmt: skip
+OWN_FILES = {"record.loading": "csv.reader", "studies.tradeoffs.explain": "json.loads",
+             "core.run.checkpoint": "json.loads", "studies.lines.folder": "json.loads",
+             "studies.lines.line_folder": "json.loads", "record.run_folder": "json.loads"}  # fmt: skip
 """Modules that parse what the program itself has written, or holds in memory."""
 
 

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from warpcrete import Simulation, scenes
 from warpcrete.cli.main import cli
-from warpcrete.mps.mixes import concrete_of
+from warpcrete.mps.common.mixes import concrete_of
 from warpcrete.studies.lines.losses import line_of, read_line
 from warpcrete.studies.lines.run import run_line
 

@@ -15,7 +15,7 @@ from warpcrete.core.units import number
 from warpcrete.dem.scene.concretes import COVERAGE
 from warpcrete.mix.ingredients import is_thickener, paste_volumes
 from warpcrete.mix.mix import completed, mix_of, read_mix
-from warpcrete.mps.mixes import concrete_of
+from warpcrete.mps.common.mixes import concrete_of
 from warpcrete.studies.lines.losses import line_of
 from warpcrete.studies.lines.run import run_line
 from warpcrete.theory.bands import combined

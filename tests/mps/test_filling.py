@@ -7,8 +7,9 @@ import pytest
 from test_free_flows import vessel
 from test_grid_flows import stages_through
 
-from warpcrete.mps.free.layout import fill_cells, free_layout
+from warpcrete.mps.free.layout import free_layout
 from warpcrete.mps.free.simulation import FreeSimulation
+from warpcrete.mps.grid.filling import fill_cells
 from warpcrete.mps.grid.geometry import OPEN_SIDE, WALL, Room, geometry_of
 from warpcrete.verification.vessels import tilted_vessel
 

@@ -17,8 +17,8 @@ from warpcrete.kernels.mps.grid.cells import LIQUID, GridKind, grid_parameters_s
 from warpcrete.kernels.mps.grid.forces import relaxed_viscosity_function
 from warpcrete.mps.column import check_flow
 from warpcrete.mps.grid.flow import GridFlow
-from warpcrete.mps.grid.layout import pipe_layout
 from warpcrete.mps.grid.state import GridState
+from warpcrete.mps.pipe_grid import pipe_layout
 from warpcrete.mps.simulation import FluidSimulation
 
 SCENES = {"channel": scenes.channel, "tube": scenes.tube}

@@ -56,7 +56,7 @@ def viscous_stages(flow):
 @pytest.mark.parametrize("dimensions", [2, 3])
 def test_the_solve_finds_the_best_of_all_rigid_motions(device, dimensions, monkeypatch):
     """Against the same equations, dense, in the coordinates of grains' velocities and spins."""
-    monkeypatch.setattr("warpcrete.mps.stages.VELOCITY_ERROR", 1e-12)
+    monkeypatch.setattr("warpcrete.mps.common.stepping.VELOCITY_ERROR", 1e-12)
     flow = two_phase_flow(device, dimensions, length=0.3 if dimensions == 2 else 0.1)
     rng = np.random.default_rng(3)
     part = viscous_stages(flow)

@@ -20,9 +20,10 @@ from warpcrete.geometry.walls import MeshWall, PipeWall, PlaneWall, Prescribed
 from warpcrete.kernels.mps.grid.cells import GridKind
 from warpcrete.kernels.mps.grid.walls import STICKY
 from warpcrete.mps.free import probes
-from warpcrete.mps.free.layout import fill_cells, free_layout
+from warpcrete.mps.free.layout import free_layout
 from warpcrete.mps.free.probes import volume
 from warpcrete.mps.free.simulation import FreeSimulation
+from warpcrete.mps.grid.filling import fill_cells
 from warpcrete.mps.grid.flow import GridFlow
 from warpcrete.mps.grid.geometry import (
     OPEN_SIDE,

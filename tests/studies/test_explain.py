@@ -17,7 +17,7 @@ from warpcrete.dem.forecast import tiled
 from warpcrete.dem.packing import pack
 from warpcrete.dem.scene.containers import MeshContainer, PipeContainer
 from warpcrete.geometry.axis import Arc, Axis, Line
-from warpcrete.studies.explain import explain
+from warpcrete.studies.tradeoffs.explain import explain
 
 SMALL = dict(diameter=0.1, size_min=12e-3, size_max=20e-3, length=0.5, ramp=0.02, travel=0.05, plug_ball=15e-3)
 

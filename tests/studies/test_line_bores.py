@@ -6,7 +6,7 @@ import trimesh
 from tubes import tube
 
 from warpcrete import SceneError, scenes
-from warpcrete.mps.mixes import concrete_of
+from warpcrete.mps.common.mixes import concrete_of
 from warpcrete.mps.part.layout import Frame, bore_distance
 from warpcrete.studies.lines import folder as line_folder
 from warpcrete.studies.lines.losses import line_of, read_line

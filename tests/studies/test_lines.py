@@ -12,8 +12,8 @@ from warpcrete.cli.main import cli
 from warpcrete.core.inputs.amounts import amount
 from warpcrete.core.units import number
 from warpcrete.geometry.crossings import distances
-from warpcrete.geometry.lines import Part
-from warpcrete.mps.mixes import concrete_of
+from warpcrete.geometry.pipe_line import Part
+from warpcrete.mps.common.mixes import concrete_of
 from warpcrete.studies.lines import run as line_run
 from warpcrete.studies.lines.fittings import library_factor
 from warpcrete.studies.lines.losses import line_of, read_line, shipped_lines

@@ -11,7 +11,7 @@ from warpcrete.cli.main import cli
 from warpcrete.core.units import number
 from warpcrete.geometry.axis import Arc, Axis, Line
 from warpcrete.geometry.one_pipe import joined
-from warpcrete.mps.mixes import concrete_of
+from warpcrete.mps.common.mixes import concrete_of
 from warpcrete.mps.part.layout import Frame, bore_distance, part_room
 from warpcrete.mps.part.probes import losses
 from warpcrete.mps.part.simulation import PartSimulation

@@ -20,7 +20,7 @@ from warpcrete.record.checks import failed_checks
 from warpcrete.studies.cases import Case
 from warpcrete.studies.drawing import draw
 from warpcrete.studies.lines.pipeline import check_pipeline, pipeline_estimate, pipeline_pressure
-from warpcrete.studies.study import Study
+from warpcrete.studies.study_result import Study
 
 PIPE = scenes.pipe(ramp=0.3, travel=1.0)
 

@@ -8,7 +8,9 @@ import jsonschema
 import pytest
 from click.testing import CliRunner
 
-from warpcrete.cli.main import CALIBRATE_HELP, LINE_HELP, cli
+from warpcrete.cli.main import cli
+from warpcrete.cli.schemas import FOLDER, schemas
+from warpcrete.cli.texts import CALIBRATE_HELP, LINE_HELP
 from warpcrete.core.errors import SceneError
 from warpcrete.core.inputs.concretes import concrete, shipped
 from warpcrete.core.inputs.text_files import read_mapping
@@ -18,7 +20,6 @@ from warpcrete.geometry.lines import line_of
 from warpcrete.mix.mix import mix_of
 from warpcrete.scenes import modules
 from warpcrete.studies.calibration.targets import task_of
-from warpcrete.studies.schemas import FOLDER, schemas
 
 SCHEMAS = schemas()
 ROOT = Path(__file__).parents[2]

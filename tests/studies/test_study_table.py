@@ -10,7 +10,8 @@ import warpcrete
 from warpcrete import RunFolderError
 from warpcrete.core.run.method import Quantity
 from warpcrete.studies.cases import MAX_NAME_LENGTH, Case, short_name
-from warpcrete.studies.study import Study, run_study
+from warpcrete.studies.study import run_study
+from warpcrete.studies.study_result import Study
 from warpcrete.studies.study_table import columns_of, write_parquet
 
 pipe_module = importlib.import_module("warpcrete.scenes.pipe")

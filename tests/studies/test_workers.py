@@ -15,7 +15,7 @@ from warpcrete.studies import running
 from warpcrete.studies import study as studies
 from warpcrete.studies.calibration import calibrate
 from warpcrete.studies.cases import MAX_CASES, Case, cases_of
-from warpcrete.studies.study import Study
+from warpcrete.studies.study_result import Study
 from warpcrete.studies.workers import WorkerDied, WorkerPool
 
 HERE = "jobs"

@@ -15,11 +15,11 @@ from warpcrete.theory.pipe import (
     Line,
     flow_of_pressure,
     kaplan,
-    slip_constants,
+    measured_layer,
     steady,
-    table,
     velocity,
 )
+from warpcrete.theory.pipe_table import table
 from warpcrete.theory.segregated import Segregated
 from warpcrete.theory.suspension import SUSPENSIONS, mortar_of, power_thickening, thickening
 from warpcrete.theory.vessels import duct_stress, funnel_time
@@ -107,7 +107,8 @@ def test_a_layer_that_is_not_linear_is_found_from_points_of_a_pipe():
         concrete = dataclasses.replace(SCC, **OTHERS[name])
         flows = [0.5e-3, 1e-3, 3e-3, 5e-3]
         pressures = [steady(concrete, LINE, flow).pressure for flow in flows]
-        assert slip_constants(concrete, LINE, flows, pressures) == pytest.approx((800.0, 20.0), rel=1e-8)
+        found = measured_layer(concrete, LINE, flows, pressures)
+        assert (found.slope, found.offset) == pytest.approx((800.0, 20.0), rel=1e-8)
 
 
 def test_mortar_of_a_concrete_with_another_law():

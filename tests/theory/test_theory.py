@@ -16,8 +16,8 @@ from warpcrete.theory.pipe import (
     after_rest,
     flow_of_pressure,
     kaplan,
+    measured_layer,
     restart,
-    slip_constants,
     steady,
     steady_of_stress,
     velocity,
@@ -96,20 +96,20 @@ def test_newtonian_limit_is_poiseuille():
     assert plane.pressure == pytest.approx(3 * 0.1 / 0.05**2, rel=1e-9)
 
 
-def test_slip_constants_of_thicker_layers():
+def test_constants_of_thicker_slip_layers():
     """Table 3: eta_L falls with the assumed thickness, tau_L0 hardly."""
     printed = {"no1": (889, 885, 882), "no2": (839, 834, 831), "no3": (914, 908, 902)}
     for name, concrete in CONCRETES.items():
         stresses = np.linspace(1.05 * concrete.slip_yield, concrete.slip_yield + 0.4 * concrete.slip_viscosity, 8)
         states = [steady_of_stress(concrete, LINE, s) for s in stresses]
         flows, pressures = [s.flow for s in states], [s.pressure for s in states]
-        assert slip_constants(concrete, LINE, flows, pressures) == pytest.approx(
-            (concrete.slip_viscosity, concrete.slip_yield), rel=1e-9
-        )
+        found = measured_layer(concrete, LINE, flows, pressures)
+        constants = concrete.slip_viscosity, concrete.slip_yield
+        assert (found.slope, found.offset) == pytest.approx(constants, rel=1e-9)
         for thickness, eta in zip((2e-3, 4e-3, 6e-3), printed[name]):
-            found, yield_stress = slip_constants(concrete, Line(slip_thickness=thickness), flows, pressures)
-            assert found == pytest.approx(eta, rel=7e-3)  # flows of the measurement are not printed
-            assert yield_stress == pytest.approx(concrete.slip_yield, abs=1.0)
+            found = measured_layer(concrete, Line(slip_thickness=thickness), flows, pressures)
+            assert found.slope == pytest.approx(eta, rel=7e-3)  # flows of the measurement are not printed
+            assert found.offset == pytest.approx(concrete.slip_yield, abs=1.0)
 
 
 def test_kaplan_is_the_theory_without_its_last_term():
@@ -138,7 +138,7 @@ def test_refusals():
     with pytest.raises(SceneError, match="form = 'round'"):
         steady(CONCRETES["no1"], LINE, 1e-3, "round")
     with pytest.raises(SceneError, match="flows"):
-        slip_constants(CONCRETES["no1"], LINE, [1e-3], [1e4])
+        measured_layer(CONCRETES["no1"], LINE, [1e-3], [1e4])
     with pytest.raises(SceneError, match="radius"):
         velocity(CONCRETES["no1"], LINE, steady(CONCRETES["no1"], LINE, FLOW), [0.06])
 

@@ -10,7 +10,7 @@ import click
 from ..core.device.device import PRECISIONS
 from ..core.errors import RunFolderError
 from ..core.run.files import next_folder
-from ..core.run.progress import ProgressBar
+from ..core.run.progress import progress_bar
 from ..studies.calibration.calibrate import RECORD, resume_calibration, run_calibration
 from ..studies.calibration.calibration import Calibration
 from ..studies.calibration.report import parameter_table, target_table
@@ -37,9 +37,7 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
         )
     if settings.get("precision", PRECISIONS[0]) not in PRECISIONS:
         raise click.UsageError(f"precision = {settings['precision']!r}: must be {' or '.join(PRECISIONS)}")
-    progress = ProgressBar()
-    settings["progress"] = None if quiet else progress
-    try:
+    with progress_bar(quiet) as settings["progress"]:
         if "resume" in settings:
             found = _resumed(targets, settings, modules)
         elif targets is None:
@@ -49,8 +47,6 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
         else:
             out = settings.pop("out", None) or next_folder("calibration")
             found = run_calibration(Path(targets), modules, out=out, **settings)
-    finally:
-        progress.close()
     report(found)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from ..core.errors import refuse
-from ..studies.explain import explain
+from ..studies.tradeoffs.explain import explain
 from .options import check_scene
 from .study import parameter_values, parsed, single
 

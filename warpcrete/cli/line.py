@@ -17,11 +17,11 @@ import click
 from ..core.inputs.fingerprints import fingerprint
 from ..core.inputs.limits import check_limit, check_whole
 from ..core.run.files import next_folder, write_json
+from ..geometry.pipe_line import PipeLine
 from ..mix.blocking import line_rules, narrowest, rule_lines, rule_records
 from ..mix.mix import Mix
 from ..studies.lines.fit import fit_line, fit_lines, read_taps
 from ..studies.lines.line_folder import PARTS, line_folder
-from ..studies.lines.losses import PipeLine
 from ..studies.lines.result import Stop, lines_of
 from ..studies.lines.theory_line import LAYER_FACTOR, line_by_theory
 from .exits import CHECK_FAILED, INTERRUPTED

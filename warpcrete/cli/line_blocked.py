@@ -8,10 +8,10 @@ from typing import Any
 
 import click
 
-from ..core.run.progress import ProgressBar
+from ..core.run.progress import progress_bar
+from ..geometry.pipe_line import PipeLine
 from ..studies.lines.blocking import run_blocking
 from ..studies.lines.elements import Elements
-from ..studies.lines.losses import PipeLine
 
 
 def run(line: PipeLine, name: str, rate: float, folder: Path, settings: Mapping[str, Any]) -> None:
@@ -20,12 +20,9 @@ def run(line: PipeLine, name: str, rate: float, folder: Path, settings: Mapping[
     `settings` are the command's options.
     """
     elements = Elements(**{key: settings[key] for key in ("shapes", "coarse", "stiffer")})
-    progress = ProgressBar()
-    try:
+    with progress_bar(settings["quiet"]) as tell:
         found = run_blocking(
             line, name, rate, settings["blocking"], out=folder, elements=elements, device=settings["device"],
-            processes=settings["threads"], progress=None if settings["quiet"] else progress,
+            processes=settings["threads"], progress=tell,
         )  # fmt: skip
-    finally:
-        progress.close()
     click.echo("\n" + "\n".join(found.lines))

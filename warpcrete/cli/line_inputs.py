@@ -13,10 +13,11 @@ from ..core.errors import between, positive, refuse
 from ..core.inputs.amounts import amount
 from ..core.inputs.limits import check_limit, check_velocity
 from ..geometry.axis import Axis, Line
+from ..geometry.pipe_line import Part, PipeLine
 from ..geometry.pumps import pump_of
 from ..mix.mix import Mix, mix_named, mix_of
-from ..mps.mixes import concrete_of
-from ..studies.lines.losses import Part, PipeLine, read_line, with_stone
+from ..mps.common.mixes import concrete_of
+from ..studies.lines.losses import read_line, with_stone
 from ..theory.pipe import Concrete
 
 DENSITY = 2350.0

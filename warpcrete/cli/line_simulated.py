@@ -10,12 +10,14 @@ import click
 
 from ..core.inputs.fingerprints import fingerprint
 from ..core.run.files import atomic_file
-from ..core.run.progress import ProgressBar
+from ..core.run.progress import progress_bar
+from ..geometry.pipe_line import PipeLine
 from ..mix.mix import completed
-from ..mps.mixes import concrete_of
-from ..studies.lines.elements import ElementLine, Elements, element_table_lines, run_elements
+from ..mps.common.mixes import concrete_of
+from ..studies.lines.element_line import ElementLine, element_table_lines
+from ..studies.lines.elements import Elements, run_elements
 from ..studies.lines.line_folder import line_folder
-from ..studies.lines.losses import PipeLine, friction
+from ..studies.lines.losses import friction
 from ..studies.lines.result import LineResult, Stop, lines_of
 from ..studies.lines.run import run_line
 from .line_inputs import LineInputs
@@ -38,21 +40,17 @@ def run(
     if settings["blocking"] is not None:
         asked["blocking"] = settings["blocking"]
     where = {"out": folder, **{key: settings[key] for key in ("known", "device", "threads")}}
-    found, packed, progress = None, None, ProgressBar()
-    try:
-        with line_folder(folder, asked):
-            if method != "dem":
-                found = run_line(
-                    line, concrete_of(name), rate, simulate=True, cells=settings["cells"], stop=stop,
-                    progress=None if settings["quiet"] else progress, **layer, **where,
-                )  # fmt: skip
-            if method != "flow":
-                tell = None if settings["quiet"] else (lambda phase, fraction: progress(phase, fraction, {}))
-                packed = run_elements(line, name, rate, elements=elements, progress=tell, **where)
-            _print(line, name, rate, found, packed, folder, settings["practice"])
-            finish()
-    finally:
-        progress.close()
+    found, packed = None, None
+    with progress_bar(settings["quiet"]) as tell, line_folder(folder, asked):
+        if method != "dem":
+            found = run_line(
+                line, concrete_of(name), rate, simulate=True, cells=settings["cells"], stop=stop, progress=tell,
+                **layer, **where,
+            )  # fmt: skip
+        if method != "flow":
+            packed = run_elements(line, name, rate, elements=elements, progress=tell, **where)
+        _print(line, name, rate, found, packed, folder, settings["practice"])
+        finish()
     return any(each is not None and bool(each.failed) for each in (found, packed))
 
 

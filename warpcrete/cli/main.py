@@ -5,33 +5,22 @@ from __future__ import annotations
 import importlib
 import inspect
 import os
-import re
 import signal
 import threading
+from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NoReturn
 
 import click
 
 from ..core.errors import DiskFullError, InstabilityError, WarpcreteError, one_line, warn_in_one_line
 from .console import prepare_streams
-from .texts import MIX_HELP
+from .scene_commands import LazyGroup, by_method, load, scenes
+from .texts import CALIBRATE_HELP, EXPLAIN_HELP, LINE_HELP, MIX_HELP, STUDY_HELP, TRADE_HELP
 
 EXIT_TIMEOUT = 3.0
 """Time that a command has to end by itself after the disk became full [s]. After this time, the process is killed,
 because libraries may wait for disk space without end."""
-
-# Warp takes half a second to load, and the scenes take as long again. Each subcommand therefore loads the modules that
-# it needs only when it is called.
-
-
-def _part(name: str) -> ModuleType:
-    return importlib.import_module(f"{__package__}.{name}")
-
-
-def _scenes() -> dict[str, ModuleType]:
-    return importlib.import_module("warpcrete.scenes").modules()
 
 
 @click.group()
@@ -49,53 +38,8 @@ def cli(trust: bool) -> None:
 @cli.command("list")
 def list_scenes() -> None:
     """List the scenes, one line each."""
-    for name, module in _scenes().items():
+    for name, module in scenes().items():
         click.echo(f"{name:12s} {(inspect.getdoc(module) or '').partition(chr(10))[0]}")
-
-
-def _by_method(arguments: list[str]) -> list[str]:
-    """Remove `--method NAME` from a command's words and complete the scene's name with the method.
-
-    For example, `slump --method dem` becomes `slump-dem`.
-    """
-    left, method = [], None
-    words = iter(arguments)
-    for word in words:
-        name, given, value = word.partition("=")
-        if name != "--method":
-            left.append(word)
-        elif method is not None or not (value := value if given else next(words, "")):
-            raise click.UsageError("--method: must be given once and with one value; write, for example, --method dem")
-        else:
-            method = value
-    if method is None:
-        return left
-    place = next((n for n, word in enumerate(left) if not word.startswith("-")), None)
-    if place is None:
-        raise click.UsageError("--method: needs the name of a scene; write, for example, 'slump --method dem'")
-    left[place] = importlib.import_module("warpcrete.scenes").by_method(left[place], method)
-    return left
-
-
-class LazyGroup(click.Group):
-    """Group of subcommands whose options are built only when a subcommand is used."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        return super().parse_args(ctx, _by_method(args))
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(_scenes())
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name.endswith(".json"):
-            return _repeat_command(Path(cmd_name))
-        modules = _scenes()
-        return _scene_command(cmd_name, modules[cmd_name]) if cmd_name in modules else None
-
-    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
-        if args and self.get_command(ctx, args[0]) is None:
-            _part("options").check_scene(args[0], _scenes(), ", or the path of a scene.json")
-        return super().resolve_command(ctx, args)
 
 
 @cli.group("run", cls=LazyGroup, invoke_without_command=True, context_settings={"max_content_width": 110})
@@ -124,83 +68,14 @@ def run_group(context: click.Context, resume: Path | None, live: str | None, bin
         click.echo(context.get_help())
         raise SystemExit(2)
     else:
-        _part("run").resume(resume, _scenes(), live=live, bind=bind, quiet=quiet)
-
-
-def _scene_command(name: str, module: ModuleType) -> click.Command:
-    options = _part("options")
-    fields = importlib.import_module("warpcrete.core.inputs.parameters").declared_fields(module.scene.parameters)
-    common = {option.name for option in options.run_options()}
-
-    def callback(**values: Any) -> None:
-        given = options.given(values)
-        settings = {key: values.pop(key) for key in common}
-        resume = settings.pop("resume")
-        accuracy, trade = settings.pop("accuracy"), settings.pop("trade")
-        job = _part("run")
-        if resume is None:
-            parameters = {key: value for key, value in given.items() if key not in common}
-            if accuracy is not None or trade is not None:
-                asked = parameters | {key: given[key] for key in ("precision",) if key in given}
-                changes = _part("advice").chosen(name, module, asked, accuracy, trade, settings["device"])
-                if "precision" not in given:
-                    settings["precision"] = changes.pop("precision", settings["precision"])
-                parameters = module.scene.effective_values(module.scene.resolved(parameters) | changes)
-            job.run(name, module, parameters, settings)
-            return
-        changed = [key for key in given if key not in ("resume", "quiet", "live", "bind")]
-        if changed:
-            raise click.UsageError(
-                f"resume = '{resume}': a run continues with its own settings; leave out {', '.join(changed)}"
-            )
-        job.resume(resume, _scenes(), live=settings["live"], bind=settings["bind"], quiet=settings["quiet"])
-
-    own = options.parameter_options(field for key, field in fields.items() if key not in common)
-    return options.SceneCommand(
-        name, module.scene, params=own + options.run_options(), callback=callback,
-        help=help_text(module.scene.description),
-    )  # fmt: skip
-
-
-def help_text(docstring: str) -> str:
-    """Return a docstring as the help text of a command.
-
-    Sphinx markup and sentences on Python exceptions are left out.
-    """
-    kept = [part for part in docstring.split("\n\n") if not part.lstrip().startswith("Raises ")]
-    text = re.sub(r"\s*Raises\s+:class:`[^`]*`[^.]*\.", "", "\n\n".join(kept))
-    return re.sub(r":\w+:`~?\.*(?:[\w.]*\.)?(\w+)`", r"\1", text)
-
-
-def _repeat_command(path: Path) -> click.Command:
-    options = _part("options")
-
-    def callback(**settings: Any) -> None:
-        job = _part("run")
-        if settings.pop("resume") is not None:
-            raise click.UsageError(
-                "--resume: cannot be combined with a scene.json; write 'warpcrete run --resume "
-                "FOLDER' to continue a run"
-            )
-        if [settings.pop("accuracy"), settings.pop("trade")] != [None, None]:
-            raise click.UsageError(
-                "--accuracy, --trade: cannot be combined with a scene.json, which fixes all settings; leave out both "
-                "options"
-            )
-        record, module = job.repeatable_scene(path, _scenes())
-        kept = {key: record[key] for key in ("device", "precision") if key in record}
-        if "threads" in record.get("command", {}):
-            kept["threads"] = min(record["command"]["threads"], os.cpu_count() or 1)
-        job.run(record["scene"], module, record["parameters"], settings | kept | options.given(settings))
-
-    return click.Command(str(path), params=options.run_options(), callback=callback, help="Repeat a saved run.")
+        load("run").resume(resume, scenes(), live=live, bind=bind, quiet=quiet)
 
 
 class TheoryCommand(click.Command):
     """Command that has one option for each parameter of flow scenes that the closed form uses."""
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        return [*_part("options").parameter_options(_part("theory").fields().values()), *super().get_params(ctx)]
+        return [*load("options").parameter_options(load("theory").fields().values()), *super().get_params(ctx)]
 
 
 @cli.command("theory", cls=TheoryCommand)
@@ -237,10 +112,10 @@ def theory(
     The pressure follows from a flow, or the flow from a pressure. The concrete is a Bingham fluid by default; with
     --flow-index or --quadratic-viscosity it obeys the Herschel-Bulkley or the modified Bingham law.
     """
-    job, amounts = _part("theory"), _part("option_amounts")
+    job, amounts = load("theory"), load("option_amounts")
     one, several = amounts.option_amount, amounts.option_amounts
     job.run(
-        _part("options").given(values, context),
+        load("options").given(values, context),
         several("flow", flow, "m3/s"),
         several("pressure", pressure, "Pa"),
         fit,
@@ -279,7 +154,7 @@ def verify(**settings: Any) -> None:
 
     The exit code is 1 if a result is wrong.
     """
-    _part("verify").run(**settings)
+    load("verify").run(**settings)
 
 
 @cli.command("validate")
@@ -300,74 +175,7 @@ def validate_command(**settings: Any) -> None:
     lies in the uncertainty band of the prediction. Cases that are held out were never used to fit a constant of the
     program.
     """
-    _part("validate").run(**settings)
-
-
-ON_WORKERS = """\
-  --scheduler WHICH      run on Dask workers (pip install 'warpcrete[cluster]'): 'local' starts one per GPU or core,
-                         'slurm' submits jobs by Dask's configuration; or the address of a running scheduler
-  --workers N            number of workers that the scheduler starts
-"""
-
-STUDY_HELP = f"""A parameter study of a scene: `warpcrete study SCENE --PARAMETER VALUE VALUE ... [options]`.
-
-Every parameter of the scene, as in `warpcrete run SCENE --help`, takes one value or several. Every combination of the
-values is a case. On a GPU, cases of discrete elements run side by side in batches, and flows one after another. On a
-CPU, cases run in parallel processes, one per core. The folder holds study.md, study.csv, study.png and a run folder for
-each case.
-
-\b
-  --repeat N             run every case with N seeds                                      [default: 1]
-  --one-at-a-time        vary one parameter at a time and keep the others at their defaults
-  --out FOLDER           new folder                                                       [default: runs/study-NNN]
-  --resume FOLDER        continue a study; finished cases are not run again
-  --device, --precision  as for run
-  --processes N          number of parallel processes on a CPU                            [default: one per core]
-{ON_WORKERS}  --frames, --checkpoint-every, --rerun and other recorders   as for run; recordings are off by default
-  --quiet                show no progress bar
-
-The exit code is 1 if a case failed, 3 if all cases finished but one of them failed a check, and 130 if the study was
-interrupted.
-"""
-
-
-@cli.command("study", context_settings={"ignore_unknown_options": True}, add_help_option=False, help=STUDY_HELP)
-@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
-def study_command(arguments: tuple[str, ...]) -> None:
-    if not arguments or "--help" in arguments:
-        click.echo(STUDY_HELP.replace("\b\n", ""))
-        raise SystemExit(0 if arguments else 2)
-    _part("study").run(_by_method(list(arguments)), _scenes())
-
-
-TRADE_HELP = f"""Measure speed against accuracy of a scene: `warpcrete trade SCENE [--PARAMETER VALUE ...] [options]`.
-
-The command varies the settings that trade accuracy for speed (time step, precision, sizes, walls, spacing ...), first
-each alone, then together. It finds the cheapest settings for errors of 20 % down to 1 % and verifies them with new
-seeds. Runs take place one at a time, or one on each worker. The folder holds trade.md, trade.csv, trade.json, trade.png
-and a run folder for each run.
-
-\b
-  --budget TIME          total wall time, such as 90s, 20min or 2h                        [default: 20min]
-  --quantity NAME ...    quantities of result.json whose errors are measured              [default: the scene's]
-  --knob NAME ...        settings that are varied, such as 'time step'                    [default: all of the scene]
-  --repeat N             number of seeds of each setting                                  [default: 3]
-  --out FOLDER           new folder                                                       [default: runs/trade-NNN]
-  --resume FOLDER        continue a trade for another --budget; its finished runs are kept
-  --device, --threads    as for run; with workers, --threads holds for each worker        [default there: 1]
-{ON_WORKERS}  --quiet                show no progress bar
-
-The exit code is 2 for bad input and 130 if the trade was interrupted.
-"""
-
-
-@cli.command("trade", context_settings={"ignore_unknown_options": True}, add_help_option=False, help=TRADE_HELP)
-@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
-def trade_command(arguments: tuple[str, ...]) -> None:
-    if not arguments or "--help" in arguments:
-        click.echo(TRADE_HELP.replace("\b\n", ""))
-        raise SystemExit(0 if arguments else 2)
-    _part("trade").run(_by_method(list(arguments)), _scenes())
+    load("validate").run(**settings)
 
 
 @cli.command("reproduce")
@@ -397,92 +205,7 @@ def reproduce_command(**settings: Any) -> None:
     The report shows the paper's values next to those of literal and calibrated runs, and judges each of its trends. The
     exit code is 130 if the command was interrupted.
     """
-    _part("reproduce").run(**settings)
-
-
-CALIBRATE_HELP = f"""Find a concrete's parameters from measured results: `warpcrete calibrate TARGETS.yaml [options]`.
-
-The file lists the measured quantities of scenes with their uncertainties, and the parameters to find with the range of
-each. New runs are placed where the answer is likely, until further runs would no longer change it. The folder holds
-calibration.md and calibration.png (the parameters that fit the data, and those that the data do not determine),
-answer.json, concrete.yaml (for --concrete), and all runs.
-
-\b
-  vary:
-    viscosity: [10, 100]
-    yield_stress: [20, 200]
-  targets:
-    - {{scene: slump, parameters: {{concrete: own, density: 2350}}, quantity: spread, value: 0.55, uncertainty: 2%}}
-    - {{scene: funnel, parameters: {{concrete: own, density: 2350}}, quantity: funnel_time, value: 9, uncertainty: 5%}}
-    - {{scene: slump, parameters: {{concrete: own, density: 2350}}, quantity: t500, value: 4, uncertainty: 10%,
-       held_out: true}}
-
-\b
-  --trials N             maximum number of trials; each runs all scenes  [default: 10 + 10 per parameter]
-  --batch N              number of trials that run at the same time      [default: 4 + 2 per parameter]
-  --repeat N             number of seeds of the final check              [default: 3]
-  --seed N               seed of the search                              [default: 0]
-  --out FOLDER           new folder                                      [default: runs/calibration-NNN]
-  --resume FOLDER        continue a calibration, also with more --trials; its finished runs are kept
-  --device, --precision, --processes   as for study
-{ON_WORKERS}  --quiet                show no progress bar
-
-The exit code is 2 for bad input and 130 if the calibration was interrupted. The command needs pip install
-'warpcrete[calibrate]'.
-"""
-
-
-@cli.command("calibrate", context_settings={"ignore_unknown_options": True}, add_help_option=False, help=CALIBRATE_HELP)
-@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
-def calibrate_command(arguments: tuple[str, ...]) -> None:
-    if not arguments or "--help" in arguments:
-        click.echo(CALIBRATE_HELP.replace("\b\n", ""))
-        raise SystemExit(0 if arguments else 2)
-    _part("calibrate").run(list(arguments), _scenes())
-
-
-LINE_HELP = """Compute the pressure that a pipeline needs: `warpcrete line LINE.yaml [options]`.
-
-Without a file, a straight line and a slump suffice: `warpcrete line --slump 180mm --stone 20mm --diameter 125mm
---length 190m --rise 20m --flow 30m3/h`.
-
-The file lists the parts of the pipeline in order. The answer comes at once, from theory and from factors of earlier
-simulations. With --simulate, each different part is simulated once as a flow; a straight pipe is simulated once and its
-pressure scaled with its length. --method dem simulates the parts with discrete elements, --method both with both
-methods, in one table. A folder (--out) holds line.md, line.json, line.png (pressure along the line) and the runs, which
-another line can reuse with --known. Two lines are shipped: burj-khalifa and shanghai-tower.
-
-\b
-  diameter: 125 mm
-  flow: 30 m3/h
-  concrete: no1                 # or a file, as for run
-  largest_stone: 16 mm
-  pump: {pressure: 85 bar, flow: 90 m3/h, power: 110 kW}      # optional, from its data sheet
-  begin: level                  # up, down
-  parts:
-    - straight: 10 m
-    - bend: {to: up, radius: 0.5 m}               # to: up, down, left, right, level, back; with angle: 45 it turns
-                                                  # only 45 degrees towards it
-    - straight: {length: 20 m}
-    - reducer: {to: 100 mm, length: 1 m}
-    - hose: {points: [[1, 0, -0.2], [2, 0.5, -1]]}    # relative to its start: ahead, left, up [m]
-    - bend: level                 # radius 0.5 m, or two diameters if these are larger
-    - valve: {equivalent: 20 m}   # as much friction as 20 m of straight pipe; any part may state it
-    - hose: {length: 4 m, factor: 2.5}            # or its friction over that of straight pipe of its length
-    - bore: {file: valve.stl, scale: 0.001, length: 0.6, outlet: 100 mm}
-    - straight: 5 m
-
-A bore is a mesh of the inner surface that begins at its origin and leads along its x axis. Its path is relative to the
-folder of LINE.yaml. Its outlet has the diameter of the line unless `outlet` is given. The mesh must hold the bore
-alone; straight pipe is added before and behind it.
-
-Rules of practice say whether the mix may block the narrowest part. --blocking 50 also simulates that part with 50 seeds
-and prints the probability of a blockage.
-
-To simulate a short line as one scene: warpcrete run part --line LINE.yaml, as a flow or with --method dem.
-
-Values without a unit are in m, m3/s, Pa and degrees. The exit code is 3 if a check of a part failed.
-"""
+    load("reproduce").run(**settings)
 
 
 @cli.command("line", help=LINE_HELP)
@@ -551,7 +274,7 @@ Values without a unit are in m, m3/s, Pa and degrees. The exit code is 3 if a ch
               "meant for a GPU")  # fmt: skip
 @click.option("--quiet", is_flag=True, help="Show no progress bar")
 def line_command(line: str | None, **settings: Any) -> None:
-    _part("line").run(line, **settings)
+    load("line").run(line, **settings)
 
 
 @cli.command("mix", help=MIX_HELP)
@@ -562,7 +285,7 @@ def line_command(line: str | None, **settings: Any) -> None:
 @click.option("--bore", help="Narrowest bore through which the concrete is pumped, such as '100 mm', for the rule on "
               "the largest stone")  # fmt: skip
 def mix_command(name: str, out: Path | None, bore: str | None) -> None:
-    _part("mix").run(name, out, bore)
+    load("mix").run(name, out, bore)
 
 
 @cli.command("schema")
@@ -576,31 +299,25 @@ def schema_command(kind: str | None, path: bool) -> None:
     """
     if kind is None:
         raise click.UsageError("kind: the kind of file is missing; give 'concrete', 'mix', 'line' or 'targets'")
-    found = importlib.import_module("warpcrete.studies.schemas").shipped_schema(kind)
+    found = importlib.import_module("warpcrete.cli.schemas").shipped_schema(kind)
     click.echo(found if path else found.read_text(encoding="utf-8"), nl=path)
 
 
-EXPLAIN_HELP = """Estimate the cost of a run beforehand: `warpcrete explain SCENE [--PARAMETER VALUE ...] [options]`.
+def _add_command(name: str, text: str, words_of: Callable[[list[str]], list[str]]) -> None:
+    """Add a command with the help `text` that parses its own words, because its options depend on the scene."""
 
-The command prints the compiled features and why they are needed, the memory by part, the time step and what limits it,
-the number of steps and the wall time on this device, and the changes that would save most. It measures for some seconds
-and keeps the result in the user's cache.
-
-\b
-  --trade FOLDER         folder of a 'warpcrete trade' of this scene, which gives the errors
-                         of the proposed changes                                          [default: a shipped one]
-  --device, --threads    as for run
-  --fresh                measure again and ignore the cache
-"""
+    @cli.command(name, context_settings={"ignore_unknown_options": True}, add_help_option=False, help=text)
+    @click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
+    def command(arguments: tuple[str, ...]) -> None:
+        if not arguments or "--help" in arguments:
+            click.echo(text.replace("\b\n", ""))
+            raise SystemExit(0 if arguments else 2)
+        load(name).run(words_of(list(arguments)), scenes())
 
 
-@cli.command("explain", context_settings={"ignore_unknown_options": True}, add_help_option=False, help=EXPLAIN_HELP)
-@click.argument("arguments", nargs=-1, type=click.UNPROCESSED)
-def explain_command(arguments: tuple[str, ...]) -> None:
-    if not arguments or "--help" in arguments:
-        click.echo(EXPLAIN_HELP.replace("\b\n", ""))
-        raise SystemExit(0 if arguments else 2)
-    _part("explain").run(_by_method(list(arguments)), _scenes())
+for _name, _text in {"study": STUDY_HELP, "trade": TRADE_HELP, "explain": EXPLAIN_HELP}.items():
+    _add_command(_name, _text, by_method)
+_add_command("calibrate", CALIBRATE_HELP, list)
 
 
 def _fail(text: str, code: int) -> NoReturn:

@@ -9,7 +9,7 @@ import click
 
 from ..core.errors import RunFolderError
 from ..core.run.files import next_folder
-from ..core.run.progress import ProgressBar
+from ..core.run.progress import progress_bar
 from ..studies.reproduction.reproduce import RECORD, reproduce, resume_reproduction
 from .run import INTERRUPTED
 
@@ -19,9 +19,7 @@ def run(
     resume: Path | None, device: str | None, processes: int | None, quiet: bool,
 ) -> None:  # fmt: skip
     """Start or continue the reproduction of a paper, and print its report."""
-    progress = ProgressBar()
-    tell = None if quiet else progress
-    try:
+    with progress_bar(quiet) as tell:
         if resume is not None:
             if paper is not None or out is not None or device is not None or quick or seeds != 1 or only or known:
                 raise click.UsageError(
@@ -42,8 +40,6 @@ def run(
             folder = out or next_folder(f"reproduce-{paper}")
             found = reproduce(paper, out=folder, quick=quick, seeds=seeds, only=only, known=known, device=device,
                               processes=processes, progress=tell)  # fmt: skip
-    finally:
-        progress.close()
     click.echo("\n" + (found.folder / "reproduction.md").read_text(encoding="utf-8"))
     click.echo(f"folder: {found.folder}")
     if not found.finished:

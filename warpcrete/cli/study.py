@@ -12,9 +12,10 @@ from ..core.device.device import PRECISIONS
 from ..core.errors import RunFolderError, suggested
 from ..core.inputs.parameters import Alias, CompositeRule, Field
 from ..core.run.files import next_folder, read_record
-from ..core.run.progress import ProgressBar
+from ..core.run.progress import progress_bar
 from ..record.recorders import RECORDERS
-from ..studies.study import Study, resume_study, run_study
+from ..studies.study import resume_study, run_study
+from ..studies.study_result import Study
 from .exits import CHECK_FAILED, INTERRUPTED
 from .options import check_scene, quantity_of
 
@@ -77,15 +78,11 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
     """Start a new parameter study or continue an interrupted one, and print its table."""
     scene, options = parsed(arguments)
     settings = _take_settings(options)
-    progress = ProgressBar()
-    tell = None if settings["quiet"] else progress
-    try:
+    with progress_bar(settings["quiet"]) as tell:
         if settings.get("resume") is not None:
             study = _resumed(scene, options, settings, modules, tell)
         else:
             study = _new_study(scene, options, settings, modules, tell)
-    finally:
-        progress.close()
     report(study)
     if not study.finished:
         click.echo(f"continue with: warpcrete study --resume {study.folder}")

@@ -12,12 +12,14 @@ import click
 
 from ..core.errors import refuse
 from ..core.inputs.limits import check_velocity
-from ..core.inputs.parameters import Field, declared_fields, resolved
+from ..core.inputs.parameters import Field, declared_fields
+from ..core.inputs.scene_functions import resolved
 from ..mix.mix import mix_named
 from ..mix.points import read_points
-from ..mps.column import FLOW, ColumnParameters, ConcreteParameters
-from ..mps.mixes import CONSTANTS, concrete_of, file_constants
-from ..theory.pipe import Concrete, Line, measured_layer, restart_table, steady, table
+from ..mps.column import FLOW, ColumnParameters
+from ..mps.common.mixes import CONSTANTS, ConcreteParameters, concrete_of, file_constants
+from ..theory.pipe import Concrete, Line, measured_layer, steady
+from ..theory.pipe_table import restart_table, table
 from ..theory.segregated import segregation_table
 from .option_amounts import growth_of
 

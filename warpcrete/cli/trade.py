@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from ..core.run.files import next_folder
-from ..core.run.progress import ProgressBar
+from ..core.run.progress import progress_bar
 from ..studies.tradeoffs.report import table
 from ..studies.tradeoffs.state import Trade
 from ..studies.tradeoffs.trade import resume_trade, run_trade
@@ -42,9 +42,7 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
             raise click.UsageError(f"--{name}: needs one or more names; write the names behind it")
     anew = {name: settings.pop(name, None) for name in ON_WORKERS}
     anew["budget"] = seconds(settings.pop("budget", "20min"))
-    progress = ProgressBar()
-    tell = None if quiet else progress
-    try:
+    with progress_bar(quiet) as tell:
         if "resume" in settings:
             trade = _resumed(scene, settings, options | lists, modules, anew | {"progress": tell})
         else:
@@ -61,17 +59,11 @@ def run(arguments: list[str], modules: dict[str, Any]) -> None:
                 quantities=lists.get("quantity"), knobs=lists.get("knob"), device=settings.get("device"),
                 threads=settings.get("threads"), **anew,
             )  # fmt: skip
-    finally:
-        progress.close()
     report(trade)
 
 
 def _resumed(
-    scene: str | None,
-    settings: dict[str, Any],
-    rest: dict[str, Any],
-    modules: dict[str, Any],
-    anew: dict[str, Any],
+    scene: str | None, settings: dict[str, Any], rest: dict[str, Any], modules: dict[str, Any], anew: dict[str, Any]
 ) -> Trade:
     folder = settings.pop("resume")
     if scene is not None or settings or rest:

@@ -8,7 +8,7 @@ import click
 
 from ..core.run.files import check_new
 from ..core.run.folders import new_folder
-from ..core.run.progress import ProgressBar
+from ..core.run.progress import progress_bar
 from ..studies.validation.cases import read_cases
 from ..studies.validation.validate import SUMMARY_COLUMNS, markdown, summary_cells, validate
 
@@ -26,17 +26,8 @@ def run(
     if out is not None:
         check_new(out)
     given = None if cases is None else read_cases(cases)
-    bar = ProgressBar()
-    try:
-        found = validate(
-            given,
-            kinds=kind,
-            quick=quick,
-            device=device,
-            progress=None if quiet else lambda name, part: bar(name, part, {}),
-        )
-    finally:
-        bar.close()
+    with progress_bar(quiet) as tell:
+        found = validate(given, kinds=kind, quick=quick, device=device, progress=tell)
     if every:
         click.echo(found.table())
     else:

@@ -49,9 +49,7 @@ def run_batch(
 
 
 def _run_batch(
-    simulations: Sequence[ElementSimulation],
-    checkpoints: Sequence[Path | None],
-    tell: Callable[[str, float], None],
+    simulations: Sequence[ElementSimulation], checkpoints: Sequence[Path | None], tell: Callable[[str, float], None]
 ) -> list[Outcome]:
     outcomes: dict[int, Outcome] = {}
     for number, simulation in enumerate(simulations):

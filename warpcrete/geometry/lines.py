@@ -4,54 +4,26 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..core.errors import between, one_line, one_of, positive, refuse, suggested
+from ..core.errors import one_line, one_of, positive, refuse, suggested
 from ..core.inputs.amounts import amount
 from ..core.inputs.concretes import is_file
-from ..core.inputs.limits import check_limit, check_velocity, warn
+from ..core.inputs.limits import check_limit, check_velocity
 from ..core.inputs.text_files import errors_located_at, name_of, read_mapping
-from .axis import Arc, Axis, Line
+from .axis import Axis
+from .course import Course
 from .crossings import first_crossing
-from .curves import curve_through, start_tangent
-from .line_entries import (
-    AMOUNTS,
-    BEGINS,
-    BEND_DIAMETERS,
-    BEND_RADIUS,
-    FACTORS,
-    HOSE_FACTOR,
-    KEYS,
-    LIMITED_AS,
-    MOST_PARTS,
-    MOST_POINTS,
-    PARTS,
-    VALVE_DIAMETERS,
-    WAYS,
-)
-from .pipe_line import Part, PipeLine
+from .line_entries import AMOUNTS, BEGINS, KEYS, LIMITED_AS, MOST_PARTS
+from .pipe_line import PipeLine
 from .pumps import Pump, pump_of
 
 SHIPPED = Path(__file__).parents[1] / "measured" / "lines"
-MAX_BEND_ANGLE = 135.0
-"""Largest angle of a single bend [degrees]."""
-BEND_EXTRA_LOSS = ((0.0, 0.15, 0.3, 0.6), (0.0, 0.023, 0.042, 0.125))
-"""Additional pressure loss of a bend, as a fraction of the loss in straight pipe of the same length. The first tuple
-holds ratios of pipe diameter to bend radius, the second tuple the additional loss at each ratio. Source: simulated
-flows of the concrete no1, the highest loss of three concretes, through bends of 150 mm pipe at 30 m3/h. The loss of a
-hose is computed from this table."""
-MAX_HOSE_KINK = 20.0
-"""Largest angle between the pipeline's direction at the start of a hose and the tangent of the curve through the hose's
-points there [degrees]. A larger angle is refused as a kink."""
-HOSE_LAYER = (0.1, 10.0)
-"""Usual range of the slip layer's resistance in a hose relative to a pipe; a warning is given outside this range."""
-UP = np.array([0.0, 0.0, 1.0])
-Pieces = Sequence[Line | Arc]
 CROSSING_SAMPLES = {"bend": 9, "hose": 33, "bore": 33}
 """Number of points along a part, by the kind of the part. The search for crossings treats the part as straight between
 neighbouring points."""
@@ -119,7 +91,7 @@ def line_of(given: Mapping[str, Any], name: str = "line", folder: Path = Path())
     begin = given.get("begin", "level")
     with errors_located_at(given, "begin"):
         one_of("begin", begin, BEGINS)
-    course = _Course(np.array(BEGINS[begin]), diameter, folder)
+    course = Course(np.array(BEGINS[begin]), diameter, folder)
     for number, entry in enumerate(entries, 1):
         with errors_located_at(entries, number - 1):
             course.add(number, entry)
@@ -180,272 +152,6 @@ def _above(given: Mapping[str, Any], field: str, unit: str) -> float | None:
         positive(field, found, unit)
         check_limit(field, found, unit, LIMITED_AS.get(field, field))
     return found
-
-
-class _Course:
-    """Pipeline while it is built part by part, with its current direction and diameter and the parts added so far."""
-
-    def __init__(self, tangent: np.ndarray, diameter: float, folder: Path) -> None:
-        self.begin: tuple[float, float, float] = tuple(tangent.tolist())
-        self.tangent, self.diameter, self.folder = tangent, diameter, folder
-        self.heading = tangent if tangent[2] == 0 else np.array([1.0, 0.0, 0.0])
-        """Most recent direction of the pipeline that was not vertical, projected onto the horizontal plane, as a unit
-        vector of shape (3,)."""
-        self.parts: list[Part] = []
-        self.pieces: list[Line | Arc] = []
-
-    def add(self, number: int, entry: Any) -> None:
-        """Append a part to the pipeline.
-
-        `entry` is the part's entry in the pipeline file, and `number` counts the parts from 1.
-        """
-        if not isinstance(entry, Mapping) or len(entry) != 1:
-            refuse(f"part {number}", entry, f"must be one of {', '.join(PARTS)}, followed by the properties of the "
-                                            "part",
-                   "for example '- straight: {length: 10 m}'")  # fmt: skip
-        kind, said = next(iter(entry.items()))
-        one_of(f"part {number}", kind, PARTS)
-        if not isinstance(said, Mapping):
-            listed = kind == "hose" and isinstance(said, Sequence) and not isinstance(said, str)
-            said = {"points" if listed else next(iter(PARTS[kind])): said}
-        for key in said:
-            field = f"part {number}, {kind}: key"
-            if str(key)[:1].isdecimal():
-                refuse(field, key, f"must be one of {', '.join(PARTS[kind])}",
-                       "within braces, put an amount with a decimal comma in quotes, as in '12,5 m'")  # fmt: skip
-            one_of(field, key, PARTS[kind])
-
-        def get(key: str, unit: str, default: Any = None) -> float:
-            if key not in said and default is None:
-                refuse(f"part {number}, {kind}", dict(said), f"has no {key!r}", f"add it, for example '{key}: 1 m'")
-            field = f"part {number}, {kind}: {key}"
-            found = amount(field, said.get(key, default), unit)
-            check_limit(field, found, unit, LIMITED_AS.get(key, key))
-            return found
-
-        part, pieces = getattr(self, f"_{kind}")(number, said, get)
-        self.parts.append(replace(part, factor=_stated(part, said, get)))
-        self.pieces += pieces
-        self.diameter = part.outlet
-
-    def _straight(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
-        length = get("length", "m")
-        positive(f"part {number}, straight: length", length, "m")
-        rise = length * float(self.tangent[2])
-        if "rise" in said and abs(get("rise", "m") - rise) > 0.01 * length:
-            refuse(f"part {number}, straight: rise", said["rise"], f"does not fit: in the direction of the line it is "
-                   f"{rise:.4g} m over {length:g} m", "put a bend before this part, or leave out 'rise'")  # fmt: skip
-        if "diameter" in said and abs(get("diameter", "m") - self.diameter) > 1e-6:
-            refuse(f"part {number}, straight: diameter", said["diameter"], "differs from the diameter at the end of "
-                                                                           "the part before "
-                   f"it, {self.diameter:g} m", "put a reducer between the two parts")  # fmt: skip
-        return Part(number, "straight", self.diameter, length, rise, self.diameter), (Line(length),)
-
-    def _bend(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
-        radius = get("radius", "m", max(BEND_RADIUS, BEND_DIAMETERS * self.diameter))
-        field = f"part {number}, bend"
-        if radius <= self.diameter / 2:
-            refuse(
-                f"{field}: radius",
-                radius,
-                f"must exceed the radius of the pipe, {self.diameter / 2:g} m",
-                "give the radius of the bend's centreline",
-            )
-        way = said.get("to")
-        one_of(f"{field}: to", way, WAYS)
-        left = np.cross(UP, self.heading)
-        towards = {"up": UP, "down": -UP, "left": left, "right": -left, "level": self.heading,
-                   "back": -self.heading}[str(way)]  # fmt: skip
-        across = towards - (towards @ self.tangent) * self.tangent
-        if np.linalg.norm(across) < 1e-6:
-            refuse(
-                f"{field}: to",
-                way,
-                "is the direction that the line already has, or the opposite of it",
-                f"use another of {', '.join(WAYS)}",
-            )
-        whole = math.degrees(math.acos(float(np.clip(towards @ self.tangent, -1, 1))))
-        angle = get("angle", "degrees", round(whole, 9))
-        if not 1 <= angle <= MAX_BEND_ANGLE:
-            refuse(
-                f"{field}: angle",
-                angle,
-                f"must be in [1, {MAX_BEND_ANGLE:g}] degrees",
-                "split a larger bend into two, and leave out a smaller one",
-            )
-        if way in ("up", "down", "level") and angle > whole + 1e-6:
-            refuse(f"{field}: angle", angle, f"turns beyond {way!r}, which is at {whole:.4g} degrees",
-                   "leave out 'angle' for a bend that ends in this direction")  # fmt: skip
-        turn = math.radians(angle)
-        across = across / np.linalg.norm(across)
-        rise = radius * float((1 - math.cos(turn)) * across[2] + math.sin(turn) * self.tangent[2])
-        piece = Arc(radius, turn, (float(across[0]), float(across[1]), float(across[2])))
-        self._turn(math.cos(turn) * self.tangent + math.sin(turn) * across)
-        return Part(number, "bend", self.diameter, radius * turn, rise, self.diameter, radius, angle), (piece,)
-
-    def _turn(self, tangent: np.ndarray) -> None:
-        """Let the pipeline continue in the direction `tangent`.
-
-        The horizontal heading changes too, unless the new direction is vertical.
-        """
-        tangent = np.where(np.abs(tangent) < 1e-12, 0.0, tangent)
-        self.tangent = tangent / np.linalg.norm(tangent)
-        level = self.tangent * [1, 1, 0]
-        if np.linalg.norm(level) > 1e-6:
-            self.heading = level / np.linalg.norm(level)
-
-    def _hose(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
-        """Return a hose of a given length, or as a curve through points.
-
-        The points are given relative to the hose's start as forward, left and up.
-        """
-        field = f"part {number}, hose"
-        given = said.get("points")
-        if "length" in said and given is not None:
-            refuse(
-                f"{field}: length",
-                said["length"],
-                "cannot be given together with 'points'",
-                "leave out 'length' or 'points'",
-            )
-        if "length" in said:
-            length = get("length", "m")
-            positive(f"{field}: length", length, "m")
-            rise = length * float(self.tangent[2])
-            return Part(number, "hose", self.diameter, length, rise, self.diameter, relative_loss=HOSE_FACTOR,
-                        layer=_hose_layer(field, said)), (Line(length),)  # fmt: skip
-        if not isinstance(given, Sequence) or isinstance(given, str) or not given:
-            refuse(f"{field}: points", given, "must be a list of points",
-                   "for example '[[1, 0, 0], [2, 0, -0.5]]', or a length, as in 'hose: 8 m'")  # fmt: skip
-        if any(not isinstance(p, Sequence) or isinstance(p, str) or len(p) != 3 for p in given):
-            refuse(
-                f"{field}: points",
-                given,
-                "must each have three coordinates [m]: ahead, to the left and up",
-                "for example '[2, 0, -0.5]'",
-            )
-        if len(given) > MOST_POINTS:
-            refuse(
-                f"{field}: points",
-                f"{len(given)} points",
-                f"must be at most {MOST_POINTS} points",
-                "leave out points between others",
-            )
-        local = np.array([[0.0] * 3] + [[amount(f"{field}: points", x, "m") for x in point] for point in given])
-        for x in local.ravel().tolist():
-            check_limit(f"{field}: points", x, "m", "length")
-        if np.any(np.linalg.norm(np.diff(local, axis=0), axis=1) < 0.5 * self.diameter):
-            refuse(
-                f"{field}: points",
-                given,
-                f"must be at least half a diameter, {self.diameter / 2:g} m, apart",
-                "leave out points that are closer together",
-            )
-        layer = _hose_layer(field, said)
-        points = local @ np.array([self.heading, np.cross(UP, self.heading), UP])
-        askew = math.degrees(math.acos(float(np.clip(start_tangent(points) @ self.tangent, -1, 1))))
-        if askew > MAX_HOSE_KINK:
-            refuse(f"{field}: points", given, f"begin at an angle of {askew:.0f} degrees to the direction of the line",
-                   "put a bend before the hose, or move the first points so that they lie ahead")  # fmt: skip
-        pieces = curve_through(points, self.tangent)
-        length = sum(piece.length for piece in pieces)
-        bends = [piece for piece in pieces if isinstance(piece, Arc)]
-        sharpest = min((piece.radius for piece in bends), default=math.inf)
-        if self.diameter > BEND_EXTRA_LOSS[0][-1] * sharpest:
-            refuse(f"{field}: points", given, f"bend the hose to a radius of {sharpest:.3g} m",
-                   f"use points for a radius above {self.diameter / BEND_EXTRA_LOSS[0][-1]:.3g} m")  # fmt: skip
-        more = (
-            sum(arc.length * float(np.interp(self.diameter / arc.radius, *BEND_EXTRA_LOSS)) for arc in bends) / length
-        )
-        rise = float(points[-1, 2])
-        end = Axis((0.0, 0.0, 0.0), tuple(self.tangent.tolist()), tuple(pieces)).at(length)[1][0]
-        self._turn(end)
-        return Part(
-            number, "hose", self.diameter, length, rise, self.diameter, relative_loss=1 + more, layer=layer
-        ), pieces
-
-    def _reducer(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
-        outlet, length = get("to", "m"), get("length", "m")
-        for key, value in (("to", outlet), ("length", length)):
-            positive(f"part {number}, reducer: {key}", value, "m")
-        if abs(outlet - self.diameter) < 1e-9:
-            refuse(
-                f"part {number}, reducer: to",
-                outlet,
-                "is already the diameter of the line",
-                "use a part 'straight' instead",
-            )
-        if length < 0.5 * abs(outlet - self.diameter):
-            refuse(f"part {number}, reducer: length", length, "is too short: must be at least half of the change of "
-                                                              "the diameter",
-                   f"use {0.5 * abs(outlet - self.diameter):.3g} m or more")  # fmt: skip
-        rise = length * float(self.tangent[2])
-        return Part(number, "reducer", self.diameter, length, rise, outlet), (Line(length),)
-
-    def _valve(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
-        length = get("length", "m", VALVE_DIAMETERS * self.diameter)
-        positive(f"part {number}, valve: length", length, "m")
-        rise = length * float(self.tangent[2])
-        return Part(number, "valve", self.diameter, length, rise, self.diameter), (Line(length),)
-
-    def _bore(self, number: int, said: Mapping[str, Any], get: Callable[..., float]) -> tuple[Part, Pieces]:
-        # Meshes need Warp, which takes seconds to import, so a line without them must not import it.
-        from .mesh_parts import bore_of, directions_at, rotated_pieces
-
-        field, file = f"part {number}, bore", said.get("file")
-        if not isinstance(file, str) or not file:
-            refuse(f"{field}: file", file, "must be the path of a mesh file", "for example 'file: valve.stl'")
-        length = get("length", "m") if "length" in said else None
-        outlet, scale = get("outlet", "m", self.diameter), get("scale", "1", 1.0)
-        for key, value in (("length", length), ("outlet", outlet), ("scale", scale)):
-            if value is not None:
-                positive(f"{field}: {key}", value, "" if key == "scale" else "m")
-        path = Path(os.path.realpath(self.folder / file))
-        mesh = bore_of((f"{field}: file", f"{field}: scale"), path, scale, length, (self.diameter, outlet))
-        before = Axis((0.0, 0.0, 0.0), self.begin, (*self.pieces, Line(self.diameter)))
-        directions = directions_at(before, before.length)
-        ends, tangents = mesh.axis.at([0.0, mesh.axis.length])
-        rise = float(((ends[1] - ends[0]) @ directions)[2])
-        self._turn(tangents[1] @ directions)
-        part = Part(number, "bore", self.diameter, mesh.axis.length, rise, outlet, mesh=mesh)
-        return part, rotated_pieces(mesh.axis.pieces, directions)
-
-
-def _stated(part: Part, said: Mapping[str, Any], get: Callable[..., float]) -> float | None:
-    """Return the friction that a part's entries state, relative to straight pipe of its length; None without these."""
-    field = f"part {part.number}, {part.kind}"
-    if "factor" in said and "equivalent" in said:
-        refuse(
-            f"{field}: factor",
-            said["factor"],
-            "cannot be given together with 'equivalent'",
-            "leave out 'factor' or 'equivalent'",
-        )
-    if "factor" in said:
-        factor = get("factor", "1")
-        between(
-            f"{field}: factor",
-            factor,
-            *FACTORS,
-            "",
-            "'factor' is the friction of the part divided by that of a straight pipe of the same length",
-        )
-        return factor
-    if "equivalent" in said:
-        length = get("equivalent", "m")
-        positive(f"{field}: equivalent", length, "m")
-        return length / part.length
-    return None
-
-
-def _hose_layer(field: str, said: Mapping[str, Any]) -> float:
-    """Return the resistance of a hose's slip layer relative to that of a pipe."""
-    layer = float(amount(f"{field}: layer", said.get("layer", 1.0), "1"))
-    positive(f"{field}: layer", layer, "")
-    if not HOSE_LAYER[0] <= layer <= HOSE_LAYER[1]:
-        warn(f"{field}: layer = {layer:g}: is unusual: hoses have {HOSE_LAYER[0]:g} to {HOSE_LAYER[1]:g} times the "
-             "resistance of a pipe; write per cent with the sign, as in '80 %'")  # fmt: skip
-    return layer
 
 
 def check_crossing(line: PipeLine, gap: float = 0.0, hint: str = "change the course of the line") -> None:

@@ -110,12 +110,7 @@ def _is_straight(axis: Axis) -> bool:
 
 @functools.lru_cache(maxsize=16)
 def _measured(
-    fields: Fields,
-    file: Path,
-    scale: float,
-    digest: str,
-    length: float | None,
-    ways: tuple[Way, ...],
+    fields: Fields, file: Path, scale: float, digest: str, length: float | None, ways: tuple[Way, ...]
 ) -> MeshBore:
     """Find the axis of a mesh file and measure its bore.
 

@@ -15,8 +15,9 @@ from ..core.inputs.amounts import amount
 from ..core.inputs.text_files import errors_located_at
 from .axis import Axis, Line
 from .bores import Bores
-from .lines import PipeLine, line_file
+from .lines import line_file
 from .mesh_parts import WAYS, Way, bore_of
+from .pipe_line import PipeLine
 
 MAX_LENGTH_RATIO = 10_000
 """Largest length of a simulated pipe, in pipe diameters."""

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..geometry.lines import Part, PipeLine
+from ..geometry.pipe_line import Part, PipeLine
 from .figures import short
 from .given import MixEntries
 from .ingredients import powder_mass, water_mass

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from pathlib import Path
 
 from ..core.errors import positive, refuse
 from ..core.inputs.amounts import amount
 from ..core.inputs.limits import check_limit
-from ..core.inputs.text_files import read_rows
+from ..core.inputs.text_files import read_columns
 
 PUMPED = {"flow": "m3/s", "pressure": "Pa"}
 """Columns of points measured on a pipe, with their SI units."""
@@ -21,9 +20,7 @@ def read_points(path: Path, columns: Mapping[str, str] = PUMPED, field: str = "f
     The header names columns with their units, such as `flow [m3/h],pressure [bar]`. `field` is the entry that named the
     file, for error messages. Raises :class:`SceneError` for a missing column or a number that is not positive.
     """
-    header, rows = read_rows(path, field)
-    heads = [re.fullmatch(r"\s*(\w+)\s*(?:\[([^\[\]]+)\])?\s*", head) for head in header]
-    places = {head[1]: (place, head[2] or "") for place, head in enumerate(heads) if head is not None}
+    places, rows = read_columns(path, field)
     found = []
     for name, unit in columns.items():
         if name not in places:

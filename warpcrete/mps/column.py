@@ -10,16 +10,23 @@ from typing import Annotated, Any
 import numpy as np
 
 from ..core.errors import positive, refuse
-from ..core.inputs.concretes import is_file
 from ..core.inputs.knobs import Knob, Level, Trading, precisions, scaled
 from ..core.inputs.limits import check_velocity
-from ..core.inputs.parameters import Above, Alias, FileIf, Needs, OneOf, Within
+from ..core.inputs.parameters import Above, Alias, Needs, OneOf, Within
 from ..core.run.checks import with_cures
 from ..core.run.run_loop import Run
 from ..core.units import number
 from ..theory.pipe import MIXES, Concrete, Line, Steady, after_rest, flow_of_pressure, steady, steady_of_stress
 from ..theory.suspension import SUSPENSIONS, mortar_of
-from .mixes import CONSTANTS, FACTORS, LAW_DEFAULTS, concrete_of, file_aggregates, file_constants
+from .common.mixes import (
+    CONSTANTS,
+    FACTORS,
+    LAW_DEFAULTS,
+    ConcreteParameters,
+    concrete_of,
+    file_aggregates,
+    file_constants,
+)
 from .scene import ENDS, Aggregates, FlowSettings, FluidScene
 
 SHEARED: dict[str, Any] = {
@@ -42,75 +49,6 @@ NEEDS_AGGREGATES = Needs("aggregates", bool, "is on")
 def diameter_of_radius(radius: Any) -> Any:
     """Return the diameter for a radius; a value that is not a number is returned unchanged."""
     return 2 * radius if isinstance(radius, int | float) and not isinstance(radius, bool) else radius
-
-
-@dataclass(frozen=True, kw_only=True)
-class ConcreteParameters:
-    """Concrete and its slip layer."""
-
-    concrete: Annotated[
-        str,
-        "Concrete: no1, no2, no3 (Xu et al. 2021), the path of a .yaml file, or own with the next five constants",
-        Alias("mix"),
-        FileIf(is_file),
-    ] = "no1"
-    density: Annotated[
-        float | None,
-        "Density [kg/m3]; the density and the next eight parameters replace the constants of the named concrete",
-        Above(),
-    ] = None
-    viscosity: Annotated[
-        float | None, "Plastic viscosity [Pa s], or consistency k in Pa s^n with a flow_index n", Above()
-    ] = None
-    yield_stress: Annotated[float | None, "Yield stress [Pa]", Within(0)] = None
-    slip_viscosity: Annotated[
-        float | None, "Viscosity of the slip layer divided by its thickness [Pa s/m]", Above()
-    ] = None
-    slip_yield: Annotated[float | None, "Yield stress of the slip layer [Pa]", Within(0)] = None
-    flow_index: Annotated[
-        float | None,
-        "Flow index n of the Herschel-Bulkley law: stress = yield + k rate^n; default: 1, Bingham",
-        Above(),
-    ] = None
-    quadratic_viscosity: Annotated[
-        float | None,
-        "Coefficient c of the modified Bingham law [Pa s2]: stress = yield + viscosity rate + c rate^2; default: 0",
-        Within(0, hint="use flow_index below 1 for a concrete that thins"),
-    ] = None
-    slip_flow_index: Annotated[
-        float | None,
-        "Flow index n of the slip layer: stress = slip yield + slip viscosity x (slip velocity)^n; default: 1",
-        Above(),
-    ] = None
-    slip_quadratic_viscosity: Annotated[
-        float | None,
-        "Coefficient c of the slip layer [Pa s2/m2], whose stress gets a term c x (slip velocity)^2; default: 0",
-        Within(0, hint="use slip_flow_index below 1 for a layer that thins"),
-    ] = None
-    yield_factor: Annotated[
-        float | None,
-        "Factor of both yield stresses by which age or temperature change the concrete, from a source of your own; "
-        "default: 1",
-        Above(),
-    ] = None
-    viscosity_factor: Annotated[
-        float | None,
-        "Factor of all viscosities of bulk and slip layer by which age or temperature change them; default: 1",
-        Above(),
-    ] = None
-    slip_thickness: Annotated[
-        float, "Thickness of the slip layer, which reduces the radius of the concrete [m]", Within(0)
-    ] = 0.0
-
-    @classmethod
-    def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
-        """Return the name of the concrete file's section that holds these parameters, and the names allowed in it."""
-        return "flow", CONSTANTS
-
-    @classmethod
-    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
-        """Return the constants of a concrete file, to keep them in a run's record even if the file changes later."""
-        return file_constants(values)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -323,11 +261,8 @@ def check_flow(run: Run) -> dict[str, tuple[bool, str]]:
         found = {name: found[name] for name in ("volume", "balance of forces")}
     # Structure that rebuilds while the concrete flows may pass what was gained at rest.
     if scene.gained and not scene.rebuild_rate:
-        peak, least, most = (
-            number(result["restart_pressure"]),
-            scene.theory().pressure,
-            plug_restart_state(scene).pressure,
-        )
+        peak, least = number(result["restart_pressure"]), scene.theory().pressure
+        most = plug_restart_state(scene).pressure
         # A plug that slips as a whole still has most of its layer's gained yield stress when the first sample is taken.
         plug = (
             plug_restart_state(scene).wall_stress

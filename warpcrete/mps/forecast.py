@@ -1,137 +1,19 @@
-"""Forecasts of the run time of flows.
+"""Forecast of the run time of a pipe flow.
 
-A coarser copy of the flow is run to predict the simulated time until the flow is steady. This time is set by physics
-rather than by the resolution, so it is the same for both. The wall time of a step is measured in the first steps of the
-flow itself.
+A coarser copy of the flow is run to predict the simulated time until the flow is steady.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
-from ..core.device.footprint import footprint
-from ..core.errors import InstabilityError, SceneError
-from ..core.run.forecast import Forecast, Probe, median_time, timed
-from ..core.run.run import Run
-from ..theory.laws import BINGHAM
-from ..theory.pipe import Concrete
-from .run import FlowRun
+from ..core.run.forecast import Forecast, Probe
+from .common.forecast import Course, coarser_run, flow_forecast, law_features
 from .scene import FluidScene
 from .simulation import FluidSimulation
 
 COARSE_PARTICLES = 2500
 """Number of particles of the coarser copy that predicts the simulated time of a run."""
-TIMING_TIME = 1.0  # Minimum wall time over which steps are timed for a forecast [s].
-TIMED_STEPS = 10  # Number of steps that are timed together.
-
-
-@dataclass(frozen=True)
-class Course:
-    """Expected duration and mean time step of a run."""
-
-    duration: float
-    """Simulated time of the run [s]."""
-    time_step: float
-    """Mean time step [s]."""
-    remarks: Sequence[str] = ()
-
-
-def flow_forecast(
-    simulated: Callable[[], FlowRun],
-    course_of: Callable[[Any], Course],
-    features_of: Callable[[Any], Mapping[str, str]],
-    probe: Probe,
-    *,
-    limits: Mapping[str, float] | None = None,
-    governing: str = "choice: solves are implicit, so that viscosity and pressure set no limit",
-) -> Forecast:
-    """Return the forecast of a flow's run time.
-
-    `simulated` creates the simulation. From the prepared simulation, `course_of` returns the expected duration and mean
-    time step, and `features_of` returns descriptions of the computed features. `probe` measures the wall time for one
-    frame of the recordings. `limits` and `governing` describe what limits the time step, as in :class:`Forecast`.
-    """
-
-    def begun() -> FlowRun:
-        simulation = simulated()
-        simulation.prepare()
-        return simulation
-
-    scene = (loading := begun()).scene
-    # Measure the wall time of several steps together, but of no more steps than lie between two samples.
-    count = max(1, min(round(scene.sample_interval / scene.time_step), TIMED_STEPS))
-    loading.flow.take(count)  # This call loads the kernels, so that later timings exclude the loading.
-    course = course_of(loading)
-    loading.release()
-    simulation, placing = timed(begun, loading.device)
-    flow = simulation.flow
-    _, first = timed(lambda: flow.take(count), flow.device)
-    step = step_time(simulation)
-    steps = max(1.0, course.duration / course.time_step)
-    samples = math.ceil(course.duration / scene.sample_interval - 1e-9)
-    found = Forecast(
-        method="moving particles",
-        device="",
-        counts=flow.counts,
-        features={**features_of(simulation), "precision": simulation.precision},
-        memory={name: float(size) for name, size in footprint(**flow.holdings, rest=simulation).items() if size},
-        time_step=course.time_step,
-        limits=limits or {},
-        governing=governing,
-        steps=steps,
-        parts={
-            "placing": placing,
-            "graphs": max(first - count * step, 0.0),
-            "steps": steps * step,
-            "samples": samples * median_time(simulation.measure, flow.device),
-        },
-        frame=probe(simulation),
-        duration=course.duration,
-        remarks=(*scene.remarks, *course.remarks),
-    )
-    simulation.release()
-    return found
-
-
-def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | None, float, list[str]]:
-    """Run a coarser copy of a flow; return the run, its simulated time [s], and a list of remarks.
-
-    The copy's scene equals that of the flow except for the attributes in `changes`. If the copy has not become steady,
-    a remark consists of the text `unmet` and the simulated time. If the copy stops with an error, the run is None and
-    the time is the longest allowed one.
-    """
-    copy = None
-    try:
-        copy = type(simulation)(
-            replace(simulation.scene, **changes), device=str(simulation.device), precision=simulation.precision,
-            threads=simulation.threads,
-        )  # fmt: skip
-        run, steady = copy.run(), copy.steady
-    except (InstabilityError, SceneError) as error:
-        remark = f"the simulated time is uncertain, because a coarser copy of this flow stopped: {error}"
-        return None, simulation.duration, [remark]
-    finally:
-        if copy is not None:
-            copy.release()
-    reached = float(run.result["simulated_time"]["value"])
-    return run, reached, [] if steady else [f"{unmet} within {reached:g} s"]
-
-
-def step_time(simulation: Any) -> float:
-    """Return the wall time of a step [s]."""
-    flow = simulation.flow
-    flow.take(TIMED_STEPS)  # This call captures the launch graph, so that the capture is not timed.
-    times: list[float] = []
-    while sum(times) < TIMING_TIME:
-        times.append(timed(lambda: flow.take(TIMED_STEPS), flow.device)[1])
-    # Other programs can only make steps slower, and they disturb only a small part of a long run. The lower quartile of
-    # the measured times is therefore a good estimate of the typical time.
-    return float(np.quantile(times, 0.25)) / TIMED_STEPS
 
 
 def forecast(scene: FluidScene, device: Any, precision: str, threads: int | None, probe: Probe) -> Forecast:
@@ -175,15 +57,6 @@ def _features(simulation: FluidSimulation) -> dict[str, str]:
         "solves": _solver_text(flow),
         "threads": "one thread per particle" if flow.parallel else f"{flow.threads}",
     }
-
-
-def law_features(concrete: Concrete) -> dict[str, str]:
-    """Return the flow laws of bulk and slip layer that are not Bingham's, as text for a forecast's list of features."""
-    laws = {"flow law": (concrete.bulk_law, "Pa s2"), "law of the slip layer": (concrete.layer_law, "Pa s2/m2")}
-    return {
-        name: f"{law.name}, n = {law.index:g}" if law.index != 1 else f"{law.name}, c = {law.quadratic:g} {unit}"
-        for name, (law, unit) in laws.items() if law.name != BINGHAM
-    }  # fmt: skip
 
 
 def _solver_text(flow: Any) -> str:

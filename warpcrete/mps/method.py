@@ -1,12 +1,12 @@
 """Registration of the moving particle method with the rest of the program."""
 
 from ..core.run.method import Method
+from .common.stepping import run_abreast
 from .display import FlowDisplay
 from .forecast import forecast
 from .pictures import draw, plot_flow
 from .quantities import QUANTITIES, expected, report
 from .simulation import FluidSimulation
-from .stepping import run_abreast
 
 METHOD = Method(
     name="mps",

@@ -19,11 +19,11 @@ from ..kernels.common.reductions import BLOCK
 from ..kernels.mps.conjugate_gradient import OUTCOME
 from ..kernels.mps.lists import list_kernels
 from ..kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY
-from .allocation import allocate
 from .coarse import LEAST, WIDTH, CoarseGrid
+from .common.allocation import allocate
+from .common.stepping import Stepping
 from .stages import step_by_one_thread, step_stages
 from .state import DENSITY_REACH, OPERATOR_REACH, FluidState, flow_numbers
-from .stepping import Stepping
 
 # Skin of the neighbour lists in particle spacings. The column moves as a whole, so lists last some eighty steps.
 SKIN = 0.1

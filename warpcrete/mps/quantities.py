@@ -11,6 +11,7 @@ from ..core.run.method import Quantity
 from ..core.run.run_loop import Run
 from ..core.units import number, shown
 from ..theory.pipe import Steady
+from .common.run import largest
 from .scene import FluidScene
 
 AVERAGED_FRACTION = 0.2
@@ -62,11 +63,6 @@ def expected(scene: FluidScene) -> dict[str, float]:
     """Return the pressure, slip velocity and wall stress that theory predicts for the steady flow, by name."""
     theory = scene.theory()
     return {name: float(getattr(theory, name)) for name in UNITS}
-
-
-def largest(values: np.ndarray) -> float:
-    """Return the value of largest magnitude, with its sign; NaN if any value is NaN."""
-    return float(values[np.argmax(np.abs(values))])
 
 
 def _beside_theory(name: str):

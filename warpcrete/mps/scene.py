@@ -17,6 +17,7 @@ from ..core.drawing.html import Parametrised
 from ..core.errors import between, one_of, positive, refuse
 from ..core.inputs.parameters import Above, Alias, Declared, Needs, OneOf, Within
 from ..theory.pipe import Concrete, Line, Steady, restart, steady
+from .common.settings import STEP_ERROR, check_interval
 
 MIN_PARTICLES_ACROSS = 4  # Minimum number of particles across the pipe.
 ENDS = ("piston", "periodic")
@@ -81,12 +82,6 @@ class FlowWatch(Declared):
     volume: Annotated[
         float | None, "Largest change of the concrete's volume, as a fraction of it; None: no limit", Above()
     ] = 0.015
-
-
-STEP_ERROR = (
-    "Largest error of a step on a grid, as a fraction of the rms speed; it limits each step, and so does the passage "
-    "of a cell; 0: all steps equal time_step"
-)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -156,13 +151,6 @@ class FlowSettings(Declared):
         "Error against theory that the checks accept; default: 0.01 in 2D, 0.02 in 3D, 0.03 in two phases",
         Above(),
     ] = None
-
-
-def check_interval(scene: Any) -> None:
-    """Refuse a sample interval that no run can keep: one shorter than the time step, if all steps are equal."""
-    positive("sample_interval", scene.sample_interval, "s")
-    if not scene.step_error:
-        between("sample_interval", scene.sample_interval, scene.time_step, np.inf, "s", "use the time step or more")
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

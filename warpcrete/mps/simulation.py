@@ -13,16 +13,16 @@ from ..core.run.method import results_of
 from ..core.run.run import Table
 from ..core.units import quantity
 from ..theory.pipe import velocity
+from . import grid_probes as grid_probes
 from . import probes
+from .common.run import FlowRun
 from .display import FlowDisplay
-from .grid import probes as grid_probes
 from .grid.flow import GridFlow
-from .grid.layout import pipe_cells, pipe_layout
 from .grid.state import GridState, check_memory
 from .particles import MovingParticles
+from .pipe_grid import pipe_cells, pipe_layout
 from .probes import UNITS
 from .quantities import QUANTITIES, RunData
-from .run import FlowRun
 from .scene import FluidScene
 from .state import FluidState
 from .watch import WatchedFlow

@@ -30,14 +30,8 @@ from ..kernels.mps.resident_solver import resident_blocks, resident_solver
 from ..kernels.mps.rigid import bodies_kernel, places_kernel, velocities_kernel
 from ..kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY, span
 from ..kernels.mps.two_level import resident_two_level, serial_two_level
+from .common.stepping import ABSOLUTE_PRESSURE_FACTOR, VELOCITY_ERROR
 
-VELOCITY_ERROR = 1e-6
-"""Tolerance of the viscosity solve, relative to the residual that a velocity error of piston speed would cause."""
-ABSOLUTE_PRESSURE_FACTOR = 1e-4
-"""Ratio of the absolute to the relative tolerance of the pressure solve.
-
-The absolute tolerance is a fraction of the residual for a divergence of (piston speed / radius).
-"""
 DENSITY_TOLERANCES = 0.1, 1e-7
 """Relative tolerance of the density solve, and the rms residual below which the solve stops in any case."""
 

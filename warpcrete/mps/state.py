@@ -11,7 +11,7 @@ import warp as wp
 from ..core.device.device import scalar_of
 from ..kernels.common.control import FLAGS
 from ..kernels.mps.structs import array_structs, flow_struct
-from .allocation import allocate
+from .common.allocation import allocate
 from .grains import Grains, place_grains
 from .layout import Layout, layout
 from .scene import FluidScene

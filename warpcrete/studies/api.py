@@ -8,7 +8,8 @@ from typing import Any
 
 from ..core.errors import refuse
 from ..core.run.files import next_folder
-from .study import Study, run_study
+from .study import run_study
+from .study_result import Study
 
 SETTINGS = ("repeat", "one_at_a_time", "device", "precision", "processes", "frames", "checkpoint_every", "scheduler",
             "workers", "progress", "rerun", "usd")  # fmt: skip

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from ..core.run.run import Run
 from ..record.loading import load as load_run
-from .study import Study, load_study
+from .study import load_study
+from .study_result import Study
 
 
 def load(folder: Path | str) -> Run | Study:

@@ -292,26 +292,6 @@ def restart(
     return steady(after_rest(concrete, rest, thixotropy), line, flow, form)
 
 
-def restart_table(concrete: Concrete, line: Line, rest: float, thixotropy: float, flow: float) -> str:
-    """Return a text table of the restart pressures after `rest` [s], one row for each form of the theory.
-
-    Each row also relates the peak pressure at `flow` [m3/s] to the steady pressure at that flow.
-    """
-    grown = after_rest(concrete, rest, thixotropy)
-    lines = [
-        f"after {rest:g} s at rest with a growth rate of {thixotropy:g} Pa/s: yield stress {grown.yield_stress:g} Pa; "
-        f"slip layer {grown.slip_yield:g} Pa",
-        f"{'form':8s}{'moves from [Pa]':>16s}{'per metre [Pa/m]':>18s}{f'at {flow:.5g} m3/s [Pa]':>24s}"
-        f"{'over steady':>13s}",
-    ]
-    for form in FORMS:
-        least = restart(concrete, line, rest, thixotropy, form=form).pressure
-        peak = restart(concrete, line, rest, thixotropy, flow, form).pressure
-        over = peak / steady(concrete, line, flow, form).pressure
-        lines.append(f"{form:8s}{least:16.6g}{least / line.length:18.6g}{peak:24.6g}{over:13.4g}")
-    return "\n".join(lines)
-
-
 def flow_of_pressure(concrete: Concrete, line: Line, pressure: float, form: str = "pipe") -> Steady:
     """Return the steady state that a `pressure` [Pa] at the lower end drives.
 
@@ -387,41 +367,18 @@ def kaplan(concrete: Concrete, line: Line, flow: float) -> Steady:
     return Steady("kaplan", flow, weight + 2 * stress * line.length / radius, stress, slip, plug)
 
 
-def slip_constants(
-    concrete: Concrete, line: Line, flows: Sequence[float], pressures: Sequence[float]
-) -> tuple[float, float]:
-    """Return the slip layer's eta_L [Pa s/m] and tau_L0 [Pa], fitted to flows [m3/s] and pressures [Pa] of a pipe.
-
-    First, the flow that shear of the bulk contributes is subtracted from each flow. The rest is slip at a velocity V.
-    Then a straight line of wall stress over V is fitted to all points (Xu, Li & Jiang 2021, Eq. 12). If the layer has a
-    flow index n, the line is that of the stress over V^n; if it has a coefficient c, the line is that of the stress
-    minus c V^2 over V. Both n and c are taken from `concrete`, as are the viscosity, yield stress and density of the
-    bulk. `line` supplies the layer's thickness. Table 3 of the paper follows in this way from the constants of a layer
-    of zero thickness. Raises :class:`SceneError` for fewer than two different flows.
-    """
-    found = _slip_line(concrete, line, flows, pressures)
-    return found.slope, found.offset
-
-
 def measured_layer(concrete: Concrete, line: Line, flows: Sequence[float], pressures: Sequence[float]) -> StraightLine:
-    """Return the line of wall stress over slip velocity that :func:`slip_constants` fits, with its standard errors.
+    """Return the line of wall stress over slip velocity, fitted to flows [m3/s] and pressures [Pa] of a pipe.
 
-    The line's slope is eta_L, and its offset is tau_L0.
-    Raises :class:`SceneError` if the points imply an impossible layer: a viscosity that is not positive or a negative
-    yield stress.
+    The line's slope is eta_L [Pa s/m], and its offset is tau_L0 [Pa]. First, the flow that shear of the bulk
+    contributes is subtracted from each flow. The rest is slip at a velocity V. Then a straight line of wall stress over
+    V is fitted to all points (Xu, Li & Jiang 2021, Eq. 12). If the layer has a flow index n, the line is that of the
+    stress over V^n; if it has a coefficient c, the line is that of the stress minus c V^2 over V. Both n and c are
+    taken from `concrete`, as are the viscosity, yield stress and density of the bulk. `line` supplies the layer's
+    thickness. Table 3 of the paper follows in this way from the constants of a layer of zero thickness. Raises
+    :class:`SceneError` for fewer than two different flows, or if the points imply an impossible layer: a viscosity that
+    is not positive or a negative yield stress.
     """
-    found = _slip_line(concrete, line, flows, pressures)
-    if found.slope <= 0 or found.offset < 0:
-        raise SceneError(
-            f"fit: the points give a slip layer of {found.slope:.4g} Pa s/m and {found.offset:.4g} Pa, which is "
-            "impossible; check length, rise and diameter, and the viscosity and yield stress of the shear that is "
-            "subtracted from the flows"
-        )
-    return found
-
-
-def _slip_line(concrete: Concrete, line: Line, flows: Sequence[float], pressures: Sequence[float]) -> StraightLine:
-    """Fit a straight line of wall stress [Pa] over slip velocity [m/s] to measured flows and pressures."""
     q, p = np.asarray(flows, float), np.asarray(pressures, float)
     if q.shape != p.shape or q.ndim != 1 or len(q) < 2 or np.ptp(q) == 0:
         refuse("flows", q.tolist(), "must be two or more different flows, each with a pressure")
@@ -430,49 +387,11 @@ def _slip_line(concrete: Concrete, line: Line, flows: Sequence[float], pressures
     stress = (p - concrete.density * line.gravity * line.rise * line.length) * line.radius / (2 * line.length)
     slip = q / (np.pi * line.radius**2) - _bulk(concrete, line, stress, "pipe")
     bent = np.sign(slip) * np.abs(slip) ** concrete.slip_flow_index if concrete.slip_flow_index != 1 else slip
-    return straight_line(bent, stress - concrete.slip_quadratic_viscosity * slip * np.abs(slip))
-
-
-def _law_text(law: FlowLaw) -> str:
-    """Return the constants that a law has besides those of Bingham's law, for a table."""
-    if law.index != 1:
-        return f", flow index {law.index:g}"
-    return f", quadratic {law.quadratic:g}" if law.quadratic else ""
-
-
-def table(concrete: Concrete, line: Line, flows: Sequence[float] = (), pressures: Sequence[float] = ()) -> str:
-    """Return a text table of pressure and slip velocity at `flows` [m3/s], or of the flow at `pressures` [Pa].
-
-    Each form of the theory has a row. At given flows Kaplan's model has a row too, if all laws are Bingham's. If the
-    pressure is too low for flow in one form, the row of this form says so. Raises :class:`SceneError` if nothing
-    flows in any form.
-    """
-    lines = [
-        f"{concrete.name}: density {concrete.density:g} kg/m3, viscosity {concrete.viscosity:g} Pa s, yield stress "
-        f"{concrete.yield_stress:g} Pa{_law_text(concrete.bulk_law)}; slip layer {concrete.slip_viscosity:g} Pa s/m, "
-        f"{concrete.slip_yield:g} Pa{_law_text(concrete.layer_law)}",
-        f"{'form':8s}{'flow [m3/s]':>14s}{'pressure [Pa]':>15s}{'wall stress [Pa]':>18s}{'slip [m/s]':>12s}"
-        f"{'plug radius [m]':>17s}",
-    ]
-
-    def line_of(s: Steady) -> str:
-        return (
-            f"{s.form:8s}{s.flow:14.5g}{s.pressure:15.6g}{s.wall_stress:18.5g}{s.slip_velocity:12.5g}"
-            f"{s.plug_radius:17.4g}"
+    found = straight_line(bent, stress - concrete.slip_quadratic_viscosity * slip * np.abs(slip))
+    if found.slope <= 0 or found.offset < 0:
+        raise SceneError(
+            f"fit: the points give a slip layer of {found.slope:.4g} Pa s/m and {found.offset:.4g} Pa, which is "
+            "impossible; check length, rise and diameter, and the viscosity and yield stress of the shear that is "
+            "subtracted from the flows"
         )
-
-    for flow in flows:
-        lines += [line_of(steady(concrete, line, flow, form)) for form in FORMS]
-        if concrete.bulk_law.name == concrete.layer_law.name == BINGHAM:
-            lines.append(line_of(kaplan(concrete, line, flow)))
-    for pressure in pressures:
-        standing = []
-        for form in FORMS:
-            try:
-                lines.append(line_of(flow_of_pressure(concrete, line, pressure, form)))
-            except SceneError as error:
-                standing.append(error)
-                lines.append(f"{form:8s}{0:14.5g}{pressure:15.6g}   {str(error).partition(': ')[2].partition(' (')[0]}")
-        if len(standing) == len(FORMS):
-            raise standing[-1]
-    return "\n".join(lines)
+    return found

@@ -9,8 +9,8 @@ import numpy as np
 from ..core.device.device import find_device
 from ..mps.column import FlowParameters, column_scene
 from ..mps.grid.flow import GridFlow
-from ..mps.grid.layout import pipe_layout
 from ..mps.grid.state import GridState
+from ..mps.pipe_grid import pipe_layout
 from ..mps.scene import FluidScene
 from ..theory.pipe import Concrete
 from .case import Case, Row

@@ -10,9 +10,9 @@ from ..core.device.device import find_device
 from ..geometry.axis import Axis, Line
 from ..geometry.walls import PipeWall
 from ..kernels.mps.grid.cells import LAST_FORCE, LIQUID, GridKind
-from ..mps.free.layout import fill_cells
 from ..mps.free.scene import FreeScene
 from ..mps.free.simulation import FreeSimulation
+from ..mps.grid.filling import fill_cells
 from ..mps.grid.flow import GridFlow
 from ..mps.grid.geometry import OPEN_SIDE, PLATE, ROUGH, WALL, Distance, Room, geometry_of, nearest_wall, wall_distance
 from ..mps.grid.layout import GridLayout, Motion

@@ -92,9 +92,8 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
     """
     Grid = grid_parameters_struct(scalar, dimensions)
     f = rate_functions(scalar, dimensions)
-    apparent, unyielded_viscosity, rate_of, rate_slope, rate_integral, double_integral = (
-        f.apparent, f.unyielded_viscosity, f.rate_of, f.rate_slope, f.rate_integral, f.double_integral,
-    )  # fmt: skip
+    apparent, unyielded_viscosity, rate_of, rate_slope = f.apparent, f.unyielded_viscosity, f.rate_of, f.rate_slope
+    rate_integral, double_integral = f.rate_integral, f.double_integral
 
     @wp.func
     def apparent_at_edge(g: Grid, rate: scalar, change: scalar) -> scalar:

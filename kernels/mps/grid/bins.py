@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import warp as wp
 
 from ...common.control import HALTED
-from .cells import NOW, GridKind, grid_functions, grid_parameters_struct, grid_structs
+from .cells import NOW, GridKind, grid_parameters_struct, grid_structs
+from .places import grid_functions
 
 
 @functools.cache

@@ -7,7 +7,8 @@ import warp as wp
 
 from ...common.control import HALTED
 from ..structs import mps_types
-from .cells import OPEN, GridKind, grid_functions, grid_parameters_struct, grid_structs
+from .cells import OPEN, GridKind, grid_parameters_struct, grid_structs
+from .places import grid_functions
 
 WET = wp.constant(0.02)
 """Fill fraction of a cell above which its concrete can flow. With a smaller value, a free surface at rest that

@@ -12,8 +12,9 @@ import warp as wp
 
 from ...common.control import HALTED
 from ..structs import array_structs, mps_types, row_place
-from .cells import DT, FORCE, LIQUID, GridKind, grid_functions, grid_parameters_struct, grid_structs
+from .cells import DT, FORCE, LIQUID, GridKind, grid_parameters_struct, grid_structs
 from .other_laws import flow_functions
+from .places import grid_functions
 from .structure import with_gain_function
 
 STIFFENING = wp.constant(2.0)
@@ -118,9 +119,8 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
             mesh.strain_without_pair[number] = square
             square += around(g, mesh, geometry, c, 0)
         else:
-            first_pair, second_pair, third = (
-                around(g, mesh, geometry, c, 0), around(g, mesh, geometry, c, 1), around(g, mesh, geometry, c, 2),
-            )  # fmt: skip
+            first_pair, second_pair = around(g, mesh, geometry, c, 0), around(g, mesh, geometry, c, 1)
+            third = around(g, mesh, geometry, c, 2)
             mesh.strain_without_pair[number] = square + second_pair + third
             mesh.strain_without_pair[number + g.slots] = square + first_pair + third
             mesh.strain_without_pair[number + 2 * g.slots] = square + first_pair + second_pair

@@ -17,10 +17,10 @@ from .cells import (
     ROUGH,
     VELOCITY_CORRECTION,
     GridKind,
-    grid_functions,
     grid_parameters_struct,
     grid_structs,
 )
+from .places import grid_functions
 
 CORRECTED = 0.1
 """Fraction of a cell's excess or lack of particles that one step corrects."""

@@ -13,7 +13,8 @@ import functools
 import warp as wp
 
 from ...common.control import HALTED
-from .cells import DT, LIQUID, GridKind, grid_functions, grid_parameters_struct, grid_structs
+from .cells import DT, LIQUID, GridKind, grid_parameters_struct, grid_structs
+from .places import grid_functions
 
 
 @functools.cache
@@ -68,14 +69,16 @@ def break_kernel(scalar, of: GridKind):
             return
         dt = scalar(mesh.clock[DT])
         if mesh.liquid[number] != 0:
-            mesh.gained[number] = mesh.gained[number] * wp.exp(-wp.sqrt(mesh.strain[number]) * dt / breakdown_strain)
+            broken = wp.sqrt(mesh.strain[number]) * dt / breakdown_strain
+            mesh.gained[number] = mesh.gained[number] * wp.exp(-broken)
             if wp.static(of.rebuilding):
-                mesh.gained[number] += rebuilt(rebuild_rate, wp.sqrt(mesh.strain[number]) * dt / breakdown_strain, dt)
+                mesh.gained[number] += rebuilt(rebuild_rate, broken, dt)
         for axis in range(of.dimensions):
             r = number + axis * g.slots
             if mesh.kind[r] == LIQUID and mesh.wall_area[r] > scalar(0.0):
-                mesh.layer[r] = mesh.layer[r] * wp.exp(-wp.abs(mesh.slip[r]) * dt / breakdown)
+                slipped = wp.abs(mesh.slip[r]) * dt / breakdown
+                mesh.layer[r] = mesh.layer[r] * wp.exp(-slipped)
                 if wp.static(of.rebuilding):
-                    mesh.layer[r] += rebuilt(rebuild_rate, wp.abs(mesh.slip[r]) * dt / breakdown, dt)
+                    mesh.layer[r] += rebuilt(rebuild_rate, slipped, dt)
 
     return break_structure

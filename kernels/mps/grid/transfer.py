@@ -22,10 +22,10 @@ from .cells import (
     OPEN,
     SMOOTH,
     GridKind,
-    grid_functions,
     grid_parameters_struct,
     grid_structs,
 )
+from .places import grid_functions
 
 CLEAR = wp.constant(0.02)
 """Minimum distance of particles from a wall, divided by the width of a cell."""

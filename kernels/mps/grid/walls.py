@@ -7,16 +7,9 @@ import warp as wp
 from ...common.control import HALTED
 from ..flow_laws import BINGHAM, law_functions
 from ..structs import mps_types
-from .cells import (
-    INSIDE,
-    LIQUID,
-    OPEN,
-    GridKind,
-    grid_functions,
-    grid_parameters_struct,
-    grid_structs,
-)
+from .cells import INSIDE, LIQUID, OPEN, GridKind, grid_parameters_struct, grid_structs
 from .other_laws import flow_functions
+from .places import grid_functions
 from .structure import with_gain_function
 
 SLOW = wp.constant(1.0e-6)

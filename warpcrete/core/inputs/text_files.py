@@ -105,6 +105,17 @@ def read_rows(path: Path, field: str) -> tuple[list[str], list[tuple[int, list[s
     return rows
 
 
+def read_columns(path: Path, field: str) -> tuple[dict[str, tuple[int, str]], list[tuple[int, list[str]]]]:
+    """Return place and unit of each column of a CSV file by name, and the rows as :func:`read_rows` returns them.
+
+    The header names columns with their units, such as `flow [m3/h],pressure [bar]`. Columns whose heads have another
+    form are left out.
+    """
+    header, rows = read_rows(path, field)
+    heads = [re.fullmatch(r"\s*(\w+)\s*(?:\[([^\[\]]+)\])?\s*", head) for head in header]
+    return {head[1]: (place, head[2] or "") for place, head in enumerate(heads) if head is not None}, rows
+
+
 def saved_text(path: Path) -> str:
     """Return the text of a file that the program wrote; raises :class:`RunFolderError` if that is impossible."""
     try:

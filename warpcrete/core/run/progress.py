@@ -3,10 +3,23 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NoReturn
 
 if TYPE_CHECKING:
     from tqdm.auto import tqdm
+
+
+@contextmanager
+def progress_bar(quiet: bool = False) -> Generator[ProgressBar | None]:
+    """Provide a progress bar as a callback, or None if `quiet`, and close the bar at the end."""
+    bar = ProgressBar()
+    try:
+        yield None if quiet else bar
+    finally:
+        bar.close()
 
 
 class ProgressBar:
@@ -16,7 +29,7 @@ class ProgressBar:
         self._bar: tqdm[NoReturn] | None = None
         self._phase = ""
 
-    def __call__(self, phase: str, fraction: float, figures: dict[str, float]) -> None:
+    def __call__(self, phase: str, fraction: float, figures: Mapping[str, float] = MappingProxyType({})) -> None:
         """Show the fraction of a phase that is done, and current figures such as the pressure."""
         from tqdm.auto import tqdm
 

@@ -145,12 +145,8 @@ class LaunchPlanner:
         """
         # Convert to plain Python numbers: for one scene, arithmetic on them is ten times as fast as with NumPy, and
         # the GPU idles meanwhile.
-        untils, intervals, slots, clocks = (
-            rows["until"].tolist(),
-            rows["interval"].tolist(),
-            flags.tolist(),
-            clock.tolist(),
-        )
+        untils, intervals, slots = rows["until"].tolist(), rows["interval"].tolist(), flags.tolist()
+        clocks = clock.tolist()
         running = [s for s in range(self.scenes) if slots[s][int(HALTED)] == 0]
         if not running:
             return []

@@ -20,10 +20,11 @@ from ...core.device.scan import scan_stages
 from ...core.errors import CapacityError
 from ...kernels.common.control import STALE, STEPS
 from ...kernels.common.types import types
+from ...kernels.dem.full_search import full_search_kernels
+from ...kernels.dem.half_search import half_search_kernel
 from ...kernels.dem.linking import linking_kernels
 from ...kernels.dem.lists import list_kernels, transfer_kernel
-from ...kernels.dem.mesh_contacts import candidate_kernels
-from ...kernels.dem.search import full_search_kernels, half_search_kernel
+from ...kernels.dem.mesh_faces import candidate_kernels
 from .batch import Batch
 from .batch_arrays import MAXIMUM_ENTRIES
 from .cells import Cells

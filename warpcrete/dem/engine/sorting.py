@@ -13,11 +13,7 @@ from ...kernels.dem.sorting import order_kernels, permute_kernels
 from .batch import Batch
 from .state import OF_BATCH, struct_of
 
-SORTED = {
-    "bodies": ("first", *OF_BATCH["bodies"]),
-    "spheres": ("scene", "body", "force", "moment"),
-    "slots": (),
-}
+SORTED = {"bodies": ("first", *OF_BATCH["bodies"]), "spheres": ("scene", "body", "force", "moment"), "slots": ()}
 """Structs whose arrays are permuted when bodies are re-sorted, and for each struct the arrays that are not permuted.
 
 The arrays that are not permuted are recomputed, do not depend on the order, or contain only zeros.

@@ -13,12 +13,7 @@ from ...core.device.graphs import GraphLaunch, Recordable
 from ...core.device.launching import Arguments, Stage
 from ...geometry.walls import Driven
 from ...kernels.dem.gathering import ESTIMATE_LANES, gather_kernel
-from ...kernels.dem.stable_step import (
-    begin_kernel,
-    keep_kernel,
-    reduce_kernel,
-    step_kernel,
-)
+from ...kernels.dem.stable_step import begin_kernel, keep_kernel, reduce_kernel, step_kernel
 from ...kernels.dem.stiffness import estimate_struct
 from ..scene.scene import Scene
 from .batch import Batch

@@ -121,10 +121,7 @@ def _full_step(batch: Batch) -> list[Stage]:
     kernel = link_kernel(b.scalar, f.pair_law, f.history, f.bonds, f.healing, f.subcycling, f.dissipation, f.mixed)
     # Round the number of threads up to a multiple of the warp width.
     threads = -(-math.ceil(THREADS_PER_LINK * len(b.links.link)) // width) * width
-    stages += [
-        b.stage(kernel, threads, threads=threads),
-        _motion(b, 0, b.body_count),
-    ]
+    stages += [b.stage(kernel, threads, threads=threads), _motion(b, 0, b.body_count)]
     if f.walls:
         stages.append(b.stage(advance_kernel(b.scalar, f.strokes), b.wall_count, on_side_stream=True))
     stages += [

@@ -89,12 +89,7 @@ class Stepper:
         self.join(*among, resumed=resumed)
 
     def join(
-        self,
-        lists: NeighborLists,
-        stable_step: StableStep,
-        index: int,
-        *,
-        resumed: StepperRecord | None = None,
+        self, lists: NeighborLists, stable_step: StableStep, index: int, *, resumed: StepperRecord | None = None
     ) -> None:
         """Join the batch to which `lists` belongs, in which the stepper's scene has the index `index`.
 

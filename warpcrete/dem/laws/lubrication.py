@@ -99,10 +99,6 @@ class LubricationLayer(ContactLaw):
                 drag += p.viscosity * area(touch)
             # normal force of the dashpot: the total normal force without that of the spring
             resisting = wp.dot(alone, n) + spring
-            return (
-                normal_part + shear + drag * vs,
-                shear,
-                slid + (resisting * vn + drag * wp.length_sq(vs)) * dt,
-            )
+            return (normal_part + shear + drag * vs, shear, slid + (resisting * vn + drag * wp.length_sq(vs)) * dt)
 
         return {"force": force, "stiffness": stiffness, "energy": energy}

@@ -18,7 +18,8 @@ from ..scene.clumps import templates
 from ..scene.containers import Fill, PipeContainer
 from ..scene.scene import AxisDrive, Bodies, Bonds, Hydration, Settle, TimeStep, Watch
 from ..scene.sizes import Gaussian, SieveCurve, Sizes, Uniform
-from .parameters import AggregateParameters, BondParameters, stiffness_of
+from .parameter_groups import AggregateParameters, BondParameters
+from .parameters import stiffness_of
 
 
 def contact_of(given: Any) -> ContactLaw:

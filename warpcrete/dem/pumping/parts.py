@@ -17,24 +17,21 @@ from ...core.inputs.knobs import Knob, Level, precisions, scaled
 from ...core.inputs.parameters import Above, FileIf, Needs, OneOf, Within
 from ...geometry.axis import Arc, Axis, Line
 from ...geometry.bores import FACETS, Bores
-from ...geometry.lines import Part, PipeLine, check_crossing, read_line
+from ...geometry.lines import check_crossing, read_line
 from ...geometry.mesh_parts import DIAMETER_TOLERANCE, WAYS, Insert, bore_of
 from ...geometry.one_pipe import check_return, check_straight_ends, ends, parameters_from_line, parameters_from_mesh
+from ...geometry.pipe_line import Part, PipeLine
 from ..laws import LawChoice, WallLawChoice
-from .parameters import (
-    COARSENINGS,
-    UPRIGHT,
-    WIDEST_STONE,
+from .parameter_groups import (
     AggregateParameters,
     BondParameters,
     ConcreteChoice,
-    ConcreteDefaults,
     ContactParameters,
     IndexParameters,
     PlugParameters,
     RunParameters,
-    coarser,
 )
+from .parameters import COARSENINGS, UPRIGHT, WIDEST_STONE, ConcreteDefaults, coarser
 
 UNITS = ("vertical", "horizontal", "bend-to-horizontal", "bend-to-vertical", "bend-level", "mesh")
 ALONE = Needs("line", lambda line: line is None, "is left out")

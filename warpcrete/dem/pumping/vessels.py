@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
@@ -11,10 +10,7 @@ import numpy as np
 
 from ...core.device.device import PRECISIONS
 from ...core.errors import refuse
-from ...core.inputs.knobs import Knob, Level, precisions, scaled
 from ...core.inputs.parameters import Above, Declared, Needs, OneOf, Within
-from ...core.run.checks import with_cures
-from ...core.run.run_loop import Run
 from ...geometry.prisms import Solid
 from ...standards import StandardTest
 from ...theory.pipe import Concrete
@@ -137,9 +133,7 @@ class LawParameters:
     friction_angle: Annotated[float, "Friction angle of bonds [degrees]", Within(0, 89), WITH_BONDS] = 30.0
     healing: Annotated[bool, "Bond new contacts when they touch", WITH_BONDS] = True
     plate_grip: Annotated[
-        float,
-        "Ratio of friction, yield stress and viscosity on the plate to those between grains",
-        Within(0),
+        float, "Ratio of friction, yield stress and viscosity on the plate to those between grains", Within(0)
     ] = 2.0
     mould_grip: Annotated[
         float | None,
@@ -339,6 +333,13 @@ def shear_means() -> tuple[float, float, float]:
     return float(np.mean(np.sqrt(np.maximum(across, 0)))), float(np.mean(across)), float(np.mean(along**2))
 
 
+def _core_and_shell(given: VesselParameters) -> dict[str, float]:
+    """Return the constants of the cores and shells of grains, which both laws of mortar have in common."""
+    shell = {"shell_fraction": given.shell_fraction, "shell_modulus": given.shell_modulus}
+    return dict(effective_modulus=given.stiffness, stiffness_ratio=given.stiffness_ratio,
+                friction=given.grain_friction, normal_damping_ratio=given.normal_damping, **shell)  # fmt: skip
+
+
 def mortar_law(given: VesselParameters) -> BinghamMortar:
     """Return a contact law whose stresses add up to the yield stress and viscosity of the concrete.
 
@@ -355,12 +356,7 @@ def mortar_law(given: VesselParameters) -> BinghamMortar:
     slides, square, closes = shear_means()
     filled = 0.75 * CONTACTS * given.packed
     return BinghamMortar(
-        effective_modulus=given.stiffness,
-        stiffness_ratio=given.stiffness_ratio,
-        friction=given.grain_friction,
-        normal_damping_ratio=given.normal_damping,
-        shell_fraction=given.shell_fraction,
-        shell_modulus=given.shell_modulus,
+        **_core_and_shell(given),
         yield_stress=given.yield_stress / (filled * slides),
         plastic_viscosity=given.viscosity * given.shell_fraction / (filled * (square + 3 * closes)),
     )
@@ -380,98 +376,8 @@ def plastic_law(given: VesselParameters) -> PlasticMortar:
     """
     filled = 0.75 * CONTACTS * given.packed
     return PlasticMortar(
-        effective_modulus=given.stiffness,
-        stiffness_ratio=given.stiffness_ratio,
-        friction=given.grain_friction,
-        normal_damping_ratio=given.normal_damping,
-        shell_fraction=given.shell_fraction,
-        shell_modulus=given.shell_modulus,
+        **_core_and_shell(given),
         yield_stress=given.yield_stress / (filled * math.pi / 8),
         plastic_viscosity=given.viscosity * given.shell_fraction / (filled / 6),
         tension=given.shell_tension,
     )
-
-
-COARSER = (2.0, 1.5, 1.25, 1.0)
-
-
-def vessel_knobs(given: VesselParameters, narrowest: float) -> Iterator[Knob]:
-    """Yield settings that trade accuracy for computing time: time step, precision, grain size and stiffness.
-
-    Grains are no larger than a quarter of the `narrowest` passage [m].
-    """
-    if given.time_step is None:
-        yield scaled("time step", "safety", given.safety, (2.0, 1.5, 1.0, 0.5), -1.0)
-    yield precisions()
-    levels = [
-        Level(f"x {f:g}", {"size_min": f * given.size_min, "size_max": f * given.size_max}, f**-4, f"x {f:g}")
-        for f in COARSER
-        if f == 1.0 or f * given.size_max <= narrowest / 4
-    ]
-    if len(levels) > 1:
-        yield Knob("coarse-graining", tuple(levels), True)
-    if given.contact is not None:
-        return
-    stiffness = [
-        Level(f"{f * given.stiffness:.4g} Pa", {"modulus": f * given.stiffness}, f**0.5, f"x {f:g}")
-        for f in (0.25, 0.5)
-    ]
-    as_given = Level(f"{given.stiffness:.4g} Pa", {"modulus": given.modulus}, 1.0, "x 1")
-    yield Knob("stiffness", (*stiffness, as_given), True)
-
-
-BALANCED = 0.01
-"""Largest error of the momentum balance that a valid run may have, relative to the largest impulse."""
-FEWEST = 200
-"""Minimum number of grains that represent concrete in a vessel; with fewer, the outcome depends on single grains."""
-STRAYS = 0.05
-"""Largest fraction of the grains that may roll away from the heap in a valid run."""
-
-CURES = {
-    "momentum balance": "--precision float64, or a smaller --safety",
-    "no grain swallowed": "a larger --modulus, or a smaller --safety",
-    "enough grains": "a smaller --size-max",
-    "at rest": "a longer --duration",
-    "one heap": "a larger --settle, or a smaller --size-max",
-    "light is seen": "a longer --duration",
-}
-
-
-@with_cures(CURES)
-def check_vessel(run: Run) -> dict[str, tuple[bool, str]]:
-    """Return the checks of a run in a vessel by name, each as a tuple (True if passed, text with measured values)."""
-    result, test = run.result, run.scene.vessel.test
-    balance, overlap, grains = result["momentum_balance_error"], result["largest_overlap"], result["bodies"]
-    found = {
-        "momentum balance": (balance < BALANCED, f"{100 * balance:.3g} % of the largest impulse"),
-        "no grain swallowed": (overlap < 2.0, f"largest overlap {overlap:.3g} of the smaller radius"),
-        "enough grains": (grains >= FEWEST, f"{grains}; at least {FEWEST} are needed to represent concrete"),
-    }
-    if test.on_plate:
-        strays = result["strays"]
-        found["one heap"] = (strays < STRAYS, f"{100 * strays:.2g} % of the grains have left the heap")
-    return found | test.judge(run)
-
-
-def vessel_remarks(given: VesselParameters, what: str) -> tuple[str, ...]:
-    """Return remarks on simplifications of a scene; `what` names the surfaces along which concrete may slide freely."""
-    found = []
-    if given.law == "mortar":
-        found.append(
-            "law mortar: slump lies within a quarter of the closed form at 20 to 500 Pa; at 1000 Pa a cone remains "
-            "standing (law plastic lets it slump)"
-        )
-    if given.law == "plastic":
-        found.append("law plastic: spread lies between the closed forms at 200 to 2000 Pa; softer heaps stop too early")
-    if given.contact is not None and not given.is_gripped:
-        found.append(
-            f"plate and mould act on grains as other grains do, because {type(given.contact).__name__} has no friction"
-        )
-    elif given.mould_grip_or_default == 0:
-        found.append(f"concrete slides along {what} freely; use --mould-grip 1 for friction there")
-    if given.bulk_density is None:
-        found.append(
-            f"only the grains have mass, {given.packed * given.density:.4g} kg/m3 in the full vessel; --bulk-density "
-            "adds the mortar's mass to them"
-        )
-    return tuple(found)

@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...core.drawing.display import OTHER, Colour, Curve, Display, DrawnWall, Plot
-from ...core.drawing.paint import palette_colours
+from ...core.drawing.display import OTHER, Colour, Curve, DrawnWall, Plot
+from ..grid.display import GridDisplay
 from ..grid.geometry import MIRROR, WALL
 from .scene import Points
 
@@ -22,14 +22,13 @@ MAX_SHOWN_SHEAR_RATE = 5.0
 """Shear rate at the upper end of the colour scale [1/s]."""
 
 
-class FreeDisplay(Display):
+class FreeDisplay(GridDisplay):
     """Display of a free-surface flow: particles coloured by shear rate, by speed or by pressure.
 
     In axisymmetric flow a particle stands for a ring. At a plane of symmetry the mirror image is drawn as well.
     """
 
     colourings: ClassVar = ("shear", "speed", "pressure")
-    noun: ClassVar = "concrete"
     direction: ClassVar[tuple[float, float, float]] = (0.25, -0.85, 0.45)
 
     @property
@@ -50,15 +49,21 @@ class FreeDisplay(Display):
         deep = (1.0, -1.0) if sides.get("front") == MIRROR else (1.0,)
         return [(a, b) for a in across for b in deep]
 
+    @property
+    def copies(self) -> int:
+        """Number of times that each drawn particle is drawn: once in two dimensions, else once per mirror image."""
+        return len(self._mirrored)
+
+    @property
+    def drawn_particles(self) -> np.ndarray:
+        """Indices of the particles that are drawn, shape (n,)."""
+        return self._places[0]
+
     @cached_property
-    def _drawn_particles(self) -> tuple[np.ndarray, np.ndarray]:
+    def _places(self) -> tuple[np.ndarray, np.ndarray]:
         """Indices of the particles that are drawn, and the angle about the axis at which each is drawn [rad]."""
         count = self.simulation.state.count
-        most = (
-            (MAX_SECTION_PARTICLES + MAX_HALF_PARTICLES) // len(self._mirrored)
-            if self._solid
-            else MAX_SECTION_PARTICLES
-        )
+        most = (MAX_SECTION_PARTICLES + MAX_HALF_PARTICLES) // self.copies if self._solid else MAX_SECTION_PARTICLES
         section = np.arange(0, count, max(1, -(-count // most)))
         if not self._axial:
             return section, np.zeros(len(section))
@@ -71,10 +76,10 @@ class FreeDisplay(Display):
 
     def radii(self) -> np.ndarray:
         """Return the radii of drawn particles [m], larger where fewer of the particles are drawn."""
-        layout, (_, angles) = self.simulation.state.layout, self._drawn_particles
+        layout, (_, angles) = self.simulation.state.layout, self._places
         if self._solid:
             fewer = (len(layout.fluid) / len(angles)) ** (1 / 3)
-            return np.full(len(angles) * len(self._mirrored), 0.55 * layout.particle_spacing * fewer, np.float32)
+            return np.full(len(angles) * self.copies, 0.55 * layout.particle_spacing * fewer, np.float32)
         cut = np.isin(angles, (0.0, np.pi))
         stride = np.sqrt(max(1.0, len(layout.fluid) / max(np.count_nonzero(angles == 0), 1)))
         size = np.where(cut, 0.5 * layout.particle_spacing * stride, 0.6 * layout.spacing)
@@ -86,7 +91,7 @@ class FreeDisplay(Display):
         The axis z points upwards; the section of a two-dimensional flow lies in the plane y = 0.
         """
         x = self.read("particles.position").astype(float)
-        particles, angles = self._drawn_particles
+        particles, angles = self._places
         x = x[particles]
         if self._solid:
             # Draw particles that have left the room at a place below it, out of sight.
@@ -104,27 +109,6 @@ class FreeDisplay(Display):
         if self.colouring == "speed":
             return "speed [m/s]", 0.0, 0.1 * float(np.sqrt(2 * scene.gravity * height))
         return "rate of shear [1/s]", 0.0, MAX_SHOWN_SHEAR_RATE
-
-    def fields(self) -> dict[str, np.ndarray]:
-        """Return speed [m/s] and pressure [Pa] of the drawn particles."""
-        copies = len(self._mirrored) if self._solid else 1
-        speed = np.linalg.norm(self.read("particles.velocity").astype(float), axis=1)
-        found = {"speed": speed, "pressure": self.read("particles.pressure").astype(float)}
-        return {name: np.tile(values[self._drawn_particles[0]], copies) for name, values in found.items()}
-
-    def colours(self) -> np.ndarray:
-        """Return RGB bytes of all drawn particles, shape (n, 3)."""
-        found = self._drawn_particles[0]
-        if self.colouring == "pressure":
-            values = self.read("particles.pressure").astype(float) / 1e3
-        elif self.colouring == "speed":
-            values = np.linalg.norm(self.read("particles.velocity").astype(float), axis=1)
-        else:
-            slope = self.read("particles.gradient").astype(float)
-            values = np.sqrt(0.5 * np.sum((slope + slope.transpose(0, 2, 1)) ** 2, axis=(1, 2)))
-        _, lower, upper = self.scale()
-        copies = len(self._mirrored) if self._solid else 1
-        return np.tile(palette_colours(values[found], upper, lower), (copies, 1))
 
     def plots(self) -> tuple[Plot, ...]:
         """Return curves over time: the concrete's width, height and speed, or for a funnel the concrete left in it."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...core.run.forecast import Forecast, Probe
-from ..forecast import Course, coarser_run, flow_forecast, law_features
+from ..common.forecast import Course, coarser_run, flow_forecast, law_features
 from .quantities import expected
 from .scene import FreeScene
 from .simulation import FreeSimulation

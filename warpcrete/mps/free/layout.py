@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from ...core.errors import refuse
 from ...kernels.mps.flow_laws import BINGHAM
 from ...kernels.mps.grid.cells import GridKind
+from ..grid.filling import fill_cells
 from ..grid.geometry import (
     GATE,
     MIRROR,
@@ -32,16 +31,6 @@ PARTICLES_PER_AXIS = {2: 3, 3: 2}
 
 A flow with a free surface needs more particles than a pipe flow.
 """
-THREE_POINTS = 0.125, 0.5, 0.875
-"""Positions of three particles along a cell, in cell widths.
-
-At these positions, the particles' hat-function weights add up to the weights of an evenly filled cell: 0.75 about the
-cell's own middle and 0.125 about the middle of each neighbour.
-"""
-SAMPLES_PER_CELL = {2: 8, 3: 4}
-"""Number of sample points of a cell along each axis for the fraction that concrete fills."""
-MAX_MASS = 3.0
-"""Maximum mass of a particle, relative to a particle of normal mass; the minimum is 1 / MAX_MASS."""
 NEVER_OPENS = 1e30
 """Opening time [s] that stands for cells that never open."""
 
@@ -106,45 +95,6 @@ def free_layout(scene: FreeScene) -> GridLayout:
         opened=opened,
         opens=opens,
     )
-
-
-def fill_cells(
-    room: Room, per_axis: int, concrete: Callable[[np.ndarray], np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the positions of particles in the concrete [m], shape (n, axes), and their relative masses, shape (n,).
-
-    A mass of 1 is that of a particle in a full cell. The particles of a partly filled cell together have the mass of
-    the concrete in the cell, within the limits of MAX_MASS.
-    """
-    axes = len(room.cells)
-    each = _sample_points(room, per_axis)
-    there = concrete(each.reshape(-1, axes)).reshape(each.shape[:-1])
-    count = there.sum(-1)
-    part = count / per_axis**axes
-    # The surface of the concrete may cross these cells, so they and their neighbours get more sample points.
-    edge = (part > 0) & (part < 1)
-    for axis in range(axes):
-        step = np.diff((part > 0).astype(int), axis=axis) != 0
-        for side in (slice(None, -1), slice(1, None)):
-            at = [slice(None)] * axes
-            at[axis] = side
-            edge[tuple(at)] |= step
-    chosen = np.argwhere(edge)
-    fine = _sample_points(room, SAMPLES_PER_CELL[axes], chosen)
-    part[edge] = concrete(fine.reshape(-1, axes)).reshape(fine.shape[:-1]).mean(-1)
-    mass = np.where(count > 0, part * per_axis**axes / np.maximum(count, 1), 0.0)
-    which = np.broadcast_to(mass[..., None], there.shape)[there]
-    return each[there], np.clip(which, 1 / MAX_MASS, MAX_MASS)
-
-
-def _sample_points(room: Room, per_axis: int, chosen: np.ndarray | None = None) -> np.ndarray:
-    """Return points spread over each cell, or over the `chosen` cells, shape (cells..., points, axes) [m]."""
-    axes = len(room.cells)
-    if chosen is None:
-        chosen = np.moveaxis(np.indices(room.cells), 0, -1)
-    along = np.array(THREE_POINTS) if per_axis == 3 else (np.arange(per_axis) + 0.5) / per_axis
-    inner = along[np.moveaxis(np.indices((per_axis,) * axes), 0, -1).reshape(-1, axes)]
-    return np.array(room.origin) + (chosen[..., None, :] + inner) * np.array(room.width)
 
 
 def _sides(scene: FreeScene, axes: int) -> tuple[tuple[str, str], ...]:

@@ -1,7 +1,7 @@
 """Entry of free-surface flows in the list of methods, through which the program runs, draws and reports them."""
 
 from ...core.run.method import Method
-from ..stepping import run_abreast
+from ..common.stepping import run_abreast
 from .display import FreeDisplay
 from .forecast import forecast
 from .pictures import draw, plot_free

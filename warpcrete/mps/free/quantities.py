@@ -13,8 +13,8 @@ from ...core.run.run_loop import Run
 from ...geometry.sections import section_area
 from ...standards import Outcome, StandardTest
 from ...standards.standard_test import quantities_of_tests, report_unrest
+from ..common.run import largest
 from ..grid.geometry import MIRROR, polygon_distance, wall_distance
-from ..quantities import largest
 from .scene import FreeScene, Points
 
 SAMPLES = 30

@@ -16,10 +16,9 @@ from ...core.inputs.parameters import Above, Declared, OneOf, Within
 from ...geometry.walls import Wall
 from ...standards import StandardTest
 from ...theory.pipe import Concrete
-from ..column import ConcreteParameters
+from ..common.mixes import CONSTANTS, ConcreteParameters, concrete_of
+from ..common.settings import STEP_ERROR, check_interval
 from ..grid.geometry import MIRROR, OPEN_SIDE, WALL
-from ..mixes import CONSTANTS, concrete_of
-from ..scene import STEP_ERROR, check_interval
 
 SIDES = (("left", "right"), ("front", "back"), ("bottom", "top"))
 """Names of the lower and upper sides of the room along each axis."""

@@ -15,9 +15,9 @@ from ...core.run.method import results_of
 from ...core.run.run import Table
 from ...core.units import quantity
 from ...standards.standard_test import is_at_rest
+from ..common.run import FlowRun
 from ..grid.flow import GridFlow
 from ..grid.state import GridState, check_memory
-from ..run import FlowRun
 from .display import FreeDisplay
 from .layout import free_cells, free_layout
 from .probes import UNITS, bases, measured, reach, surface
@@ -60,15 +60,12 @@ class FreeSimulation(FlowRun):
 
     def watch_row(self, row: dict[str, float]) -> None:
         """Raise :class:`InstabilityError` if the row shows that the state is no longer meaningful."""
-        at = f"t = {row['time']:.6g} s"
-        for name, value in row.items():
-            if not math.isfinite(value):
-                raise InstabilityError(f"{at}: {name} is not a finite number; use a smaller 'time_step'")
+        super().watch_row(row)
         room = self.scene.width - 2 * self.flow.state.layout.spacing
         if self.scene.test and self.scene.test.on_plate and self.flow.steps and reach(self.flow) > room:
             raise InstabilityError(
-                f"{at}: the concrete has reached the edge of the plate, {self.scene.width:g} m from its middle; use a "
-                "larger plate ('plate_radius')"
+                f"t = {row['time']:.6g} s: the concrete has reached the edge of the plate, {self.scene.width:g} m from "
+                "its middle; use a larger plate ('plate_radius')"
             )
 
     @property

@@ -21,10 +21,7 @@ from ...core.device.device import parallel
 from ...core.device.launching import Launcher, Stage, Step, launch, parameter_names
 from ...kernels.common.control import HALTED
 from ...kernels.common.reductions import BLOCK
-from ...kernels.mps.conjugate_gradient import (
-    OUTCOME,
-    serial_solver,
-)
+from ...kernels.mps.conjugate_gradient import OUTCOME, serial_solver
 from ...kernels.mps.grid.bins import bin_kernels, lift_kernel
 from ...kernels.mps.grid.cells import NOW, WANTED
 from ...kernels.mps.grid.filling import fill_kernel
@@ -36,9 +33,8 @@ from ...kernels.mps.grid.transfer import advect_kernel, extend_kernel, gather_ke
 from ...kernels.mps.grid.walls import side_kernel, wall_kernel
 from ...kernels.mps.resident_solver import resident_blocks, resident_solver
 from ...kernels.mps.structs import DENSITY, PRESSURE, VISCOSITY, array_structs, flow_struct
-from ..allocation import allocate
-from ..stages import ABSOLUTE_PRESSURE_FACTOR, VELOCITY_ERROR
-from ..stepping import Stepping
+from ..common.allocation import allocate
+from ..common.stepping import ABSOLUTE_PRESSURE_FACTOR, VELOCITY_ERROR, Stepping
 from .state import GridState, grid_numbers
 
 HISTORY = 256  # Maximum number of iterations of a solve of which the residual norms are kept.

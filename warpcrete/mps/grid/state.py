@@ -12,7 +12,7 @@ from ...core.device.device import MEMORY_FRACTION, memory_free, scalar_of
 from ...core.errors import CapacityError
 from ...kernels.common.control import FLAGS
 from ...kernels.mps.grid.cells import CLOCK, DRIVE, DT, FORCE, INSIDE, WANTED, grid_parameters_struct, grid_structs
-from ..allocation import allocate
+from ..common.allocation import allocate
 from .geometry import NO_SLIP_VISCOSITY, NONE, ROUGH, Geometry
 from .layout import GridLayout
 

@@ -7,9 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...core.drawing.display import GLASS, Curve, Display, DrawnWall, Plot, Points, Profile
-from ...core.drawing.paint import palette_colours
+from ...core.drawing.display import GLASS, Curve, DrawnWall, Plot, Points, Profile
 from ...geometry.mesh_parts import together
+from ..grid.display import GridDisplay
 from .layout import Frame
 from .probes import friction_ahead
 from .scene import PartScene
@@ -21,14 +21,13 @@ FACETS_AROUND, RING_COUNT = 48, 60
 OURS, OTHER_LINE, THEORY = (215, 95, 30), (90, 120, 170), (150, 150, 150)
 
 
-class PartDisplay(Display):
+class PartDisplay(GridDisplay):
     """Display of a part: particles coloured by speed, by pressure or by shear rate.
 
     If only half a part is simulated, its mirror image is drawn as well.
     """
 
     colourings: ClassVar = ("speed", "pressure", "shear")
-    noun: ClassVar = "concrete"
 
     @property
     def _scene(self) -> PartScene:
@@ -38,20 +37,26 @@ class PartDisplay(Display):
     def _mirror_signs(self) -> tuple[float, ...]:
         return (1.0, -1.0) if self._scene.is_half else (1.0,)
 
-    @cached_property
-    def _drawn_particles(self) -> np.ndarray:
+    @property
+    def copies(self) -> int:
+        """Number of times that each drawn particle is drawn: twice if only half of the part is simulated."""
+        return len(self._mirror_signs)
+
+    @property
+    def drawn_particles(self) -> np.ndarray:
+        """Indices of the particles that are drawn, shape (n,)."""
         count = self.simulation.state.count
-        return np.arange(0, count, max(1, -(-count * len(self._mirror_signs) // MAX_DRAWN_PARTICLES)))
+        return np.arange(0, count, max(1, -(-count * self.copies // MAX_DRAWN_PARTICLES)))
 
     def radii(self) -> np.ndarray:
         """Return the radii of drawn particles [m], larger if fewer are drawn, so that they always fill the part."""
-        state, chosen = self.simulation.state, self._drawn_particles
+        state, chosen = self.simulation.state, self.drawn_particles
         fewer = (state.count / len(chosen)) ** (1 / 3)
-        return np.full(len(chosen) * len(self._mirror_signs), 0.45 * state.particle_spacing * fewer, np.float32)
+        return np.full(len(chosen) * self.copies, 0.45 * state.particle_spacing * fewer, np.float32)
 
     def centres(self) -> np.ndarray:
         """Return the positions of drawn particles [m], shape (n, 3)."""
-        x = self.read("particles.position").astype(float)[self._drawn_particles]
+        x = self.read("particles.position").astype(float)[self.drawn_particles]
         frame = Frame(self._scene)
         return np.concatenate([frame.to_scene(x * [1.0, sign, 1.0]) for sign in self._mirror_signs])
 
@@ -62,24 +67,6 @@ class PartDisplay(Display):
             return "friction ahead [kPa]", 0.0, 1.2e-3 * scene.friction(0.0, scene.axis.length)
         fastest = 1.5 * scene.velocity * (scene.radius / scene.narrowest) ** 2
         return ("speed [m/s]", 0.0, fastest) if self.colouring == "speed" else ("rate of shear [1/s]", 0.0, 5.0)
-
-    def fields(self) -> dict[str, np.ndarray]:
-        """Return speed [m/s] and pressure without hydrostatic part [Pa] of the drawn particles."""
-        speed = np.linalg.norm(self.read("particles.velocity").astype(float), axis=1)
-        found = {"speed": speed, "pressure": self.read("particles.pressure").astype(float)}
-        return {name: np.tile(values[self._drawn_particles], len(self._mirror_signs)) for name, values in found.items()}
-
-    def colours(self) -> np.ndarray:
-        """Return RGB bytes of all drawn particles, shape (n, 3)."""
-        if self.colouring == "pressure":
-            values = self.read("particles.pressure").astype(float) / 1e3
-        elif self.colouring == "speed":
-            values = np.linalg.norm(self.read("particles.velocity").astype(float), axis=1)
-        else:
-            slope = self.read("particles.gradient").astype(float)
-            values = np.sqrt(0.5 * np.sum((slope + slope.transpose(0, 2, 1)) ** 2, axis=(1, 2)))
-        _, lower, upper = self.scale()
-        return np.tile(palette_colours(values[self._drawn_particles], upper, lower), (len(self._mirror_signs), 1))
 
     def plots(self) -> tuple[Plot, ...]:
         """Return two plots over time: the pressure at the part's start, and the friction gradients.
@@ -134,16 +121,7 @@ class PartDisplay(Display):
                     )
             return [DrawnWall("wall", *together(drawn), False, GLASS)]
         s = np.linspace(0, scene.axis.length, RING_COUNT)
-        points, _, normal, side = scene.axis.frame(s)
-        angle = 2 * np.pi * np.arange(FACETS_AROUND) / FACETS_AROUND
-        ring = np.cos(angle)[None, :, None] * normal[:, None] + np.sin(angle)[None, :, None] * side[:, None]
-        vertices = (points[:, None] + scene.bore(s)[:, None, None] * ring).reshape(-1, 3)
-        row, column = np.meshgrid(np.arange(RING_COUNT - 1), np.arange(FACETS_AROUND), indexing="ij")
-        a, b = (row * FACETS_AROUND + column).ravel(), (row * FACETS_AROUND + (column + 1) % FACETS_AROUND).ravel()
-        faces = np.concatenate(
-            [np.stack([a, b, a + FACETS_AROUND], 1), np.stack([b, b + FACETS_AROUND, a + FACETS_AROUND], 1)]
-        )
-        return [DrawnWall("wall", vertices, faces, False, GLASS)]
+        return [DrawnWall("wall", *scene.axis.swept(s, scene.bore(s), FACETS_AROUND), False, GLASS)]
 
     def bounds(self) -> np.ndarray:
         """Return the lowest and highest corner of all that is drawn [m], shape (2, 3)."""

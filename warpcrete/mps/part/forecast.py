@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from ...core.run.forecast import Forecast, Probe
-from ..forecast import Course, coarser_run, flow_forecast, law_features
+from ..common.forecast import Course, coarser_run, flow_forecast, law_features
 from .scene import MIN_ACROSS, PartScene
 from .simulation import PartSimulation
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from ...kernels.mps.grid.cells import GridKind
-from ..free.layout import fill_cells
+from ..grid.filling import fill_cells
 from ..grid.geometry import MIRROR, OPEN_SIDE, PLATE, ROUGH, WALL, Distance, Room, geometry_of, nearest_wall
 from ..grid.layout import GridLayout, Motion
 from .scene import PartScene

@@ -1,7 +1,7 @@
 """Entry of flows through parts of a line in the list of methods, by which the program runs, draws and reports them."""
 
 from ...core.run.method import Method
-from ..stepping import run_abreast
+from ..common.stepping import run_abreast
 from .display import PartDisplay
 from .forecast import forecast
 from .pictures import draw, plot_part

@@ -19,7 +19,7 @@ from ...geometry.inner_surface import InnerSurface, equal_radii
 from ...geometry.walls import MeshWall
 from ...theory.pipe import Concrete, Steady, steady
 from ...theory.pipe import Line as Stretch
-from ..scene import STEP_ERROR, check_interval
+from ..common.settings import STEP_ERROR, check_interval
 
 MIN_ACROSS = 6
 """Minimum number of cells across the narrowest bore."""

@@ -10,13 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from ...core.errors import InstabilityError
 from ...core.run.method import results_of
 from ...core.run.run import Table
 from ...core.units import quantity
+from ..common.run import FlowRun
 from ..grid.flow import GridFlow
 from ..grid.state import GridState, check_memory
-from ..run import FlowRun
 from .display import PartDisplay
 from .layout import part_layout, part_room
 from .probes import UNITS, friction_ahead, losses, measured, stations_of
@@ -32,6 +31,7 @@ class PartSimulation(FlowRun):
 
     scene_type = PartScene
     scene: PartScene
+    cure = "use a smaller time step, or longer straight pipes at the two ends ('straight')"
 
     def unit(self, column: str) -> str:
         """Return the unit of a column of the time series."""
@@ -49,13 +49,6 @@ class PartSimulation(FlowRun):
     def measured(self) -> dict[str, float]:
         """Measure the flow and return the values of one row of the time series, by column name."""
         return measured(self.flow)
-
-    def watch_row(self, row: dict[str, float]) -> None:
-        """Raise :class:`InstabilityError` if a value in the latest `row` of the time series is not finite."""
-        for name, value in row.items():
-            if not math.isfinite(value):
-                raise InstabilityError(f"t = {row['time']:.6g} s: {name} is not a finite number; use a smaller time "
-                                       "step, or longer straight pipes at the two ends ('straight')")  # fmt: skip
 
     def ended_early(self) -> bool:
         """Return whether the frictional pressure has not changed over two successive periods of `SAMPLES` steps."""

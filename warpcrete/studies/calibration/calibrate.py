@@ -24,7 +24,8 @@ from ...core.run.folders import locked_folder, new_folder
 from ...record.checks import failed_checks
 from ...scenes import modules
 from ..cases import MAX_CASES, Case
-from ..study import Study, resume_study, run_listed
+from ..study import resume_study, run_listed
+from ..study_result import Study
 from .calibration import Calibration, Trial
 from .posterior import posterior
 from .report import write

@@ -16,14 +16,15 @@ from ...core.errors import between, refuse
 from ...core.run.files import write_json
 from ...core.units import number, quantity
 from ...dem.measure.blockage import STANDING_RATIO
+from ...geometry.pipe_line import Part, PipeLine
 from ...mix.blocking import narrowest
 from ...scenes import modules
 from ...theory.bands import wilson_interval
 from ..cases import Case
-from ..study import Study, resume_study, run_listed
+from ..study import resume_study, run_listed
+from ..study_result import Study
 from .elements import SCENE, SIZE_PARAMETERS, Elements, part_parameters
 from .line_folder import PARTS
-from .losses import Part, PipeLine
 
 FOLDER = "blocking"
 """Name of the folder with the runs for the probability of a blockage, next to the folders of the line's parts."""

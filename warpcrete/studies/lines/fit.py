@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,12 +13,13 @@ import numpy as np
 from ...core.errors import SceneError, between, positive, refuse
 from ...core.inputs.amounts import amount
 from ...core.inputs.limits import check_limit, check_velocity
-from ...core.inputs.text_files import read_rows
+from ...core.inputs.text_files import read_columns
 from ...core.units import quantity
+from ...geometry.pipe_line import Part, PipeLine
 from ...theory.fits import student_t
 from ...theory.pipe import Concrete
 from .fittings import MODEL_ERRORS, library_factor
-from .losses import GRAVITY, Part, PipeLine, straight_friction, with_layer_factor
+from .losses import GRAVITY, straight_friction, with_layer_factor
 
 NAMES = ("slip viscosity", "slip yield", "factor of bends")
 UNITS = ("Pa s/m", "Pa", "")
@@ -149,9 +149,7 @@ def read_taps(path: Path, line: PipeLine, flow: float | None = None) -> tuple[Ta
     [m3/s]. Raises :class:`SceneError` for a missing column or an impossible number.
     """
     example = "write the first line in the form 'place [m],pressure [bar],flow [m3/h]'"
-    header, rows = read_rows(path, "fit")
-    heads = [re.fullmatch(r"\s*(\w+)\s*(?:\[([^\[\]]+)\])?\s*", head) for head in header]
-    columns = {head[1]: (place, head[2] or "") for place, head in enumerate(heads) if head is not None}
+    columns, rows = read_columns(path, "fit")
     for name in columns:
         if name not in COLUMNS:
             refuse("fit", str(path), f"has an unknown column {name!r}", example)

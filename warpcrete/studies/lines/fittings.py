@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...geometry.lines import BEND_EXTRA_LOSS, Part
+from ...geometry.course import BEND_EXTRA_LOSS
+from ...geometry.pipe_line import Part
 
 AIJ = "AIJ, rule for pumping (https://ga40077.com/concrete-engineer/calculation-pumping-load)"
 JGJ = "JGJ/T 10, table of pressure losses (https://www.wendadaohang.com/zd/A5nWWn53n31WG51WdKW.html)"

@@ -7,11 +7,19 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from ...core.errors import refuse
 from ...core.run.files import read_json
 from ...methods import Simulation
 from ...record.checks import CheckRecorder
 from ...record.run_folder import TableRecorder
 from .line_folder import PARTS
+
+
+def check_known(known: Path | None) -> None:
+    """Refuse a folder whose runs shall be reused if it is not that of a line with simulated parts."""
+    if known is not None and not (known / PARTS).is_dir():
+        refuse("known", str(known), "is not the folder of a line with simulated parts",
+               "give the folder of an earlier 'warpcrete line', which contains a folder 'parts'")  # fmt: skip
 
 
 def previous_run(lines: Sequence[Path | None], scene: Any, digest: str = "") -> Path | None:

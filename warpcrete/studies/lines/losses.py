@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...geometry.lines import Part, PipeLine, line_of, read_line, shipped_lines, with_stone
+from ...geometry.lines import line_of, read_line, shipped_lines, with_stone
+from ...geometry.pipe_line import Part, PipeLine
 from ...theory.pipe import Concrete, Line, steady
 
 __all__ = [

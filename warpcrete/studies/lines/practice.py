@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...geometry.lines import Part
+from ...geometry.pipe_line import Part
 from .fittings import AIJ, JGJ, JSCE
 
 GROUPS = {"straight": "straight pipe", "bend": "bends", "reducer": "reducers", "hose": "hoses", "valve": "valves",

@@ -13,13 +13,14 @@ import numpy as np
 from ...core.drawing.html import html_table
 from ...core.run.run import dataframe
 from ...core.units import quantity
-from ...mps.mixes import CONCRETE_CONSTANTS
+from ...geometry.pipe_line import Part, PipeLine
+from ...mps.common.mixes import CONCRETE_CONSTANTS
 from ...theory.bands import Band, combined
 from ...theory.pipe import Concrete, after_rest
 from .answers import EFFICIENCY, PumpMargin, band_sentences, motor_power, pressure_text
 from .fit import LineFit
 from .fittings import METHODS_ON_BENDS, MODEL_ERRORS, is_in_library, range_of, uncertain_kinds
-from .losses import GRAVITY, Part, PipeLine, friction, straight_friction, with_layer_factor
+from .losses import GRAVITY, friction, straight_friction, with_layer_factor
 from .practice import PracticeRow, practice_lines, practice_rows
 
 HIGHEST_PUMP = 400e5

@@ -7,16 +7,17 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ...core.errors import between, refuse
+from ...core.errors import between
 from ...core.run.files import check_new, read_json
 from ...core.units import number
-from ...mps.mixes import CONCRETE_CONSTANTS
+from ...geometry.pipe_line import Part, PipeLine
+from ...mps.common.mixes import CONCRETE_CONSTANTS
 from ...record.checks import failed_checks
 from ...scenes import modules
 from ...theory.pipe import Concrete
-from .folder import part_simulation, previous_run
+from .folder import check_known, part_simulation, previous_run
 from .line_folder import LINE_RECORD
-from .losses import GRAVITY, Part, PipeLine, friction, with_layer_factor
+from .losses import GRAVITY, friction, with_layer_factor
 from .result import LineResult, Loss, Stop
 from .theory_line import LAYER_FACTOR, check_settings, line_by_theory, write_result
 
@@ -68,13 +69,7 @@ def run_line(
     between("cells", cells, 8, math.inf)
     if out is not None and not (out / LINE_RECORD).is_file():
         check_new(out)
-    if known is not None and not (known / "parts").is_dir():
-        refuse(
-            "known",
-            str(known),
-            "is not the folder of a line with simulated parts",
-            "give the folder of an earlier 'warpcrete line', which contains a folder 'parts'",
-        )
+    check_known(known)
     if not simulate:
         return line_by_theory(line, concrete, flow, out=out, layer_factor=layer_factor, variants=variants, stop=stop)
     tell = progress or (lambda phase, fraction, figures: None)

@@ -13,10 +13,11 @@ from pathlib import Path
 
 from ...core.errors import between, positive
 from ...core.run.files import atomic_file, write_json
+from ...geometry.pipe_line import PipeLine
 from ...theory.pipe import Concrete
 from .fit import LineFit
 from .fittings import library_factor
-from .losses import GRAVITY, PipeLine, friction
+from .losses import GRAVITY, friction
 from .result import LineResult, Loss, Stop, draw, lines_of
 
 LAYER_FACTOR = 2.0

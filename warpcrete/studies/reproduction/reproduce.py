@@ -12,7 +12,8 @@ from ...core.run.files import read_json, read_record, write_json
 from ...core.run.folders import locked_folder, new_folder
 from ...scenes import modules
 from ..cases import MAX_CASES, Case
-from ..study import Study, resume_study, run_listed
+from ..study import resume_study, run_listed
+from ..study_result import Study
 from .papers import CONCRETES, OPEN_ASSUMPTIONS, UNITS, UNITS_ROW, ZHAN, column_parameters, rows_of, xu_cases, zhan_case
 from .report import write
 from .state import Reproduction, key_of, unit_case

@@ -8,13 +8,14 @@ from typing import Any
 
 from ...core.errors import one_of, refuse
 from ...core.inputs.amounts import amount
+from ...geometry.pipe_line import PipeLine
 from ...mix.mix import Mix, mix_of
 from ...mix.rheology import HEAP_CENTRE, HEAP_CENTRE_MEDIAN, READ_SPREAD
 from ...theory.bands import Band, combined
 from ...theory.inverse import BASE, HEIGHT, TOP, VOLUME
 from ...theory.pipe import Concrete, Line, layer_share, steady
 from ...theory.vessels import funnel_time, heap_at_rest, long_heap_spread, tall_cone_slump
-from ..lines.losses import PipeLine, line_of
+from ..lines.losses import line_of
 from ..lines.run import run_line
 from .cases import Case
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ...core.units import number
 from ...methods import method_of
-from ...mps.mixes import CONCRETE_CONSTANTS
+from ...mps.common.mixes import CONCRETE_CONSTANTS
 from ...scenes import modules
 from ...theory.bands import Band
 from .cases import Case

@@ -1,18 +1,20 @@
-"""Concretes for flows, by name or from a file."""
+"""Concretes for flows, by name or from a file, and the parameters of a scene that select them."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
-from ..core.errors import one_of, refuse
-from ..core.inputs.amounts import amount
-from ..core.inputs.concretes import is_file, known_only, shipped
-from ..core.inputs.text_files import name_of
-from ..mix.mix import FACTORS, completed, mix_named
-from ..mix.mix import UNITS as FLOW_UNITS
-from ..theory.pipe import SLIP_VISCOSITY_BY_THICKNESS, Concrete, scaled
+from ...core.errors import one_of, refuse
+from ...core.inputs.amounts import amount
+from ...core.inputs.concretes import is_file, known_only, shipped
+from ...core.inputs.parameters import Above, Alias, FileIf, Within
+from ...core.inputs.text_files import name_of
+from ...mix.mix import FACTORS, completed, mix_named
+from ...mix.mix import UNITS as FLOW_UNITS
+from ...theory.pipe import SLIP_VISCOSITY_BY_THICKNESS, Concrete, scaled
 
 BINGHAM_CONSTANTS = ("density", "viscosity", "yield_stress", "slip_viscosity", "slip_yield")
 """Names of the constants that every concrete has."""
@@ -26,6 +28,75 @@ CONSTANTS = (*CONCRETE_CONSTANTS, *FACTORS)
 """Names of all constants and factors of a named concrete; parameters of the same names replace its values."""
 AGGREGATES = ("aggregate_fraction", "aggregate_density", "mortar_viscosity", "mortar_yield")
 """Names of the parameters of the coarse aggregate in a two-phase flow."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConcreteParameters:
+    """Concrete and its slip layer."""
+
+    concrete: Annotated[
+        str,
+        "Concrete: no1, no2, no3 (Xu et al. 2021), the path of a .yaml file, or own with the next five constants",
+        Alias("mix"),
+        FileIf(is_file),
+    ] = "no1"
+    density: Annotated[
+        float | None,
+        "Density [kg/m3]; the density and the next eight parameters replace the constants of the named concrete",
+        Above(),
+    ] = None
+    viscosity: Annotated[
+        float | None, "Plastic viscosity [Pa s], or consistency k in Pa s^n with a flow_index n", Above()
+    ] = None
+    yield_stress: Annotated[float | None, "Yield stress [Pa]", Within(0)] = None
+    slip_viscosity: Annotated[
+        float | None, "Viscosity of the slip layer divided by its thickness [Pa s/m]", Above()
+    ] = None
+    slip_yield: Annotated[float | None, "Yield stress of the slip layer [Pa]", Within(0)] = None
+    flow_index: Annotated[
+        float | None,
+        "Flow index n of the Herschel-Bulkley law: stress = yield + k rate^n; default: 1, Bingham",
+        Above(),
+    ] = None
+    quadratic_viscosity: Annotated[
+        float | None,
+        "Coefficient c of the modified Bingham law [Pa s2]: stress = yield + viscosity rate + c rate^2; default: 0",
+        Within(0, hint="use flow_index below 1 for a concrete that thins"),
+    ] = None
+    slip_flow_index: Annotated[
+        float | None,
+        "Flow index n of the slip layer: stress = slip yield + slip viscosity x (slip velocity)^n; default: 1",
+        Above(),
+    ] = None
+    slip_quadratic_viscosity: Annotated[
+        float | None,
+        "Coefficient c of the slip layer [Pa s2/m2], whose stress gets a term c x (slip velocity)^2; default: 0",
+        Within(0, hint="use slip_flow_index below 1 for a layer that thins"),
+    ] = None
+    yield_factor: Annotated[
+        float | None,
+        "Factor of both yield stresses by which age or temperature change the concrete, from a source of your own; "
+        "default: 1",
+        Above(),
+    ] = None
+    viscosity_factor: Annotated[
+        float | None,
+        "Factor of all viscosities of bulk and slip layer by which age or temperature change them; default: 1",
+        Above(),
+    ] = None
+    slip_thickness: Annotated[
+        float, "Thickness of the slip layer, which reduces the radius of the concrete [m]", Within(0)
+    ] = 0.0
+
+    @classmethod
+    def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
+        """Return the name of the concrete file's section that holds these parameters, and the names allowed in it."""
+        return "flow", CONSTANTS
+
+    @classmethod
+    def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return the constants of a concrete file, to keep them in a run's record even if the file changes later."""
+        return file_constants(values)
 
 
 def concrete_of(name: str, slip_thickness: float = 0.0, **constants: float | None) -> Concrete:

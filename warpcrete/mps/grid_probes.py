@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from ...kernels.mps.grid.cells import FORCE, LAST_FORCE, LIQUID
-from ...theory.pipe import velocity
-from ..probes import Snapshot, section, window
-from ..scene import FluidScene
-from .flow import GridFlow
-from .layout import GridLayout
+from ..kernels.mps.grid.cells import FORCE, LAST_FORCE, LIQUID
+from ..theory.pipe import velocity
+from .grid.flow import GridFlow
+from .grid.layout import GridLayout
+from .probes import Snapshot, section, window
+from .scene import FluidScene
 
 POINTS_PER_CELL = 40
 """Number of points per cell over which the theoretical velocity is averaged."""

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import time as wall_clock
 from abc import abstractmethod
 from typing import Any, ClassVar
 
 import numpy as np
 
-from ..core.device.footprint import footprint
-from ..core.run.provenance import arrays_hash, provenance
-from ..core.run.run import Table
-from ..core.run.run_loop import Run, Simulation
-from ..core.units import quantity
+from ...core.device.footprint import footprint
+from ...core.errors import InstabilityError
+from ...core.run.provenance import arrays_hash, provenance
+from ...core.run.run import Table
+from ...core.run.run_loop import Run, Simulation
+from ...core.units import quantity
 
 
 class FlowRun(Simulation):
@@ -24,6 +26,8 @@ class FlowRun(Simulation):
     flow: Any
     goal: ClassVar[str] = "steady"
     """Key of the run's result under which the value of `steady` is stored."""
+    cure: ClassVar[str] = "use a smaller 'time_step'"
+    """What to try if a value of the time series is not finite."""
 
     def set_up(self) -> None:
         """Start with an empty time series; the particles take much memory and are therefore placed later."""
@@ -69,6 +73,12 @@ class FlowRun(Simulation):
         self.flow = self.stepper = self.place_flow()
         self.tell("packing", 1.0)
         self._wall_times["packing"] = wall_clock.perf_counter() - started
+
+    def watch_row(self, row: dict[str, float]) -> None:
+        """Raise :class:`InstabilityError` if a value in a `row` of the time series is not finite."""
+        for name, value in row.items():
+            if not math.isfinite(value):
+                raise InstabilityError(f"t = {row['time']:.6g} s: {name} is not a finite number; {self.cure}")
 
     def measure(self) -> dict[str, float]:
         """Measure the flow and append the row to `rows`."""
@@ -131,3 +141,8 @@ class FlowRun(Simulation):
             "particle_steps_per_second": quantity(flow.steps * flow.count / max(running, 1e-9), "1/s"),
             "memory": quantity(footprint(flow=flow)["flow"], "B"),
         }
+
+
+def largest(values: np.ndarray) -> float:
+    """Return the value of largest magnitude, with its sign; NaN if any value is NaN."""
+    return float(values[np.argmax(np.abs(values))])

@@ -16,18 +16,25 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..core.device.device import parallel
-from ..core.device.launching import Launcher, Size, Stage, Step, completed, graph_sizes, report_compiling
-from ..core.errors import CapacityError, ConvergenceError, InstabilityError
-from ..core.run.method import Progress, run_in_turn
-from ..core.run.run_loop import Coroutine, Run
-from ..kernels.common.control import FAILED, HALTED, STALE, STEPS
-from ..kernels.mps.conjugate_gradient import AFTER, BEFORE, ITERATIONS
-from ..kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY
+from ...core.device.device import parallel
+from ...core.device.launching import Launcher, Size, Stage, Step, completed, graph_sizes, report_compiling
+from ...core.errors import CapacityError, ConvergenceError, InstabilityError
+from ...core.run.method import Progress, run_in_turn
+from ...core.run.run_loop import Coroutine, Run
+from ...kernels.common.control import FAILED, HALTED, STALE, STEPS
+from ...kernels.mps.conjugate_gradient import AFTER, BEFORE, ITERATIONS
+from ...kernels.mps.structs import DENSITY, LOST, PRESSURE, VISCOSITY
 
 LARGEST_GRAPH = {"cpu": 2, "threads": 8, "cuda": 16}  # Maximum number of steps in one launch graph.
 GRAPHS_PER_CHECK = 4  # Number of launch graphs of the largest size between two reads of the control flags.
 SOLVE_NAMES = {VISCOSITY: "viscosity", PRESSURE: "pressure", DENSITY: "density"}
+VELOCITY_ERROR = 1e-6
+"""Tolerance of the viscosity solve, relative to the residual that a velocity error of piston speed would cause."""
+ABSOLUTE_PRESSURE_FACTOR = 1e-4
+"""Ratio of the absolute to the relative tolerance of the pressure solve.
+
+The absolute tolerance is a fraction of the residual for a divergence of (piston speed / radius).
+"""
 MAX_CONCURRENT_FLOWS = 64
 """Maximum number of independent flows that are simulated on one GPU at the same time."""
 

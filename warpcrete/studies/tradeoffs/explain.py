@@ -11,20 +11,20 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ..core.device.device import checked_threads, find_device
-from ..core.errors import RunFolderError, SceneError, refuse
-from ..core.inputs.fingerprints import fingerprint
-from ..core.inputs.origin import arguments_of
-from ..core.run.files import read_json, write_json
-from ..core.run.forecast import Forecast
-from ..core.run.frames import LONGEST_FRAME_INTERVAL, MINIMUM_FRAMES
-from ..core.run.provenance import provenance
-from ..methods import method_of
-from ..record.recorders import RECORDERS, DrawSettings
-from ..scenes import modules
-from .tradeoffs.advice import nearest_shipped, outside
-from .tradeoffs.fronts import Error, worst
-from .tradeoffs.report import percent
+from ...core.device.device import checked_threads, find_device
+from ...core.errors import RunFolderError, SceneError, refuse
+from ...core.inputs.fingerprints import fingerprint
+from ...core.inputs.origin import arguments_of
+from ...core.run.files import read_json, write_json
+from ...core.run.forecast import Forecast
+from ...core.run.frames import LONGEST_FRAME_INTERVAL, MINIMUM_FRAMES
+from ...core.run.provenance import provenance
+from ...methods import method_of
+from ...record.recorders import RECORDERS, DrawSettings
+from ...scenes import modules
+from .advice import nearest_shipped, outside
+from .fronts import Error, worst
+from .report import percent
 
 TIMED_FRAMES = 3  # number of frames that are timed for each recorder
 MAX_TIME_RATIO = 0.9

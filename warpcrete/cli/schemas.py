@@ -26,10 +26,10 @@ from ..mix import given as mixes
 from ..mix import measurements, stones
 from ..mix.mix import FACTORS
 from ..mix.points import PUMPED
-from ..mps.column import ConcreteParameters
+from ..mps.common.mixes import ConcreteParameters
 from ..scenes import modules
+from ..studies.calibration.targets import TARGET_KEYS
 from ..theory.pipe import Concrete
-from .calibration.targets import TARGET_KEYS
 
 Schema = dict[str, Any]
 FOLDER = Path(__file__).parents[1] / "schemas"
@@ -141,10 +141,7 @@ def quantity(unit: str, text: str, number: Mapping[str, Any] | None = None) -> S
     shown = f"{text} [{unit}]" if unit != "1" and f"[{unit}]" not in text else text
     return {
         "description": shown,
-        "anyOf": [
-            {"type": "number", **(number or {})},
-            {"type": "string", "pattern": text_pattern(unit)},
-        ],
+        "anyOf": [{"type": "number", **(number or {})}, {"type": "string", "pattern": text_pattern(unit)}],
     }
 
 

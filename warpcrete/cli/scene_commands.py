@@ -1,0 +1,139 @@
+"""Commands of scenes: `run SCENE` and `run RUN/scene.json`, whose options are made when they are used."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import click
+
+# Warp takes half a second to load, and so do the scenes. Each subcommand therefore loads the modules that it needs only
+# when it is called.
+
+
+def load(name: str) -> ModuleType:
+    """Return a module of this package."""
+    return importlib.import_module(f"{__package__}.{name}")
+
+
+def scenes() -> dict[str, ModuleType]:
+    """Return the modules of all scenes by the scenes' names."""
+    return importlib.import_module("warpcrete.scenes").modules()
+
+
+def by_method(arguments: list[str]) -> list[str]:
+    """Remove `--method NAME` from a command's words and complete the scene's name with the method.
+
+    For example, `slump --method dem` becomes `slump-dem`.
+    """
+    left, method = [], None
+    words = iter(arguments)
+    for word in words:
+        name, given, value = word.partition("=")
+        if name != "--method":
+            left.append(word)
+        elif method is not None or not (value := value if given else next(words, "")):
+            raise click.UsageError("--method: must be given once and with one value; write, for example, --method dem")
+        else:
+            method = value
+    if method is None:
+        return left
+    place = next((n for n, word in enumerate(left) if not word.startswith("-")), None)
+    if place is None:
+        raise click.UsageError("--method: needs the name of a scene; write, for example, 'slump --method dem'")
+    left[place] = importlib.import_module("warpcrete.scenes").by_method(left[place], method)
+    return left
+
+
+class LazyGroup(click.Group):
+    """Group of subcommands whose options are built only when a subcommand is used."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, by_method(args))
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(scenes())
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name.endswith(".json"):
+            return _repeat_command(Path(cmd_name))
+        modules = scenes()
+        return _scene_command(cmd_name, modules[cmd_name]) if cmd_name in modules else None
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        if args and self.get_command(ctx, args[0]) is None:
+            load("options").check_scene(args[0], scenes(), ", or the path of a scene.json")
+        return super().resolve_command(ctx, args)
+
+
+def _scene_command(name: str, module: ModuleType) -> click.Command:
+    options = load("options")
+    fields = importlib.import_module("warpcrete.core.inputs.parameters").declared_fields(module.scene.parameters)
+    common = {option.name for option in options.run_options()}
+
+    def callback(**values: Any) -> None:
+        given = options.given(values)
+        settings = {key: values.pop(key) for key in common}
+        resume = settings.pop("resume")
+        accuracy, trade = settings.pop("accuracy"), settings.pop("trade")
+        job = load("run")
+        if resume is None:
+            parameters = {key: value for key, value in given.items() if key not in common}
+            if accuracy is not None or trade is not None:
+                asked = parameters | {key: given[key] for key in ("precision",) if key in given}
+                changes = load("advice").chosen(name, module, asked, accuracy, trade, settings["device"])
+                if "precision" not in given:
+                    settings["precision"] = changes.pop("precision", settings["precision"])
+                parameters = module.scene.effective_values(module.scene.resolved(parameters) | changes)
+            job.run(name, module, parameters, settings)
+            return
+        changed = [key for key in given if key not in ("resume", "quiet", "live", "bind")]
+        if changed:
+            raise click.UsageError(
+                f"resume = '{resume}': a run continues with its own settings; leave out {', '.join(changed)}"
+            )
+        job.resume(resume, scenes(), live=settings["live"], bind=settings["bind"], quiet=settings["quiet"])
+
+    own = options.parameter_options(field for key, field in fields.items() if key not in common)
+    return options.SceneCommand(
+        name, module.scene, params=own + options.run_options(), callback=callback,
+        help=help_text(module.scene.description),
+    )  # fmt: skip
+
+
+def help_text(docstring: str) -> str:
+    """Return a docstring as the help text of a command.
+
+    Sphinx markup and sentences on Python exceptions are left out.
+    """
+    kept = [part for part in docstring.split("\n\n") if not part.lstrip().startswith("Raises ")]
+    text = re.sub(r"\s*Raises\s+:class:`[^`]*`[^.]*\.", "", "\n\n".join(kept))
+    return re.sub(r":\w+:`~?\.*(?:[\w.]*\.)?(\w+)`", r"\1", text)
+
+
+def _repeat_command(path: Path) -> click.Command:
+    options = load("options")
+
+    def callback(**settings: Any) -> None:
+        job = load("run")
+        if settings.pop("resume") is not None:
+            raise click.UsageError(
+                "--resume: cannot be combined with a scene.json; write 'warpcrete run --resume "
+                "FOLDER' to continue a run"
+            )
+        if [settings.pop("accuracy"), settings.pop("trade")] != [None, None]:
+            raise click.UsageError(
+                "--accuracy, --trade: cannot be combined with a scene.json, which fixes all settings; leave out both "
+                "options"
+            )
+        record, module = job.repeatable_scene(path, scenes())
+        kept = {key: record[key] for key in ("device", "precision") if key in record}
+        if "threads" in record.get("command", {}):
+            kept["threads"] = min(record["command"]["threads"], os.cpu_count() or 1)
+        job.run(record["scene"], module, record["parameters"], settings | kept | options.given(settings))
+
+    return click.Command(str(path), params=options.run_options(), callback=callback, help="Repeat a saved run.")

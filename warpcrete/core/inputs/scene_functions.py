@@ -1,0 +1,257 @@
+"""Scene functions, which take declared parameters as keywords and return a scene."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import math
+import sys
+import textwrap
+import types
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Generic, ParamSpec, TypeVar
+
+from ..errors import SceneError, known_names, quoted, refuse
+from .origin import Arguments, files_read
+from .parameters import WORDS, Alias, CompositeRule, Declared, Field, Needs, T, declared_fields
+
+P = ParamSpec("P")
+S = TypeVar("S")
+
+
+def _listed(fields: Iterable[Field]) -> str:
+    """Return the text about parameters for `help()`, by group, with type, default, help text and unit of each."""
+    lines: list[str] = []
+    group = ""
+    for field in fields:
+        if field.group != group:
+            group = field.group
+            lines += ["", group.rstrip(".")]
+        kind = WORDS.get(field.kind, field.kind.__name__)
+        default = "required" if field.default is dataclasses.MISSING else f"default {field.default!r}"
+        lines += [f"    {field.name}: {kind}, {default}", *textwrap.wrap(field.help, 100, initial_indent=8 * " ",
+                                                                         subsequent_indent=8 * " ")]  # fmt: skip
+    return "\n".join(["Parameters, all by name:", *lines])
+
+
+class SceneFunction(Generic[P, S]):
+    """Function that makes a scene from keywords, which are the fields of the dataclass `parameters`.
+
+    The decorator :func:`scene_function` creates such functions.
+    """
+
+    def __init__(self, parameters: type[Declared], build: Callable[[Any], S]) -> None:
+        self.parameters, self._build = parameters, build
+        self.description = inspect.getdoc(build) or ""
+        self.__doc__ = f"{self.description}\n\n{_listed(declared_fields(parameters).values())}"
+        self.__name__ = getattr(build, "__name__", "scene")
+        kind = inspect.Parameter.KEYWORD_ONLY
+        self.__signature__ = inspect.Signature(
+            [
+                inspect.Parameter(f.name, kind, default=f.default, annotation=f.kind | None if f.optional else f.kind)
+                for f in declared_fields(parameters).values()
+            ]
+        )
+
+    def __repr__(self) -> str:
+        return f"<scene function {self.name}>"
+
+    @property
+    def module(self) -> types.ModuleType:
+        """Python module that contains this scene function, the scene's checks and the scene's knobs."""
+        return sys.modules[self._module_name]
+
+    @property
+    def _module_name(self) -> str:
+        """Name of the scene's Python module.
+
+        A file NAME.py may contain the functions `scene` and `scene_dem`, for two simulation methods. The package
+        `scenes` then makes a second module NAME_dem for `scene_dem`.
+        """
+        return self._build.__module__ + ("_dem" if self.__name__ == "scene_dem" else "")
+
+    def __call__(self, *args: P.args, **given: P.kwargs) -> S:
+        known = declared_fields(self.parameters)
+        if args:
+            refuse("parameters", args, "must be given by name, as in name=value", f"the names are {', '.join(known)}")
+        values = self.with_objects(self.completed(given))
+        for name in values:
+            if name not in known:
+                refuse("parameter", name, f"is not a parameter of scene {self.name}",
+                       known_names(name, known))  # fmt: skip
+        try:
+            for name, value in values.items():  # Check each value by itself before values are combined.
+                made = known[name].converted(value, name)
+                known[name].check(made, name)
+                known[name].check_limits(made, name)
+            parameters = self.parameters(**values)
+            parameters.check_needed()
+            with files_read() as files:
+                scene = self._build(parameters)
+                values, unwritable = self._plain_values(parameters)
+            object.__setattr__(scene, "parameters", Arguments.of(scene, self.name, values, files, unwritable))
+            return scene
+        except MemoryError as error:
+            raise SceneError(
+                f"scene {self.name}: needs more memory than is available; make the scene smaller, or its bodies or "
+                "cells larger"
+            ) from error
+        except (OverflowError, ZeroDivisionError) as error:
+            numbers = {name: value for name, value in values.items()
+                       if (isinstance(value, float) and value and math.isfinite(value))
+                       or (isinstance(value, int) and 0 < value.bit_length() < 1000)}  # fmt: skip
+            if not numbers:
+                raise
+            name = max(numbers, key=lambda each: abs(math.log(abs(numbers[each]))))
+            raise SceneError(
+                f"{name} = {quoted(numbers[name])}: is too large to compute with; give a smaller value, in SI units"
+            ) from error
+
+    @property
+    def name(self) -> str:
+        """Name of the scene on the command line, such as `pipe` in `warpcrete run pipe`."""
+        return self._module_name.rpartition(".")[2].replace("_", "-")
+
+    def _plain_values(self, parameters: Declared) -> tuple[dict[str, object], tuple[str, ...]]:
+        """Return the parameters with each object replaced by its class name and numbers.
+
+        The second result has the names of parameters whose objects cannot be made again from these plain values.
+        """
+        values: dict[str, object] = {}
+        unwritable: list[str] = []
+        for name, field in declared_fields(self.parameters).items():
+            values[name] = getattr(parameters, name)
+            for rule in field.of_kind(CompositeRule):
+                plain, same = rule.to_plain(field, values[name])
+                values |= plain
+                unwritable += [] if same else [name]
+        return values, tuple(unwritable)
+
+    def fields(self, given: Mapping[str, object]) -> dict[str, Field]:
+        """Return all parameters that can be given, by name.
+
+        These are the declared fields of the scene, and the fields of the objects in `given`, such as those of a contact
+        law.
+        """
+        known = dict(declared_fields(self.parameters))
+        for name, field in list(known.items()):
+            for rule in field.of_kind(CompositeRule):
+                known |= {key: each for key, each in rule.fields(field, given.get(name)).items() if key not in known}
+        return known
+
+    def with_objects(self, values: Mapping[str, object]) -> dict[str, Any]:
+        """Return parameters with an object, such as a contact law, in place of its name and its own parameters.
+
+        Raises :class:`SceneError` for a parameter, such as `contact_FIELD`, that this object does not have.
+        """
+        found = dict(values)
+        for field in declared_fields(self.parameters).values():
+            for rule in field.of_kind(CompositeRule):
+                found = rule.with_objects(field, found)
+                for name in found:
+                    if name.startswith(f"{field.name}_") and name not in declared_fields(self.parameters):
+                        value = values.get(field.name)
+                        own = ", ".join(rule.fields(field, value))
+                        other = f"leave out {name!r}, or change {field.name!r}"
+                        hint = f"the parameters of {value!r} are {own}" if own else other
+                        refuse(name, found[name], f"has no effect with {field.name} = {value!r}", hint)
+        return found
+
+    def plain(self, scene: Any, given: Mapping[str, object]) -> dict[str, Any]:
+        """Return the arguments with which a scene was made, without parameters that were left at their defaults."""
+        names = self.completed(given)
+        declared = declared_fields(self.parameters)
+        return {name: value for name, value in scene.parameters.items() if name in names or name not in declared}
+
+    def declared(self, given: Mapping[str, object]) -> Any:
+        """Return an instance of the parameters' dataclass.
+
+        Each field has the given value, or else a value that the given ones imply, or else its default.
+        """
+        return self.parameters(**self.with_objects(self.completed(given)))
+
+    def completed(self, given: Mapping[str, object]) -> dict[str, Any]:
+        """Return parameters by name, with aliases replaced, together with parameters that follow from the given ones.
+
+        For example, the name of a concrete implies its parameters. Implied parameters that have no effect are left out.
+        """
+        values = self.resolved(given)
+        implied = {name: value for name, value in self.parameters.implied(values).items() if name not in values}
+        if not implied:
+            return values
+        meant = self._effective(implied | values)
+        return values | {name: value for name, value in implied.items() if name in meant}
+
+    def effective_values(self, given: Mapping[str, object]) -> dict[str, Any]:
+        """Return the given parameters by name, with aliases replaced, without parameters that have no effect."""
+        values = self.resolved(given)
+        meant = self._effective({**self.parameters.implied(values), **values})
+        return {name: value for name, value in values.items() if name in meant}
+
+    def _effective(self, values: dict[str, Any]) -> dict[str, Any]:
+        """Return those parameters in `values` that have an effect, given the values of the others."""
+        known = declared_fields(self.parameters)
+        composite = {name: field for name, field in known.items() if any(field.of_kind(CompositeRule))}
+
+        def meant(name: str) -> bool:
+            if name not in known and any(name.startswith(f"{each}_") for each in composite):
+                return name in self.fields({each: values[each] for each in composite if each in values})
+            rules = known[name].of_kind(Needs) if name in known else iter(())
+            return all(rule.holds(converted) for rule in rules)
+
+        def converted(name: str) -> object:
+            return held(name) if name in composite else known[name].converted(held(name), name)
+
+        def held(name: str) -> object:
+            return values.get(name, known[name].default)
+
+        # Repeat until nothing changes, because a removed parameter may be a condition for other parameters.
+        while any(not meant(name) for name in values):
+            values = {name: value for name, value in values.items() if meant(name)}
+        return values
+
+    def resolved(self, given: Mapping[str, object]) -> dict[str, Any]:
+        """Return the parameters with each alias replaced by the parameter's own name.
+
+        Texts such as "125 mm" are converted to numbers.
+        """
+        return resolved(declared_fields(self.parameters), given)
+
+
+def resolved(known: Mapping[str, Field], given: Mapping[str, object]) -> dict[str, Any]:
+    """Return the values `given` with each alias replaced by the field's own name.
+
+    Texts such as "125 mm" are converted to numbers.
+    """
+    values: dict[str, Any] = dict(given)
+    for name, field in known.items():
+        if name in values:
+            values[name] = field.number(values[name], name)
+        for alias in field.of_kind(Alias):
+            if alias.name in values:
+                value = field.number(values.pop(alias.name), alias.name)
+                if name in values:
+                    refuse(
+                        alias.name,
+                        value,
+                        f"is another name of {name!r}, which is given too",
+                        f"leave out {alias.name!r} or {name!r}",
+                    )
+                try:
+                    values[name] = alias.convert(value) if alias.convert and value is not None else value
+                except TypeError as error:
+                    raise SceneError(f"{alias.name} = {value!r}: {error}") from error
+    return values
+
+
+def scene_function(parameters: Callable[P, T]) -> Callable[[Callable[[T], S]], SceneFunction[P, S]]:
+    """Return a decorator that turns a function of one :class:`Declared` dataclass into a function of its fields.
+
+    The resulting :class:`SceneFunction` takes the fields as keywords, accepts their aliases and has the dataclass as
+    attribute `parameters`. It refuses values that have the wrong type, are out of range or have no effect.
+    """
+
+    def decorate(build: Callable[[T], S]) -> SceneFunction[P, S]:
+        return SceneFunction(parameters, build)  # type: ignore[arg-type]
+
+    return decorate

@@ -1,0 +1,75 @@
+"""Layout of a periodic pipe on a grid at the start."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..kernels.mps.grid.cells import GridKind
+from ..theory.pipe import steady
+from .grid.geometry import MIRROR, OPEN_SIDE, PLATE, SMOOTH, WALL, Room
+from .grid.layout import GridLayout
+from .scene import FluidScene
+
+PARTICLES_PER_AXIS = 2
+"""Number of particles per cell along each axis in a pipe."""
+
+
+def pipe_cells(scene: FluidScene) -> tuple[int, int]:
+    """Return the numbers of cells across and along a pipe.
+
+    The cells have the width nearest to the wanted spacing that divides a channel's width or a tube's radius.
+    """
+    across = scene.radius if scene.dimensions == 3 else 2 * scene.radius
+    nx = max(2, round(across / scene.spacing))
+    return nx, max(2, round(scene.length * nx / across))
+
+
+def pipe_layout(scene: FluidScene) -> GridLayout:
+    """Return the layout of a periodic pipe, with cells from wall to wall or from the axis to the wall."""
+    axial = scene.dimensions == 3
+    nx, nz = pipe_cells(scene)
+    dx, dz = (scene.radius if axial else 2 * scene.radius) / nx, scene.length / nz
+    left = 0.0 if axial else -scene.radius
+    solid = np.zeros((nz + 2, nx + 2), np.int32)
+    solid[:, 0] = SMOOTH if axial else PLATE
+    solid[:, -1] = PLATE
+    i, k = np.meshgrid(
+        (np.arange(nx * PARTICLES_PER_AXIS) + 0.5) / PARTICLES_PER_AXIS,
+        (np.arange(nz * PARTICLES_PER_AXIS) + 0.5) / PARTICLES_PER_AXIS,
+    )
+    fluid = np.stack([left + i.ravel() * dx, k.ravel() * dz], 1)
+    concrete = scene.concrete
+    return GridLayout(
+        kind=GridKind(
+            axial=axial,
+            periodic=True,
+            thixotropic=scene.is_structured,
+            rebuilding=scene.rebuild_rate > 0,
+            law=concrete.bulk_law.name,
+            slip_law=concrete.layer_law.name,
+        ),
+        gained=scene.gained,
+        room=Room((nx, nz), (dx, dz), (left, 0.0), ((MIRROR if axial else WALL, WALL), (OPEN_SIDE, OPEN_SIDE))),
+        solid=solid,
+        fluid=fluid,
+        mass=fluid[:, 0] / fluid[:, 0].mean() if axial else np.ones(len(fluid)),
+        particle_spacing=dx / PARTICLES_PER_AXIS,
+        slip=(concrete.slip_viscosity, concrete.slip_yield),
+        speed=scene.velocity,
+        length=scene.radius,
+        frame=scene.velocity,
+        drive=concrete.density * scene.gravity,
+        resistance=_resistance(scene),
+    )
+
+
+def _resistance(scene: FluidScene) -> float:
+    """Return the increase of the wall's force per volume with the mean velocity in the steady state [kg/m3/s].
+
+    The driving force of a periodic pipe uses this slope to anticipate how the wall's force changes with the velocity.
+    """
+    little, flow = 1e-3, math.pi * scene.radius**2 * scene.velocity
+    now, more = (steady(scene.concrete, scene.line, flow * (1 + part), scene.form) for part in (0.0, little))
+    return (more.pressure - now.pressure) / (scene.length * little * scene.velocity)

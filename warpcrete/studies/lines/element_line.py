@@ -1,0 +1,198 @@
+"""Pressure along a pump line that follows from simulations of its parts by discrete elements."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ...core.units import quantity
+from ...geometry.pipe_line import Part, PipeLine
+from .run import GRAVITY
+
+STEPS = 50
+"""Number of intervals into which a part is divided to integrate the pressure along it."""
+
+
+@dataclass(frozen=True)
+class WallLaw:
+    """Linear law of the shear stress on a straight pipe's wall: stress = start + slope * pressure.
+
+    The slope is due to Coulomb friction of the aggregates, and the constant term to the lubrication layer.
+    """
+
+    diameter: float
+    """Inner diameter of the pipe [m]."""
+    start: float
+    """Wall stress at zero pressure [Pa], which is the share of the lubrication layer in the friction."""
+    slope: float
+    """Slope of the law: increase of the wall stress [Pa] per increase of the pressure [Pa]."""
+    measured: float
+    """Largest pressure in the measurements to which the law was fitted [Pa]."""
+    largest: float
+    """Pressure from which on the wall stress is assumed constant [Pa], because overlaps of the elements become
+    large."""
+
+    @classmethod
+    def of(cls, diameter: float, columns: Mapping[str, np.ndarray], largest: float) -> WallLaw:
+        """Fit the law to the stresses measured in slices of a straight pipe of the given `diameter` [m].
+
+        `columns` holds the arrays `axial_stress`, which serves as the pressure, and `wall_stress` [Pa].
+        """
+        pressure, shear = columns["axial_stress"], columns["wall_stress"]
+        here = np.isfinite(pressure)
+        slope, start = (float(x) for x in np.polyfit(pressure[here], shear[here], 1))
+        return cls(diameter, start, slope, float(pressure[here].max()), largest)
+
+    def gradient(self, pressure: float) -> float:
+        """Return the pressure loss by friction per metre of pipe [Pa/m]."""
+        return 4 / self.diameter * max(self.start + self.slope * min(pressure, self.largest), 0.0)
+
+
+@dataclass(frozen=True)
+class SeedResult:
+    """Results of all simulated parts for one seed."""
+
+    laws: Mapping[float, WallLaw]
+    """Laws for the wall friction of straight pipe; the keys are the pipe's diameters [m]."""
+    ratios: Mapping[tuple[Any, ...], float]
+    """Friction of each kind of bend or reducer, divided by that of straight pipe of the same length."""
+    density: float
+    """Bulk density of the elements that fill the pipe [kg/m3]."""
+    blocked: Mapping[tuple[Any, ...], bool] = field(default_factory=dict)
+    """True for each kind of part whose simulation was blocked."""
+
+    def is_blocked(self, part: Part) -> bool:
+        """Return whether the simulation of the part, or of a straight pipe of its diameter, was blocked."""
+        return any(found for key, found in self.blocked.items() if key[: len(part.loss_key)] == part.loss_key)
+
+    def ratio(self, part: Part) -> float:
+        """Return a part's friction divided by that of straight pipe of the same length."""
+        return part.factor if part.factor is not None else self.ratios.get(part.loss_key, part.relative_loss)
+
+    def course(self, line: PipeLine) -> list[tuple[float, float]]:
+        """Return the friction and the weight of each part of a line [Pa], as pairs from its start to its end."""
+        pressure, found = 0.0, []
+        for part in reversed(line.parts):
+            friction = 0.0
+            weight = self.density * GRAVITY * part.rise
+            ratio = self.ratio(part)
+            step = part.length / STEPS
+            for place in range(STEPS):
+                # Integrate from the part's end towards its start with the midpoint rule.
+                along = 1 - (place + 0.5) / STEPS
+                there = pressure + friction + weight * (1 - along)
+                ahead = there + 0.5 * step * ratio * self._gradient(part, along, there)
+                friction += step * ratio * self._gradient(part, along, ahead)
+            pressure += friction + weight
+            found.append((friction, weight))
+        return found[::-1]
+
+    def _gradient(self, part: Part, along: float, pressure: float) -> float:
+        """Return the friction of straight pipe at a fraction `along` of a part's length [Pa/m]."""
+        begin, end = (self.laws[diameter].gradient(pressure) for diameter in (part.diameter, part.outlet))
+        return along * end + (1 - along) * begin
+
+
+@dataclass(repr=False)
+class ElementLine:
+    """Pressure losses of a pump line, computed by the discrete element method."""
+
+    line: PipeLine
+    concrete: str
+    flow: float
+    """Flow rate for which the pressure of the line is calculated [m3/s]."""
+    packed: list[SeedResult]
+    """Results of the simulated parts, one entry for each seed."""
+    remarks: list[str]
+    took: dict[str, float] = field(default_factory=dict)
+    """Wall time of each new simulation [s], by the name of its folder. Simulations that ran on the device at the same
+    time share it, so that their times overlap."""
+    elapsed: float = 0.0
+    """Wall time of all new simulations together, including packing [s]."""
+    failed: dict[str, list[str]] = field(default_factory=dict)
+    """Failed checks of the simulations with their findings, by folder name."""
+
+    def __repr__(self) -> str:
+        return f"<ElementLine of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
+
+    @property
+    def pressures(self) -> list[float]:
+        """Pressures at the start of the line, one for each seed [Pa]."""
+        return [sum(map(sum, each.course(self.line))) for each in self.packed]
+
+    @property
+    def pressure(self) -> float:
+        """Pressure at the start of the line, averaged over the seeds [Pa]."""
+        return float(np.mean(self.pressures))
+
+    def frictions(self) -> np.ndarray:
+        """Return the pressure loss of each part due to friction, averaged over the seeds [Pa], shape (parts,)."""
+        return np.mean([[friction for friction, _ in each.course(self.line)] for each in self.packed], axis=0)
+
+    def weights(self) -> np.ndarray:
+        """Return the pressure due to the concrete's weight in each part [Pa], a mean over the seeds, shape (parts,)."""
+        return np.mean([[weight for _, weight in each.course(self.line)] for each in self.packed], axis=0)
+
+    def blocked(self) -> list[int]:
+        """Return for each part of the line the number of seeds with which its simulation was blocked."""
+        return [sum(each.is_blocked(part) for each in self.packed) for part in self.line.parts]
+
+    def record(self) -> dict[str, Any]:
+        """Return the contents of line-dem.json."""
+        return {
+            "line": self.line.name,
+            "concrete": self.concrete,
+            "flow": quantity(self.flow, "m3/s"),
+            "pressure": quantity(self.pressure, "Pa"),
+            "pressures": {f"seed {k}": quantity(p, "Pa") for k, p in enumerate(self.pressures)},
+            "remarks": self.remarks,
+            "failed_checks": self.failed,
+            "parts": [
+                {"number": part.number, "what": part.label, "friction": quantity(friction, "Pa"),
+                 "weight": quantity(weight, "Pa"), "ratios": [each.ratio(part) for each in self.packed],
+                 "blocked_seeds": blocked}
+                for part, friction, weight, blocked in zip(
+                    self.line.parts, self.frictions(), self.weights(), self.blocked(), strict=True
+                )
+            ],
+            "wall_time": {name: quantity(time, "s") for name, time in self.took.items()},
+            "elapsed": quantity(self.elapsed, "s"),
+        }  # fmt: skip
+
+
+def element_table_lines(found: ElementLine, others: Mapping[str, Sequence[float]]) -> list[str]:
+    """Return a headline and a table of the line's parts as lines of Markdown.
+
+    `others` maps names of other methods, such as the closed form, to the frictions of the parts that they predict [Pa].
+    Each method adds one column to the table.
+    """
+    low, high = min(found.pressures), max(found.pressures)
+    span = f"; {low / 1e5:.4g} to {high / 1e5:.4g} bar over {len(found.packed)} seeds" if len(found.packed) > 1 else ""
+    text = [
+        f"**{found.line.name}** by discrete elements: {found.concrete} at {3600 * found.flow:.4g} m3/h",
+        "",
+        f"- pressure at the pump {found.pressure / 1e5:.4g} bar{span}",
+        *(f"- {remark}" for remark in found.remarks),
+        "",
+        "| part | | friction, elements [kPa] | "
+        + "".join(f"{name} [kPa] | " for name in others)
+        + "relative to straight pipe | weight [kPa] | blocked |",
+        "|" + "---|" * (6 + len(others)),
+    ]
+    rows = zip(found.line.parts, found.frictions(), found.weights(), found.blocked(), strict=True)
+    for place, (part, friction, weight, blocked) in enumerate(rows):
+        ratios = [
+            each.ratios[part.loss_key] for each in found.packed if part.loss_key in each.ratios and part.factor is None
+        ]
+        shown = f"{np.mean(ratios):.2f}" if ratios else ""
+        if len(ratios) > 1:
+            shown += f" ± {np.std(ratios, ddof=1) / math.sqrt(len(ratios)):.2f}"
+        cells = [f"{part.number}", part.label, f"{friction / 1e3:.4g}"]
+        cells += [f"{each[place] / 1e3:.4g}" for each in others.values()]
+        stuck = f"{blocked} of {len(found.packed)} seeds" if blocked else "no"
+        text.append(f"| {' | '.join([*cells, shown, f'{weight / 1e3:.4g}', stuck])} |")
+    return text

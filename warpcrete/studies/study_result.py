@@ -1,0 +1,171 @@
+"""Cases and results of a parameter study, with their table and figure."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core.drawing.html import html_table
+from ..core.run.files import atomic_file
+from ..core.run.method import Quantity
+from ..core.run.run import Run, dataframe
+from ..core.units import number, shown
+from ..record.checks import failed_checks
+from ..record.loading import load as load_run
+from .cases import Case
+from .drawing import draw
+from .study_table import columns_of, write_parquet
+
+COUNTS = ("runs", "failed", "suspect")
+"""Columns that count runs: finished ones, ones that ended with an error, and finished ones with a failed check."""
+
+
+@dataclass(repr=False)
+class Study:
+    """A parameter study, complete or still in progress."""
+
+    folder: Path
+    scene: str
+    """Name of the scene."""
+    cases: list[Case]
+    quantities: Sequence[Quantity] = ()
+    """Quantities in which the cases are compared."""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Units of the varied parameters, by name; parameters without a unit are missing."""
+    results: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Contents of result.json of every finished case, by case name."""
+    failures: dict[str, str] = field(default_factory=dict)
+    """Messages of the errors that ended cases, by case name."""
+    not_at_fault: set[str] = field(default_factory=set)
+    """Names of cases that failed only because their process died or the disk was full."""
+
+    def __repr__(self) -> str:
+        return f"<Study of scene {self.scene!r}: {self.progress}, folder '{self.folder}'>"
+
+    @property
+    def progress(self) -> str:
+        """Numbers of finished and failed cases, as text."""
+        failed = f", {len(self.failures)} failed" if self.failures else ""
+        return f"{len(self.results)} of {len(self.cases)} cases done{failed}"
+
+    @property
+    def finished(self) -> bool:
+        """True if every case has either finished or failed."""
+        return len(self.results) + len(self.failures) == len(self.cases)
+
+    @property
+    def lost(self) -> list[str]:
+        """Names of failed cases that will run again, because their process died or the disk was full."""
+        return [name for name in self.failures if name in self.not_at_fault]
+
+    @property
+    def suspect(self) -> dict[str, list[str]]:
+        """Names of failed checks, by the name of the finished case."""
+        found = {name: failed_checks(result) for name, result in self.results.items()}
+        return {name: checks for name, checks in found.items() if checks}
+
+    @property
+    def compared(self) -> list[Quantity]:
+        """Quantities that at least one case yields; all quantities while no case has finished."""
+        results = self.results.values()
+
+        def met(each: Quantity) -> bool:
+            if each.rare:
+                return any(number(result.get(each.name, 0.0)) > 0 for result in results)
+            return not results or any(each.name in result for result in results)
+
+        return [each for each in self.quantities if met(each)]
+
+    @property
+    def varied(self) -> list[str]:
+        """Names of the varied parameters."""
+        return list(dict.fromkeys(key for case in self.cases for key in case.varied))
+
+    def heading(self, parameter: str) -> str:
+        """Return the name of a parameter with its unit, as a column heading."""
+        return f"{parameter} [{self.units[parameter]}]" if self.units.get(parameter) else parameter
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the means and standard deviations of the quantities over the seeds, a row per set of varied values."""
+        groups: dict[str, list[Case]] = {}
+        for case in self.cases:
+            groups.setdefault(json.dumps(case.varied, sort_keys=True), []).append(case)
+        rows = []
+        for members in groups.values():
+            row: dict[str, Any] = dict(members[0].varied)
+            done = [self.results[c.name] for c in members if c.name in self.results]
+            for each in self.compared:
+                values = [number(r[each.name]) for r in done if r.get(each.name) is not None]
+                row[each.name] = float(np.mean(values)) if values else float("nan")
+                row[f"{each.name}_scatter"] = float(np.std(values, ddof=1)) if len(values) > 1 else float("nan")
+            row["runs"] = len(done)
+            row["failed"] = sum(c.name in self.failures for c in members)
+            row["suspect"] = sum(c.name in self.suspect for c in members)
+            rows.append(row)
+        return rows
+
+    def __getitem__(self, case: str) -> Run:
+        """Load the run of a case by the case's name; raise :class:`KeyError` for an unknown case."""
+        if case not in self._ipython_key_completions_():
+            raise KeyError(
+                f"the study has no case {case!r}; its cases are {', '.join(self._ipython_key_completions_())}"
+            )
+        return load_run(self.folder / case)
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return [case.name for case in self.cases]
+
+    def table(self) -> Any:
+        """Return all cases and seeds as a pandas DataFrame in SI units, one row per run, with `case` as index.
+
+        `attrs["units"]` holds the units of the columns. Raises :class:`WarpcreteError` if pandas is not installed.
+        """
+        columns, units = columns_of(self)
+        return dataframe(columns, units, "case")
+
+    def plot(self) -> Any:
+        """Return a Matplotlib figure of each compared quantity, with its scatter, over each varied parameter."""
+        return draw(self)
+
+    def _repr_html_(self) -> str:
+        """Return the table of means and scatters as HTML for notebooks."""
+        rows = [line.strip("| ").split(" | ") for line in self.markdown().splitlines() if not line.startswith("|--")]
+        return html_table(rows[1:], rows[0], repr(self))
+
+    def markdown(self) -> str:
+        """Return a Markdown table of means and standard deviations over the seeds, in customary units."""
+        titles = [f"{each.title} [{shown(each.unit)[1]}]" for each in self.compared]
+        head = [*map(self.heading, self.varied), *titles, *COUNTS]
+        lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+        for row in self.rows():
+            cells = [str(row.get(name, "")) for name in self.varied]
+            for each in self.compared:
+                factor = shown(each.unit)[0]
+                mean, scatter = row[each.name] * factor, row[f"{each.name}_scatter"] * factor
+                text = f"{mean:.2f}" if np.isfinite(mean) else "none"
+                cells.append(text + (f" +- {scatter:.2f}" if np.isfinite(scatter) else ""))
+            lines.append("| " + " | ".join([*cells, *(str(row[name]) for name in COUNTS)]) + " |")
+        return "\n".join(lines)
+
+    def write(self, figure: bool = True) -> None:
+        """Write the results so far: study.csv, study.md, study.parquet (with every case) and the figure study.png."""
+        rows = self.rows()
+        units = {each.name: each.unit for each in self.compared}
+        units |= {f"{name}_scatter": unit for name, unit in units.items()}
+        names = list(dict.fromkeys(key for row in rows for key in row))
+        with atomic_file(self.folder / "study.csv") as partial, partial.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow([f"{n} [{units[n]}]" if n in units else self.heading(n) for n in names])
+            writer.writerows([[row.get(name, "") for name in names] for row in rows])
+        with atomic_file(self.folder / "study.md") as partial:
+            partial.write_text(f"{self.markdown()}\n", encoding="utf-8")
+        write_parquet(self, self.folder / "study.parquet")
+        if figure and self.results:
+            with atomic_file(self.folder / "study.png") as partial:
+                draw(self).savefig(partial, dpi=150, format="png")

@@ -1,0 +1,74 @@
+"""Text tables of the theory of pipe flow, for the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from ..core.errors import SceneError
+from .laws import BINGHAM, FlowLaw
+from .pipe import FORMS, Concrete, Line, Steady, after_rest, flow_of_pressure, kaplan, restart, steady
+
+
+def restart_table(concrete: Concrete, line: Line, rest: float, thixotropy: float, flow: float) -> str:
+    """Return a text table of the restart pressures after `rest` [s], one row for each form of the theory.
+
+    Each row also relates the peak pressure at `flow` [m3/s] to the steady pressure at that flow.
+    """
+    grown = after_rest(concrete, rest, thixotropy)
+    lines = [
+        f"after {rest:g} s at rest with a growth rate of {thixotropy:g} Pa/s: yield stress {grown.yield_stress:g} Pa; "
+        f"slip layer {grown.slip_yield:g} Pa",
+        f"{'form':8s}{'moves from [Pa]':>16s}{'per metre [Pa/m]':>18s}{f'at {flow:.5g} m3/s [Pa]':>24s}"
+        f"{'over steady':>13s}",
+    ]
+    for form in FORMS:
+        least = restart(concrete, line, rest, thixotropy, form=form).pressure
+        peak = restart(concrete, line, rest, thixotropy, flow, form).pressure
+        over = peak / steady(concrete, line, flow, form).pressure
+        lines.append(f"{form:8s}{least:16.6g}{least / line.length:18.6g}{peak:24.6g}{over:13.4g}")
+    return "\n".join(lines)
+
+
+def _law_text(law: FlowLaw) -> str:
+    """Return the constants that a law has besides those of Bingham's law, for a table."""
+    if law.index != 1:
+        return f", flow index {law.index:g}"
+    return f", quadratic {law.quadratic:g}" if law.quadratic else ""
+
+
+def table(concrete: Concrete, line: Line, flows: Sequence[float] = (), pressures: Sequence[float] = ()) -> str:
+    """Return a text table of pressure and slip velocity at `flows` [m3/s], or of the flow at `pressures` [Pa].
+
+    Each form of the theory has a row. At given flows Kaplan's model has a row too, if all laws are Bingham's. If the
+    pressure is too low for flow in one form, the row of this form says so. Raises :class:`SceneError` if nothing
+    flows in any form.
+    """
+    lines = [
+        f"{concrete.name}: density {concrete.density:g} kg/m3, viscosity {concrete.viscosity:g} Pa s, yield stress "
+        f"{concrete.yield_stress:g} Pa{_law_text(concrete.bulk_law)}; slip layer {concrete.slip_viscosity:g} Pa s/m, "
+        f"{concrete.slip_yield:g} Pa{_law_text(concrete.layer_law)}",
+        f"{'form':8s}{'flow [m3/s]':>14s}{'pressure [Pa]':>15s}{'wall stress [Pa]':>18s}{'slip [m/s]':>12s}"
+        f"{'plug radius [m]':>17s}",
+    ]
+
+    def line_of(s: Steady) -> str:
+        return (
+            f"{s.form:8s}{s.flow:14.5g}{s.pressure:15.6g}{s.wall_stress:18.5g}{s.slip_velocity:12.5g}"
+            f"{s.plug_radius:17.4g}"
+        )
+
+    for flow in flows:
+        lines += [line_of(steady(concrete, line, flow, form)) for form in FORMS]
+        if concrete.bulk_law.name == concrete.layer_law.name == BINGHAM:
+            lines.append(line_of(kaplan(concrete, line, flow)))
+    for pressure in pressures:
+        standing = []
+        for form in FORMS:
+            try:
+                lines.append(line_of(flow_of_pressure(concrete, line, pressure, form)))
+            except SceneError as error:
+                standing.append(error)
+                lines.append(f"{form:8s}{0:14.5g}{pressure:15.6g}   {str(error).partition(': ')[2].partition(' (')[0]}")
+        if len(standing) == len(FORMS):
+            raise standing[-1]
+    return "\n".join(lines)
