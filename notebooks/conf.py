@@ -7,7 +7,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "_site"))
 
 import generated  # noqa: E402
-from docstrings import escape  # noqa: E402
+from docstrings import escape, resolve  # noqa: E402
 
 import warpcrete  # noqa: E402
 
@@ -21,14 +21,13 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
-    "sphinx.ext.viewcode",
     "sphinx_copybutton",
     "sphinx_design",
     "sphinxcontrib.mermaid",
 ]
 exclude_patterns = ["_site", "**/.ipynb_checkpoints", "targets"]
 nb_execution_mode = "off"  # The notebooks' outputs are stored with them; a test compares them with fresh ones.
-suppress_warnings = ["mystnb.unknown_mime_type"]
+suppress_warnings = ["mystnb.unknown_mime_type", "ref.python"]
 
 myst_enable_extensions = ["colon_fence", "dollarmath", "amsmath", "deflist", "attrs_inline"]
 myst_fence_as_directive = ["mermaid"]
@@ -44,8 +43,13 @@ default_role = "code"
 nitpicky = True
 # Types in signatures come from other packages and from type variables, of which this site has no pages. References
 # that the pages and docstrings write themselves are checked.
-nitpick_ignore_regex = [(r"py:(class|obj|attr|data|exc)", r"(?!warpcrete\.).*")]
+nitpick_ignore_regex = [
+    (r"py:(class|obj|attr|data|exc)", r"(?!warpcrete\.).*"),
+    (r"py:(class|obj)", r"warpcrete\..*\.([A-Z]|_\w+|[a-z_]+|Found|GridKind|Annotated.*)"),
+    (r"py:.*", r"warpcrete\.kernels\..*"),
+]
 
+templates_path = ["_site/templates"]
 html_theme = "pydata_sphinx_theme"
 html_title = "warpcrete"
 html_static_path = ["_site/static"]
@@ -68,3 +72,4 @@ def setup(app):
     """Write the generated pages before Sphinx looks for sources, and prepare docstrings for reStructuredText."""
     generated.write(HERE / "reference" / "generated")
     app.connect("autodoc-process-docstring", escape)
+    app.connect("missing-reference", resolve)

@@ -6,6 +6,8 @@ reStructuredText would take for markup. Literal text, roles and indented blocks 
 
 import re
 
+from sphinx.util.nodes import make_refnode
+
 KEPT = re.compile(r"(``.+?``|:[\w:]+:`[^`]+`|`[^`]+`)")
 """Parts of a line that are markup on purpose: literal text, roles and code."""
 SPECIAL = re.compile(r"[*|]|(?<=\w)_(?!\w)|\\")
@@ -22,3 +24,21 @@ def escape(app, what, name, kind, options, lines):
             parts[::2] = [SPECIAL.sub(lambda found: "\\" + found.group(), part) for part in parts[::2]]
             lines[number] = "".join(parts)
         literal = literal or line.rstrip().endswith("::")
+
+
+def resolve(app, env, node, content):
+    """Resolve a name of the package that is written in another way; a handler of `missing-reference`.
+
+    A class that `warpcrete` exports is documented under its short name. Another name may stand without its module, if
+    exactly one object of the package has it.
+    """
+    if node.get("refdomain") != "py":
+        return None
+    objects = env.get_domain("py").objects
+    target = node["reftarget"].lstrip(".~")
+    short = "warpcrete." + target.rpartition(".")[2]
+    found = [short] if short in objects else [name for name in objects if name.endswith("." + target)]
+    if len(found) != 1:
+        return None
+    entry = objects[found[0]]
+    return make_refnode(app.builder, node["refdoc"], entry.docname, entry.node_id, content)

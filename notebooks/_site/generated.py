@@ -226,6 +226,12 @@ def public_names(module: str) -> list[str]:
             if not name.startswith("_") and getattr(value, "__module__", None) == module]  # fmt: skip
 
 
+def exported(module: str) -> set[str]:
+    """Return the classes of a module that the package exports: they have pages of their own."""
+    loaded = vars(importlib.import_module(module))
+    return {name for name in dir(warpcrete) if inspect.isclass(loaded.get(name)) and loaded[name].__module__ == module}
+
+
 def module_pages() -> dict[str, str]:
     """Return a page for each package with all modules in it, and a list of packages."""
     pages, rows = {}, []
@@ -233,9 +239,12 @@ def module_pages() -> dict[str, str]:
         about = inspect.getdoc(importlib.import_module(package)) or ""
         rows.append([f"[`{package}`](module-{package}.md)", cell(about.partition("\n")[0])])
         text = f"# {package}\n\nWhich classes and functions do the modules of `{package}` have?\n\n"
+        text += f"```{{eval-rst}}\n.. automodule:: {package}\n   :no-members:\n```\n\n"
         for module in modules:
+            left = ", ".join(sorted(exported(module)))
             text += f"## {module.removeprefix('warpcrete.')}\n\n```{{eval-rst}}\n.. automodule:: {module}\n"
-            text += "   :members:\n```\n\n"
+            text += f"   :members:\n{f'   :exclude-members: {left}' if left else ''}\n```\n\n"
+            text += f"{left}: see [Python interface](../python.md).\n\n" if left else ""
         text += "## Not covered\n\nNames that begin with an underscore, and [what may change](../stability.md).\n"
         pages[f"module-{package}.md"] = text
     pages["modules.md"] = (
