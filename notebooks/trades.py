@@ -1,4 +1,4 @@
-"""Measures the trades of notebooks/trade.md, and puts their tables and figures there and into the package.
+"""Measures the trades of notebooks/performance/trades.md, and puts their tables and figures there and into the package.
 
 python notebooks/trades.py --folder trades [NAME ...]   runs those (default: none), and takes what the folder has
 

@@ -30,7 +30,7 @@ def resolve(app, env, node, content):
     """Resolve a name of the package that is written in another way; a handler of `missing-reference`.
 
     A class that `warpcrete` exports is documented under its short name. Another name may stand without its module, if
-    exactly one object of the package has it.
+    an object of the package has it; the first such object is taken.
     """
     if node.get("refdomain") != "py":
         return None
@@ -38,7 +38,7 @@ def resolve(app, env, node, content):
     target = node["reftarget"].lstrip(".~")
     short = "warpcrete." + target.rpartition(".")[2]
     found = [short] if short in objects else [name for name in objects if name.endswith("." + target)]
-    if len(found) != 1:
+    if not found:
         return None
-    entry = objects[found[0]]
+    entry = objects[min(found)]
     return make_refnode(app.builder, node["refdoc"], entry.docname, entry.node_id, content)

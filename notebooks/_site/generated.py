@@ -229,7 +229,9 @@ def public_names(module: str) -> list[str]:
 def exported(module: str) -> set[str]:
     """Return the classes of a module that the package exports: they have pages of their own."""
     loaded = vars(importlib.import_module(module))
-    return {name for name in dir(warpcrete) if inspect.isclass(loaded.get(name)) and loaded[name].__module__ == module}
+    named = loaded.get("__all__", ())
+    return {name for name in dir(warpcrete) if inspect.isclass(loaded.get(name))
+            and (loaded[name].__module__ == module or name in named)}  # fmt: skip
 
 
 def module_pages() -> dict[str, str]:

@@ -10,7 +10,7 @@ A step is a pressure-correction scheme whose predictor uses the pressure of the 
    without changing any velocity.
 
 The method is that of Xu, Li & Jiang 2021, sections 2.1 to 2.5. Where the printed scheme fails,
-notebooks/fluid_theory.md says what is done instead and why.
+notebooks/theory/particles.md says what is done instead and why.
 """
 
 from __future__ import annotations
