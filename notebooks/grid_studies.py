@@ -3,7 +3,7 @@
     python notebooks/grid_studies.py --device cpu --out studies
 
 Writes `NAME.md`, and `NAME.png` for some, for each study into the new folder; notebooks/validation/flow-shear.md,
-fluid_slump.md, fluid_vessels.md and fluid_parts.md show and discuss them.
+flow-slump.md, flow-vessels.md and flow-parts.md show and discuss them.
 """
 
 import multiprocessing

@@ -39,7 +39,9 @@ def write(folder: Path) -> None:
 def cell(text: object) -> str:
     """Return a text as it stands in a cell of a Markdown table."""
     words = re.sub(r"\s+", " ", str(text)).strip()
-    return re.sub(r"([|<*_\\$~])", r"\\\1", words) if "`" not in words else words.replace("|", r"\|").replace("<", "&lt;")
+    if "`" in words:
+        return words.replace("|", r"\|").replace("<", "&lt;")
+    return re.sub(r"([|<*_\\$~])", r"\\\1", words)
 
 
 def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
@@ -100,7 +102,7 @@ def command_pages() -> dict[str, str]:
         if name in ("run", "study", "trade", "explain"):
             text += "\nThe parameters of a scene are options, too: see [scenes](scenes.md)."
             text += " [Options of every run](run-options.md) lists the options that all scenes share.\n"
-        text += "\n## Not covered\n\nThe how-to guides show the command at work; `--help` prints this text in a terminal.\n"
+        text += "\n## Not covered\n\nThe [how-to guides](../../how-to/index.md) show the command at work.\n"
         pages[f"command-{name}.md"] = text
     shared = click.Context(click.Command("run"), info_name="run", parent=context)
     pages["run-options.md"] = (
@@ -114,7 +116,7 @@ def command_pages() -> dict[str, str]:
         + table(["command", "what it does"], rows)
         + "\nThe following options stand before the command:\n\n"
         + table(["option", "meaning"], general)
-        + "\n## Not covered\n\n[Checks and exit codes](../exit-codes.md) explains the numbers that the commands return.\n"
+        + "\n## Not covered\n\n[Checks and exit codes](../exit-codes.md) explains what the commands return.\n"
         + toctree([*(f"command-{name}" for name in sorted(cli.commands)), "run-options"])
     )
     return pages
@@ -135,7 +137,8 @@ def rules(field: Field) -> str:
         if isinstance(rule, Above):
             found.append(f"above {rule.lower:g}")
         elif isinstance(rule, Within):
-            found.append(f"{rule.lower:g} to {rule.upper:g}".replace("-inf to inf", "finite").replace(" to inf", " or more"))
+            span = f"{rule.lower:g} to {rule.upper:g}"
+            found.append(span.replace("-inf to inf", "finite").replace(" to inf", " or more"))
         elif isinstance(rule, OneOf):
             found.append(", ".join(f"`{choice}`" for choice in rule.choices))
     return "; ".join(found) or {bool: "yes or no"}.get(field.kind, WORDS.get(field.kind, field.kind.__name__))
@@ -179,8 +182,9 @@ def scene_pages() -> dict[str, str]:
         )
     pages["scenes.md"] = (
         "# Scenes\n\nWhich scenes can I run, and where are their parameters? These pages are generated from the "
-        "declared parameters.\n\n" + table(["scene", "what it simulates"], rows)
-        + "\n## Not covered\n\n[A scene of your own](../../how-to/own-scene.md) shows scenes that are not in this list.\n"
+        "declared parameters.\n\n"
+        + table(["scene", "what it simulates"], rows)
+        + "\n## Not covered\n\n[A scene of your own](../../how-to/own-scene.md) shows how to build other scenes.\n"
         + toctree(f"scene-{name}" for name in scenes.modules())
     )
     return pages
@@ -188,7 +192,7 @@ def scene_pages() -> dict[str, str]:
 
 def law_pages() -> dict[str, str]:
     """Return one page with the parameters of all contact laws."""
-    text = "# Contact laws\n\nWhich contact laws does the option `--contact` know, and which parameters do they have?\n\n"
+    text = "# Contact laws\n\nWhich contact laws does the option `--contact` know, with which parameters?\n\n"
     text += "A parameter `some_name` of a law is the option `--contact-some-name`, and the keyword `some_name` of its "
     text += "class in Python.\n\n"
     for name, law in LAWS.classes.items():
@@ -198,7 +202,7 @@ def law_pages() -> dict[str, str]:
                  cell(re.sub(r"\s*\[[^\]]+\]", "", f.help, count=1))] for f in fields]  # fmt: skip
         text += f"## {name}\n\nClass `{law.__module__}.{law.__name__}`\n\n{prose(inspect.getdoc(law) or '')}\n\n"
         text += table(head, rows) + "\n"
-    text += "## Not covered\n\n[A contact law of your own](../../how-to/own-contact-law.md) shows how to write another law."
+    text += "## Not covered\n\n[A contact law of your own](../../how-to/own-contact-law.md) shows how to write a law."
     text += " The [theory of discrete elements](../../theory/elements.md) derives the forces.\n"
     return {"laws.md": text}
 
@@ -211,7 +215,7 @@ def all_modules() -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for info in pkgutil.walk_packages(warpcrete.__path__, "warpcrete."):
         name = info.name
-        if name in OPEN or not name.startswith(INTERNAL) and not any(p.startswith("_") for p in name.split(".")):
+        if name in OPEN or (not name.startswith(INTERNAL) and not any(p.startswith("_") for p in name.split("."))):
             package = name if info.ispkg else name.rpartition(".")[0]
             modules = found.setdefault(package, [])
             if not info.ispkg and public_names(name):

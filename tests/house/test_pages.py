@@ -89,10 +89,12 @@ def restarted() -> list[float]:
 
 SEGREGATIONS = (-0.6, -0.2, 0.2)
 QUICK = {
-    "the paper's case": Told("how-to/closed-form.md", rf"at 1500 cm3/s: {N} kPa in the pipe, {N} between planes, {N} as the paper",
+    "the paper's case": Told("how-to/closed-form.md",
+        rf"at 1500 cm3/s: {N} kPa in the pipe, {N} between planes, {N} as the paper",
         lambda: printed("theory --concrete no1 --flow 1500e-6", rf"pipe [\d.]+ {N}", rf"plane [\d.]+ {N}",
                         rf"paper [\d.]+ {N}", factor=1e-3)),
-    "the paper's case of a mix": Told("validation/mix.md", rf"Xu's case from `xu-no1`, the paper's form \| 9\.40 kPa \| {N} kPa",
+    "the paper's case of a mix": Told("validation/mix.md",
+        rf"Xu's case from `xu-no1`, the paper's form \| 9\.40 kPa \| {N} kPa",
         lambda: printed("theory --concrete xu-no1 --flow 1500e-6", rf"paper [\d.]+ {N}", factor=1e-3)),
     "its mortar": Told("validation/mix.md", rf"its mortar \| 2190 kg/m3 \| {N} kg/m3",
         lambda: printed("mix xu-no1", rf"mortar's density {N}")),
