@@ -24,6 +24,7 @@ extensions = [
     "sphinx_copybutton",
     "sphinx_design",
     "sphinxcontrib.mermaid",
+    "mathml",
 ]
 exclude_patterns = ["_site", "**/.ipynb_checkpoints", "targets"]
 nb_execution_mode = "off"  # The notebooks' outputs are stored with them; a test compares them with fresh ones.
@@ -36,10 +37,10 @@ myst_heading_anchors = 3
 add_module_names = False
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
-autodoc_default_options = {"members": True, "undoc-members": False, "show-inheritance": False}
 autosummary_generate = True
 autosummary_ignore_module_all = False
 default_role = "code"
+highlight_language = "text"
 nitpicky = True
 # Types in signatures come from other packages and from type variables, of which this site has no pages. References
 # that the pages and docstrings write themselves are checked.
@@ -50,6 +51,7 @@ nitpick_ignore_regex = [
 ]
 
 templates_path = ["_site/templates"]
+html_math_renderer = "mathml"
 html_theme = "pydata_sphinx_theme"
 html_title = "warpcrete"
 html_static_path = ["_site/static"]
@@ -59,6 +61,9 @@ html_theme_options = {
     "show_toc_level": 2,
     "navigation_with_keys": False,
     "header_links_before_dropdown": 7,
+    "navbar_persistent": ["search-button"],
+    "collapse_navigation": True,
+    "navigation_depth": 3,
     "secondary_sidebar_items": ["page-toc"],
     "footer_start": ["copyright"],
     "footer_end": ["sphinx-version"],
