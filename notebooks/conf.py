@@ -41,6 +41,7 @@ autosummary_generate = True
 autosummary_ignore_module_all = False
 default_role = "code"
 highlight_language = "text"
+smartquotes = False  # Two hyphens begin an option.
 nitpicky = True
 # Types in signatures come from other packages and from type variables, of which this site has no pages. References
 # that the pages and docstrings write themselves are checked.
@@ -78,3 +79,4 @@ def setup(app):
     generated.write(HERE / "reference" / "generated")
     app.connect("autodoc-process-docstring", escape)
     app.connect("missing-reference", resolve)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -17,6 +17,7 @@ from warpcrete.cli.main import cli
 from warpcrete.core.inputs.parameters import WORDS, Above, Field, OneOf, Within, declared_fields
 from warpcrete.dem.laws.choice import LAWS
 
+OPTION = re.compile(r"(?<![\w-])(--[a-z][\w-]*)")
 INTERNAL = ("warpcrete.kernels", "warpcrete.cli", "warpcrete.scenes", "warpcrete.__main__")
 """Packages without pages of their own: kernels are internal, commands and scenes have a reference of another kind."""
 OPEN = ("warpcrete.kernels.dem.contact_law", "warpcrete.kernels.common.types")
@@ -81,7 +82,10 @@ def prose(text: str) -> str:
         elif all(line.startswith("  ") for line in block.splitlines()):
             parts.append("```\n" + inspect.cleandoc(block) + "\n```")
         else:
-            parts.append(re.sub(r"(?<!\\)([<*])", r"\\\1", re.sub(r":\w+:`([^`]+)`", r"`\1`", block)))
+            block = re.sub(r":\w+:`([^`]+)`", r"`\1`", block)
+            pieces = re.split(r"(`[^`]+`)", block)
+            pieces[::2] = [OPTION.sub(r"`\1`", re.sub(r"([<*])", r"\\\1", piece)) for piece in pieces[::2]]
+            parts.append("".join(pieces))
     return "\n\n".join(parts)
 
 
