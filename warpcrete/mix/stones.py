@@ -49,6 +49,7 @@ def read_sieve(given: Any) -> tuple[tuple[float, float], ...]:
 
 
 def read_sizes(given: Any) -> tuple[float, float]:
+    """Return the smallest and the largest size of a mix's stones [m]; raises :class:`warpcrete.SceneError`."""
     if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
         refuse("mix sizes", given, "must be the smallest and the largest size", "for example [5 mm, 20 mm]")
     low, high = (amount("mix sizes", each, "m") for each in given)
@@ -65,6 +66,7 @@ def read_sizes(given: Any) -> tuple[float, float]:
 
 
 def read_shape(given: Any) -> str:
+    """Return the shape of a mix's stones as a word of the scenes; raises :class:`warpcrete.SceneError`."""
     if isinstance(given, int | float) and not isinstance(given, bool):
         between("mix shape", given, 1, 20)
         return f"shape-{given:g}" if given > 1 else "spheres"

@@ -27,6 +27,7 @@ class Grains:
 
     @property
     def count(self) -> int:
+        """Number of grains."""
         return len(self.size)
 
 

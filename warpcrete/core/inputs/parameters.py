@@ -38,6 +38,7 @@ class Above:
     hint: str = ""
 
     def check(self, name: str, value: float, unit: str) -> None:
+        """Refuse a value that is not a finite number above `lower`."""
         if not math.isfinite(value) or value <= self.lower:
             refuse(name, value, f"must be a finite number above {self.lower:g}{unit}", self.hint)
 
@@ -51,6 +52,7 @@ class Within:
     hint: str = ""
 
     def check(self, name: str, value: float, unit: str) -> None:
+        """Refuse a value outside [lower, upper]."""
         if math.isfinite(value) and self.lower <= value <= self.upper:
             return
         span = f"in [{self.lower:g}, {self.upper:g}]" if math.isfinite(self.upper) else "finite"
@@ -66,6 +68,7 @@ class OneOf:
     choices: tuple[object, ...]
 
     def check(self, name: str, value: object, unit: str) -> None:
+        """Refuse a value that is not one of the choices."""
         one_of(name, value, self.choices)
 
 

@@ -46,11 +46,13 @@ class ConcreteDefaults:
 
     @classmethod
     def of_concrete(cls) -> tuple[str, tuple[str, ...]]:
+        """Return the section `elements` of a concrete's file, and the parameters that it may have."""
         groups = (AggregateParameters, ContactParameters, BondParameters)
         return "elements", tuple(name for group in groups for name in declared_fields(group))
 
     @classmethod
     def implied(cls, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """Return the parameters that follow from the name or the file of the concrete."""
         return elements_of(values, cls.of_concrete()[1], ConcreteChoice.concrete)
 
     def __post_init__(self) -> None:
@@ -119,6 +121,7 @@ class PipeParameters(
 
     @property
     def is_bend(self) -> bool:
+        """True if the unit is a pipe with a bend."""
         return self.unit.startswith("bend")
 
     @property

@@ -26,6 +26,7 @@ class Error:
 
     @property
     def size(self) -> float:
+        """Magnitude of the error."""
         return abs(self.shift)
 
     @property
