@@ -70,12 +70,13 @@ def sum_functions(width: int) -> SimpleNamespace:
 
 
 @functools.cache
-def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNamespace:
+def row_functions(scalar, dimensions: int, vector: bool, rigid: bool, sparse: bool = False) -> SimpleNamespace:
     """Build the functions that a GPU thread applies to a row of the equations, or to a rigid grain, in a solve.
 
     Here r is the residual, z the preconditioned residual, p the search direction and A the matrix. `begin`, `update`
     and `share` return the contributions of their row to the inner products of r with z and of r with itself; the row of
-    `share` is a grain. `multiply` returns the row's contribution to the inner product of p with A p.
+    `share` is a grain. `multiply` returns the row's contribution to the inner product of p with A p. In a `sparse`
+    system, rows without an unknown are skipped.
     """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value
@@ -83,10 +84,19 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
     product = directed_product(scalar, value)
 
     @wp.func
+    def has_unknown(i: wp.int32, count: wp.int32, matrix: Matrix) -> wp.bool:
+        if i >= count:
+            return False
+        if wp.static(sparse):
+            return matrix.free[i] == 0
+        else:
+            return True
+
+    @wp.func
     def begin(i: wp.int32, count: wp.int32, matrix: Matrix, system: Solve):
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
-        mine = i < count
+        mine = has_unknown(i, count, matrix)
         if wp.static(rigid):
             mine = mine and i >= matrix.grain_rows
         if mine:
@@ -105,7 +115,7 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
         The previous search directions begin at index `old` of the array `direction`. The function computes the new
         directions of the neighbours itself from their previous ones, so that no barrier is needed before the product.
         """
-        if i >= count:
+        if not has_unknown(i, count, matrix):
             return wp.float64(0.0)
         own = system.preconditioned[i] + beta * system.direction[old + i]
         system.direction[count - old + i] = own
@@ -124,7 +134,7 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
     ):  # fmt: skip
         rz = wp.float64(0.0)
         rr = wp.float64(0.0)
-        if i < count:
+        if has_unknown(i, count, matrix):
             x[i] = x[i] + alpha * system.direction[count - old + i]
             left = system.residual[i] - alpha * system.product[i]
             system.residual[i] = left
@@ -148,13 +158,16 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
 
 
 @functools.cache
-def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, width: int = BLOCK):
+def resident_solver(
+    scalar, dimensions: int, vector: bool, rigid: bool = False, width: int = BLOCK, sparse: bool = False
+):
     """Build the GPU kernel that performs a whole solve and adds the solution to `x`.
 
-    The kernel runs as `parties` blocks of `width` threads. With `width` = WIDE there must be only one block.
+    The kernel runs as `parties` blocks of `width` threads. With `width` = WIDE there must be only one block. In a
+    `sparse` system most rows may be without an unknown, and these rows are skipped.
     """
     accumulate, total_of = sum_functions(width).accumulate, sum_functions(width).total_of
-    f, row = solver_functions(scalar, dimensions, vector), row_functions(scalar, dimensions, vector, rigid)
+    f, row = solver_functions(scalar, dimensions, vector), row_functions(scalar, dimensions, vector, rigid, sparse)
     Solve, value = f.Solve, f.value
     Matrix = array_structs(scalar, dimensions).Matrix
 

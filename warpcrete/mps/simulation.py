@@ -107,7 +107,9 @@ class FluidSimulation(FlowRun):
         """Return the flow at its start: a grid with particles for a periodic pipe, else particles alone."""
         if self._periodic:
             check_memory(pipe_cells(self.scene), self.device, self.precision)
-            return GridFlow(GridState(self.scene, pipe_layout(self.scene), self.device, self.precision))
+            return GridFlow(
+                GridState(self.scene, pipe_layout(self.scene), self.device, self.precision), threads=self.threads
+            )
         return MovingParticles(FluidState(self.scene, self.device, self.precision), threads=self.threads)
 
     def measured(self) -> dict[str, float]:

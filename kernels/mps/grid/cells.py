@@ -53,6 +53,18 @@ BEFORE = wp.constant(6)  # Root mean square speed of the concrete in the previou
 RATE = wp.constant(7)  # Rate of change of the root mean square speed in the previous step [m/s2].
 LAST = wp.constant(8)  # Previous time step [s].
 CLOCK = 9
+STRIP = wp.constant(64)
+"""Number of successive cells, faces or particles that one thread of a CPU processes at once."""
+
+
+@wp.func
+def item(task: wp.int32, worker: wp.int32, workers: wp.int32) -> wp.int32:
+    """Return the number of the cell, face or particle that a task processes.
+
+    Items are divided into strips of `STRIP` items, and the strips are dealt out to `workers` threads in turn, so that
+    all threads get about as much concrete. `worker` is the number of the thread. On a GPU there is one worker.
+    """
+    return (task / STRIP * workers + worker) * STRIP + task % STRIP
 
 
 class GridKind(NamedTuple):

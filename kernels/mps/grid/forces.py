@@ -12,7 +12,7 @@ import warp as wp
 
 from ...common.control import HALTED
 from ..structs import array_structs, mps_types, row_place
-from .cells import DT, FORCE, LIQUID, GridKind, grid_parameters_struct, grid_structs
+from .cells import DT, FORCE, LIQUID, GridKind, grid_parameters_struct, grid_structs, item
 from .other_laws import flow_functions
 from .places import grid_functions
 from .structure import with_gain_function
@@ -107,10 +107,12 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
         return sum / wp.max(count, scalar(1.0))
 
     @wp.kernel(enable_backward=False, module="unique")
-    def rates(g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields):
+    def rates(
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, worker: wp.int32, workers: wp.int32
+    ):
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         if mesh.liquid[number] == 0 or not f.on_grid(g, c):
             return
@@ -134,10 +136,12 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
         )
 
     @wp.kernel(enable_backward=False, module="unique")
-    def viscosity(g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields):
+    def viscosity(
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, worker: wp.int32, workers: wp.int32
+    ):
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         if not f.on_grid(g, c):
             return
@@ -250,11 +254,18 @@ def momentum_kernel(scalar, serial: bool, of: GridKind):
 
     @wp.kernel(enable_backward=False, module="unique")
     def momentum(
-        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, matrix: Matrix, viscous: Solve
+        g: Grid,
+        flags: wp.array(dtype=wp.int32),
+        geometry: Geometry,
+        mesh: Fields,
+        matrix: Matrix,
+        viscous: Solve,
+        worker: wp.int32,
+        workers: wp.int32,
     ):
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         rows = dims * g.slots
         within = f.on_grid(g, c)

@@ -19,6 +19,7 @@ from .cells import (
     GridKind,
     grid_parameters_struct,
     grid_structs,
+    item,
 )
 from .places import grid_functions
 
@@ -44,12 +45,12 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
     @wp.kernel(enable_backward=False, module="unique")
     def divergence(
         g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, walls: Walls, mesh: Fields, matrix: Matrix,
-        projection: Solve,
+        projection: Solve, worker: wp.int32, workers: wp.int32,
     ):  # fmt: skip
         """Compute the net volume flow into each cell, and the cell's row of the matrix for the pressure increment."""
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         count = wp.int32(0)
         diagonal = scalar(0.0)
@@ -85,11 +86,13 @@ def pressure_kernels(scalar, serial: bool, of: GridKind) -> SimpleNamespace:
         projection.residual[number] = g.density / scalar(mesh.clock[DT]) * into
 
     @wp.kernel(enable_backward=False, module="unique")
-    def project(g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields):
+    def project(
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, worker: wp.int32, workers: wp.int32
+    ):
         """Subtract the gradient of the pressure increment from the velocities, and update the pressure."""
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         if not f.on_grid(g, c):
             return
@@ -151,10 +154,18 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
         return sum
 
     @wp.kernel(enable_backward=False, module="unique")
-    def source(g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, projection: Solve):
+    def source(
+        g: Grid,
+        flags: wp.array(dtype=wp.int32),
+        geometry: Geometry,
+        mesh: Fields,
+        projection: Solve,
+        worker: wp.int32,
+        workers: wp.int32,
+    ):
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         mesh.potential[number] = scalar(0.0)
         excess = scalar(0.0)
@@ -171,10 +182,12 @@ def crowd_kernels(scalar, of: GridKind) -> SimpleNamespace:
         projection.residual[number] = g.density / dt * excess
 
     @wp.kernel(enable_backward=False, module="unique")
-    def disperse(g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields):
+    def disperse(
+        g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, worker: wp.int32, workers: wp.int32
+    ):
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         dt = scalar(mesh.clock[DT])
         for axis in range(dims):

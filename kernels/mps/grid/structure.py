@@ -13,7 +13,7 @@ import functools
 import warp as wp
 
 from ...common.control import HALTED
-from .cells import DT, LIQUID, GridKind, grid_parameters_struct, grid_structs
+from .cells import DT, LIQUID, GridKind, grid_parameters_struct, grid_structs, item
 from .places import grid_functions
 
 
@@ -61,10 +61,12 @@ def break_kernel(scalar, of: GridKind):
         flags: wp.array(dtype=wp.int32),
         walls: Walls,
         mesh: Fields,
+        worker: wp.int32,
+        workers: wp.int32,
     ):
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         if not f.on_grid(g, f.cell(g, number)):
             return
         dt = scalar(mesh.clock[DT])

@@ -24,6 +24,7 @@ from .cells import (
     GridKind,
     grid_parameters_struct,
     grid_structs,
+    item,
 )
 from .places import grid_functions
 
@@ -121,11 +122,18 @@ def gather_kernel(scalar, of: GridKind):
 
     @wp.kernel(enable_backward=False, module="unique")
     def gather(
-        g: Grid, flags: wp.array(dtype=wp.int32), particles: Particles, geometry: Geometry, walls: Walls, mesh: Fields
+        g: Grid,
+        flags: wp.array(dtype=wp.int32),
+        particles: Particles,
+        geometry: Geometry,
+        walls: Walls,
+        mesh: Fields,
+        worker: wp.int32,
+        workers: wp.int32,
     ):
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         if wp.static(of.periodic):
             if c[last] < 0 or c[last] >= g.n[last]:
@@ -177,11 +185,11 @@ def extend_kernel(scalar, of: GridKind):
     def extend(
         g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, again: wp.int32, final: wp.int32,
         before: wp.array(dtype=scalar), known_before: wp.array(dtype=wp.int32), after: wp.array(dtype=scalar),
-        known_after: wp.array(dtype=wp.int32),
+        known_after: wp.array(dtype=wp.int32), worker: wp.int32, workers: wp.int32,
     ):  # fmt: skip
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         for axis in range(dims):
             r = number + axis * g.slots
@@ -376,11 +384,12 @@ def advect_kernel(scalar, of: GridKind):
     @wp.kernel(enable_backward=False, module="unique")
     def advect(
         g: Grid, flags: wp.array(dtype=wp.int32), geometry: Geometry, mesh: Fields, velocity: wp.array(dtype=scalar),
-        good: wp.array(dtype=wp.int32), particles: Particles, event_flags: wp.array(dtype=wp.int32),
+        good: wp.array(dtype=wp.int32), particles: Particles, event_flags: wp.array(dtype=wp.int32), worker: wp.int32,
+        workers: wp.int32,
     ):  # fmt: skip
         if flags[HALTED] != 0:
             return
-        p = wp.tid()
+        p = item(wp.tid(), worker, workers)
         if particles.mass[p] == scalar(0.0):
             return
         x = particles.position[p]

@@ -7,7 +7,7 @@ import warp as wp
 from ...common.control import HALTED
 from ..flow_laws import BINGHAM, law_functions
 from ..structs import mps_types
-from .cells import INSIDE, LIQUID, OPEN, GridKind, grid_parameters_struct, grid_structs
+from .cells import INSIDE, LIQUID, OPEN, GridKind, grid_parameters_struct, grid_structs, item
 from .other_laws import flow_functions
 from .places import grid_functions
 from .structure import with_gain_function
@@ -32,10 +32,12 @@ def side_kernel(scalar, of: GridKind):
     with_gain = with_gain_function(scalar, 2)
 
     @wp.kernel(enable_backward=False, module="unique")
-    def wall_stress(g: Grid, flags: wp.array(dtype=wp.int32), walls: Walls, mesh: Fields):
+    def wall_stress(
+        g: Grid, flags: wp.array(dtype=wp.int32), walls: Walls, mesh: Fields, worker: wp.int32, workers: wp.int32
+    ):
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         if not f.on_grid(g, c):
             return
@@ -150,10 +152,18 @@ def wall_kernel(scalar, of: GridKind):
         return most
 
     @wp.kernel(enable_backward=False, module="unique")
-    def wall_stress(g: Grid, flags: wp.array(dtype=wp.int32), walls: Walls, geometry: Geometry, mesh: Fields):
+    def wall_stress(
+        g: Grid,
+        flags: wp.array(dtype=wp.int32),
+        walls: Walls,
+        geometry: Geometry,
+        mesh: Fields,
+        worker: wp.int32,
+        workers: wp.int32,
+    ):
         if flags[HALTED] != 0:
             return
-        number = wp.tid()
+        number = item(wp.tid(), worker, workers)
         c = f.cell(g, number)
         for axis in range(dims):
             for b in range(dims):

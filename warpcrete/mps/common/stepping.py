@@ -122,9 +122,14 @@ class Stepping(ABC):
 
     def launch(self) -> None:
         """Launch some of the steps that are left to the goal; on a GPU they run while Python goes on."""
-        largest = LARGEST_GRAPH["cuda" if self.parallel else "threads" if self.threads > 1 else "cpu"]
+        largest = self._largest_graph
         sizes = graph_sizes(min(self._steps_left, GRAPHS_PER_CHECK * largest), largest)
         self._launcher.replay(self.step, self._single_thread_step, sizes, lambda: bool(self.flags.numpy()[int(HALTED)]))
+
+    @property
+    def _largest_graph(self) -> int:
+        """Maximum number of steps in one launch graph."""
+        return LARGEST_GRAPH["cuda" if self.parallel else "threads" if self.threads > 1 else "cpu"]
 
     def settle(self) -> None:
         """Wait for the launched steps, and read how many are completed; if a step failed, raise its error."""

@@ -44,7 +44,9 @@ class PartSimulation(FlowRun):
     def place_flow(self) -> GridFlow:
         """Return the flow at its start, with its particles and its grid."""
         check_memory(part_room(self.scene).cells, self.device, self.precision)
-        return GridFlow(GridState(self.scene, part_layout(self.scene), self.device, self.precision))
+        return GridFlow(
+            GridState(self.scene, part_layout(self.scene), self.device, self.precision), threads=self.threads
+        )
 
     def measured(self) -> dict[str, float]:
         """Measure the flow and return the values of one row of the time series, by column name."""
