@@ -56,10 +56,11 @@ def take_place(count: wp.array(dtype=wp.int32), wants: wp.bool) -> wp.int32:
 
 @functools.cache
 def near_kernels(scalar) -> SimpleNamespace:
-    """Return the two kernels that choose near links.
+    """Return the kernels that select near links, which are listed pairs of spheres that may touch within a few steps.
 
-    First `record_positions` records the current positions. It needs a thread for each sphere and for each scene, and at
-    least two threads. Then `choose_near` runs over the links, in whole blocks.
+    The kernel `record_positions` runs first and stores the current positions of the spheres. It needs a thread for each
+    sphere and for each scene, and at least two threads. The kernel `choose_near` follows. It runs with one thread per
+    listed pair, in whole blocks.
     """
     structs = array_structs(scalar)
     Scenes, Spheres = structs.Scenes, structs.Spheres

@@ -210,8 +210,9 @@ def floor_function(scalar, pair_law, wall_law):
 def reduce_kernel(scalar, pair_law, wall_law, half: bool) -> wp.Kernel:
     """Return the kernel that finds the smallest stable step of each scene.
 
-    It runs with one task per body, from the body `begin` on. With half lists it also clears `estimate.sums`, to which
-    both spheres of a pair add.
+    It runs with one task per body, beginning with the body `begin`. With half lists, another kernel adds each pair's
+    stiffness to entries of `estimate.sums` for both of its spheres. This kernel sets these entries to zero after use,
+    for the next estimate.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -329,10 +330,11 @@ def keep_kernel(scalar) -> wp.Kernel:
 
 @functools.cache
 def step_kernel(scalar, subcycling: bool) -> wp.Kernel:
-    """Return the kernel that sets the stable step and the next time step of each scene, with one thread per scene.
+    """Return the kernel that computes the stable step and the next time step of each scene, with one thread per scene.
 
-    The stable step also takes driven walls into account. With `by_device`, the kernel lets scenes continue that were
-    halted for the estimate. A scene without a usable step stays halted, so that the host can report it.
+    The stable step is also limited by walls that a force drives. A scene halts while its stable step is estimated. With
+    `by_device`, this kernel lets the scene continue. A scene without a usable step stays halted, so that the host can
+    report it.
     """
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls

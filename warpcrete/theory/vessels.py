@@ -161,9 +161,9 @@ def box_at_rest(
 def box_slope(near: float, width: float) -> tuple[float, float]:
     """Return two integrals over the depth of concrete at rest in a long box, from 0 at its front to `near` [m].
 
-    With the constant A = 2 tau / (rho g b) of a box of `width` b [m], the first integral [m] is A times the length that
-    the concrete covers, and the second one [m2] is A / b times its volume (Roussel 2007). Both follow from the equation
-    of :func:`box_at_rest`.
+    They follow from the equation of :func:`box_at_rest` (Roussel 2007). Let tau be the yield stress, rho the density, g
+    the gravity, b the box's `width` [m], and A = 2 tau / (rho g b). The first integral [m] is A times the length that
+    the concrete covers. The second integral [m2] is A / b times the volume of the concrete.
     """
     bent = 0.5 * width * math.log1p(2 * near / width)
     return near - bent, 0.5 * near * near - 0.5 * width * (near - bent)

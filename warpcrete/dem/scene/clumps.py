@@ -80,8 +80,8 @@ def union_properties(
     volume = z0.sum() * area
     centroid = np.array([(gx * z0).sum(), (gy * z0).sum(), z1.sum()]) * area / volume
     second = np.empty((3, 3))
-    # Each line of the integration represents a prism of rectangular cross-section, whose own second moment of area adds
-    # step^2/12 in x and in y.
+    # The integration sums over vertical prisms of rectangular cross-section. A prism's extent in x adds steps[0]^2/12
+    # to the mean of x^2 in the prism, and its extent in y adds steps[1]^2/12 to the mean of y^2.
     second[0, 0] = ((gx**2 + steps[0] ** 2 / 12) * z0).sum()
     second[1, 1] = ((gy**2 + steps[1] ** 2 / 12) * z0).sum()
     second[2, 2] = z2.sum()

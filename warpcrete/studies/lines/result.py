@@ -54,10 +54,10 @@ class Loss:
         return range_of(self.part, self.straight)
 
     def at(self, end: int) -> float:
-        """Return the lower (`end` = 0) or upper (`end` = 1) limit of the part's friction [Pa].
+        """Return the lower (`end` = 0) or upper (`end` = 1) limit of the friction in this part of the pump line [Pa].
 
-        The limit follows from the part's range of factors. A range that does not contain the computed friction is
-        widened up to the computed friction.
+        The limits are the ends of `range`, multiplied by the friction of straight pipe. If the computed friction lies
+        outside these limits, it replaces the nearer one. Without a range, both limits equal the computed friction.
         """
         if self.range is None:
             return self.friction
@@ -102,8 +102,8 @@ class LineResult:
     stop: Stop | None = None
     """Stop of the pump, after which the line must start again; None for no stop."""
     fit: LineFit | None = None
-    """Fit of the slip layer and of the bends' factor to pressures of a trial line; None if no trial line was given, so
-    that the concrete's own constants hold."""
+    """Constants of the slip layer and friction of the bends, fitted to pressures measured on a trial line. The value is
+    None if no trial line was given."""
 
     def __repr__(self) -> str:
         return f"<LineResult of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"

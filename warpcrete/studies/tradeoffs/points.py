@@ -50,9 +50,10 @@ class Setting:
     """All parameters that have an effect on the scene, including those with default values."""
 
     def values(self, quantity: str, seeds: Sequence[int]) -> list[float]:
-        """Return the values of a quantity in the runs with these seeds.
+        """Return the values of a result quantity in the runs with the given seeds.
 
-        A quantity that means something else at this setting is converted to its meaning in the scene as given.
+        The runs may use other accuracy parameters than the scene as given, such as another element size. If this
+        changes the meaning of a quantity, its values are converted to the meaning in the scene as given.
         """
         found = [number(self.results[s][quantity]) for s in seeds if self.results.get(s, {}).get(quantity) is not None]
         offset, factor = self.converted.get(quantity, (0.0, 1.0))
