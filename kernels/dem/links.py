@@ -335,9 +335,9 @@ def link_kernel(
 ) -> wp.Kernel:
     """Return the kernel that computes the contact forces of all links (pairs of spheres) that touch.
 
-    The launch has `threads` threads. They first divide the near links among them, which are the pairs close enough to
-    touch within a few steps. Scenes whose near links may miss a contact are left out there. In a second pass the
-    threads divide all links of these scenes.
+    The launch has `threads` threads. In the first pass they share the near links, which are the pairs close enough to
+    touch within a few steps. This pass skips scenes whose near links may lack a contact. In the second pass the threads
+    share all links of the skipped scenes.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs

@@ -110,9 +110,9 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
 def _layer(mix: Mix | None, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the uncertainty of the concrete as keyword arguments for computing a line.
 
-    If the concrete has a mix, the uncertainty consists of concretes with each property at both ends of its band. If an
-    option states a factor, or if the concrete has no mix, the uncertainty is a factor. This factor states how wrong the
-    resistance of the slip layer may be.
+    If the concrete has a mix and no option states a factor, the uncertainty consists of pairs of concretes. The two
+    concretes of a pair have a property at the lower and at the upper end of its band. In all other cases, the
+    uncertainty is a factor, which states how wrong the resistance of the slip layer may be.
     """
     factor = settings["layer_factor"]
     if mix is not None and factor is None:

@@ -244,8 +244,9 @@ def _duct_rate(stress: np.ndarray, a: np.ndarray, b: np.ndarray, law: FlowLaw) -
     if law.name == BINGHAM:
         q = np.minimum(law.yield_stress / stress, 1.0)
         return stress * (1 / (a + b) - q / b + a / (b * (a + b)) * q ** (1 + b / a)) / law.viscosity
-    # Integrate over x, where x^3 is the stress above the yield stress divided by its largest value. As a function of x,
-    # the integrand is smooth even at the yield stress, where the shear rate begins.
+    # Replace the stress by the variable x, from 0 at the yield stress to 1 at the largest stress, so that stress =
+    # yield stress + (largest stress - yield stress) x^3. As a function of x, the integrand is smooth even at the yield
+    # stress, below which the shear rate is zero.
     x = 0.5 * (NODES + 1)
     over = np.maximum(stress - law.yield_stress, 0.0)[:, None]
     at = law.yield_stress + over * x**3

@@ -70,10 +70,10 @@ def _kinds(state: State) -> np.ndarray:
 
 
 def _number(state: State, before: np.ndarray) -> None:
-    """Assign a row of `pairs.load` (force and moment of a bond) to every bond, in the order of the neighbour list.
+    """Assign a row of the array `pairs.load` to every bond, in the order of the neighbour list.
 
-    `before` contains the values of `pairs.bond` before the new bonds were made. Bonds that existed keep their force and
-    moment, and new bonds start without.
+    The row stores the force and the moment of the bond. `before` contains the values of `pairs.bond` before the new
+    bonds were made. Existing bonds keep their force and moment; new bonds start with zero.
     """
     i, j, place = listed_pairs(state)
     bond = state.pairs.bond.numpy().copy()

@@ -343,9 +343,10 @@ class GridFlow(Stepping):
         return math.sqrt(max(self.count * (layout.particle_spacing / layout.spacing) ** layout.axes, 1.0))
 
     def _extrapolate(self, kernel: Any) -> list[Stage]:
-        """Return stages that extrapolate velocities beyond the concrete, each by one cell.
+        """Return the kernel launches that extrapolate velocities beyond the concrete, each by one cell.
 
-        The stages alternate between two arrays, in such an order that the last stage writes to the first array.
+        The launches alternate between two arrays. They begin with the array for which the last launch writes to the
+        first array.
         """
         found = []
         for turn in range(EXTRAPOLATED_CELLS):

@@ -82,9 +82,10 @@ class PartDisplay(Display):
         return np.tile(palette_colours(values[self._drawn_particles], upper, lower), (len(self._mirror_signs), 1))
 
     def plots(self) -> tuple[Plot, ...]:
-        """Return two plots over time: the pressure at the part's start, and the friction gradients.
+        """Return two plots over time: the pressure at the start of the part, and the friction per metre of pipe.
 
-        The friction gradients are those of the straight pipes upstream and downstream of the part's middle.
+        The friction per metre is measured in the straight pipes upstream and downstream of the middle of this part of
+        the pump line.
         """
         return (
             Plot("pressure", "Pressure", (

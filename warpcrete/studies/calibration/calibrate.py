@@ -272,8 +272,9 @@ def _store_results(study: Study, trials: Sequence[Trial], targets: Sequence[Targ
 def _update_posterior(calibration: Calibration, seed: int) -> None:
     """Compute the posterior of the trials so far, and record whether the search may end (`calibration.settled`).
 
-    The posterior is not updated while too few runs have yielded a target. Raises :class:`WarpcreteError` if a target is
-    missing in all runs, or in too many runs when the trials are used up.
+    The posterior is not updated while too few runs have yielded a value for one of the targets. Raises
+    :class:`WarpcreteError` if no run has yielded a value for a target. It is also raised if, after the last trial, too
+    few runs have yielded one.
     """
     searched = calibration.searched
     points = np.array([trial.units for trial in searched])

@@ -23,8 +23,8 @@ AIJ_FACTORS = {"straight": 1.0, "bend": 3.0, "reducer": 2.0, "hose": 2.0}
 """Friction of a kind of part divided by that of a straight pipe of the same length (AIJ); other kinds have 1."""
 JSCE_RISE = ((0.100, 0.125, 0.150), (3.0, 4.0, 5.0))
 """Rule of the JSCE for rising pipe. The first tuple holds diameters of the pipe [m]. The second tuple holds, for each
-diameter, the length of level pipe with the same pressure loss as one metre of rise [m], weight of the concrete
-included."""
+diameter, the length of level pipe [m] that has the same pressure loss as one metre of rise. The loss of the rise
+includes the weight of the concrete."""
 JSCE_BEND, JSCE_REDUCER, JSCE_HOSE, JSCE_HOSE_LENGTH = 6.0, 3.0, 20.0, 8.0
 """Lengths of level pipe [m] that have the same friction as a bend of 90 degrees, a reducer, and a hose of 5 to 8 m
 (JSCE)."""

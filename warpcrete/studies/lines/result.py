@@ -163,7 +163,7 @@ class LineResult:
         return None if self.line.pump is None else PumpMargin(self.line.pump, self.band(), self.flow)
 
     def band(self) -> Band:
-        """Return the pressure at the start of the line [Pa] with its band and the share of each cause of the band."""
+        """Return the pressure at the start of the line [Pa], its uncertainty band, and each cause's share of it."""
         return self.bands()[1][0]
 
     def bands(self) -> tuple[np.ndarray, list[Band]]:
