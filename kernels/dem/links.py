@@ -214,9 +214,10 @@ def contact_update_function(
         scenes: Scenes, spheres: Spheres, pairs: Pairs, links: Links, parameters: wp.array(dtype=Parameters),
         s: wp.int32, ends: wp.vec4i, position_i: t.vec4, position_j: t.vec4, state: wp.int32, kind: wp.int32,
     ) -> wp.bool:  # fmt: skip
-        """Return True if the spheres of a link touch or are bonded; also store the link's state if it changed.
+        """Return True if the spheres of a link (listed pair) touch or are bonded, and update the link's state.
 
-        `state` is the link's value in `links.state`; `kind` is the kind of its bond.
+        `state` is the previous value in `links.state`; the new value is stored only if it differs. `kind` is the kind
+        of the bond between the spheres.
         """
         i, j, k, p = ends[0], ends[1], ends[2], ends[3]
         reach = position_i[3] + position_j[3]

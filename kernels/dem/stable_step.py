@@ -361,9 +361,10 @@ def step_kernel(scalar, subcycling: bool) -> wp.Kernel:
         step = least(estimate.smallest, s)
         if wp.static(subcycling):
             if subcycled.rounds[s] > 0:
-                # A stiff bond with stiffness k has a dashpot with damping c = RELAXATION step k. A round of length
-                # h = step / rounds is stable for a mass m if k h^2 + c h <= m. With c h = RELAXATION rounds k h^2 and
-                # m / k = stable^2 this gives h <= stable / sqrt(1 + RELAXATION rounds).
+                # A sub-cycling round has the length h = step / rounds. It is stable for a mass m on a spring k with a
+                # dashpot c if k h^2 + c h <= m. The dashpot of a stiff bond is c = RELAXATION step k, so c h =
+                # RELAXATION rounds k h^2. With m / k = stable^2, it follows that h <= stable / sqrt(1 + RELAXATION
+                # rounds).
                 rounds = wp.float64(subcycled.rounds[s])
                 stiff = subcycled.stable[s] * rounds / wp.sqrt(one + wp.float64(RELAXATION) * rounds)
                 step = wp.min(wp.float64(SUBCYCLED_STEP_FRACTION) * step, stiff)

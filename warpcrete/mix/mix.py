@@ -225,8 +225,9 @@ def mix_of(
     for wanted, candidates in (("yield stress", yield_stresses(told)), ("viscosity", viscosities(told))):
         tells = list(candidates) if wanted not in bulk else []
         if wanted == "viscosity" and bends:
-            # The other entries, slump flow and the straight line through a viscometer's points, give the viscosity of a
-            # Bingham fluid. They do not apply to a law that bends, so that the viscosity must be stated.
+            # Slump flow and the straight line through a viscometer's points only give the viscosity of a Bingham fluid.
+            # They do not apply to a law whose flow curve is not straight. The mix must therefore state the viscosity
+            # for such a law.
             tells = [each for each in tells if each.way == "concrete"]
             if not tells and wanted not in bulk:
                 refuse("mix viscosity", None, "must be stated beside a flow index or a quadratic viscosity",

@@ -45,13 +45,15 @@ def long_heap_spread(volume: float, yield_stress: float, density: float, gravity
 
 
 HEAPS = {"plane": math.pi / 2, "axial": math.sqrt(3) * math.pi / 4}
-"""Resistance of a heap to stretching, in units of yield stress times depth, for the forms "plane" and "axial".
+"""Resistance of a heap to stretching, divided by yield stress tau and depth h, for the forms "plane" and "axial".
 
 The resistance is the normal stress along the slope minus that across it, beyond what the weight causes, integrated over
-the depth. At height z, shear uses tau (1 - z / h) of the yield stress tau. The stretch takes the rest,
-sqrt(tau^2 - shear^2), whose mean over the depth is (pi / 4) tau. In a plane the normal stresses are s and -s, which
-doubles this mean. About an axis, a heap that keeps its shape has the stress s along the radius and around it, and -2 s
-upwards, with 3 s^2 + shear^2 = tau^2; this multiplies the mean by sqrt(3).
+the depth. At height z, shear uses tau (1 - z / h) of the yield stress. The stretch takes the rest, sqrt(tau^2 -
+shear^2). The mean of the rest over the depth is (pi / 4) tau.
+
+In a plane the normal stresses are s and -s, which doubles this mean. About an axis, a heap that keeps its shape has the
+stress s along the radius and around it, and -2 s upwards, with 3 s^2 + shear^2 = tau^2. This multiplies the mean by
+sqrt(3).
 """
 
 
@@ -60,10 +62,10 @@ def heap_depth(
 ) -> np.ndarray:
     """Return the depth [m] of a heap at rest at the distances `inward` [m] behind the heap's front.
 
-    The depth h follows from rho g h^2 / 2 = tau (inward + HEAPS h). The left side is the outward pressure of the weight
-    over the depth. The plate resists it with tau along the distance `inward`, and the stretched section resists it with
-    HEAPS tau h. The formula for a long heap (:func:`long_heap_spread`) lacks the last term. `form` is "plane" or
-    "axial".
+    The depth h follows from rho g h^2 / 2 = tau (inward + HEAPS h), with the density rho, the gravity g and the yield
+    stress tau. The left side is the outward pressure of the weight over the depth. The plate resists it with tau along
+    the distance `inward`, and the stretched section resists it with HEAPS tau h. The formula for a long heap
+    (:func:`long_heap_spread`) lacks the last term. `form` is "plane" or "axial".
     """
     bears = yield_stress / (density * gravity)
     front = HEAPS[form] * bears

@@ -250,7 +250,7 @@ class NeighborLists:
                     copy_array(kept, array, first, first, count)
 
     def _rebuild(self, sorted_now: bool, searchers: int | None = None) -> Rebuild:
-        """Return the recorded phases of a rebuild, for the present arrays.
+        """Return the launches that rebuild the neighbour lists, recorded for the present arrays.
 
         `sorted_now` must be True if the bodies have just been re-sorted. `searchers` is the number of threads that find
         the neighbours of one sphere; by default it is the number chosen for the present rebuild.

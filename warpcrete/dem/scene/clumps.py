@@ -67,8 +67,8 @@ def union_properties(
     half = np.sqrt(np.maximum(square, 0.0))
     begin = np.where(square > 0, centres[:, 2] - half, np.inf)
     end = np.where(square > 0, centres[:, 2] + half, -np.inf)
-    # Sort the chords in which a line crosses the spheres, and clip each to the end of those before it, so that overlaps
-    # count once.
+    # Each line crosses the spheres in several chords. Sort the chords, and clip each chord where the previous chords
+    # end, so that overlaps count once.
     order = np.argsort(begin, axis=1)
     begin, end = np.take_along_axis(begin, order, 1), np.take_along_axis(end, order, 1)
     reached = np.maximum.accumulate(end, axis=1)
@@ -93,7 +93,7 @@ def union_properties(
 
 
 def clump(name: str, centres: np.ndarray, radii: np.ndarray) -> ClumpTemplate:
-    """Create a template from spheres at any scale and position.
+    """Create the template of a clump (a rigid body of spheres) from spheres at any scale and position.
 
     `centres`, shape (k, 3), and `radii`, shape (k,), are centred, rotated to principal axes and scaled to unit size.
     Raises :class:`SceneError` for invalid input.

@@ -27,7 +27,7 @@ COLUMNS = {"place": "m", "part": "1", "pressure": "Pa", "flow": "m3/s"}
 """Columns of a file of taps, with their SI units: either `place`, the distance from the pump along the line, or `part`,
 the number of the part before which the tap lies."""
 SAME_FLOW = 0.02
-"""Relative difference between the flows up to which they count as equal. The pressures at equal flows do not
+"""Relative difference up to which two flows count as equal. Pressures that were all measured at the same flow do not
 distinguish the yield stress of the slip layer from its viscosity."""
 DEPENDENT = 1e-3
 """Limit for the smallest singular value of the matrix of scaled sensitivities of the pressures to the fitted constants.

@@ -35,8 +35,9 @@ class Loss:
     friction: float
     """Pressure loss by friction [Pa]."""
     theory: float
-    """Friction of the part by the closed form [Pa]: that of straight pipe of the same bore and length, times the factor
-    that the line's file states. Without such a factor, that of a hose is multiplied by the factor of its model."""
+    """Friction of the part by the closed form [Pa]: the friction of straight pipe of the same bore and length,
+    multiplied by a factor. The factor is the one that the line's file states. If the file states none, a hose gets the
+    factor of its model, and other parts get 1."""
     weight: float
     """Pressure due to the weight of the concrete over the part's rise [Pa]."""
 

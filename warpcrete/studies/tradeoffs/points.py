@@ -26,9 +26,9 @@ class Setting:
     """One setting of the scene and the results of its runs."""
 
     origin: str
-    """Origin of the setting: the name of the knob that alone differs from the scene as given, or one of the words "as
-    given", "finest", "combined" and "carried". The word "carried" marks a setting that was repeated in a variant of the
-    scene."""
+    """Origin of the setting. If only one accuracy parameter (knob) differs from the scene as given, this is the knob's
+    name. Otherwise it is one of the words "as given", "finest", "combined" and "carried". The word "carried" marks a
+    setting that was repeated in a variant of the scene."""
     levels: dict[str, int]
     """Level of each accuracy knob that differs from the scene as given, by the knob's name."""
     parameters: dict[str, Any]

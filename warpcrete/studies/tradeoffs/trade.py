@@ -361,7 +361,7 @@ def _find_promises(trade: Trade, tell: Tell) -> None:
 def _test_variants(
     trade: Trade, point: Setting, variants: Mapping[str, Mapping[str, Any]], target: float, tell: Tell
 ) -> tuple[dict[str, Error | None], float]:
-    """Return the largest error of a setting in each variant of the scene, and the setting's promised error bound.
+    """Return a setting's largest error in each variant of the scene, and an upper bound of its error.
 
     Testing stops at the first variant in which the error exceeds `target`. Workers run several variants at a time.
     """
