@@ -15,7 +15,7 @@ but no figure was taken from them."""
 CONES = 3.0
 """Largest factor by which the yield stresses from spread and slump of one cone may lie apart. The factor is the ratio
 of the nearest ends of their uncertainty bands. If it is larger, the two measurements count as contradictory. In 80
-pairs of Yeh (2007) it reaches 1.6."""
+pairs of measurements by Yeh (2007), it reaches 1.6."""
 
 
 @dataclass(frozen=True)

@@ -208,8 +208,7 @@ def rest(device: str, precision: str) -> list[Row]:
         off = float(np.abs(pressure - exact)[full].max())
         found += [
             # Measured errors in a plane: 5e-4 of the pressure at the bottom, 0.06 mm/s of mean speed, and 0.09 % of the
-            # volume. Measured errors in space: 1.5e-3 of the pressure at the bottom, 0.17 mm/s of mean speed, and 0.14
-            # % of the volume.
+            # volume. In space: 1.5e-3 of the pressure at the bottom, 0.17 mm/s of mean speed, and 0.14 % of the volume.
             Row(f"{name}: pressure, largest error over that at the bottom", off / exact.max(), 0.0, 2e-3, scale=1.0),
             Row(f"{name}: speed, mean", float(run.series["mean_speed"][-1]), 0.0, 2e-4, "m/s", scale=1.0),
             Row(f"{name}: volume", 1 + run.result["volume_error"], 1.0, 2e-3),

@@ -304,8 +304,8 @@ class Launcher:
     def _catch_up(self, stages: list[Stage], sizes: list[int]) -> None:
         """Launch the kernels that run only once in several steps, if no replayed graph is long enough for them.
 
-        These launches are the stages with `every` > 1. `sizes` are the numbers of steps in the graphs that have just
-        been replayed.
+        These kernels are the stages with `every` > 1. They are launched when at least `every` steps have passed since
+        their last launch. `sizes` are the numbers of steps in the graphs that have just been replayed.
         """
         periodic = [stage for stage in stages if stage.every > 1]
         if not periodic:

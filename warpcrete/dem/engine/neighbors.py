@@ -265,11 +265,11 @@ class NeighborLists:
         return self._recorded[key]
 
     def _phases(self, sorted_now: bool, searchers: int) -> list[Phase]:
-        """Return the phases of a rebuild, in the only order in which they may run.
+        """Return the phases of a rebuild of the neighbour lists, in the only order in which they may run.
 
-        No phase before `starts` changes the current lists. If a device that rebuilds its lists without the host finds
-        after `count` that its arrays are too small, it can therefore stop, and the host repeats the rebuild. The host
-        reads the lengths of the lists after `starts`.
+        A device may rebuild its lists without the host. After the phase `count`, it may find that its arrays are too
+        small. It can then stop, because no phase before `starts` changes the current lists. The host repeats the
+        rebuild with larger arrays. The host reads the lengths of the lists after `starts`.
         """
         b, n = self.batch, self.batch.sphere_count
         old_place = self._old_place if sorted_now else self._identity

@@ -36,8 +36,8 @@ Progress = Callable[[str, float, dict[str, Any]], None]
 MIN_VALUES = 3
 """Minimum number of runs that must yield a target's quantity before a posterior is computed."""
 SETTLED_ERROR_RATIO = 0.5
-"""Limit for the ratio of two standard deviations: the error of the Gaussian-process emulator and the uncertainty of a
-target. Below this limit, more runs would not change the answer."""
+"""Limit for the error of the Gaussian-process emulator divided by the uncertainty of a target, both as standard
+deviations. Below this limit, more runs would not change the answer."""
 SETTLED_SHIFT = 0.25
 """Shift of the posterior mean in one round, in posterior standard deviations, below which the answer is settled."""
 

@@ -26,8 +26,8 @@ JSCE_RISE = ((0.100, 0.125, 0.150), (3.0, 4.0, 5.0))
 diameter, the length of level pipe [m] that has the same pressure loss as one metre of rise. The loss of the rise
 includes the weight of the concrete."""
 JSCE_BEND, JSCE_REDUCER, JSCE_HOSE, JSCE_HOSE_LENGTH = 6.0, 3.0, 20.0, 8.0
-"""Lengths of level pipe [m] that have the same friction as a bend of 90 degrees, a reducer, and a hose of 5 to 8 m
-(JSCE)."""
+"""Lengths of level pipe [m] with the same friction as a bend of 90 degrees (JSCE_BEND), a reducer (JSCE_REDUCER) and a
+hose (JSCE_HOSE). The hose is 5 to 8 m long (JSCE)."""
 JGJ_LEVEL, JGJ_RISE = 0.1e6 / 20, 0.1e6 / 5
 """Pressure loss of a metre of level pipe and of a metre of rise [Pa/m] (JGJ/T 10)."""
 JGJ_BEND, JGJ_HOSE, JGJ_HOSE_LENGTH, JGJ_VALVE = 0.1e6, 0.2e6, 5.0, 0.8e6
