@@ -34,8 +34,8 @@ __all__ = [
 
 MUCH_STIFFER = 200.0
 """Ratio of the modulus of hydrated bonds to the largest other modulus, above which sub-cycling of the bonds saves
-computing time. At a ratio of 100, a run with sub-cycling takes as long as a run without, whose
-time steps must all be as short as the stiff bonds require."""
+computing time. At a ratio of 100, a run with sub-cycling takes as long as a run without, whose time steps must all be
+as short as the stiff bonds require."""
 
 
 @dataclass(frozen=True, kw_only=True)

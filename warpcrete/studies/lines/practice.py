@@ -26,12 +26,13 @@ JSCE_RISE = ((0.100, 0.125, 0.150), (3.0, 4.0, 5.0))
 diameter, the length of level pipe [m] that has the same pressure loss as one metre of rise. The loss of the rise
 includes the weight of the concrete."""
 JSCE_BEND, JSCE_REDUCER, JSCE_HOSE, JSCE_HOSE_LENGTH = 6.0, 3.0, 20.0, 8.0
-"""Lengths of level pipe [m] with the same friction as a bend of 90 degrees (JSCE_BEND), a reducer (JSCE_REDUCER) and a
-hose (JSCE_HOSE). The hose is 5 to 8 m long (JSCE)."""
+"""Rule of the JSCE: lengths of level pipe [m] with the same friction as a bend of 90 degrees, a reducer, and a hose of
+5 to 8 m. JSCE_HOSE_LENGTH is the greatest length of such a hose [m]."""
 JGJ_LEVEL, JGJ_RISE = 0.1e6 / 20, 0.1e6 / 5
 """Pressure loss of a metre of level pipe and of a metre of rise [Pa/m] (JGJ/T 10)."""
 JGJ_BEND, JGJ_HOSE, JGJ_HOSE_LENGTH, JGJ_VALVE = 0.1e6, 0.2e6, 5.0, 0.8e6
-"""Pressure loss of a bend of 90 degrees, of a rubber hose of 3 to 5 m, and of a stop valve [Pa] (JGJ/T 10)."""
+"""Pressure loss of a bend of 90 degrees, of a rubber hose of 3 to 5 m, and of a stop valve [Pa] (JGJ/T 10).
+JGJ_HOSE_LENGTH is the greatest length of such a hose [m]."""
 
 
 @dataclass(frozen=True)
