@@ -134,8 +134,9 @@ def result_functions(scalar, count: int):
                 if found > 3:
                     r = row_of(row / 2, w)
                     g, h = read_vec4(links.result, r), read_vec4(links.result, r + 1)
-                # Add the results of links strictly one after the other, so that their rounding is always the same. A
-                # link whose spheres have just separated adds zeros, which do not change this rounding.
+                # Add the results of a sphere's links (contacts with other spheres) strictly one after the other, so
+                # that their rounding is always the same. A link whose spheres have just separated adds zeros, which do
+                # not change this rounding.
                 force = (((force + force_on_end(q, a)) + force_on_end(u, c)) + force_on_end(v, e)) + force_on_end(w, g)
                 moment = (moment + moment_on_end(q, a, b)) + moment_on_end(u, c, d)
                 moment = (moment + moment_on_end(v, e, f)) + moment_on_end(w, g, h)

@@ -92,11 +92,11 @@ class Mix:
 
     @property
     def variants(self) -> dict[str, tuple[Concrete, Concrete]]:
-        """Pairs of concretes, by the cause of the uncertainty.
+        """Pairs of concretes for each cause of uncertainty, by the name of the cause.
 
-        The first concrete of a pair has the properties of one cause, such as the slip layer, at the lower end of their
-        bands, and the second has them at the upper end. All other properties have their best values. A cause without a
-        band is left out.
+        A cause, such as the slip layer, comprises several properties of the concrete. The first concrete of a pair has
+        these properties at the lower ends of their bands, and the second concrete has them at the upper ends. All other
+        properties have their best values. A cause without a band is left out.
         """
         found = {}
         for cause, keys in CAUSES.items():

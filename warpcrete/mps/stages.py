@@ -59,7 +59,7 @@ def step_parts(particles: Any) -> list[StepPart]:
 
 
 class StepPart:
-    """Part of a time step that one thread does.
+    """Share of a time step that one thread does.
 
     The thread processes the ranges of particles with the numbers `parts`. The first thread also does the work that is
     not divided among threads.

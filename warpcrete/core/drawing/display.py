@@ -273,9 +273,9 @@ class Display(ABC):
         return None
 
     def wall_values(self, number: int) -> np.ndarray | None:
-        """Return the painted quantity at the vertices of a drawn wall, shape (v,), in the displayed unit.
+        """Return the quantity that colours a drawn wall, at the vertices of the wall, shape (v,).
 
-        Return None for a wall of a single colour.
+        It is given in the displayed unit. The result is None for a wall of a single colour.
         """
         return None
 

@@ -198,9 +198,10 @@ class NeighborLists:
         self._cells.use_width(width)
 
     def link(self, s: int) -> None:
-        """Build the links (listed pairs) of scene `s` from neighbour lists that a checkpoint contained.
+        """Build the links of scene `s` from neighbour lists that a checkpoint contained.
 
-        Half lists have no links, so nothing is done for them.
+        A link stands for a listed pair when the GPU computes contact forces. Half lists have no links, so nothing is
+        done for them.
         """
         if self.batch.features.half_list:
             return
