@@ -184,11 +184,11 @@ class LongBoxElements(LongBox, VesselParameters):
 
 @scene_function(LongBoxElements)
 def scene_dem(parameters: LongBoxElements) -> Scene:
-    """Model the LCPC box by discrete elements: spread length, depth, and the yield stress they tell (Roussel 2007).
+    """Model the LCPC box by discrete elements, and compute spread length, depth and yield stress (Roussel 2007).
 
     The concrete is not poured; it stands behind a gate at one end, and the gate is lifted slowly. `plate_grip` scales
-    the resistance of the floor and the sides to sliding, and `mould_grip` that of the gate. With the laws mortar and
-    plastic, closed forms stand beside the results.
+    the resistance of the floor and the sides to sliding, and `mould_grip` that of the gate. With the contact laws
+    mortar and plastic, the result also contains values from closed forms for comparison.
 
     Raises :class:`warpcrete.SceneError` for parameters that cannot be simulated.
     """

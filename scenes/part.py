@@ -134,7 +134,7 @@ class _PipeCourse:
 
 
 def _unit(given: PartParameters) -> _PipeCourse:
-    """Return axis, inner radii and, if it is a mesh, the wall of the pipe of a single part (not of a whole line)."""
+    """Return the axis and the inner radii of a pipe that is a single part, and its wall if the wall is a mesh."""
     bends = given.unit.startswith("bend")
     if given.unit == "mesh":
         return _mesh(given)

@@ -17,9 +17,10 @@ PLANE: int = wp.constant(0)
 PIPE: int = wp.constant(1)
 MESH: int = wp.constant(2)
 
-# For each edge of a mesh face, an array stores the opposite corner of the neighbouring face. Unless exactly one other
-# face shares the edge, it stores a negative code instead: BORDER if no other face shares the edge, and SHARED minus a
-# row number if several do. This row of a second array (`ring`) then lists the opposite corners of all these faces.
+# An array stores a number for each edge of a mesh face. If exactly one other face shares the edge, the number is the
+# corner of that face opposite the edge. If no other face shares the edge, the number is BORDER. If several faces share
+# the edge, it is SHARED - k, where k is the number of a list in a second array, `ring`. This list contains the opposite
+# corners of all these faces.
 BORDER: int = wp.constant(-1)
 SHARED: int = wp.constant(-2)
 

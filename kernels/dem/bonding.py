@@ -12,10 +12,10 @@ from .structs import array_structs
 
 @functools.cache
 def bond_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
-    """Return the kernels ``make`` (bond contacts within a gap) and ``reassign`` (change the kind of a random fraction).
+    """Return the kernels ``make``, which bonds close pairs of spheres, and ``reassign``, which changes kinds of bonds.
 
-    They run over the spheres of one scene. The structs passed to them contain the arrays of this scene alone, not those
-    of a batch of scenes.
+    Each launch processes the spheres of one scene. The structs passed to it contain the arrays of this scene alone, not
+    those of a batch of scenes.
     """
     structs = array_structs(scalar)
     Bodies, Spheres, Pairs = structs.Bodies, structs.Spheres, structs.Pairs

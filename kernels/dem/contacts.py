@@ -132,9 +132,9 @@ def contact_kernel(
                 if block < end:
                     bits, held = close_entries(spheres, pairs, base, position_i, block, wp.min(BLOCK, end - block))
                     if wp.static(history or healing):
-                        # Pairs with a stiff bond (`held`) count as touching here. The kernel first checks such a pair
-                        # after its bond has broken, when the spheres may already have separated. It clears the contact
-                        # history only of pairs that counted as touching before.
+                        # Pairs with a stiff bond (`held`) count as touching, even if their spheres are apart. When such
+                        # a bond breaks, the pair may therefore change from touching to apart in one step. In this case,
+                        # the kernel clears the pair's contact history.
                         parted = wp.static(ALL_TOUCHED) & ~(bits | held)
                         if block == begin:
                             before = spheres.touching[i]

@@ -180,8 +180,9 @@ def gather_function(scalar, law, history: bool, bonds: bool, healing: bool, mixe
 def evaluate_function(scalar, law, history: bool, bonds: bool, dissipation: bool, mixed: bool):
     """Return the function `evaluate`, which computes forces and moments of all lanes and updates histories and bonds.
 
-    Without `mixed`, all spheres have one material and all lanes share one parameter set. Reading parameters in the loop
-    would keep the compiler from vectorising it.
+    A lane is one of the contacts that the vector instructions of a CPU process together. Without `mixed`, all spheres
+    have one material, and all lanes share one parameter set that is read before the loop. Reading parameters in the
+    loop would keep the compiler from vectorising it.
     """
     t = types(scalar)
     Columns, Ints = wp.array(dtype=scalar), wp.array(dtype=wp.int32)

@@ -53,10 +53,10 @@ def mark_function(scalar):
 
 @functools.cache
 def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, lanes: int) -> SimpleNamespace:
-    """Return the kernels of a rebuild: ``clear_links`` over links, ``count_own`` over spheres, and ``fill_links``.
+    """Return the kernels that create the links (pairs as the GPU evaluates them) when neighbour lists are rebuilt.
 
-    ``fill_links`` runs with `lanes` threads per sphere, which share the sphere's list entries. `rows` is the number of
-    rows in which a link stores its forces.
+    ``clear_links`` runs over links, and ``count_own`` over spheres. ``fill_links`` runs with `lanes` threads per
+    sphere, which share the sphere's list entries. `rows` is the number of rows in which a link stores its forces.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -113,10 +113,10 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
         flags: wp.array2d(dtype=wp.int32), scenes: Scenes, pairs: Pairs, scanned: wp.array(dtype=wp.int32),
         spheres: Spheres, links: Links,
     ):  # fmt: skip
-        """Create one link per pair, at the list entry of the sphere with the lower permanent number.
+        """Create one link for each listed pair, at the list entry of the sphere with the lower permanent number.
 
-        The pair's bond is also copied to the list entry of the other sphere. A link with contact history or a bond
-        counts as touching until a step checks it.
+        A link stands for the pair when the GPU computes contact forces. The pair's bond is also copied to the list
+        entry of the other sphere. A link with contact history or a bond counts as touching until a time step checks it.
         """
         i = wp.tid() / lanes
         s = spheres.scene[i]

@@ -134,8 +134,9 @@ def result_functions(scalar, count: int):
                 if found > 3:
                     r = row_of(row / 2, w)
                     g, h = read_vec4(links.result, r), read_vec4(links.result, r + 1)
-                # Add the results of links strictly one after the other, so that their rounding is always the same. A
-                # link whose spheres have just separated adds zeros, which do not change this rounding.
+                # Add the results of a sphere's links (contacts with other spheres) strictly one after the other, so
+                # that their rounding is always the same. A link whose spheres have just separated adds zeros, which do
+                # not change this rounding.
                 force = (((force + force_on_end(q, a)) + force_on_end(u, c)) + force_on_end(v, e)) + force_on_end(w, g)
                 moment = (moment + moment_on_end(q, a, b)) + moment_on_end(u, c, d)
                 moment = (moment + moment_on_end(v, e, f)) + moment_on_end(w, g, h)
@@ -214,9 +215,10 @@ def contact_update_function(
         scenes: Scenes, spheres: Spheres, pairs: Pairs, links: Links, parameters: wp.array(dtype=Parameters),
         s: wp.int32, ends: wp.vec4i, position_i: t.vec4, position_j: t.vec4, state: wp.int32, kind: wp.int32,
     ) -> wp.bool:  # fmt: skip
-        """Return True if the spheres of a link touch or are bonded; also store the link's state if it changed.
+        """Return True if the spheres of a link (listed pair) touch or are bonded, and update the link's state.
 
-        `state` is the link's value in `links.state`; `kind` is the kind of its bond.
+        `state` is the previous value in `links.state`; the new value is stored only if it differs. `kind` is the kind
+        of the bond between the spheres.
         """
         i, j, k, p = ends[0], ends[1], ends[2], ends[3]
         reach = position_i[3] + position_j[3]
@@ -335,9 +337,9 @@ def link_kernel(
 ) -> wp.Kernel:
     """Return the kernel that computes the contact forces of all links (pairs of spheres) that touch.
 
-    The launch has `threads` threads. They first divide the near links among them, which are the pairs close enough to
-    touch within a few steps. Scenes whose near links may miss a contact are left out there. In a second pass the
-    threads divide all links of these scenes.
+    The launch has `threads` threads. In the first pass they share the near links, which are the pairs close enough to
+    touch within a few steps. This pass skips scenes whose near links may lack a contact. In the second pass the threads
+    share all links of the skipped scenes.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs

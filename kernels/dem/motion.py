@@ -197,10 +197,12 @@ def clearing_function(scalar, half: bool):
 def placing_function(scalar, growth: bool, meshes: bool, half: bool):
     """Return the function `place_sphere`, which stores a sphere's new position and checks the neighbour lists.
 
-    The function sets LATE if the neighbour lists may miss a contact in the next step, and `near_list_exceeded` if the
-    near links (the close pairs among them) may do so. It sets FAILED if a sphere moves by more than its radius in one
-    step, because the sphere may then pass through another one or a wall. During growth in packing this is no failure,
-    because spheres start small and overlap anyway.
+    The function sets three flags:
+
+    - LATE, if the neighbour lists may miss a contact in the next step.
+    - `near_list_exceeded`, if the list of near links (the close pairs among the listed ones) may miss a contact.
+    - FAILED, if a sphere moves by more than its radius in one step. It could then pass through another sphere or a
+      wall. During growth in packing this is no failure, because spheres start small and overlap anyway.
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -75,8 +75,9 @@ def pair_functions(scalar):
         arm_i = position_i[3] + scalar(0.5) * gap
         arm_j = position_j[3] + scalar(0.5) * gap
         apart = sign * (xyz(velocity_j) - xyz(velocity_i))
-        # The two copies of a pair must give the same bits, also where the compiler fuses multiply and add. This form of
-        # arm_i spin_i + arm_j spin_j rounds the same way when i and j are exchanged.
+        # A pair is stored twice, as (i, j) and as (j, i). Both copies must give the same bits, even if the compiler
+        # fuses a multiplication and an addition. The following form of arm_i spin_i + arm_j spin_j rounds in the same
+        # way when i and j are exchanged.
         spins = spin_i + spin_j
         sliding = (scalar(0.5) * (arm_i + arm_j)) * spins
         sliding = sliding + (scalar(0.5) * (arm_j - arm_i)) * (spin_j - spin_i)

@@ -210,8 +210,9 @@ def floor_function(scalar, pair_law, wall_law):
 def reduce_kernel(scalar, pair_law, wall_law, half: bool) -> wp.Kernel:
     """Return the kernel that finds the smallest stable step of each scene.
 
-    It runs with one task per body, from the body `begin` on. With half lists it also clears `estimate.sums`, to which
-    both spheres of a pair add.
+    It runs with one task per body, beginning with the body `begin`. With half lists, another kernel adds each pair's
+    stiffness to entries of `estimate.sums` for both of its spheres. This kernel sets these entries to zero after use,
+    for the next estimate.
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -329,10 +330,11 @@ def keep_kernel(scalar) -> wp.Kernel:
 
 @functools.cache
 def step_kernel(scalar, subcycling: bool) -> wp.Kernel:
-    """Return the kernel that sets the stable step and the next time step of each scene, with one thread per scene.
+    """Return the kernel that computes the stable step and the next time step of each scene, with one thread per scene.
 
-    The stable step also takes driven walls into account. With `by_device`, the kernel lets scenes continue that were
-    halted for the estimate. A scene without a usable step stays halted, so that the host can report it.
+    The stable step is also limited by walls that a force drives. A scene halts while its stable step is estimated. With
+    `by_device`, this kernel lets the scene continue. A scene without a usable step stays halted, so that the host can
+    report it.
     """
     structs = array_structs(scalar)
     Scenes, Walls = structs.Scenes, structs.Walls
@@ -359,9 +361,10 @@ def step_kernel(scalar, subcycling: bool) -> wp.Kernel:
         step = least(estimate.smallest, s)
         if wp.static(subcycling):
             if subcycled.rounds[s] > 0:
-                # A stiff bond with stiffness k has a dashpot with damping c = RELAXATION step k. A round of length
-                # h = step / rounds is stable for a mass m if k h^2 + c h <= m. With c h = RELAXATION rounds k h^2 and
-                # m / k = stable^2 this gives h <= stable / sqrt(1 + RELAXATION rounds).
+                # A sub-cycling round has the length h = step / rounds. It is stable for a mass m on a spring k with a
+                # dashpot c if k h^2 + c h <= m. The dashpot of a stiff bond is c = RELAXATION step k, so c h =
+                # RELAXATION rounds k h^2. With m / k = stable^2, it follows that h <= stable / sqrt(1 + RELAXATION
+                # rounds).
                 rounds = wp.float64(subcycled.rounds[s])
                 stiff = subcycled.stable[s] * rounds / wp.sqrt(one + wp.float64(RELAXATION) * rounds)
                 step = wp.min(wp.float64(SUBCYCLED_STEP_FRACTION) * step, stiff)

@@ -155,9 +155,9 @@ def array_structs(scalar) -> SimpleNamespace:
         rolling: wp.array(dtype=t.vec3)  # moment of the rolling-resistance spring [N m], shape (pairs,)
         # bond state, see `bond_parallel.py`; 0 without a bond, negative if it broke, shape (pairs,)
         bond: wp.array(dtype=wp.int32)
-        # `load` holds force and moment of each bond, shape (rows,): shear vector and tension [N], bending vector and
-        # torsion [N m]. It is one array because a GPU moves memory in units of 32 bytes. How bonds get
-        # their rows is explained in `warpcrete/dem/engine/bonding.py`.
+        # `load` holds the force and the moment of each bond, shape (rows,). The force consists of shear vector and
+        # tension [N], the moment of bending vector and torsion [N m]. Both are in one array, because a GPU moves memory
+        # in units of 32 bytes. `warpcrete/dem/engine/bonding.py` explains which row a bond uses.
         load: wp.array(dtype=t.vec8)
 
     @wp.struct

@@ -31,12 +31,15 @@ OUTCOME = 4
 
 @functools.cache
 def solver_functions(scalar, dimensions: int, vector: bool) -> SimpleNamespace:
-    """Build the functions that a solve applies to each row of the equations, for vector or scalar unknowns.
+    """Build the functions that a linear solver applies to each row of the equations, for vector or scalar unknowns.
 
-    `inner` returns the inner product of two values, and `divided` a residual divided by the diagonal (the
-    preconditioner). `share` does the same for a rigid grain. `bounded` adds boundary conditions to a row of the matrix
-    product: for velocities the `drag` along the wall; for scalars the value zero at the free surface. The namespace
-    also holds `value`, the type of an unknown, and `Solve`, the struct of the working arrays.
+    - `inner`: inner product of two values.
+    - `divided`: residual divided by the diagonal coefficient of the row (the preconditioner).
+    - `share`: the same for a rigid grain.
+    - `bounded`: row of the matrix product with boundary conditions. For velocities the condition is the `drag` along
+      the wall, for scalars the value zero at the free surface.
+
+    The namespace also holds `value`, the type of an unknown, and `Solve`, the struct of the solver's working arrays.
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)

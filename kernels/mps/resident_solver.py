@@ -46,10 +46,11 @@ def sum_functions(width: int) -> SimpleNamespace:
     def accumulate(
         thread: wp.int32, partial: wp.array(dtype=wp.float64), first: wp.int32, own: wp.float64
     ) -> wp.float64:
-        """Return the contribution `own` if there is a single block; otherwise add it to a partial sum and return 0.
+        """Take a thread's contribution `own` to a sum, and return the amount that the thread itself must add up.
 
-        The calling thread adds up the returned values. If there are several blocks, the contributions of all threads
-        of a block are summed, and the sum is stored in `partial`.
+        If there is only one block, nothing is stored and the result is `own`. Each thread adds up its results, and
+        `total_of` sums them. If there are several blocks, the result is 0. The contributions of the threads of a block
+        are then summed, and their sum is stored in `partial`.
         """
         if wp.static(alone):
             return own

@@ -110,8 +110,9 @@ def _check_options(method: str, simulate: bool, theory: bool, settings: Mapping[
 def _layer(mix: Mix | None, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return the uncertainty of the concrete as keyword arguments for computing a line.
 
-    If the concrete has a mix and no option states a factor, these are the pairs of concretes at the ends of the mix's
-    bands. Otherwise, a factor states how wrong the resistance of the slip layer may be.
+    If the concrete has a mix and no option states a factor, the uncertainty consists of pairs of concretes. The two
+    concretes of a pair have a property at the lower and at the upper end of its band. In all other cases, the
+    uncertainty is a factor, which states how wrong the resistance of the slip layer may be.
     """
     factor = settings["layer_factor"]
     if mix is not None and factor is None:

@@ -137,7 +137,7 @@ def _flow(settings: Mapping[str, Any], line: PipeLine) -> float | None:
 def _with_pump(line: PipeLine, limits: Mapping[str, str | None]) -> PipeLine:
     """Return the line with a pump whose limits come from the command's options.
 
-    A limit that no option states is that of the line's own pump.
+    If no option states a limit, the limit of the line's own pump holds.
     """
     stated = {key: value for key, value in limits.items() if value is not None}
     if not stated:

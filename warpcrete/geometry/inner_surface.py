@@ -27,8 +27,8 @@ VISIBILITY_TOLERANCE = 1e-3
 OFFSET = 1e-4
 """Distance in radii from a facet, on both of its sides, of the points from which the facet's visibility is tested."""
 CORNER_WEIGHT = 0.8
-"""Weight of the corner in the weighted mean of a triangle's corner and its centre. The visibility of a triangle is
-tested at these means for its three corners, and at its centre."""
+"""Weight of a corner in the weighted mean of this corner and the triangle's centre. The visibility of a triangle is
+tested at its centre, and at the weighted means for its three corners."""
 
 
 class InnerSurface:

@@ -82,8 +82,12 @@ class Surfaces:
     def ring(self) -> np.ndarray:
         """Return an array of the adjacency lists of all corners, then of all edges shared by three or more faces.
 
-        Each list begins with the lowest index, within the mesh, of the faces next to the corner or edge. In the list of
-        a corner, the other ends of its edges follow. In the list of an edge, the opposite corners of its faces follow.
+        - The list of a corner: the lowest index of the faces at the corner, then the other ends of the edges at the
+          corner.
+        - The list of an edge: the lowest index of the faces at the edge, then the corners of these faces opposite the
+          edge.
+
+        The indices of faces are indices within the mesh.
         """
         return np.concatenate([np.empty(0, np.int32), *self._rows()]).astype(np.int32)
 

@@ -113,9 +113,10 @@ def line_rules(line: PipeLine, mix: MixEntries | None) -> list[RuleVerdict]:
 
 
 def narrowest(line: PipeLine) -> Part:
-    """Return the narrowest part of a line, where stones are most likely to form an arch.
+    """Return the narrowest part of a pump line, where stones are most likely to form an arch.
 
-    Among equally narrow parts, a reducer takes precedence, then a bore of a mesh, then a bend, then any other part.
+    Among equally narrow parts, a reducer comes first, then a part whose bore is a mesh, then a bend, then any other
+    part. A valve comes last.
     """
     order = {"reducer": 0, "bore": 1, "bend": 2, "valve": 9}
     return min(line.parts, key=lambda part: (round(part.narrow, 9), order.get(part.kind, 3), part.number))

@@ -13,8 +13,9 @@ factor is a choice: comparisons of rheometers show that results differ (Ferraris
 but no figure was taken from them."""
 
 CONES = 3.0
-"""Factor by which the bands of yield stress from spread and slump of one cone may differ before they count as
-contradictory. In 80 pairs of Yeh (2007) they differ by up to 1.6."""
+"""Largest factor by which the yield stresses from spread and slump of one cone may lie apart. The factor is the ratio
+of the nearest ends of their uncertainty bands. If it is larger, the two measurements count as contradictory. In 80
+pairs of measurements by Yeh (2007), it reaches 1.6."""
 
 
 @dataclass(frozen=True)
@@ -90,9 +91,10 @@ def line_uncertainty(error: float, count: int, value: float, default: float) -> 
 
 
 def of_line(name: str, value: float, off: float, unit: str, way: str, count: int) -> Figure:
-    """Return a property that is the slope or the intercept of a straight line through `count` points.
+    """Return a property of concrete that was measured as the slope or the intercept of a straight line.
 
-    `off` is the uncertainty of the value in `unit`. Raises :class:`SceneError` if the value is impossible.
+    The line goes through `count` points. `off` is the uncertainty of the value, in `unit`. Raises :class:`SceneError`
+    if the value is impossible.
     """
     viscous = unit.startswith("Pa s")
     if value < 0 or (viscous and value == 0):

@@ -95,9 +95,9 @@ DENSEST_PASTE = 0.75
 """Largest possible share of powder in the volume of the paste. The paste with the lowest water-binder ratio in use,
 0.12, has a share of 0.74."""
 PASTE_TOLERANCE = 0.08
-"""Largest difference between the volume fraction of powder in the paste that follows from the ratio of water to binder,
-and the one that follows from the masses of the parts. A larger difference is a contradiction. The density of the
-powder, which the ratio does not state, accounts for up to 0.07."""
+"""Limit for the difference between two values of the volume fraction of powder in the paste. One value follows from the
+ratio of water to binder, the other one from the masses of the ingredients. A larger difference is a contradiction. The
+ratio does not state the density of the powder, which accounts for up to 0.07 of the difference."""
 DENSITY_TOLERANCE = 0.03
 """Largest relative difference between two values of the same density, such as a stated one and a sum of ingredients. If
 they differ by more, the mix is refused."""

@@ -58,9 +58,10 @@ Pair = tuple[Figure, Figure]
 
 
 def paste_layer(solids: float) -> float:
-    """Return the layer's viscosity [Pa s/m] for paste with a volume fraction `solids` of powder.
+    """Return the viscosity [Pa s/m] of a slip layer that consists of paste with a volume fraction `solids` of powder.
 
-    The relation has the form of Krieger & Dougherty (1959) for spheres: 128 (1 - solids / 0.85)^(-2.5 0.85).
+    The relation has the form of Krieger & Dougherty (1959) for spheres: 128 times (1 - solids / 0.85) to the power
+    -2.125, which is -2.5 times 0.85.
     """
     return PASTE_CONSTANT * (1 - solids / PASTE_DENSEST) ** (-2.5 * PASTE_DENSEST)
 

@@ -92,11 +92,11 @@ class Mix:
 
     @property
     def variants(self) -> dict[str, tuple[Concrete, Concrete]]:
-        """Pairs of concretes, by the cause of the uncertainty.
+        """Pairs of concretes for each cause of uncertainty, by the name of the cause.
 
-        The first concrete of a pair has the properties of one cause, such as the slip layer, at the lower end of their
-        bands, and the second has them at the upper end. All other properties have their best values. A cause without a
-        band is left out.
+        A cause, such as the slip layer, comprises several properties of the concrete. The first concrete of a pair has
+        these properties at the lower ends of their bands, and the second concrete has them at the upper ends. All other
+        properties have their best values. A cause without a band is left out.
         """
         found = {}
         for cause, keys in CAUSES.items():
@@ -225,8 +225,9 @@ def mix_of(
     for wanted, candidates in (("yield stress", yield_stresses(told)), ("viscosity", viscosities(told))):
         tells = list(candidates) if wanted not in bulk else []
         if wanted == "viscosity" and bends:
-            # The other entries, slump flow and the straight line through a viscometer's points, give the viscosity of a
-            # Bingham fluid. They do not apply to a law that bends, so that the viscosity must be stated.
+            # Slump flow and the straight line through a viscometer's points only give the viscosity of a Bingham fluid.
+            # They do not apply to a law whose flow curve is not straight. The mix must therefore state the viscosity
+            # for such a law.
             tells = [each for each in tells if each.way == "concrete"]
             if not tells and wanted not in bulk:
                 refuse("mix viscosity", None, "must be stated beside a flow index or a quadratic viscosity",

@@ -127,8 +127,8 @@ class FluidSimulation(FlowRun):
             return False  # The structure may break so slowly that all other quantities already look steady.
         earlier = []
         for wanted in (now["time"] - COMPARISON_INTERVAL, now["time"] - 2 * COMPARISON_INTERVAL):
-            # The first row is left out, because the slip layer is not computed yet at the start. Two earlier rows must
-            # agree with the last one, because a single row may agree by chance.
+            # The first row of the time series is left out, because the slip layer is not computed yet at the start. Two
+            # earlier rows must agree with the last one, because a single row may agree by chance.
             found = [row for row in self._rows[1:] if row["time"] <= wanted + 1e-9]
             if not found:
                 return False

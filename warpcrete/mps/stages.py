@@ -53,7 +53,7 @@ def step_parts(particles: Any) -> list[StepPart]:
 
 
 class StepPart:
-    """Part of a time step that one thread does.
+    """Share of a time step that one thread does.
 
     The thread processes the ranges of particles with the numbers `parts`. The first thread also does the work that is
     not divided among threads.
@@ -175,9 +175,10 @@ class StepPart:
     # The following methods return the linear solves.
 
     def coarse_matrix(self, vector: bool) -> list[Any]:
-        """Return stages that form the preconditioner's coarse matrix for velocities (`vector`) or for the pressure.
+        """Return the launches that compute the coarse matrix of the preconditioner.
 
-        The coarse matrix of the pressure is used in the density solve, too.
+        `vector` is True for the solve for velocities, and False for the solve for the pressure. The density solve also
+        uses the coarse matrix of the pressure.
         """
         coarse = self.p.coarse
         if coarse is None:

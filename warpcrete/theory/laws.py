@@ -100,9 +100,10 @@ class FlowLaw:
     def mean_velocity(self, stress: Any, radius: float, form: str) -> np.ndarray:
         """Return the velocity [m/s] that shear adds to the slip velocity, averaged over the section.
 
-        `stress` is the shear stress tau at the wall [Pa]. The mean is R / tau^3 times the integral of g s^2 ds over
-        the stresses s from 0 to tau in a pipe of `radius` R, and H / tau^2 times the integral of g s ds in a channel
-        of half-width H (`form` "plane"). With s = tau_0 + h both are sums of the integrals J_j.
+        `stress` is the shear stress tau at the wall [Pa], and g is the shear rate at a stress s. In a pipe of `radius`
+        R, the mean is R / tau^3 times the integral of g s^2 ds over s from 0 to tau. In a channel of half-width R
+        (`form` "plane"), it is R / tau^2 times the integral of g s ds. With the yield stress tau_0 and s = tau_0 + h,
+        both are sums of the integrals that :meth:`integrals` returns.
         """
         tau = np.asarray(stress, float)
         zero, one, two = self.integrals(tau)

@@ -1,6 +1,8 @@
 """Steady flow of a yield stress fluid with a slip layer through a pipe: pressure, flow rate and velocity profile.
 
-The theory comes in three forms. Each form combines a flow law with a balance of forces:
+P is the pressure difference over a length L, R the radius of the pipe, tau_w the shear stress at the wall, rho the
+density and g the gravity along the pipe. The theory comes in three forms. Each form combines a flow law with a balance
+of forces:
 
 - `pipe`: round pipe. The flow law is Buckingham-Reiner with slip (Xu, Li & Jiang 2021, Eq. 12), and the pressure is P =
   rho g L + 2 tau_w L / R.
@@ -10,8 +12,9 @@ The theory comes in three forms. Each form combines a flow law with a balance of
   with the force balance of the channel. This form agrees with neither of the others and only serves comparison with the
   paper's figures.
 
-The bulk is a Bingham fluid by default, and the slip layer obeys tau = tau_L0 + eta_L V_L (Eq. 8). Both may follow one
-of the other laws of :mod:`.laws` instead. The bulk concrete fills the radius less the layer's thickness.
+The bulk is a Bingham fluid by default. In the slip layer, the shear stress is tau = tau_L0 + eta_L V_L (Eq. 8), with
+the layer's yield stress tau_L0, its viscosity eta_L and the slip velocity V_L. Both may follow one of the other laws of
+:mod:`.laws` instead. The bulk fills the radius of the pipe less the thickness of the layer.
 """
 
 from __future__ import annotations

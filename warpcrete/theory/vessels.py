@@ -45,13 +45,15 @@ def long_heap_spread(volume: float, yield_stress: float, density: float, gravity
 
 
 HEAPS = {"plane": math.pi / 2, "axial": math.sqrt(3) * math.pi / 4}
-"""Resistance of a heap to stretching, in units of yield stress times depth, for the forms "plane" and "axial".
+"""Resistance of a heap to stretching, divided by yield stress tau and depth h, for the forms "plane" and "axial".
 
 The resistance is the normal stress along the slope minus that across it, beyond what the weight causes, integrated over
-the depth. At height z, shear uses tau (1 - z / h) of the yield stress tau. The stretch takes the rest,
-sqrt(tau^2 - shear^2), whose mean over the depth is (pi / 4) tau. In a plane the normal stresses are s and -s, which
-doubles this mean. About an axis, a heap that keeps its shape has the stress s along the radius and around it, and -2 s
-upwards, with 3 s^2 + shear^2 = tau^2; this multiplies the mean by sqrt(3).
+the depth. At height z, shear uses tau (1 - z / h) of the yield stress. The stretch takes the rest, sqrt(tau^2 -
+shear^2). The mean of the rest over the depth is (pi / 4) tau.
+
+In a plane the normal stresses are s and -s, which doubles this mean. About an axis, a heap that keeps its shape has the
+stress s along the radius and around it, and -2 s upwards, with 3 s^2 + shear^2 = tau^2. This multiplies the mean by
+sqrt(3).
 """
 
 
@@ -60,10 +62,10 @@ def heap_depth(
 ) -> np.ndarray:
     """Return the depth [m] of a heap at rest at the distances `inward` [m] behind the heap's front.
 
-    The depth h follows from rho g h^2 / 2 = tau (inward + HEAPS h). The left side is the outward pressure of the weight
-    over the depth. The plate resists it with tau along the distance `inward`, and the stretched section resists it with
-    HEAPS tau h. The formula for a long heap (:func:`long_heap_spread`) lacks the last term. `form` is "plane" or
-    "axial".
+    The depth h follows from rho g h^2 / 2 = tau (inward + HEAPS h), with the density rho, the gravity g and the yield
+    stress tau. The left side is the outward pressure of the weight over the depth. The plate resists it with tau along
+    the distance `inward`, and the stretched section resists it with HEAPS tau h. The formula for a long heap
+    (:func:`long_heap_spread`) lacks the last term. `form` is "plane" or "axial".
     """
     bears = yield_stress / (density * gravity)
     front = HEAPS[form] * bears
@@ -161,9 +163,9 @@ def box_at_rest(
 def box_slope(near: float, width: float) -> tuple[float, float]:
     """Return two integrals over the depth of concrete at rest in a long box, from 0 at its front to `near` [m].
 
-    With the constant A = 2 tau / (rho g b) of a box of `width` b [m], the first integral [m] is A times the length that
-    the concrete covers, and the second one [m2] is A / b times its volume (Roussel 2007). Both follow from the equation
-    of :func:`box_at_rest`.
+    They follow from the equation of :func:`box_at_rest` (Roussel 2007). Let tau be the yield stress, rho the density, g
+    the gravity, b the box's `width` [m], and A = 2 tau / (rho g b). The first integral [m] is A times the length that
+    the concrete covers. The second integral [m2] is A / b times the volume of the concrete.
     """
     bent = 0.5 * width * math.log1p(2 * near / width)
     return near - bent, 0.5 * near * near - 0.5 * width * (near - bent)
@@ -244,8 +246,9 @@ def _duct_rate(stress: np.ndarray, a: np.ndarray, b: np.ndarray, law: FlowLaw) -
     if law.name == BINGHAM:
         q = np.minimum(law.yield_stress / stress, 1.0)
         return stress * (1 / (a + b) - q / b + a / (b * (a + b)) * q ** (1 + b / a)) / law.viscosity
-    # Integrate over x, where x^3 is the stress above the yield stress divided by its largest value. As a function of x,
-    # the integrand is smooth even at the yield stress, where the shear rate begins.
+    # Replace the stress by the variable x, from 0 at the yield stress to 1 at the largest stress, so that stress =
+    # yield stress + (largest stress - yield stress) x^3. As a function of x, the integrand is smooth even at the yield
+    # stress, below which the shear rate is zero.
     x = 0.5 * (NODES + 1)
     over = np.maximum(stress - law.yield_stress, 0.0)[:, None]
     at = law.yield_stress + over * x**3

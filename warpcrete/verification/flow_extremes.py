@@ -145,8 +145,8 @@ MUST: dict[str, str] = {
         ("a concrete that shears, for 1 s", ""),
     )
 }
-"""Flows that are allowed or required to stop early, each with a part of the expected error message. If that text is
-empty, running to the end and stopping are both acceptable."""
+"""Flows that are allowed or required to stop early, each with an excerpt from the expected error message. If that text
+is empty, the flow may either run to its end or stop."""
 AXES: dict[str, tuple[float, float]] = {
     "viscosity": (0.1, 1e5),
     "yield_stress": (0.0, 1e4),

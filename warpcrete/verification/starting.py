@@ -111,8 +111,9 @@ def start(device: str, precision: str) -> list[Row]:
         for number, layer, error, end in START_CASES:
             rms, largest = worst(dimensions, number, layer, LONGEST, error, end, device, precision)
             name = f"{form}, Bn {number:g}" + (", slips" if layer < 1e6 else "")
-            # The measured errors of the velocity profile are 0.11 to 0.38 % (largest rms) and 0.15 to 0.7 % (largest in
-            # any cell) without a yield stress, and 0.8 % and 1.4 % (on the axis of the tube) with a yield stress.
+            # The measured errors of the velocity profile without a yield stress are 0.11 to 0.38 % (rms) and 0.15 to
+            # 0.7 % (largest in any cell). With a yield stress they are 0.8 % (rms) and 1.4 % (in a cell on the axis of
+            # the tube).
             found += [
                 Row(f"{name}: profile, largest rms error", rms, 0.0, 0.01, scale=1.0),
                 Row(f"{name}: largest error of any cell", largest, 0.0, 0.015, scale=1.0),

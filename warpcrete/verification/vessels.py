@@ -78,10 +78,11 @@ def between_cylinders(
 
 
 def couette_error(flow: GridFlow, layers: tuple[float, float] = (NO_SLIP_VISCOSITY, NO_SLIP_VISCOSITY)) -> float:
-    """Return the rms error of the velocity between the cylinders, over the speed of the inner wall.
+    """Return the rms error of the velocity between the cylinders, divided by the speed of the inner wall.
 
-    The exact velocity is u = a r + b / r. The shear stress 2 mu b / r^2 acts on both slip layers. Divided by the
-    viscous constant of a layer, it gives the slip velocity at this layer.
+    The exact velocity at the distance r from the axis is u = a r + b / r. The constants a and b follow from the
+    conditions at both walls. The shear stress of a fluid with the viscosity mu is 2 mu b / r^2. At a wall, this stress
+    divided by the viscous constant of the slip layer is the slip velocity.
     """
     slips = [2 * PASTE.viscosity / (radius**2 * layer) for radius, layer in zip((INNER, OUTER), layers)]
     a, b = np.linalg.solve([[INNER, 1 / INNER + slips[0]], [OUTER, 1 / OUTER - slips[1]]], [TURNS * INNER, 0.0])
@@ -206,8 +207,8 @@ def rest(device: str, precision: str) -> list[Row]:
         full = (state.cells("fill") == 1) & (exact > 2000 * 9.81 * 0.02) & (state.cells("room") > 0.25)
         off = float(np.abs(pressure - exact)[full].max())
         found += [
-            # The measured errors in the plane and in space are 5e-4 and 1.5e-3 of the pressure at the bottom, 0.06 and
-            # 0.17 mm/s of mean speed, and 0.09 and 0.14 % of the volume.
+            # Measured errors in a plane: 5e-4 of the pressure at the bottom, 0.06 mm/s of mean speed, and 0.09 % of the
+            # volume. In space: 1.5e-3 of the pressure at the bottom, 0.17 mm/s of mean speed, and 0.14 % of the volume.
             Row(f"{name}: pressure, largest error over that at the bottom", off / exact.max(), 0.0, 2e-3, scale=1.0),
             Row(f"{name}: speed, mean", float(run.series["mean_speed"][-1]), 0.0, 2e-4, "m/s", scale=1.0),
             Row(f"{name}: volume", 1 + run.result["volume_error"], 1.0, 2e-3),

@@ -87,8 +87,9 @@ def rate_functions(scalar, dimensions: int) -> SimpleNamespace:
 def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
     """Build the functions of the Bingham law on a grid.
 
-    `apparent` is the viscosity at a shear rate, `apparent_at_edge` the viscosity at a corner near which a plug may end,
-    and `at_wall` the stress of a wall on the cell beside it.
+    - `apparent`: viscosity at a shear rate.
+    - `apparent_at_edge`: viscosity at a corner between cells, also if a plug ends within these cells.
+    - `at_wall`: shear stress that a wall exerts on the cell beside it.
     """
     Grid = grid_parameters_struct(scalar, dimensions)
     f = rate_functions(scalar, dimensions)

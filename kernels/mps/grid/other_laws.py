@@ -46,9 +46,10 @@ def rate_functions(scalar, dimensions: int, law: str) -> SimpleNamespace:
 
     @wp.func
     def sums(g: Grid, stiff: scalar, stress: scalar):
-        """Return the shear rate at a stress of at least zero, and the first and second integral of the rate.
+        """Return the shear rate at a `stress` of at least zero, and the first and second integral of the rate.
 
-        Both integrals run over the stress from 0 to the given stress. `stiff` is the viscosity below the yield stress.
+        Both integrals run over the stress from 0 to `stress`. `stiff` is the viscosity of concrete below the yield
+        stress.
         """
         over = wp.max(stress - g.yield_stress, scalar(0.0))
         below = wp.min(stress, g.yield_stress)

@@ -302,9 +302,10 @@ class Launcher:
                 return
 
     def _catch_up(self, stages: list[Stage], sizes: list[int]) -> None:
-        """Launch the periodic stages, which run once in several steps, if graphs are too short to contain them.
+        """Launch the kernels that run only once in several steps, if no replayed graph is long enough for them.
 
-        `sizes` are the numbers of steps in the graphs that have just been replayed.
+        These kernels are the stages with `every` > 1. They are launched when at least `every` steps have passed since
+        their last launch. `sizes` are the numbers of steps in the graphs that have just been replayed.
         """
         periodic = [stage for stage in stages if stage.every > 1]
         if not periodic:

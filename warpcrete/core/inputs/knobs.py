@@ -16,8 +16,9 @@ class Level:
     changes: Mapping[str, object] = field(default_factory=dict[str, object])
     """Values of the scene's parameters that this setting of the knob changes, by parameter name."""
     cost: float = 1.0
-    """Expected wall time of a run at this level, relative to the other levels of the same knob. It is used only for
-    planning, before wall times are measured."""
+    """Expected wall time of a run at this level, relative to the other levels of the same knob. A level is a value of
+    the accuracy parameter that the knob changes. The expected time is used only for planning, before wall times are
+    measured."""
     key: str = ""
     """Name by which this setting of the knob is found again in other scenes. For example, half the element size has the
     key "x 0.5" in every scene, whereas `label` is a length such as "10 mm". If the key is empty, `label` is the key."""
@@ -67,9 +68,10 @@ def precisions() -> Knob:
 
 @dataclass(frozen=True)
 class Trading:
-    """Description of a scene for studies of accuracy against computing time: knobs, quantities and closed forms.
+    """Description of a scene for studies that weigh accuracy against computing time.
 
-    The module of the scene assigns this object to the name `trading`.
+    It contains the knobs (accuracy parameters with their values), the quantities to compare, and the closed forms. The
+    module of the scene assigns this object to the name `trading`.
     """
 
     knobs: Callable[[Any], Iterator[Knob]]

@@ -109,10 +109,11 @@ class Alias:
 
 
 class CompositeRule:
-    """Rule of a parameter whose value is an object with parameters of its own.
+    """Rule for a parameter whose value is an object.
 
-    For example, the contact law in the parameter `contact` has the parameters `contact_FIELD`. The module
-    :mod:`warpcrete.core.inputs.by_name` explains these parameters.
+    Each field of the object becomes a parameter of its own. For example, the parameter `contact` holds a contact law,
+    whose field FIELD is the parameter `contact_FIELD`. The module :mod:`warpcrete.core.inputs.by_name` explains these
+    parameters.
     """
 
     def fields(self, field: Field, value: object) -> dict[str, Field]:

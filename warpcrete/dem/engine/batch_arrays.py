@@ -86,10 +86,8 @@ class JointArrays:
     rows: np.ndarray
     """Host copy of `scenes.row`, the parameters of all scenes, as a structured array of shape (scenes,)."""
     slot_scene: DeviceArray
-    """Scene index of each entry of `pairs.start`, shape (spheres + scenes,).
-
-    `pairs.start` contains the first list entry of each sphere, and an end marker for each scene.
-    """
+    """Index of the scene to which each entry of `pairs.start` belongs, shape (spheres + scenes,). The array
+    `pairs.start` contains the first list entry of each sphere, and an end marker for each scene."""
 
     def __init__(self, models: list[Model], states: list[State], threads: int) -> None:
         """Join the arrays of all models and states, with separate wall forces for each of `threads` CPU threads."""
@@ -335,8 +333,8 @@ class JointArrays:
         if struct == "pairs" and self.features.healing:
             np.minimum(capacity, MOST_ROWS, out=capacity)
         new = np.concatenate([[0], np.cumsum(capacity)])
-        # On a GPU, the two list entries of a pair share up to four rows of results. The array of results thus has up to
-        # twice as many rows as the list has entries, and 32-bit integers must suffice as indices of both.
+        # On a GPU, each pair has two list entries, which share up to four rows of results. The array of results thus
+        # has up to twice as many rows as the list has entries. 32-bit integers must suffice as indices of both.
         most = MAXIMUM_ENTRIES // 2 if self.parallel and struct == "pairs" else MAXIMUM_ENTRIES
         if new[-1] > most:
             raise CapacityError(

@@ -87,7 +87,8 @@ class LaunchPlanner:
     def largest_graph(self, threads: int, rounds: int) -> int:
         """Return the maximum number of steps in one recorded graph of launches.
 
-        Each step consists of the launches of `threads` CPU threads and has `rounds` sub-cycling rounds.
+        `threads` is the number of CPU threads that take part in a step, and `rounds` is the number of sub-cycling
+        rounds per step. The more rounds a step has, the fewer steps a graph holds.
         """
         kind = (
             "cuda"

@@ -35,7 +35,10 @@ def rows_of(features: Features) -> int:
 
 
 def make_links(batch: BatchArrays) -> Links:
-    """Return new, unused links for all listed pairs of a batch; for a CPU, which uses no links, arrays of length 0."""
+    """Return new, unused links (pairs as the GPU evaluates them) for all listed pairs of a batch.
+
+    A CPU uses no links, so its arrays have the length 0.
+    """
     struct = declared(links_struct(batch.scalar))
     lists = int(batch.capacity.sum()) if batch.parallel else 0
     few = {

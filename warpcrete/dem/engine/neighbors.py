@@ -199,9 +199,10 @@ class NeighborLists:
         self._cells.use_width(width)
 
     def link(self, s: int) -> None:
-        """Build the links (listed pairs) of scene `s` from neighbour lists that a checkpoint contained.
+        """Build the links of scene `s` from neighbour lists that a checkpoint contained.
 
-        Half lists have no links, so nothing is done for them.
+        A link stands for a listed pair when the GPU computes contact forces. Half lists have no links, so nothing is
+        done for them.
         """
         if self.batch.features.half_list:
             return
@@ -251,7 +252,7 @@ class NeighborLists:
                     copy_array(kept, array, first, first, count)
 
     def _rebuild(self, sorted_now: bool, searchers: int | None = None) -> Rebuild:
-        """Return the recorded phases of a rebuild, for the present arrays.
+        """Return the launches that rebuild the neighbour lists, recorded for the present arrays.
 
         `sorted_now` must be True if the bodies have just been re-sorted. `searchers` is the number of threads that find
         the neighbours of one sphere; by default it is the number chosen for the present rebuild.
@@ -266,11 +267,11 @@ class NeighborLists:
         return self._recorded[key]
 
     def _phases(self, sorted_now: bool, searchers: int) -> list[Phase]:
-        """Return the phases of a rebuild, in the only order in which they may run.
+        """Return the phases of a rebuild of the neighbour lists, in the only order in which they may run.
 
-        No phase before `starts` changes the current lists. If a device that rebuilds its lists without the host finds
-        after `count` that its arrays are too small, it can therefore stop, and the host repeats the rebuild. The host
-        reads the lengths of the lists after `starts`.
+        A device may rebuild its lists without the host. After the phase `count`, it may find that its arrays are too
+        small. It can then stop, because no phase before `starts` changes the current lists. The host repeats the
+        rebuild with larger arrays. The host reads the lengths of the lists after `starts`.
         """
         b, n = self.batch, self.batch.sphere_count
         old_place = self._old_place if sorted_now else self._identity

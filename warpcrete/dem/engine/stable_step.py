@@ -23,9 +23,10 @@ from .struct_types import Estimate
 class StableStep:
     """Estimate of a scene's largest stable step from its masses and current stiffness, bonds included.
 
-    The estimate is stored in the scene's `clock[STABLE]`. The step size `clock[DT]` follows from it and the scene's
-    settings. An automatic step is also short enough that impacts with little dissipation keep their energy to about
-    1 %, and that fast bodies move by no more than a fraction of their radius per step.
+    The estimate is stored in the entry STABLE of the scene's row in the array `clock`. The step size in the entry DT
+    follows from it and from the settings of the scene. If the program chooses the step, it obeys two more limits.
+    Impacts with little dissipation must keep their energy to about 1 %, and fast bodies must move by no more than a
+    fraction of their radius per step.
     """
 
     def __init__(self, batch: Batch) -> None:

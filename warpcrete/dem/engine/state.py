@@ -51,9 +51,10 @@ def state_fields(structs: SimpleNamespace) -> dict[str, tuple[str, ...]]:
 
 
 class HoldingBatch(Protocol):
-    """Protocol of the batch that a state belongs to, for modules that cannot import the class `Batch`.
+    """Protocol of the batch to which a state belongs.
 
-    The module `state` cannot, because the module `batch` imports it. The probes know a batch only through a state.
+    It serves modules that cannot import the class `Batch`. The module `state` cannot, because the module `batch`
+    imports it. The measuring functions in `probes` know a batch only through a state.
     """
 
     device: wp.Device

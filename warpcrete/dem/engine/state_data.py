@@ -54,7 +54,7 @@ def restore_state(model: Model, stored: dict[str, Any]) -> State:
 
 
 def state_hash(state: State) -> str:
-    """Return the SHA-256 hash of bodies, contacts, bonds, walls and clock, in the order of permanent numbers.
+    """Return the SHA-256 hash of bodies, contacts, bonds, walls and times, in the order of permanent numbers.
 
     Two states with the same hash will move identically, bit for bit. The hash does not depend on the order of bodies in
     memory, on listed pairs that do not touch, or on bonds that are permanently broken.

@@ -91,9 +91,10 @@ class Stepper:
     def join(
         self, lists: NeighborLists, stable_step: StableStep, index: int, *, resumed: StepperRecord | None = None
     ) -> None:
-        """Join the batch to which `lists` belongs, in which the stepper's scene has the index `index`.
+        """Make the stepper advance the scene with the index `index` in the batch to which `lists` belongs.
 
-        If `resumed`, the `state_dict` of an earlier stepper, is given, this stepper continues like the earlier stepper.
+        If `resumed` is given, which is the `state_dict` of an earlier stepper, this stepper continues where that one
+        ended.
         """
         self.lists, self.stable_step, self.index = lists, stable_step, index
         self.batch, state = lists.batch, self.state
@@ -197,9 +198,10 @@ class Stepper:
         return travel_at_rest
 
     def set_layer_gain(self, travel_at_rest: float) -> None:
-        """Add the yield stress that the lubrication layer gained at rest, less the part that slip has worn off since.
+        """Add the yield stress that the lubrication layer gained at rest.
 
-        The slip is the travel of the wall `Rest.wall` beyond `travel_at_rest` [m], its travel at the rest.
+        Slip after the rest reduces this gain again. The slip is the distance [m] that the wall `Rest.wall` has moved
+        since the rest. `travel_at_rest` is the distance that it had moved in total when the rest took place [m].
         """
         if self.batch.structure is not None:
             self.batch.structure.grow(self.index, travel_at_rest)

@@ -28,9 +28,9 @@ from .state import pair_bytes
 from .struct_types import Subcycled
 
 MARGIN = 1.1
-"""Reserve in the number of sub-cycling rounds, which is chosen once.
+"""Reserve in the number of sub-cycling rounds.
 
-The rounds allow a time step this many times as large as the time step at the moment of the choice.
+The number is chosen once. It allows time steps up to MARGIN times as long as the time step at the moment of the choice.
 """
 ROUND_BLOCK = 128
 """Number of threads per block of the GPU kernel that computes all sub-cycling rounds of a step."""

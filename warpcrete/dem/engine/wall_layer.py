@@ -53,10 +53,10 @@ class Structure:
         )  # fmt: skip
 
     def grow(self, s: int, begun: float) -> None:
-        """Add the gain at rest to the yield stress of the lubrication layer of scene `s`.
+        """Add the yield stress that the lubrication layer of scene `s` gained at rest.
 
-        The part of the gain that slip has worn off is left out. The slip is the travel of the wall `Rest.wall` beyond
-        `begun` [m], the travel at the rest.
+        Slip after the rest reduces this gain again. The slip is the distance [m] that the wall `Rest.wall` has moved
+        since the rest. `begun` is the distance that it had moved in total when the rest took place [m].
         """
         self._set(s, _rest_of(self.batch.models[s].scene).layer_gained, begun)
 

@@ -88,9 +88,9 @@ def contact_sums(model: Model, state: State, *, coordination: bool = False) -> C
 
 
 def row_sums(model: Model, state: State) -> tuple[BodySums, ContactSums, np.ndarray]:
-    """Return the sums over bodies, the sums over contacts, and the values of each wall, shape (walls, WALL_COLUMNS).
+    """Return the values for a row of the time series: sums over bodies, sums over contacts, and values of each wall.
 
-    A GPU measures everything with one launch.
+    The values of the walls have the shape (walls, WALL_COLUMNS). A GPU measures everything with one launch.
     """
     batch, index = state.batch, state.index
     recorded = state.launches(batch.version)

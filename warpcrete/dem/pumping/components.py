@@ -215,7 +215,8 @@ def plug_points(axis: Axis, radius: float, at: float, ball: float, layers: int) 
 def fill_of(given: Any, container: PipeContainer, sizes: Sizes) -> Fill:
     """Return the filling of a container with aggregates.
 
-    `given` has the parameters of the aggregates and of their contacts, and the pressure of the plug.
+    `given` contains the parameters of the aggregates and of their contacts. If it has no solid fraction, its
+    `plug_pressure` determines how densely the aggregates are packed.
     """
     return Fill(
         container=container,

@@ -208,13 +208,13 @@ LENGTHS = (0.25, 0.5, 1.0)
 
 
 def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
-    """Yield the settings that trade accuracy for computing time in a pumping scene.
+    """Yield the parameters that trade accuracy for computing time in a pumping scene.
 
-    One of the settings is coarse-graining, which multiplies all sizes of the aggregate by a factor. The contact laws
-    need no rescaling. A contact's stiffness is modulus times area over length, so the stress depends only on the
-    overlap relative to the size. The strengths of bonds and lubrication layer are stresses, and dashpots are given by
-    their critical ratio. Coarse-graining therefore changes only the number of aggregates across the pipe and the
-    momentum that each impact carries.
+    One of them is coarse-graining, which multiplies all sizes of the aggregate by a factor. The contact laws need no
+    rescaling. A contact's stiffness is modulus times area over length, so the stress depends only on the overlap
+    relative to the size. The strengths of bonds and lubrication layer are stresses, and dashpots are given by their
+    critical ratio. Coarse-graining therefore changes only the number of aggregates across the pipe and the momentum
+    that each impact carries.
     """
     if given.time_step is None:
         yield scaled("time step", "safety", given.safety, (2.0, 1.5, 1.0, 0.5, 0.25), -1.0)

@@ -33,10 +33,9 @@ __all__ = [
 
 
 MUCH_STIFFER = 200.0
-"""Ratio of moduli above which sub-cycling saves computing time: that of hydrated bonds to the largest other modulus.
-
-At a ratio of 100, a run with sub-cycling takes as long as one in which all bonds take the same small steps.
-"""
+"""Ratio of the modulus of hydrated bonds to the largest other modulus, above which sub-cycling of the bonds saves
+computing time. At a ratio of 100, a run with sub-cycling takes as long as a run without, whose time steps must all be
+as short as the stiff bonds require."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -121,9 +121,10 @@ class GridStep:
         )  # fmt: skip
 
     def _extrapolate(self) -> list[Stage]:
-        """Return stages that extrapolate velocities beyond the concrete, each by one cell.
+        """Return the kernel launches that extrapolate velocities beyond the concrete, each by one cell.
 
-        The stages alternate between two arrays, in such an order that the last stage writes to the first array.
+        The launches alternate between two arrays. They begin with the array for which the last launch writes to the
+        first array.
         """
         flow, found = self.flow, []
         for turn in range(EXTRAPOLATED_CELLS):

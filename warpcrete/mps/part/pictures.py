@@ -12,10 +12,10 @@ from .scene import PartScene
 
 
 def plot_part(run: Run) -> Any:
-    """Return a figure of the frictional pressure along the part and of the pressure over time.
+    """Return a figure of the frictional pressure along the part of the pump line, and of the pressure over time.
 
-    The frictional pressure at a place is the loss still to come downstream; the theoretical frictional pressure of
-    straight pipes is drawn for comparison.
+    The frictional pressure at a place is the loss between this place and the end of the part. The theoretical
+    frictional pressure of straight pipes is drawn for comparison.
     """
     from matplotlib.figure import Figure
 

@@ -24,11 +24,9 @@ from ..common.settings import STEP_ERROR, check_interval
 MIN_ACROSS = 6
 """Minimum number of cells across the narrowest bore."""
 CLEARANCE, MIN_CELLS_LEFT = 1.0, 4
-"""Limits for the straight stretches in which friction is measured.
-
-CLEARANCE is the length, in radii, left out next to an end or the middle of a part. MIN_CELLS_LEFT is the minimum
-number of cells that must remain.
-"""
+"""Limits for the measurement of friction in straight stretches of pipe. CLEARANCE is the length, in radii, that is left
+out next to an end or the middle of the simulated part. MIN_CELLS_LEFT is the minimum number of cells that must
+remain."""
 ROUNDNESS_TOLERANCE = 0.03
 """Maximum relative deviation of a bore's radius around the axis for the theory of round pipes to apply."""
 AXIS_SAMPLES = 60

@@ -77,7 +77,7 @@ class PartSimulation(FlowRun):
         }
 
     def outcome(self, series: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Table]]:
-        """Return the entries of the result, and a table of the pressure along the part.
+        """Return the entries of the result, and a table of the pressure along the part of the pump line.
 
         The entries follow from the time series and from the current pressure along the part.
         """

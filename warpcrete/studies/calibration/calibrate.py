@@ -37,8 +37,8 @@ Progress = Callable[[str, float, dict[str, Any]], None]
 MIN_VALUES = 3
 """Minimum number of runs that must yield a target's quantity before a posterior is computed."""
 SETTLED_ERROR_RATIO = 0.5
-"""Ratio of the error of the Gaussian-process emulator to the uncertainty of a target, both as standard deviations,
-below which more runs would not change the answer."""
+"""Limit for the error of the Gaussian-process emulator divided by the uncertainty of a target, both as standard
+deviations. Below this limit, more runs would not change the answer."""
 SETTLED_SHIFT = 0.25
 """Shift of the posterior mean in one round, in posterior standard deviations, below which the answer is settled."""
 
@@ -273,8 +273,9 @@ def _store_results(study: Study, trials: Sequence[Trial], targets: Sequence[Targ
 def _update_posterior(calibration: Calibration, seed: int) -> None:
     """Compute the posterior of the trials so far, and record whether the search may end (`calibration.settled`).
 
-    The posterior is not updated while too few runs have yielded a target. Raises :class:`WarpcreteError` if a target is
-    missing in all runs, or in too many runs when the trials are used up.
+    The posterior is not updated while too few runs have yielded a value for one of the targets. Raises
+    :class:`WarpcreteError` if no run has yielded a value for a target. It is also raised if, after the last trial, too
+    few runs have yielded one.
     """
     searched = calibration.searched
     points = np.array([trial.units for trial in searched])

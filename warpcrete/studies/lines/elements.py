@@ -31,8 +31,8 @@ from .run import folder_name
 
 SCENE = "part-dem"
 STRAIGHT_DIAMETERS = 3.0
-"""Length of straight pipe before a simulated bend or reducer, and of as much behind it [diameters]. A straight pipe is
-simulated with the same two lengths, one after the other."""
+"""Length of the straight pipe before a simulated bend or reducer, in diameters. The straight pipe behind it has the
+same length. If a straight pipe is simulated, it consists of two such lengths."""
 LARGEST_STONE_RATIO = 0.3
 """Largest stone divided by the narrowest bore of the line. Smaller stones are enlarged to this ratio by default, so
 that fewer elements have to be simulated."""

@@ -27,17 +27,18 @@ COLUMNS = {"place": "m", "part": "1", "pressure": "Pa", "flow": "m3/s"}
 """Columns of a file of taps, with their SI units: either `place`, the distance from the pump along the line, or `part`,
 the number of the part before which the tap lies."""
 SAME_FLOW = 0.02
-"""Relative difference between the flows up to which they count as equal. The pressures at equal flows do not
+"""Relative difference up to which two flows count as equal. Pressures that were all measured at the same flow do not
 distinguish the yield stress of the slip layer from its viscosity."""
 DEPENDENT = 1e-3
-"""Smallest singular value of the matrix of scaled sensitivities with which the measured points determine all constants.
-Below this value, a constant is removed from the fit."""
+"""Limit for the smallest singular value of the matrix of scaled sensitivities of the pressures to the fitted constants.
+Below this limit, the measured pressures do not determine all constants, and one constant is removed from the fit."""
 LEAST = (1e-2, -1.0, 0.0)
 """Values of slip viscosity [Pa s/m], slip yield [Pa] and factor of bends. A fit whose constant is not above its value
 here is refused as impossible."""
 NOTHING = {1: 1e-3, 2: 0.0}
-"""Values of slip yield [Pa] and factor of bends, by index of the constant. If a fitted value is smaller, the points
-cannot distinguish it from zero; the constant then gets its default value."""
+"""Smallest fitted values that differ from zero: yield stress of the slip layer [Pa] (index 1) and friction factor of
+bends (index 2). The measured points cannot distinguish a smaller value from zero; the constant then gets its default
+value."""
 ITERATIONS = 50
 """Largest number of iterations of the least-squares fit."""
 
@@ -194,8 +195,9 @@ class _Model:
         self.concrete, self.taps = concrete, taps
         starts = np.concatenate([[0.0], np.cumsum([part.length for part in line.parts])])
         self.kinds: dict[tuple[Any, ...], Part] = {}
-        """For each combination of bore, outlet and slip layer, the first part of that kind. The friction per
-        metre of this part is calculated once and holds for all parts of the kind."""
+        """For each kind of part, the first part of the pump line that is of this kind. A kind is a combination of bore,
+        outlet and slip layer. The friction per metre of the first part is calculated once and holds for all parts of
+        the kind."""
         self.metres: list[dict[tuple[Any, ...], list[float]]] = []
         """For each tap, by the keys of `kinds`: two lengths [m] of pipe between the tap and the end of the line. The
         first is the length of straight pipe that has the friction of all parts with a known factor. The second is the

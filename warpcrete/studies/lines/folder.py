@@ -35,10 +35,10 @@ def previous_run(lines: Sequence[Path | None], scene: Any, digest: str = "") -> 
 def part_simulation(
     scene: Any, check: Any, out: Path | None, called: str, digest: str = "", **settings: Any
 ) -> tuple[Simulation, Path | None]:
-    """Return the simulation of a part and the checkpoint from which it continues, or None instead of the checkpoint.
+    """Return the simulation of a part of a pump line, and the checkpoint from which it continues (None at a new start).
 
-    If the folder `out` of the line holds an interrupted run of the same scene, the simulation continues in that run's
-    folder. Otherwise, it starts in a new folder with the name `called`.
+    If the folder `out` of the line holds an interrupted run of the same scene, the simulation continues in the folder
+    of that run. Otherwise, it starts in a new folder with the name `called`.
     """
     if out is None:
         return Simulation(scene, recorders=[CheckRecorder(check)], **settings), None

@@ -23,15 +23,16 @@ AIJ_FACTORS = {"straight": 1.0, "bend": 3.0, "reducer": 2.0, "hose": 2.0}
 """Friction of a kind of part divided by that of a straight pipe of the same length (AIJ); other kinds have 1."""
 JSCE_RISE = ((0.100, 0.125, 0.150), (3.0, 4.0, 5.0))
 """Rule of the JSCE for rising pipe. The first tuple holds diameters of the pipe [m]. The second tuple holds, for each
-diameter, the length of level pipe with the same pressure loss as one metre of rise [m], weight of the concrete
-included."""
+diameter, the length of level pipe [m] that has the same pressure loss as one metre of rise. The loss of the rise
+includes the weight of the concrete."""
 JSCE_BEND, JSCE_REDUCER, JSCE_HOSE, JSCE_HOSE_LENGTH = 6.0, 3.0, 20.0, 8.0
-"""Lengths of level pipe [m] that have the same friction as a bend of 90 degrees, a reducer, and a hose of 5 to 8 m
-(JSCE)."""
+"""Rule of the JSCE: lengths of level pipe [m] with the same friction as a bend of 90 degrees, a reducer, and a hose of
+5 to 8 m. JSCE_HOSE_LENGTH is the greatest length of such a hose [m]."""
 JGJ_LEVEL, JGJ_RISE = 0.1e6 / 20, 0.1e6 / 5
 """Pressure loss of a metre of level pipe and of a metre of rise [Pa/m] (JGJ/T 10)."""
 JGJ_BEND, JGJ_HOSE, JGJ_HOSE_LENGTH, JGJ_VALVE = 0.1e6, 0.2e6, 5.0, 0.8e6
-"""Pressure loss of a bend of 90 degrees, of a rubber hose of 3 to 5 m, and of a stop valve [Pa] (JGJ/T 10)."""
+"""Pressure loss of a bend of 90 degrees, of a rubber hose of 3 to 5 m, and of a stop valve [Pa] (JGJ/T 10).
+JGJ_HOSE_LENGTH is the greatest length of such a hose [m]."""
 
 
 @dataclass(frozen=True)

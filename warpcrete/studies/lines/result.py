@@ -36,8 +36,9 @@ class Loss:
     friction: float
     """Pressure loss by friction [Pa]."""
     theory: float
-    """Friction of the part by the closed form [Pa]: that of straight pipe of the same bore and length, times the factor
-    that the line's file states. Without such a factor, that of a hose is multiplied by the factor of its model."""
+    """Friction of the part by the closed form [Pa]: the friction of straight pipe of the same bore and length,
+    multiplied by a factor. The factor is the one that the line's file states. If the file states none, a hose gets the
+    factor of its model, and other parts get 1."""
     weight: float
     """Pressure due to the weight of the concrete over the part's rise [Pa]."""
 
@@ -55,10 +56,10 @@ class Loss:
         return range_of(self.part, self.straight)
 
     def at(self, end: int) -> float:
-        """Return the lower (`end` = 0) or upper (`end` = 1) limit of the part's friction [Pa].
+        """Return the lower (`end` = 0) or upper (`end` = 1) limit of the friction in this part of the pump line [Pa].
 
-        The limit follows from the part's range of factors. A range that does not contain the computed friction is
-        widened up to the computed friction.
+        The limits are the ends of `range`, multiplied by the friction of straight pipe. If the computed friction lies
+        outside these limits, it replaces the nearer one. Without a range, both limits equal the computed friction.
         """
         if self.range is None:
             return self.friction
@@ -103,8 +104,8 @@ class LineResult:
     stop: Stop | None = None
     """Stop of the pump, after which the line must start again; None for no stop."""
     fit: LineFit | None = None
-    """Fit of the slip layer and of the bends' factor to pressures of a trial line; None if no trial line was given, so
-    that the concrete's own constants hold."""
+    """Constants of the slip layer and friction of the bends, fitted to pressures measured on a trial line. The value is
+    None if no trial line was given."""
 
     def __repr__(self) -> str:
         return f"<LineResult of '{self.line.name}': {self.pressure / 1e5:.4g} bar at {3600 * self.flow:.4g} m3/h>"
@@ -164,7 +165,7 @@ class LineResult:
         return None if self.line.pump is None else PumpMargin(self.line.pump, self.band(), self.flow)
 
     def band(self) -> Band:
-        """Return the pressure at the start of the line [Pa] with its band and the share of each cause of the band."""
+        """Return the pressure at the start of the line [Pa], its uncertainty band, and each cause's share of it."""
         return self.bands()[1][0]
 
     def bands(self) -> tuple[np.ndarray, list[Band]]:

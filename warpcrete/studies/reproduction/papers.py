@@ -75,9 +75,10 @@ def judge_growing(values: Sequence[float], pressures: Sequence[float]) -> tuple[
 
 
 def judge_narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Return whether pressures are equal from the third diameter on but far higher in the narrowest pipe.
+    """Return whether the narrowest pipe needs a far higher pressure than all pipes from the third diameter on.
 
-    The second result is a short text that describes the pressures.
+    The pressures from the third diameter on must also be equal. The second result is a short text that describes the
+    pressures.
     """
     level, what = judge_equal(values[2:], pressures[2:])
     growth = pressures[0] / pressures[2] - 1

@@ -79,12 +79,13 @@ def compact(record: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def advise(trade: Path, name: str, module: Any, given: Mapping[str, Any], accuracy: float) -> Advice:
-    """Return the cheapest settings whose promised relative error is at most `accuracy`, a fraction between 0 and 1.
+    """Return the cheapest accuracy settings whose relative error is at most `accuracy`, a fraction between 0 and 1.
 
-    `trade` is the folder of a trade-off study, or the file of a shipped record. `given` holds the parameters that the
-    user chose for the scene `name` of `module`. The advice never replaces a chosen value, unless it belongs to the
-    concrete itself: coarser aggregate, for example, replaces the grain sizes. Raises :class:`SceneError` if `accuracy`
-    is outside the interval or was not reached, and :class:`RunFolderError` if `trade` holds no record of this scene.
+    `trade` is the folder of a trade-off study, or the file of a shipped record; it states an error bound for each
+    setting. `given` holds the parameters that the user chose for the scene `name` of `module`. The advice never
+    replaces a chosen value, unless it belongs to the concrete itself: coarser aggregate, for example, replaces the
+    grain sizes. Raises :class:`SceneError` if `accuracy` is outside the interval or was not reached, and
+    :class:`RunFolderError` if `trade` holds no record of this scene.
     """
     if not 0 < accuracy < 1:
         refuse("accuracy", f"{100 * accuracy:g} %", "must be above 0 % and below 100 %")

@@ -26,9 +26,9 @@ class Setting:
     """One setting of the scene and the results of its runs."""
 
     origin: str
-    """Origin of the setting: the name of the knob that alone differs from the scene as given, or one of the words "as
-    given", "finest", "combined" and "carried". The word "carried" marks a setting that was repeated in a variant of the
-    scene."""
+    """Origin of the setting. If only one accuracy parameter (knob) differs from the scene as given, this is the knob's
+    name. Otherwise it is one of the words "as given", "finest", "combined" and "carried". The word "carried" marks a
+    setting that was repeated in a variant of the scene."""
     levels: dict[str, int]
     """Level of each accuracy knob that differs from the scene as given, by the knob's name."""
     parameters: dict[str, Any]
@@ -50,9 +50,10 @@ class Setting:
     """All parameters that have an effect on the scene, including those with default values."""
 
     def values(self, quantity: str, seeds: Sequence[int]) -> list[float]:
-        """Return the values of a quantity in the runs with these seeds.
+        """Return the values of a result quantity in the runs with the given seeds.
 
-        A quantity that means something else at this setting is converted to its meaning in the scene as given.
+        The runs may use other accuracy parameters than the scene as given, such as another element size. If this
+        changes the meaning of a quantity, its values are converted to the meaning in the scene as given.
         """
         found = [number(self.results[s][quantity]) for s in seeds if self.results.get(s, {}).get(quantity) is not None]
         offset, factor = self.converted.get(quantity, (0.0, 1.0))

@@ -230,9 +230,9 @@ def _series(axes: Any, origin: str, mine: list[tuple[Setting, Error]], marker: s
 
 
 def _name_levels(axes: Any, trade: Trade) -> None:
-    """Write the level of the knob next to each setting that varies a single knob.
+    """Label the points of the figure that change only one accuracy parameter with the value of this parameter.
 
-    A label that would overlap another one is left out, because the table lists all levels.
+    A label that would overlap another one is left out, because the table lists all values.
     """
     placed: list[Any] = []
     into_figure = axes.transData + axes.transAxes.inverted()

@@ -191,9 +191,10 @@ class Trade:
         return self._with(self._full(self.module.scene.effective_values({**self.base, **knob.levels[level].changes})))
 
     def level_as_given(self, knob: Knob) -> int:
-        """Return the index of the level at which a knob agrees with the scene as given.
+        """Return the index of the level at which a knob has the same value as in the scene as given.
 
-        If no level agrees, the result is the index of the finest level.
+        A knob is an accuracy parameter, and its levels are the values to choose from. If no level agrees, the result is
+        the index of the finest level.
         """
         same = [k for k in range(len(knob.levels)) if not self._differs(knob.name, k)]
         return same[0] if same else len(knob.levels) - 1
@@ -241,11 +242,11 @@ class Trade:
     def _due(
         self, lacking: Sequence[tuple[Setting, list[int]]], tell: Tell, until: float
     ) -> Iterator[tuple[Setting, list[int], float]]:
-        """Yield the next job: a setting, some of its seeds, and the time that is left for them [s].
+        """Yield the next job: values of accuracy parameters, some seeds, and the time left for them [s].
 
         The caller requests a job when a processor is free, so each decision uses the results available at that moment.
-        If there are enough settings for all workers, one worker takes all seeds of a setting and loads its kernels only
-        once.
+        If there are enough settings for all workers, one worker takes all seeds of one setting (the values of all
+        accuracy parameters) and loads its kernels only once.
         """
         points = list({id(point): (point, seeds) for point, seeds in lacking}.values())
         for number, (point, seeds) in enumerate(points):
@@ -381,8 +382,9 @@ class Trade:
     def shift(self, knob: Knob, level: int) -> float:
         """Return the largest error of a knob's level against the finest level that was measured; infinity on failure.
 
-        A difference that the scatter between seeds explains counts as zero. The knob does not cause such a
-        difference, and the differences would accumulate over all knobs.
+        A knob is an accuracy parameter such as the time step, and a level is one of its values. A difference that the
+        scatter between seeds explains counts as zero. The knob does not cause such a difference, and the differences of
+        all knobs would add up.
         """
         point = self._alone(knob, level)
         finest = next((p for k in reversed(range(len(knob.levels))) if (p := self._alone(knob, k)) is not None

@@ -247,7 +247,8 @@ def _phases(trade: Trade, given: Setting, tell: Tell) -> None:
             refuse("scene", trade.scene_name, f"fails with the given parameters: {given.failure}")
         return
     needed = trade.rounds(2 * len(trade.seeds)) * given.cost
-    # If the study was resumed and nothing was run in this call, `spent` is 0. A few further runs may then be enough.
+    # `spent` is the time that this call has spent on runs. It is 0 if the study was resumed and has not run anything
+    # yet. A few further runs may then be enough, so the budget is not refused.
     if trade.spent > 0 and needed > trade.budget:
         refuse(
             "budget", f"{trade.budget:.3g} s", "is too short for two runs" + " for every seed" * trade.has_seeds,
@@ -333,9 +334,10 @@ def _run_combinations(trade: Trade, tell: Tell) -> None:
 
 
 def _find_promises(trade: Trade, tell: Tell) -> None:
-    """Find the cheapest setting within each wanted error, and test it with fresh seeds and in variants of the scene.
+    """For each wanted error, find and test the cheapest setting (values of accuracy parameters) that stays within it.
 
-    If a setting fails in a test or exceeds the wanted error, the next cheapest setting is tested.
+    The tests are runs with other random seeds and runs of variants of the scene. If a test run fails, or if its error
+    exceeds the wanted error, the next cheapest setting is tested.
     """
     variants = trade.module.trading.variants(trade.declared) if trade.exact else {}
     chosen = {knob.name for knob in trade.chosen_knobs}
@@ -359,7 +361,7 @@ def _find_promises(trade: Trade, tell: Tell) -> None:
 def _test_variants(
     trade: Trade, point: Setting, variants: Mapping[str, Mapping[str, Any]], target: float, tell: Tell
 ) -> tuple[dict[str, Error | None], float]:
-    """Return the largest error of a setting in each variant of the scene, and the setting's promised error bound.
+    """Return a setting's largest error in each variant of the scene, and an upper bound of its error.
 
     Testing stops at the first variant in which the error exceeds `target`. Workers run several variants at a time.
     """

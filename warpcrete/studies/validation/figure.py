@@ -18,8 +18,8 @@ STYLES = (
 """Markers of the three groups of cases in the figure. An entry tells whether the cases are held out and whether they
 are simulated, and holds the keyword arguments of Matplotlib."""
 SHOWN = {"pipe": (1e-3, "kPa/m"), "line": (1e-5, "bar"), "slump": (1e3, "mm"), "spread": (1e3, "mm")}
-"""Factor from the SI unit to the unit that the figure shows, and the name of that unit, by kind of measurement. Other
-kinds are shown in SI units."""
+"""Displayed unit for each kind of measurement: the factor from the SI unit to this unit, and its name. Kinds that are
+not listed are shown in SI units."""
 
 
 def draw(comparisons: Sequence[Comparison]) -> Any:
