@@ -117,6 +117,27 @@ def test_no_module_imports_itself_in_a_circle():
     assert not waiting, f"in circles, or above one: {sorted(waiting)}"
 
 
+def test_no_package_imports_itself_in_a_circle():
+    """Every folder is a package of its own here, and so is the list of methods."""
+
+    def folder(module):
+        whole = MODULES[module].name == "__init__.py" or module == "methods"
+        return module if whole else module.rpartition(".")[0]
+
+    waiting = {}
+    for module in MODULES:
+        found = {
+            target for target in imports(module) if not module.startswith(f"{target}.") or folder(target) != target
+        }
+        waiting.setdefault(folder(module), set()).update(folder(target) for target in found if target)
+    waiting = {package: targets - {package} for package, targets in waiting.items()}
+    assert "mps.grid" in waiting["mps"]
+    while free := [package for package, targets in waiting.items() if not targets & waiting.keys()]:
+        for package in free:
+            del waiting[package]
+    assert not waiting, f"in circles, or above one: {sorted(waiting)}"
+
+
 def test_no_part_of_the_program_asks_which_method_it_has():
     """The scene's type says it, in one place; no result is known by its keys, but by Eq. 13, which is of a plateau, and
     by what says what two papers print."""
