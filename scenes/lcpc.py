@@ -34,9 +34,8 @@ THICK = 2.5
 ABOVE = 3
 """Height of the flow's room above the box, in cells."""
 VOLUME = 0.06
-"""Limit of the volume error of the free surface, as a fraction of the volume; with cells of 20 mm, measured errors
-reach 0.040.
-"""
+"""Largest accepted error of the concrete's volume below the free surface, as a fraction of the volume. With cells of 20
+mm, measured errors reach 0.040."""
 POURED = "concrete is not poured: it stands behind a gate at one end, which is lifted slowly"
 
 

@@ -31,10 +31,11 @@ BOND = (
 
 @functools.cache
 def column_functions(scalar):
-    """Return functions that read and write vectors in columns, and that select a vector or zero.
+    """Return functions that read and write numbers and vectors in columns, and that select a vector or zero.
 
-    A column holds one number for each vector lane. `get`, `put` and their variants access the number of lane `lane` in
-    the columns that start at index `at`. `where3` and `where4` return the vector if a condition holds, else zero.
+    A vector lane is one of the contacts that a CPU computes at the same time. A column holds one number for each lane.
+    `get`, `put` and their variants access the number of lane `lane` in the column that starts at index `at`, or a
+    vector in several columns from there on. `where3` and `where4` return the vector if a condition holds, else zero.
     """
     t = types(scalar)
     Columns, Ints = wp.array(dtype=scalar), wp.array(dtype=wp.int32)

@@ -90,10 +90,10 @@ kernel.
 
 @functools.cache
 def close_function(scalar):
-    """Return the function `is_close`: true if the gap between two spheres is below a limit.
+    """Return the function `is_close`, which returns true if the gap between two spheres is below a limit.
 
-    On a GPU the function gives the same answer wherever it is called. A bond exactly at the edge of the skin is
-    therefore neither lost nor listed twice.
+    On a GPU, all kernels that call the function round in the same way and get the same answer. A bonded pair whose gap
+    equals the skin is therefore neither lost nor listed twice.
     """
     t = types(scalar)
     name, letter = ("double", "d") if scalar is wp.float64 else ("float", "f")
@@ -237,9 +237,10 @@ def half_search_kernel(scalar, bonds: bool) -> wp.Kernel:
 
     @wp.func
     def near_another(x: t.vec3, reach: scalar, boxes: wp.array2d(dtype=t.vec3), part: wp.int32):
-        """Return True if a neighbour within `reach` may belong to another chunk.
+        """Return True if a sphere of another chunk may be within the distance `reach` of the position `x`.
 
-        `boxes` holds the bounding box of each chunk, and `part` is the index of the own chunk.
+        A chunk is the range of spheres that one CPU thread computes. `boxes` holds the bounding box of each chunk, and
+        `part` is the index of the chunk that searches.
         """
         for other in range(boxes.shape[0]):
             if other != part:
@@ -324,7 +325,8 @@ def octant_functions(scalar):
 def recording_functions(scalar, bonds: bool):
     """Return the functions `old_row` and `add_neighbour`, with which a search writes full neighbour lists.
 
-    A full list contains each pair at both of its spheres.
+    `old_row` finds the entries of a sphere in the old list, and `add_neighbour` writes an entry into the new list. A
+    full list contains each pair at both of its spheres.
     """
     structs = array_structs(scalar)
     Scenes, Pairs = structs.Scenes, structs.Pairs

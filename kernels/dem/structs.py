@@ -29,7 +29,8 @@ CLOCK = 8
 
 # States of a link, in `links.state`.
 APART: int = wp.constant(0)  # the spheres do not touch
-# the spheres touch or are bonded, or a link made for a new list still has contact history from the old list
+# TOUCHING: The spheres touch or are bonded. In a list that was just rebuilt, the link may instead have contact history
+# from the old list.
 TOUCHING: int = wp.constant(1)
 PARTED: int = wp.constant(2)  # contact just ended; energy left in its springs counts as lost in the next step
 STIFF: int = wp.constant(3)  # the spheres have a stiff bond, whose forces are computed in sub-cycling rounds

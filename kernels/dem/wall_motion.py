@@ -113,9 +113,9 @@ def motion_functions(scalar, strokes: bool):
 
 @functools.cache
 def advance_kernel(scalar, strokes: bool) -> wp.Kernel:
-    """Return the kernel, one thread a wall, that collects the wall forces of the step and moves the walls.
+    """Return the kernel over walls that collects the forces on each wall in a step and moves the walls.
 
-    `strokes` must be set if any wall pauses between strokes.
+    Each wall has one thread. `strokes` must be true if any wall moves in strokes with pauses between them.
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -149,9 +149,10 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
 
 @functools.cache
 def resident_solver(scalar, dimensions: int, vector: bool, rigid: bool = False, width: int = BLOCK):
-    """Build the GPU kernel that performs a whole solve and adds the solution to `x`.
+    """Build the GPU kernel that solves a linear system by conjugate gradients and adds the solution to `x`.
 
-    The kernel runs as `parties` blocks of `width` threads. With `width` = WIDE there must be only one block.
+    The caller launches `parties` blocks of `width` threads, which wait for each other at barriers. If `width` is WIDE,
+    `parties` must be 1.
     """
     accumulate, total_of = sum_functions(width).accumulate, sum_functions(width).total_of
     f, row = solver_functions(scalar, dimensions, vector), row_functions(scalar, dimensions, vector, rigid)

@@ -217,9 +217,10 @@ def resident_correction(scalar, dimensions: int, vector: bool, width: int):
 
 @functools.cache
 def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK):
-    """Build the GPU kernel that performs a whole solve and adds the solution to `x`.
+    """Build the GPU kernel that solves a linear system by conjugate gradients and adds the solution to `x`.
 
-    The kernel runs as `parties` blocks of `width` threads. With `width` = WIDE there must be only one block.
+    The caller launches `parties` blocks of `width` threads, which wait for each other at barriers. If `width` is WIDE,
+    `parties` must be 1.
     """
     accumulate, total_of, total = (
         sum_functions(width).accumulate,

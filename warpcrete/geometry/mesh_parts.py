@@ -177,9 +177,9 @@ def directions_at(axis: Axis, s: float) -> np.ndarray:
 
 
 def rotated_pieces(pieces: Sequence[Line | Arc], directions: np.ndarray) -> tuple[Line | Arc, ...]:
-    """Return the pieces of an axis after a rotation from mesh to world coordinates.
+    """Return the pieces of an axis (lines and arcs) after a rotation from mesh to world coordinates.
 
-    The rows of `directions`, shape (3, 3), are the directions of the mesh's x, y and z axes in world coordinates.
+    The three rows of `directions` are the directions of the mesh's x, y and z axes in world coordinates.
     """
     return tuple(
         replace(piece, towards=tuple((np.array(piece.towards) @ directions).tolist()))

@@ -34,9 +34,12 @@ PASTE_YIELD = (10.0, 0.0, 50.0)
 """Yield stress of a slip layer that is estimated from the composition of the paste, with the lower and the upper limit
 of its band [Pa]."""
 THICKENER_FACTOR, THICKENER_ERROR = 3.0, 1.25
-"""Factor by which a viscosity-modifying admixture raises the resistance of the slip layer, and the factor by which the
-band becomes wider in both directions because of this. The three concretes of Xu, Li & Jiang (2021), which contain such
-an admixture, have 2.9 to 3.1 times the wall stress of :func:`paste_layer` at 0.5 m/s."""
+"""Factors for a viscosity-modifying admixture: on the resistance of the slip layer, and on the ends of its band.
+
+The uncertainty band becomes wider in both directions by the second factor. The first factor comes from the three
+concretes of Xu, Li & Jiang (2021), which contain such an admixture. Their wall stress at 0.5 m/s is 2.9 to 3.1 times
+that of :func:`paste_layer`.
+"""
 AGGREGATE_DENSEST, FILM = 0.80, 3e-3
 """Constants of :func:`film_layer`: densest packing of sand and stones together, and thickness of the layer [m].
 Measured thicknesses are 1 to 3 mm (Deng et al. 2024; Zhao et al. 2024). The layers of Xu, Li & Jiang (2021) correspond

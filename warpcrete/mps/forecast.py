@@ -99,11 +99,12 @@ def flow_forecast(
 
 
 def coarser_run(simulation: FlowRun, unmet: str, **changes: Any) -> tuple[Run | None, float, list[str]]:
-    """Run a coarser copy of a flow; return the run, its simulated time [s], and a list of remarks.
+    """Run a coarser copy of a flow; return its run, its simulated time [s], and a list of remarks.
 
     The copy's scene equals that of the flow except for the attributes in `changes`. If the copy has not become steady,
-    a remark consists of the text `unmet` and the simulated time. If the copy stops with an error, the run is None and
-    the time is the longest allowed one.
+    the only remark is the text `unmet`, followed by the simulated time. If the copy stops with an error, the returned
+    run is None and the only remark states the error. The returned time is then the longest time that the flow may
+    simulate.
     """
     copy = None
     try:

@@ -1,6 +1,6 @@
-"""Time stepping of flows by launch graphs of several steps, for one flow or for several flows at a time on one GPU.
+"""Time stepping of flows: launch recorded graphs of several steps, for one flow or for several flows on one GPU.
 
-After several graphs the host reads the control flags on the device to find out how many steps the flow has completed.
+After several graphs, the host reads the control flags on the device, which tell how many steps the flow has completed.
 """
 
 from __future__ import annotations

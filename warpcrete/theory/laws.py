@@ -88,8 +88,8 @@ class FlowLaw:
             n = self.index
             with np.errstate(over="ignore"):
                 return g * h * n / (n + 1), g * h**2 * n / (2 * n + 1), g * h**3 * n / (3 * n + 1)
-        # With a = mu g and b = c g^2 the integrals below are polynomials of g with positive terms only, so no digits
-        # cancel.
+        # Let g be the shear rate, a the viscosity times g, and b the quadratic coefficient times g^2. The integrals
+        # below are then polynomials of g with positive terms only, so no digits cancel.
         a, b = self.viscosity * g, self.quadratic * g * g
         return (
             g * (a / 2 + 2 * b / 3),

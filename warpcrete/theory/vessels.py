@@ -39,7 +39,8 @@ def cone_volume(top: float, base: float, height: float) -> float:
 def long_heap_spread(volume: float, yield_stress: float, density: float, gravity: float = 9.81) -> float:
     """Return the diameter [m] of a heap at rest that is much wider than high (Roussel & Coussot 2005).
 
-    The radius R follows from tau = 225 rho g V^2 / (128 pi^2 R^5), with the yield stress tau.
+    The radius R follows from tau = 225 rho g V^2 / (128 pi^2 R^5), with the yield stress tau, the density rho, gravity
+    g, and the volume V of the heap.
     """
     return 2 * (225 * density * gravity * volume**2 / (128 * math.pi**2 * yield_stress)) ** 0.2
 

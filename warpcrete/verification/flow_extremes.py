@@ -163,8 +163,8 @@ parameter space."""
 def scenes() -> Iterator[Case]:
     """Yield name, scene and number of steps of every case.
 
-    In each case, either a single parameter is extreme, or the flow is a special one, or all parameters in `AXES` are
-    extreme at once.
+    There are three kinds of cases. In the first kind, a single parameter is extreme. In the second kind, all parameters
+    in `AXES` are extreme at once. The others are special flows.
     """
     for d in (2, 3):
         yield from _singles(f"{d}D: ", d)

@@ -138,8 +138,8 @@ def restitution(device, precision) -> list[Row]:
         error = np.abs(np.array(ours) - wanted)
         worst = 1 + int(np.argmax(error[1:]))
         rows.append(Row(f"test 3, {name}: e = {wanted[worst]:.1f}, the worst of 5", ours[worst], wanted[worst], 2e-3))
-        # With e = 0 the rebound never ends. Its velocity is therefore read after a fixed time: three (Hertz-Mindlin) or
-        # four (linear) durations of an elastic impact.
+        # With a restitution of e = 0 the spheres never separate. Their velocity is therefore read after a fixed time:
+        # three (Hertz-Mindlin) or four (linear) durations of an elastic impact.
         rows.append(Row(f"test 3, {name}: e = 0", ours[0], 0.0, 1e-2, scale=1.0))
     return rows
 

@@ -106,8 +106,8 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
         viscosity = apparent(g, rate)
         if rate <= scalar(0.0):
             return viscosity
-        # Estimate the stress at the cells' common corner as if the edge of the plug were not inside these cells. Two
-        # straight lines approximate the shear rate as a function of the stress.
+        # First estimate of the shear stress at the corner where the two cells meet. It holds if no edge of a plug lies
+        # inside these cells. Two straight lines approximate the relation of shear rate and stress.
         most = wp.min(
             rate * unyielded_viscosity(g),
             g.yield_stress + g.viscosity * (rate - g.yield_stress / unyielded_viscosity(g)),

@@ -269,9 +269,9 @@ def place_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def reached(g: Grid, c: whole) -> wp.bool:
-        """Return whether a face or edge with the indices `c` exists.
+        """Return whether the face or edge of the grid with the indices `c` exists.
 
-        A periodic grid is treated as if it continued without end along the pipe.
+        In a periodic grid, every index along the pipe is valid.
         """
         found = wp.bool(True)
         for b in range(wp.static(last if of.periodic else dims)):

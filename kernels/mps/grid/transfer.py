@@ -204,8 +204,8 @@ def extend_kernel(scalar, of: GridKind):
                                 count += scalar(1.0)
                         elif mesh.kind[o] == LIQUID:
                             beside = mesh.velocity[o]
-                            # A face at the lower end of the grid has a cell on one side only, so it does not count as a
-                            # face inside a wall.
+                            # At the lower end of the grid, a face has a cell on one side only. The rule for faces
+                            # inside a wall does not apply to it.
                             if mesh.kind[r] == INSIDE and c[axis] >= 0 and along != axis and wp.static(not of.cut):
                                 beside = scalar(2.0) * mesh.slip[o] - beside
                             sum += beside
@@ -332,8 +332,8 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
             c = whole()
             which = wp.int32(0)
             for b in range(dims):
-                # Add the frame's cell, two half cells, before the division and subtract it afterwards, because integer
-                # division would round a negative number upwards.
+                # Integer division would round a negative number upwards. Add two half cells, the width of the frame
+                # around the grid, before the division, and subtract one cell afterwards.
                 c[b] = (half[b] + 2) / 2 - 1
                 which += (half[b] - 2 * c[b]) * (1 << b)
             depth = geometry.depth[f.at(g, c) * corners + which]

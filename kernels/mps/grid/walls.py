@@ -209,9 +209,10 @@ def wall_kernel(scalar, of: GridKind):
                                         speed, scalar(SLOW),
                                     )  # fmt: skip
                                 if hold > stiff:
-                                    # Concrete sticks to this wall. The stiffness of the slip layer is limited to that
-                                    # of a film with a thickness of 1 / STICKY of a cell. To compensate for this film,
-                                    # friction acts on the velocity half its thickness inside the concrete.
+                                    # Concrete that sticks to a wall would need an infinite stiffness. Use the stiffness
+                                    # of a film whose thickness is 1 / STICKY of a cell. To compensate for this film,
+                                    # compute the friction from the velocity at a point inside the concrete, half the
+                                    # thickness of the film away from the wall.
                                     hold = stiff
                                     spring = scalar(0.5) * g.width[b] / scalar(STICKY)
                                     spring = wp.min(spring, scalar(0.5) * wp.max(near, far))

@@ -92,7 +92,7 @@ class PendingCopies:
             self._return_queue.append(self._buffers)
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Return a copy by name after it has arrived; the copy is valid while this object exists.
+        """Wait for the copy of the array called `name`, and return the copy, which is valid while this object exists.
 
         Raises RuntimeError if the copies do not arrive within the time `COPY_TIMEOUT`.
         """

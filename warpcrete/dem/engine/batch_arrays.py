@@ -311,10 +311,10 @@ class JointArrays:
             copy_links(before, old, self.links, self.capacity)
 
     def reserve_loads(self, s: int, wanted: int) -> None:
-        """Enlarge the array of bond loads (forces and moments of bonds) to at least `wanted` rows for scene `s`.
+        """Enlarge `load`, the array of forces and moments of the bonds, to at least `wanted` rows for scene `s`.
 
-        Other scenes of the batch that have no bonds yet will probably create them soon, so they get room in proportion
-        to their number of spheres.
+        Other scenes of the batch that have no bonds yet will probably create them soon. They get room in proportion to
+        their number of spheres.
         """
         spheres = self.rows["sphere_count"].astype(np.int64)
         each = np.where(self.load_capacity <= 1, wanted * spheres // max(spheres[s], 1), 0)

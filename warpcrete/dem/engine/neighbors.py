@@ -153,7 +153,7 @@ class NeighborLists:
                 b.invalidate_graphs()
 
     def _search(self, sort: bool) -> Rebuild:
-        """Launch the phases `cells` and `search` for half lists, and return the rebuild with all phases.
+        """Launch the phases `cells` and `search` of a rebuild of half lists, and return the complete rebuild.
 
         If the search buffers are too small, they are enlarged and the search is repeated.
         """
@@ -218,8 +218,8 @@ class NeighborLists:
         b = self.batch
         self._keep_old(np.arange(b.count))
         stages = self._rebuild(False).kernel_stages()
-        # Add the kernels for `OCTANTS` threads per sphere. They are needed when only a few scenes of the batch are
-        # rebuilt, because these scenes have few spheres.
+        # If only a few scenes of a batch are rebuilt, the spheres are few, and `OCTANTS` threads share each sphere. Add
+        # the kernels for this case.
         if b.parallel and self._searchers == 1 and b.count > 1:
             stages += self._rebuild(False, OCTANTS).kernel_stages("search", "fill")
         return [*stages, *sorting_kernels(b)]
@@ -316,7 +316,8 @@ class NeighborLists:
     def _stretch_stages(self, old: Arguments) -> list[Recordable]:
         """Return the launches that measure the longest bond of each sphere.
 
-        The result is empty without bonds, and for full lists, whose search does not need this length.
+        Only the search for half lists needs this length. The result is empty for full lists, and if the scenes have no
+        bonds.
         """
         b = self.batch
         if not (b.features.bonds and b.features.half_list):
@@ -355,9 +356,10 @@ class NeighborLists:
         return b.stage(kernel, b.sphere_count + b.count, scanned=scanned, start=start, total=total)
 
     def _transfer(self, old: Arguments) -> Recordable:
-        """Return the launch that copies contact history from the old to the new neighbour lists.
+        """Return the launch that copies contact history from the old neighbour lists to the new ones.
 
-        On a CPU it is a group of launches, one for each thread, and it also writes the neighbours into the lists.
+        On a CPU the launch is a group with one launch for each thread. It also writes the neighbours into the new
+        lists.
         """
         b, f = self.batch, self.batch.features
         lanes = 1 if f.half_list else OCTANTS

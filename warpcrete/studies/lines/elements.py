@@ -37,18 +37,18 @@ LARGEST_STONE_RATIO = 0.3
 """Largest stone divided by the narrowest bore of the line. Smaller stones are enlarged to this ratio by default, so
 that fewer elements have to be simulated."""
 MODULUS_FACTOR = 5.0
-"""Default factor on the concrete's elastic modulus.
+"""Default factor on the elastic modulus of the concrete.
 
-Soft aggregates are still being compressed after they
-have travelled many pipe diameters, so that less concrete leaves a part than enters it.
-In straight pipe of 125 mm the loss is 9.48 kPa/m with the modulus of Zhan et al. (1e5 Pa), and 9.55 kPa/m with five
-times that modulus.
+Soft aggregates are still being compressed after they have travelled many pipe diameters, so that less concrete leaves a
+part of the line than enters it. The factor hardly changes the pressure. In straight pipe of 125 mm the loss is 9.48
+kPa/m with the modulus of Zhan et al. (1e5 Pa), and 9.55 kPa/m with five times that modulus.
 """
 PRESSED_RUN = "pressed"
-"""Word that marks the second simulation of straight pipe, in which a plug at the outlet presses against the concrete.
+"""Last entry in the keys of runs that belong to the second simulation of straight pipe.
 
-In the first simulation, the plug hardly resists, and the pressure remains low. A friction law fitted to these low
-pressures alone would overestimate the friction at high pressure.
+In this simulation, a plug at the outlet presses against the concrete. In the first simulation, the plug hardly resists,
+so that the pressure remains low. A friction law fitted to these low pressures alone would overestimate the friction at
+high pressure.
 """
 PLUG_PRESSURE_RATIO = 0.04
 """Pressure with which a plug at the pipe's outlet resists the flow in the second simulation of straight pipe, divided
@@ -448,10 +448,10 @@ def _remarks(found: ElementLine, runs: Mapping[tuple[Any, int], Run], kinds: Map
 
 
 def element_table_lines(found: ElementLine, others: Mapping[str, Sequence[float]]) -> list[str]:
-    """Return a headline and a table of the line's parts as lines of Markdown.
+    """Return a headline and a table of the parts of a pump line, as lines of Markdown.
 
-    `others` maps names of other methods, such as the closed form, to the frictions of the parts that they predict [Pa].
-    Each method adds one column to the table.
+    `others` maps the name of each other method, such as the closed form, to the friction [Pa] that it predicts for each
+    part. The table has one column for each of these methods.
     """
     low, high = min(found.pressures), max(found.pressures)
     span = f"; {low / 1e5:.4g} to {high / 1e5:.4g} bar over {len(found.packed)} seeds" if len(found.packed) > 1 else ""

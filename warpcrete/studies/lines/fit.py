@@ -83,8 +83,8 @@ class LineFit:
 
     taps: tuple[Tap, ...]
     constants: tuple[FittedConstant, ...]
-    """Viscosity and yield stress of the slip layer. If the line has bends, the factor of their friction relative to
-    straight pipe is the third constant."""
+    """Fitted constants in this order: the viscosity of the slip layer, its yield stress and, if the line has bends, the
+    friction of bends divided by that of straight pipe."""
     pressures: tuple[float, ...]
     """Pressures at the taps according to the fit [Pa], in the order of the taps."""
     uncertainty: float
@@ -199,9 +199,11 @@ class _Model:
         """For each combination of bore, outlet and slip layer, the first part of that kind. The friction per
         metre of this part is calculated once and holds for all parts of the kind."""
         self.metres: list[dict[tuple[Any, ...], list[float]]] = []
-        """For each tap, by the keys of `kinds`: two lengths [m] of pipe between the tap and the end of the line. The
-        first is the length of straight pipe that has the friction of all parts with a known factor. The second is the
-        length of the bends whose factor is fitted."""
+        """Two lengths of pipe between each tap and the end of the line [m], by the keys of `kinds`.
+
+        The first length is that of straight pipe with the same friction as all parts whose factor is known. The second
+        length is that of the bends whose factor is fitted.
+        """
         self.rises: list[float] = []
         for tap in taps:
             own: dict[tuple[Any, ...], list[float]] = {}

@@ -16,8 +16,8 @@ MIN_GROWTH = 0.03
 """Relative growth of a pressure above which it counts as growing."""
 
 Judge = Callable[[Sequence[float], Sequence[float]], tuple[bool, str]]
-"""Function that judges a claim of the paper from the values of a parameter and the pressures at these values [Pa]. It
-returns whether the claim holds, and a short text on what was found."""
+"""Function that judges a claim of a paper. Its arguments are the values of a parameter and the pressure at each value
+[Pa]. It returns whether the claim holds, and a short text on what was found."""
 
 
 @dataclass(frozen=True)
@@ -86,9 +86,9 @@ def judge_narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[b
 
 
 def judge_late_growth(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Return whether the first two pressures are nearly equal and the pressures grow from the second one on.
+    """Return whether pressures first stay nearly equal and then grow, and a short text that describes them.
 
-    The second result is a short text that describes the pressures.
+    The first two pressures must be nearly equal, and the pressures must grow from the second one on.
     """
     level, what = judge_equal(values[:2], pressures[:2])
     grown, how = judge_growing(values[1:], pressures[1:])

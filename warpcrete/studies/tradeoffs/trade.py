@@ -299,8 +299,9 @@ def _run_reference(trade: Trade, tell: Tell) -> None:
         # An earlier call had a larger budget and already ran this setting, so keep it.
         if top == trade.record.get("finest"):
             break
-        # For each knob, compute the logarithm of the factor by which the next coarser level shortens the run, divided
-        # by the error that this level adds.
+        # A knob is a parameter that trades accuracy for run time, and its levels are the values to choose from. For
+        # each knob, compare the present level with the next coarser one: take the logarithm of the factor by which the
+        # coarser level shortens the run, and divide it by the error that the coarser level adds.
         saved = {}
         for name, usable in levels.items():
             if len(usable) > 1:
