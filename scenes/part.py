@@ -46,10 +46,8 @@ REMARKS = ("concrete enters through a plane as a plug with uniform velocity, and
 
 NO_LINE = Needs("line", lambda line: line is None, "is left out")
 MIN_LEG_DISTANCE = 3.0
-"""Minimum distance between two stretches of a line that pass each other, in grid cells.
-
-At this distance no cell belongs to both stretches.
-"""
+"""Minimum distance, in grid cells, between two stretches of a pump line that pass each other. It ensures that no cell
+belongs to both stretches."""
 
 
 def _is_given(value: Any) -> bool:

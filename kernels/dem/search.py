@@ -185,9 +185,9 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
         scenes: Scenes, spheres: Spheres, old_pairs: Pairs, new_place: wp.array(dtype=wp.int32), query: Query,
         old: wp.int32,
     ) -> wp.int32:  # fmt: skip
-        """Return the index of the other sphere of an old list entry if the pair's bond spans a gap wider than the skin.
+        """Return the other sphere of an old list entry if the bond of the pair spans a gap wider than the skin.
 
-        Otherwise return -1.
+        The result is the index of that sphere in the new order of the spheres. It is -1 if the pair has no such bond.
         """
         if old_pairs.bond[old] <= 0:
             return -1

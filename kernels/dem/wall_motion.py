@@ -24,7 +24,7 @@ def ramped(time: wp.float64, ramp: wp.float64):
 
 @wp.func
 def stopped(time: wp.float64, ramp: wp.float64, stroke: wp.float64, pause: wp.float64, stops: wp.float64):
-    """Return the distance of a motion that first makes `stops` strokes and then continues at a constant speed of 1.
+    """Return the distance of a motion that consists of `stops` strokes, followed by motion at a constant speed of 1.
 
     Each stroke goes from rest to rest and is followed by a pause.
     """

@@ -55,8 +55,9 @@ ASSUMED = (850.0, 10.0)
 ASSUMED_ERROR_FACTOR = 3.0
 """Factor by which the viscosity of the true slip layer may be higher or lower than that of :data:`ASSUMED`."""
 ASSUMPTION, ESTIMATE = "assumption", "estimate from"
-"""First words of the origin of a property that no measurement gives. The first is for a property that is assumed,
-because the mix contains no information on it. The second is for one that was estimated from the paste alone."""
+"""First words of the text that states the origin of a property without a measurement. The first text is for a property
+that is assumed, because the mix contains no information on it. The second text is for a property that was estimated
+from the paste alone."""
 Pair = tuple[Figure, Figure]
 
 
@@ -83,10 +84,11 @@ def aggregate_factor(aggregate: float) -> float:
 
 
 def slump_layer(slump: float) -> tuple[float, float]:
-    """Return viscosity [Pa s/m] and yield stress [Pa] of the layer from the slump [m].
+    """Return the viscosity [Pa s/m] and the yield stress [Pa] of the slip layer from the `slump` [m].
 
-    The Chinese rule JGJ/T 10 gives the pressure loss 2 / r (K1 + 1.3 K2 v) 0.9 with K1 = 300 - slump [Pa] and K2 =
-    400 - slump [Pa s/m], for slumps in millimetres. It goes back to Morinaga (1973).
+    They follow from the Chinese rule JGJ/T 10, which goes back to Morinaga (1973). For a pipe of radius r and the
+    velocity v, the pressure loss by this rule is 2 / r (K1 + 1.3 K2 v) 0.9. Here K1 = 300 - slump [Pa] and K2 = 400 -
+    slump [Pa s/m], with the slump in millimetres.
     """
     return 0.9 * 1.3 * (400 - 1e3 * slump), 0.9 * max(300 - 1e3 * slump, 0.0)
 

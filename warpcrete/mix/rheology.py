@@ -45,8 +45,8 @@ intrinsic viscosity, 30 % above that of spheres, is a choice. This value is ascr
 who are said to give it for ground gypsum; the book was not checked. The second pair stands for spheres of mixed sizes.
 """
 T500_ERROR_FACTOR = 1.3
-"""Factor by which the relation for T500 may be wrong, because of inertia and of lifting the cone in 1 to 3 s, as found
-in simulations."""
+"""Factor by which the relation for T500 may be wrong. Simulations show the error, which is due to inertia and to the
+time of 1 to 3 s that lifting the cone takes."""
 USUAL_AGGREGATE = 0.66
 """Share of sand and stones in the concrete's volume, assumed if the mix states no ingredients. Usual shares are 0.57 to
 0.70."""

@@ -36,7 +36,7 @@ VELOCITY_ERROR = 1e-6
 ABSOLUTE_PRESSURE_FACTOR = 1e-4
 """Ratio of the absolute to the relative tolerance of the pressure solve.
 
-The absolute tolerance is a fraction of the residual for a divergence of (piston speed / radius).
+The absolute tolerance is a fraction of the residual that a divergence of (piston speed / radius) causes.
 """
 DENSITY_TOLERANCES = 0.1, 1e-7
 """Relative tolerance of the density solve, and the rms residual below which the solve stops in any case."""

@@ -222,9 +222,9 @@ class _Run:
             self.outcome = failure
 
     def stop(self, why: KeyboardInterrupt) -> None:
-        """End the run now because of an interruption (Ctrl-C).
+        """End the run now after an interruption (Ctrl-C).
 
-        The outcome of a run that has begun is its unfinished result; otherwise it is the interruption `why`.
+        If the run has begun, its outcome is its unfinished result. Otherwise its outcome is the interruption `why`.
         """
         if self.outcome is None:
             if self._coroutine is None:

@@ -196,10 +196,9 @@ def steady_of_stress(concrete: Concrete, line: Line, stress: float, form: str = 
 
 @functools.lru_cache(maxsize=1024)
 def steady(concrete: Concrete, line: Line, flow: float, form: str = "pipe") -> Steady:
-    """Return the steady state of a volume `flow` [m3/s]; its pressure is the one that a pump must deliver.
+    """Return the steady state at the volume flow `flow` [m3/s]; its pressure is the one that a pump must deliver.
 
-    At rest the wall stress may have any value up to `least_stress`. The result for zero flow has exactly this wall
-    stress.
+    Concrete at rest can bear any wall stress up to `least_stress`. The result for zero flow has this largest stress.
     """
     between("flow", flow, 0, np.inf, "[m3/s]")
     low = least_stress(concrete, line)

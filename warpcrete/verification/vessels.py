@@ -41,9 +41,9 @@ class _Paste:
 
 
 def _filled(room: Room, walls: list[tuple[Distance, int]], abreast: int) -> dict:
-    """Return the arguments of a layout for a `room` that is filled with concrete except for the space inside its walls.
+    """Return the arguments of a layout in which concrete fills a `room` except for the space inside its walls.
 
-    Every full cell of the room starts with `abreast` particles along each axis.
+    A cell that is full of concrete contains `abreast` particles along each axis at the start.
     """
     geometry, nearest = geometry_of(room, walls), nearest_wall(room, walls)
     places, mass = fill_cells(room, abreast, lambda points: nearest(points)[0] > 0)

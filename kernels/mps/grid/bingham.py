@@ -98,10 +98,11 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def apparent_at_edge(g: Grid, rate: scalar, change: scalar) -> scalar:
-        """Return the viscosity at the corner between two cells, corrected if a plug ends within these cells.
+        """Return the viscosity at the corner where two cells meet, corrected if the edge of a plug lies in these cells.
 
-        `rate` is the difference of the cells' mean velocities over their distance. `change` is the change of the stress
-        over one cell. If a plug ends within the cells, `rate` is larger than the shear rate at the corner itself.
+        `rate` is the difference of the cells' mean velocities divided by their distance, and `change` is the change of
+        the stress over one cell. If the edge of a plug lies in the cells, `rate` is larger than the shear rate at the
+        corner.
         """
         viscosity = apparent(g, rate)
         if rate <= scalar(0.0):

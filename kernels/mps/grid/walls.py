@@ -138,7 +138,7 @@ def wall_kernel(scalar, of: GridKind):
     def weight(g: Grid, c: whole, axis: wp.int32, b: wp.int32) -> scalar:
         """Return the radius of the point halfway between a face and the next face along axis `b` [m].
 
-        The result is 1 if there is no axis of symmetry.
+        The radius is the distance from the axis of symmetry. Without such an axis, the result is 1.
         """
         if axis == b:
             return f.cell_weight(g, c)

@@ -130,7 +130,7 @@ class CompositeRule:
         raise NotImplementedError
 
     def to_plain(self, field: Field, value: object) -> tuple[dict[str, object], bool]:
-        """Return the parameters that describe an object `value` of `field` as numbers and texts, by name.
+        """Return numbers and texts, by name of the parameter, that describe the object `value` of `field`.
 
         The second result is True if `with_objects` makes an equal object from these parameters.
         """

@@ -153,11 +153,12 @@ class Batch(JointArrays):
         self._wall_launch = None
 
     def use_step(self, step: Step, rebuild: GraphLaunch | None, between_pieces: GraphLaunch | None) -> None:
-        """Set the kernel launches of one step, `step`, as one list for each CPU thread.
+        """Set the recorded launches of a time step, and of the work that follows each group of steps on a GPU.
 
-        The launches stay valid while `has_step` is True. A GPU launches steps in pieces. After each piece it launches
-        `between_pieces`, which rebuilds stale neighbour lists (only in a batch of one scene) and estimates stable time
-        steps. If no scene needs estimates, it launches `rebuild` instead, which only rebuilds the lists.
+        `step` holds one list of launches for each CPU thread. The launches stay valid while `has_step` is True. After
+        each group of steps, a GPU launches `between_pieces`. This estimates stable time steps and, in a batch of one
+        scene, rebuilds stale neighbour lists. If no scene needs estimates, the GPU launches `rebuild` instead, which
+        only rebuilds the lists.
         """
         self._step, self._rebuild, self._between_pieces = step, rebuild, between_pieces
 

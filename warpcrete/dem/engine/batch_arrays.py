@@ -110,9 +110,9 @@ class JointArrays:
         self.face_capacity = np.array([len(s.candidates.face) for s in states])
         """Allocated number of each scene's mesh candidates, that is, triangles near a sphere, shape (scenes,)."""
         self.load_capacity = np.array([len(s.pairs.load) for s in states])
-        """Allocated number of rows for the forces and moments (loads) of each scene's bonds, shape (scenes,).
+        """Allocated number of rows for the forces and moments of each scene's bonds, shape (scenes,).
 
-        If contacts heal, this number is unused, because then every listed pair has a row.
+        If contacts can form bonds during the run, every listed pair has a row, and this number is unused.
         """
         self._join_states()
         self._join_models()

@@ -409,10 +409,10 @@ class NeighborLists:
     def _found_of(self, total: DeviceArray, what: str, entries: str) -> tuple[np.ndarray, int]:
         """Return the number of list entries of each scene, and the number of neighbours that the buffer must hold.
 
-        The second result is the largest number of neighbours of a sphere for which the search buffer was too small, or
-        0 if the buffer was large enough. Both results are read from the device array `total`. Raises
-        :class:`CapacityError` for more entries than 32 bits can count; its message names the list by `what` and
-        `entries`.
+        The second result is 0 if the search buffer was large enough for the neighbours of every sphere. Otherwise it is
+        the largest number of neighbours of a sphere that needs more room. Both results are read from the device array
+        `total`. Raises :class:`CapacityError` for more entries than 32 bits can count; its message names the list by
+        `what` and `entries`.
         """
         (found,) = self.batch.exchange.read(total)
         found = found.astype(np.int64)

@@ -25,8 +25,8 @@ class LubricationLayer(ContactLaw):
     """Linear law in the normal direction, and a lubrication layer in shear.
 
     In shear a slider has the limit mu N + A tau_L0, and a drag A eta_L V acts in addition. Here mu is the friction
-    coefficient, N the normal spring force, A the contact's area, tau_L0 and eta_L the layer's yield stress and
-    viscosity per thickness, and V the slip velocity.
+    coefficient, N the normal spring force, A the contact's area, tau_L0 the yield stress of the layer, eta_L the
+    viscosity of the layer divided by its thickness, and V the slip velocity.
     """
 
     called = "layer"

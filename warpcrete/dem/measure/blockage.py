@@ -1,7 +1,10 @@
 """Detect and locate the blockage of a pipe during a run, from the motion and the contact forces of the aggregates.
 
-A pipe counts as blocked if a part of the concrete hardly moves although the piston advances, if this lasts longer than
-compression of the concrete behind that part can explain, and if the pressure rises.
+A pipe counts as blocked if three conditions hold:
+
+- A part of the concrete hardly moves although the piston advances.
+- This lasts longer than compression of the concrete behind that part can explain.
+- The pressure rises.
 """
 
 from __future__ import annotations

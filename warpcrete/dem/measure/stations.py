@@ -159,9 +159,9 @@ def stresses_along(
 
 
 def _filled_slices(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.ndarray) -> np.ndarray:
-    """Return a mask of the slices between a piston at `travel` [m] and the front of the bodies, shape (slices,).
+    """Return a mask of the slices that lie between the piston and the front of the bodies, shape (slices,).
 
-    The bodies have the arc lengths `s` [m] and the volumes `volume`.
+    The piston is at the arc length `travel` [m]. The bodies have the arc lengths `s` [m] and the volumes `volume`.
     """
     whole = float(volume.sum())
     if whole == 0:

@@ -328,9 +328,9 @@ class RunParameters(Declared):
 
 
 class ConcreteDefaults:
-    """Mixin for scene parameters that contain a named concrete, which supplies defaults for other parameters.
+    """Mixin for scene parameters with a named concrete, which supplies defaults for other parameters.
 
-    The mixin also turns paths of mesh files in `shapes` into absolute paths.
+    It also turns paths of mesh files in `shapes` into absolute paths.
     """
 
     @classmethod

@@ -290,7 +290,7 @@ def _wall_share(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
 def _corner_values(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
     """Return the values at the lower and the upper end of each cell along `axes`, from values at grid points.
 
-    Each of these axes adds one last axis of length 2 to the result.
+    For each of these axes, the result has one more dimension, of length 2, at the end of its shape.
     """
     for axis in axes:
         count = values.shape[axis]

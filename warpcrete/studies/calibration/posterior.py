@@ -34,9 +34,10 @@ class Emulator:
     """Gaussian process that predicts one quantity: a linear trend, a smooth remainder, and noise."""
 
     def __init__(self, points: np.ndarray, values: np.ndarray, least: float) -> None:
-        """Fit the process to the `values`, shape (n,), at `points` of the unit cube, shape (n, free).
+        """Fit a Gaussian process to `values`, shape (n,), at `points` of the unit cube, shape (n, free).
 
-        The scale of the values is at least `least`, so that smaller differences between them are treated as negligible.
+        The values are divided by their standard deviation, or by `least` if that is larger. Differences that are small
+        compared with `least` are therefore treated as negligible.
         """
         from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, WhiteKernel

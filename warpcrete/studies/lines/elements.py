@@ -108,7 +108,8 @@ class WallLaw:
     def of(cls, diameter: float, columns: Mapping[str, np.ndarray], largest: float) -> WallLaw:
         """Fit the law to the stresses measured in slices of a straight pipe of the given `diameter` [m].
 
-        `columns` holds the arrays `axial_stress`, which serves as the pressure, and `wall_stress` [Pa].
+        The law is a straight line of the stress on the wall over the pressure. `columns` holds the arrays
+        `axial_stress`, which serves as the pressure, and `wall_stress` [Pa].
         """
         pressure, shear = columns["axial_stress"], columns["wall_stress"]
         here = np.isfinite(pressure)

@@ -33,8 +33,8 @@ DEPENDENT = 1e-3
 """Smallest singular value of the matrix of scaled sensitivities with which the measured points determine all constants.
 Below this value, a constant is removed from the fit."""
 LEAST = (1e-2, -1.0, 0.0)
-"""Values of slip viscosity [Pa s/m], slip yield [Pa] and factor of bends. A fit whose constant is not above its value
-here is refused as impossible."""
+"""Limits that the fitted constants must exceed: slip viscosity [Pa s/m], yield stress of the slip layer [Pa], and
+factor of bends. A fit with a constant that does not exceed its limit is refused as impossible."""
 NOTHING = {1: 1e-3, 2: 0.0}
 """Values of slip yield [Pa] and factor of bends, by index of the constant. If a fitted value is smaller, the points
 cannot distinguish it from zero; the constant then gets its default value."""
@@ -312,10 +312,10 @@ def _metre(line: PipeLine) -> PipeLine:
 
 
 def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
-    """Return the constants that the points determine, as the first ones of `free`.
+    """Return the first constants of `free`, as many as the measured points determine.
 
-    `slopes` are the derivatives of the pressures with respect to the constants `free`, shape (taps, free). A constant
-    is dropped from the end of the list while the columns of `slopes` are linearly dependent.
+    `slopes` are the derivatives of the pressures at the taps with respect to these constants, shape (taps, free). The
+    last constant is dropped as long as the columns of `slopes` are linearly dependent.
     """
     while len(free) > 1:
         scaled = slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)

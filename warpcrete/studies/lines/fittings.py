@@ -52,8 +52,8 @@ MODEL_ERRORS = {
     "bore": ModelError("bores", 1.0, 2.0, f"as a reducer, 2: {AIJ}"),
     "valve": ModelError("valves", 1.0, 1.0, f"from straight pipe to 0.8 MPa: {JGJ}"),
 }
-"""Range of a part's friction divided by that of straight pipe, by kind of part. The upper end for a valve is not used;
-the pressure loss :data:`VALVE_PRESSURE` takes its place."""
+"""Range of a part's friction divided by that of straight pipe, by kind of part. For a valve, the upper end follows from
+the pressure loss :data:`VALVE_PRESSURE`, unless that is smaller than the friction of straight pipe."""
 
 
 def range_of(part: Part, straight: float) -> tuple[float, float] | None:

@@ -193,9 +193,8 @@ XU_SPACINGS = (20e-3, 10e-3, 5e-3)
 XU_THICKNESSES = (0.0, 2e-3, 4e-3, 6e-3)
 """Thicknesses of the slip layer in the study of Xu, Li & Jiang 2021 [m]."""
 XU_PRINTED = {"pressure": 9.40e3, "slip_velocity": 0.186}
-"""Pressure [Pa] and slip velocity [m/s] that Xu prints for concrete no. 1 at the reference flow. The paper's own closed
-form gives 9.43e3 Pa and 0.186 m/s.
-"""
+"""Pressure [Pa] and slip velocity [m/s] of concrete no. 1 at the reference flow, as printed in Xu, Li & Jiang (2021).
+The closed form in the same paper gives 9.43e3 Pa and 0.186 m/s."""
 
 
 def xu_cases(quick: bool) -> dict[str, list[tuple[str, dict[str, Any]]]]:

@@ -104,9 +104,10 @@ def _part(tell: Progress, place: int, count: int) -> Progress:
 
 
 def chosen(paper: str, only: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the columns and rows of the report on Zhan et al. that `only` names; an empty list stands for all of them.
+    """Return the columns and rows of the report on Zhan et al. that `only` names.
 
-    Columns are concretes and open assumptions. Rows are the pipe units and the varied parameters.
+    Columns are concretes and open assumptions. Rows are the pipe units and the varied parameters. An empty list of
+    columns or rows stands for all of them.
     """
     columns, rows = [*CONCRETES, *OPEN_ASSUMPTIONS], [UNITS_ROW, *(row.name for row in ZHAN)]
     if only and paper != "zhan":

@@ -124,9 +124,9 @@ class Trade:
         return ", ".join(parts) or GIVEN
 
     def keys_of(self, point: Setting) -> dict[str, str]:
-        """Return the names of a setting's knob levels, by the knob's name.
+        """Return the name of the level that each knob has in a setting, by the name of the knob.
 
-        The names of the levels are valid in other scenes, too.
+        A knob is a parameter that trades accuracy for run time. The names of its levels are valid in other scenes, too.
         """
         chosen = {knob.name: knob.levels[point.levels[knob.name]] for knob in self.knobs if knob.name in point.levels}
         return {name: level.key or level.label for name, level in chosen.items()}

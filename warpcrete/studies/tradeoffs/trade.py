@@ -34,8 +34,7 @@ from .state import Tell, Trade
 
 SETTINGS = ("budget", "quantities", "knobs", "repeat", "device", "threads", "scheduler", "workers", "progress")
 FRESH_SEEDS = 3
-"""Number of fresh seeds with which a promised error is tested, in addition to the seeds from which the error was
-computed."""
+"""Number of new random seeds with which a promised error is tested. None of them was used to compute the error."""
 SINGLE_KNOBS_UNTIL, FINEST_UNTIL, COMBINED_UNTIL = 0.55, 0.8, 0.9
 """Fractions of the budget at which three phases end: single knobs, the finest setting, and combinations."""
 
@@ -279,10 +278,11 @@ def _one_at_a_time(trade: Trade, tell: Tell) -> None:
 
 
 def _run_reference(trade: Trade, tell: Tell) -> None:
-    """Run the reference setting: all accuracy knobs at their finest level, or as fine as the budget allows.
+    """Run the reference setting: every knob at its finest level, or as fine as the budget allows.
 
-    If the budget is too short, the function coarsens the knob that saves most time per error, one level at a time. No
-    knob becomes coarser than in the scene as given.
+    A knob is a parameter that trades accuracy for run time, and its levels are its possible values. If the budget is
+    too short, the function moves one knob at a time to its next coarser level. It chooses the knob that saves most time
+    for the error that this adds. No knob becomes coarser than in the scene as given.
     """
     levels = {}
     for knob in trade.chosen_knobs:
