@@ -228,8 +228,8 @@ def _line(given: PartParameters) -> _PipeCourse:
 def _axis(given: PartParameters, bends: bool) -> Axis:
     """Return the axis of a single part, which starts at the origin; z points up."""
     origin, up, along, aside = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
-    # A taper lies in the middle of a pipe without a bend. In a pipe with a bend, a straight stretch separates bend and
-    # taper.
+    # In a pipe without a bend, the taper lies in the middle. In a pipe with a bend, a straight stretch lies between
+    # bend and taper.
     narrowing = given.straight + given.taper if given.outlet_diameter is not None else 0.0
     if not bends:
         return Axis(

@@ -90,9 +90,10 @@ def column_functions(scalar):
 
 @functools.cache
 def layout(rolls: bool, history: bool, bonds: bool) -> SimpleNamespace:
-    """Return where the columns of each quantity begin in the float and the integer array of the lanes.
+    """Return where the columns of each quantity begin in the float array and the integer array of the vector lanes.
 
-    The result also contains the sizes of both arrays.
+    A vector lane is one of the contacts that a CPU computes at the same time. The result also contains the sizes of
+    both arrays.
     """
     numbers = dict(position_i=4, velocity_i=4, spin_i=3, position_j=4, velocity_j=4, spin_j=3, sign=1)
     numbers |= (dict(history=3) if history else {}) | (dict(rolling=3) if rolls else {})

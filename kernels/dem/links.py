@@ -87,7 +87,7 @@ def result_functions(scalar, count: int):
 
     @wp.func
     def sum_of_links(spheres: Spheres, pairs: Pairs, links: Links, i: wp.int32, row: wp.int32, slot: wp.int32):
-        """Add up force, moment and lost energy of the links of sphere i, in list order.
+        """Add up force, moment and lost energy over the links (pairs) of sphere i, in list order.
 
         `row` is the index of the scene's first list entry, and `slot` the sphere's index in `pairs.start`.
         """

@@ -117,8 +117,8 @@ def search_functions(scalar, half: bool, bonds: bool) -> SimpleNamespace:
     """Return the functions that decide where to search for neighbours and which spheres are neighbours.
 
     They are `query_of`, `padded_reach`, `is_neighbour` and `bonded_beyond_skin`. A bond may span a gap wider than the
-    skin. Half lists find such pairs by a wider search in the grid, full lists take them from the old list
-    (`bonded_beyond_skin`).
+    skin. Half lists find such pairs by a wider search in the grid. Full lists take such pairs from the old list, with
+    the function `bonded_beyond_skin`.
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -157,9 +157,9 @@ def advance_kernel(scalar, strokes: bool) -> wp.Kernel:
         walls.moment[w] = m
         walls.impulse[w] = impulse + kick * f
         walls.angular_impulse[w] = angular_impulse + kick * m
-        # The present contact forces act from half a step before to half a step after this point in time. The wall's
-        # work on the concrete is therefore added in two parts. Here the work in the second half of the previous step is
-        # added, with the velocity of that step. The work in the first half of the coming step is added below.
+        # The contact forces act from the middle of the previous step to the middle of the coming step. The wall's work
+        # on the concrete is therefore added in two parts. This line adds the work in the second half of the previous
+        # step, with the velocity of that step. The work in the first half of the coming step is added below.
         work = work - wp.float64(0.5) * previous * (wp.dot(f, velocity) + wp.dot(m, spin))
         now = scenes.clock[s, TIME] + dt - walls.table[w].start_time
         if motion == PRESCRIBED and scenes.row[s].held == 0:

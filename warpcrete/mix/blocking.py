@@ -95,7 +95,7 @@ def worst(verdicts: Sequence[RuleVerdict]) -> str:
 
 
 def blocking_rules(mix: MixEntries | None, bore: float | None = None, stone: float | None = None) -> list[RuleVerdict]:
-    """Return the verdicts of all rules on a mix, and on its stones in a `bore` [m].
+    """Return the verdicts of all rules of practice on blocking, for a mix in a pipe of the given `bore` [m].
 
     `stone` is the size of the largest stone [m], and takes precedence over the size that the mix states. Without a mix,
     the result contains only the rule that compares the stone with the bore.

@@ -70,7 +70,7 @@ class Mix:
 
     @property
     def concrete(self) -> Concrete:
-        """The mix as a yield stress fluid with a slip layer, after multiplication by `factors`.
+        """Concrete that the mix gives: a yield stress fluid with a slip layer, after multiplication by `factors`.
 
         The factors describe the concrete at another age or temperature.
         """

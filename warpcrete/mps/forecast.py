@@ -1,8 +1,8 @@
 """Forecasts of the run time of flows.
 
-A coarser copy of the flow is run to predict the simulated time until the flow is steady. This time is set by physics
-rather than by the resolution, so it is the same for both. The wall time of a step is measured in the first steps of the
-flow itself.
+The run time depends on the simulated time until the flow is steady, and on the wall time of a step. A coarser copy of
+the flow is run to predict the simulated time, which is set by physics rather than by the resolution. The wall time of a
+step is measured in the first steps of the flow itself.
 """
 
 from __future__ import annotations

@@ -98,9 +98,9 @@ SLIP_VISCOSITY_BY_THICKNESS = {
     "no2": {2e-3: 839.0, 4e-3: 834.0, 6e-3: 831.0},
     "no3": {2e-3: 914.0, 4e-3: 908.0, 6e-3: 902.0},
 }
-"""Slip viscosity eta_L [Pa s/m] by layer thickness [m] (Xu et al. 2021, Table 3).
+"""Slip viscosity eta_L [Pa s/m] by name of the concrete and thickness of the layer [m] (Xu et al. 2021, Table 3).
 
-The slip yield stress tau_L0 does not depend on the thickness.
+The yield stress of the slip layer does not depend on the thickness.
 """
 
 MIXES = {

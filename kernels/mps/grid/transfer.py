@@ -238,9 +238,10 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def corner(g: Grid, base: whole, s: vec, n: wp.int32):
-        """Return a corner of the grid cell around a position: its indices, its weight, and the gradient of the weight.
+        """Return one corner of a grid cell, with its weight in linear interpolation and the gradient of this weight.
 
-        `n` is the number of the corner, and `s` is the position within the cell, from 0 to 1 along each axis.
+        The corner is returned as its indices. `base` holds the indices of the lowest corner, and `n` is the number of
+        the wanted corner. `s` is the position at which to interpolate, from 0 to 1 along each axis of the cell.
         """
         c = whole()
         part = vec()

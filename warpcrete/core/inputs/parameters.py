@@ -125,7 +125,8 @@ class CompositeRule:
     def with_objects(self, field: Field, values: Mapping[str, object]) -> dict[str, object]:
         """Return a copy of the parameters `values` in which `field` has an object as its value.
 
-        The object is made from the value of `field` and from the parameters that belong to it, which are removed.
+        The object is made from the value of `field` and from the parameters that belong to the object. These parameters
+        are missing in the copy.
         """
         raise NotImplementedError
 

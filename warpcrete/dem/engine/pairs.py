@@ -36,7 +36,7 @@ def pairs_of(
     j = np.where(other >= 0, other, -1 - other)
     once = other >= 0
     if chunks is not None:
-        # If a pair is listed at both spheres, use the entry whose `other` is not negative. In half lists, a pair inside
-        # a chunk is listed only once, so always use its entry.
+        # If a pair is listed at both spheres, use the entry whose `other` is not negative. In a half list, a pair whose
+        # spheres belong to the same CPU thread is listed only once, so always use its entry.
         once |= np.searchsorted(chunks, i, "right") == np.searchsorted(chunks, j, "right")
     return i[once], j[once], np.flatnonzero(once)

@@ -1,6 +1,6 @@
-"""Parameters of pumping aggregates through one pipe unit, in groups (Zhan et al. 2019).
+"""Parameters of scenes in which a piston pumps aggregates through one pipe unit (Zhan et al. 2019), in groups.
 
-The first line of each parameter class is the heading of its group in the command's help.
+Each group is a class. The first line of its docstring is the heading of the group in the command's help.
 """
 
 from __future__ import annotations

@@ -175,9 +175,9 @@ def _log_success(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.nd
 
 
 def confounded_pairs(found: Posterior, close: float = 0.9) -> list[tuple[str, str, float]]:
-    """Return the pairs of parameters whose correlation has a magnitude of at least `close`.
+    """Return the pairs of parameters with a strong correlation, which the data cannot determine separately.
 
-    Each entry holds both names and the correlation. The data determine only a combination of the two parameters.
+    Each entry holds both names and the correlation, whose magnitude is at least `close`.
     """
     names = [free.name for free in found.task.free]
     matrix = found.correlations()

@@ -51,8 +51,8 @@ so that the pressure remains low. A friction law fitted to these low pressures a
 high pressure.
 """
 PLUG_PRESSURE_RATIO = 0.04
-"""Pressure with which a plug at the pipe's outlet resists the flow in the second simulation of straight pipe, divided
-by the elastic modulus of the elements."""
+"""Pressure of the plug at the pipe's outlet in the second simulation of straight pipe, divided by the elastic modulus
+of the elements. With this pressure the plug resists the flow."""
 CONSTANT_FRICTION_RATIO = 0.2
 """Ratio of pressure to modulus above which wall friction is assumed constant, because overlaps become large."""
 STEPS = 50
@@ -178,8 +178,8 @@ class ElementLine:
     """Results of the simulated parts, one entry for each seed."""
     remarks: list[str]
     took: dict[str, float] = field(default_factory=dict)
-    """Wall time of each new simulation [s], by the name of its folder. Simulations that ran on the device at the same
-    time share it, so that their times overlap."""
+    """Wall time of each new simulation [s], by the name of its folder. If simulations run on the device at the same
+    time, their wall times overlap."""
     elapsed: float = 0.0
     """Wall time of all new simulations together, including packing [s]."""
     failed: dict[str, list[str]] = field(default_factory=dict)
@@ -359,7 +359,7 @@ def _simulate(
 ) -> dict[str, float]:  # fmt: skip
     """Run the `jobs`, store their runs in the mapping `runs`, and return the wall times [s].
 
-    The keys of `runs` are pairs of kind of part and seed; those of the result are the names of the runs' folders.
+    A key of `runs` is a pair of a kind of part and a seed. A key of the result is the name of a run's folder.
     """
     simulations, checkpoints = [], []
     for key, seed, scene in jobs:

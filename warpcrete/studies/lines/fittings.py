@@ -98,10 +98,11 @@ def library_factor(part: Part) -> float:
 
 
 def is_in_library(part: Part) -> bool:
-    """Return whether the table of simulated bends and reducers covers a part.
+    """Return whether the friction of a pipe part can be found without a simulation.
 
-    The table does not cover a bend or reducer that is sharper than the sharpest simulated one, unless the line's file
-    states its factor. Other kinds of parts need no table.
+    This is so if the line's file states the part's factor, and for all kinds of parts other than bends and reducers.
+    The friction of a bend or reducer is in the table of simulated ones, unless the part is sharper than the sharpest of
+    these.
     """
     if part.factor is not None or part.kind not in ("bend", "reducer"):
         return True

@@ -70,12 +70,13 @@ def run_trade(
     """Measure speed against accuracy of the scene `module.scene` with parameters `base`.
 
     Results go to the new folder `out`. `budget` is the wall time [s]. `quantities` names the result quantities whose
-    errors are measured, `knobs` the knobs that are varied (default: all of the scene), and `repeat` the number of seeds
-    of each setting (default 3, or 1 if nothing is random). With a `scheduler`, runs are distributed over the `workers`
-    of :func:`warpcrete.studies.cluster.open_cluster`. Each worker runs one simulation at a time and has a GPU, or
-    `threads` cores (default 1), to itself; the budget remains wall time, so more workers measure more settings. Raises
-    :class:`SceneError` before anything is written if the settings are impossible, and after the first run if the
-    budget is too short for a second.
+    errors are measured. `knobs` names the parameters that are varied because they trade accuracy for run time (default:
+    all that the scene has). `repeat` is the number of seeds of each setting (default 3, or 1 if nothing is random).
+
+    With a `scheduler`, runs are distributed over the `workers` of :func:`warpcrete.studies.cluster.open_cluster`. Each
+    worker runs one simulation at a time. It has a GPU, or `threads` cores (default 1), to itself. The budget remains
+    wall time, so more workers measure more settings. Raises :class:`SceneError` before anything is written if the
+    settings are impossible, and after the first run if the budget is too short for a second.
     """
     check_scheduler(scheduler, workers)
     trading = getattr(module, "trading", None)
