@@ -36,9 +36,8 @@ THICK = 2.5
 ABOVE = 3
 """Height of the flow's room above the box, in cells."""
 VOLUME = 0.06
-"""Limit of the volume error of the free surface, as a fraction of the volume; with cells of 20 mm, measured errors
-reach 0.040.
-"""
+"""Largest accepted error of the concrete's volume below the free surface, as a fraction of the volume. With cells of 20
+mm, measured errors reach 0.040."""
 POURED = "concrete is not poured: it stands behind a gate at one end, which is lifted slowly"
 
 
@@ -48,8 +47,9 @@ def _measure(concrete: Specimen, size: Sizes) -> dict[str, float]:
 
 
 def _at_rest(k: Outcome, place: int) -> float | None:
-    """Return the depth at the near end, that at the far end, or the length that concrete covers, by `place` [m].
+    """Return a depth or a length of the concrete at rest [m], which `place` selects.
 
+    A `place` of 0 selects the depth at the near end, 1 the depth at the far end, and 2 the length that concrete covers.
     The result is None for concrete so stiff that it would rest deeper than the column in which it starts.
     """
     found = box_at_rest(k.whole, k.size["length"], k.size["width"], k.concrete.yield_stress, k.density, k.gravity)

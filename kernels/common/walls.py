@@ -74,10 +74,10 @@ def wall_functions(scalar):
 
     @wp.func
     def distance_to_wall(wall: Wall, segments: wp.array(dtype=Segment), place: t.vec3, normal: t.vec3, x: t.vec3):
-        """Return the distance of `x` from a wall [m], negative beyond its surface, and a vector towards the wall.
+        """Return the distance of `x` from a wall [m], which is negative behind the wall, and a vector towards the wall.
 
-        `place` is the wall's position and `normal` the present normal of a plane. The vector points towards the
-        nearest point of the surface, and its length has no meaning.
+        `place` is the present position of the wall, and `normal` the present normal if the wall is a plane. The vector
+        points towards the nearest point of the wall. Its length has no meaning.
         """
         if wall.kind == PLANE:
             return wp.dot(place - x, -normal), -normal

@@ -97,9 +97,10 @@ def warp_force_function(scalar):
         step_force: wp.array3d(dtype=wp.int64), touches: wp.bool, thread: wp.int32, lanes: wp.int32, w: wp.int32,
         f: t.vec3, m: t.vec3, scale: wp.float64,
     ):  # fmt: skip
-        """Add the forces `f` and moments `m` of a warp's threads to the walls that their spheres touch.
+        """Add the forces `f` and moments `m` of the threads of a GPU warp to the walls that their spheres touch.
 
-        All threads of the warp must call this function; without a touched wall, `f` and `m` are zero.
+        All threads of the warp must call this function. If the sphere of a thread touches no wall, `f` and `m` must be
+        zero.
         """
         first = leader(touches, w, lanes)
         for c in range(3):

@@ -36,10 +36,9 @@ def bond_kernels(scalar) -> tuple[wp.Kernel, wp.Kernel]:
     ):
         """Bond all pairs that have no intact bond and whose surfaces are at most `gap` apart.
 
-        If `group` >= 0, only pairs are bonded of which both spheres belong to bodies of that group.
-
-        With `healing`, each list entry has its own row in `pairs.load`, which this kernel clears. Without `healing`,
-        the bonds receive their rows in `pairs.load` later.
+        If `group` is not negative, only pairs inside this group are bonded: the bodies of both spheres must belong to
+        it. With `healing`, each list entry has its own row in `pairs.load`, which this kernel clears. Without
+        `healing`, the bonds receive their rows in `pairs.load` later.
         """
         i = wp.tid()
         for k in range(pairs.start[i], pairs.start[i + 1]):

@@ -62,9 +62,10 @@ def half_search_kernel(scalar, bonds: bool) -> wp.Kernel:
 
     @wp.func
     def near_another(x: t.vec3, reach: scalar, boxes: wp.array2d(dtype=t.vec3), part: wp.int32):
-        """Return True if a neighbour within `reach` may belong to another chunk.
+        """Return True if a sphere of another chunk may be within the distance `reach` of the position `x`.
 
-        `boxes` holds the bounding box of each chunk, and `part` is the index of the own chunk.
+        A chunk is the range of spheres that one CPU thread computes. `boxes` holds the bounding box of each chunk, and
+        `part` is the index of the chunk that searches.
         """
         for other in range(boxes.shape[0]):
             if other != part:

@@ -31,10 +31,11 @@ BOND = (
 
 @functools.cache
 def column_functions(scalar):
-    """Return functions that read and write vectors in columns, and that select a vector or zero.
+    """Return functions that read and write numbers and vectors in columns, and that select a vector or zero.
 
-    A column holds one number for each vector lane. `get`, `put` and their variants access the number of lane `lane` in
-    the columns that start at index `at`. `where3` and `where4` return the vector if a condition holds, else zero.
+    A vector lane is one of the contacts that a CPU computes at the same time. A column holds one number for each lane.
+    `get`, `put` and their variants access the number of lane `lane` in the column that starts at index `at`, or a
+    vector in several columns from there on. `where3` and `where4` return the vector if a condition holds, else zero.
     """
     t = types(scalar)
     Columns, Ints = wp.array(dtype=scalar), wp.array(dtype=wp.int32)
@@ -89,9 +90,10 @@ def column_functions(scalar):
 
 @functools.cache
 def layout(rolls: bool, history: bool, bonds: bool) -> SimpleNamespace:
-    """Return where the columns of each quantity begin in the float and the integer array of the lanes.
+    """Return where the columns of each quantity begin in the float array and the integer array of the vector lanes.
 
-    The result also contains the sizes of both arrays.
+    A vector lane is one of the contacts that a CPU computes at the same time. The result also contains the sizes of
+    both arrays.
     """
     numbers = dict(position_i=4, velocity_i=4, spin_i=3, position_j=4, velocity_j=4, spin_j=3, sign=1)
     numbers |= (dict(history=3) if history else {}) | (dict(rolling=3) if rolls else {})

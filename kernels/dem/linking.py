@@ -14,10 +14,8 @@ from .pairs import BLOCK, decode
 from .structs import APART, TOUCHING, array_structs, links_struct
 
 EXTRA_MASKS: int = wp.constant(4)
-"""Number of bit masks per sphere for its list entries beyond the first BLOCK entries.
-
-The bits of the first BLOCK entries are in `spheres.touching`.
-"""
+"""Number of bit masks per sphere for the entries of its neighbour list after the first BLOCK entries. Each bit tells if
+the pair of an entry touches. The bits of the first BLOCK entries are in `spheres.touching`."""
 MASKED_ENTRIES: int = wp.constant((int(EXTRA_MASKS) + 1) * int(BLOCK))
 """Number of leading entries of a list row for which a bit mask records whether the pair touches.
 

@@ -23,10 +23,10 @@ from .structs import APART, DT_PREVIOUS, PARTED, STIFF, TOUCHING, array_structs,
 
 
 def result_rows(bonds: bool, rolls: bool, dissipation: bool) -> int:
-    """Return the number of rows in `links.result` per link: four with bonds, rolling or dissipation, else two.
+    """Return the number of rows of `links.result` in which each pair of spheres stores its result.
 
-    Two rows are enough for both spheres, because their forces are opposite. If a link has a moment of its own or loses
-    energy, each sphere needs its own two rows.
+    Two rows are enough for both spheres, because the forces on them are opposite. With bonds, rolling resistance or a
+    sum of the lost energy, each sphere needs two rows of its own, for its moment and its energy.
     """
     return 4 if bonds or rolls or dissipation else 2
 
@@ -87,7 +87,7 @@ def result_functions(scalar, count: int):
 
     @wp.func
     def sum_of_links(spheres: Spheres, pairs: Pairs, links: Links, i: wp.int32, row: wp.int32, slot: wp.int32):
-        """Add up force, moment and lost energy of the links of sphere i, in list order.
+        """Add up force, moment and lost energy over the links (pairs) of sphere i, in list order.
 
         `row` is the index of the scene's first list entry, and `slot` the sphere's index in `pairs.start`.
         """

@@ -59,8 +59,8 @@ def locating_kernels(scalar, half: bool, history: bool) -> SimpleNamespace:
         subcycled.higher_offset[p] = spheres.offset[j]
         row = scenes.row[s].laws + spheres.material[i] * scenes.row[s].materials
         subcycled.law[p] = row + spheres.material[j]
-        # A pair has an entry at both spheres in a full list, and also in a half list if its spheres belong to two
-        # chunks. Both entries must be kept up to date.
+        # In a full list, every pair has an entry at both of its spheres. In a half list, this is so for a pair whose
+        # spheres belong to two CPU threads. Both entries must be kept up to date.
         k = find(pairs, s, base, scenes.row[s].pairs, i, j)
         copy = find_own(pairs, s, base, scenes.row[s].pairs, j, i)
         subcycled.entry[p] = k

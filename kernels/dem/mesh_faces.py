@@ -63,9 +63,9 @@ def surface_functions(scalar) -> SimpleNamespace:
             return True
         if feature < 4:
             edge = feature - 1
-            # `across` describes what lies beyond each edge of a face. Column `edge` holds the corner of the
-            # neighbouring face that is not on the edge, and column `edge + 3` holds the number of the neighbouring
-            # face.
+            # `across` describes, for each edge of a face, the neighbouring face beyond this edge. Column `edge` holds
+            # the corner of the neighbouring face that is not on the edge. Column `edge + 3` holds the number of the
+            # neighbouring face.
             beyond = across[face, edge]
             if beyond == BORDER:
                 return True

@@ -98,8 +98,8 @@ def pair_functions(scalar):
 def parting_function(scalar, law, history: bool, healing: bool, subcycling: bool, dissipation: bool):
     """Return the function `part_entries`, which clears the contact history of pairs that separated in this step.
 
-    The set bits of `bits` mark these pairs: bit b stands for list entry `block` + b. Entries from `end` on are ignored.
-    The function returns the lost energy [J].
+    In the argument `bits`, bit b is set if the pair of the list entry `block` + b has separated. Entries from `end` on
+    are ignored. The function returns the energy that these pairs lose [J].
     """
     t = types(scalar)
     structs = array_structs(scalar)
@@ -281,9 +281,10 @@ def bonded_function(scalar, healing: bool, dissipation: bool):
         lost: scalar,
         dt: scalar,
     ):
-        """Return force of contact and bond [N], moment of the bond [N m], energy lost [J] and outcome of the bond.
+        """Return total force [N], bond moment [N m], lost energy [J] and bond outcome of a pair that may be bonded.
 
-        The outcome is 1 if the bond holds, else the negative code of how it broke.
+        The total force is the sum of the forces of contact and bond. The outcome is 1 if the bond holds or there is
+        none. If the bond breaks, the outcome is a negative code of how it broke.
         """
         moment = t.vec3()
         outcome = wp.int32(1)

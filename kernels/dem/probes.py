@@ -251,9 +251,9 @@ def pair_probe_function(scalar, law, history: bool, bonds: bool):
 
 @functools.cache
 def load_probe(scalar) -> wp.Kernel:
-    """Return the kernel over spheres of scene `s` that updates the largest normal force on each body.
+    """Return the kernel over the spheres of scene `s` that updates the largest normal force on each body.
 
-    The pairs' normal forces come from :func:`contact_probe`.
+    :func:`contact_probe` supplies the normal forces of the pairs of spheres.
     """
     structs = array_structs(scalar)
     Scenes, Spheres, Pairs = structs.Scenes, structs.Spheres, structs.Pairs

@@ -55,10 +55,10 @@ def estimate_options(half: bool) -> dict:
 
 @functools.cache
 def begin_kernel(scalar) -> wp.Kernel:
-    """Return the kernel over scenes that selects the scenes with an estimate due and resets their sums.
+    """Return the kernel over scenes that selects the scenes whose stable step is estimated, and resets their sums.
 
-    An estimate is due for a scene if the host set the scene's entry in `requested`. With `by_device` the device decides
-    instead: an estimate is due if the scene has halted because its interval between estimates is over.
+    Without `by_device`, these are the scenes that the host has marked in `requested`. With `by_device`, these are the
+    scenes that have halted because their interval between two estimates is over.
     """
     structs = array_structs(scalar)
     Scenes = structs.Scenes
@@ -141,9 +141,9 @@ def recording_functions(scalar):
 
 @functools.cache
 def floor_function(scalar, pair_law, wall_law):
-    """Return the function `floor_of`: the least stiffness and damping for which the step must be stable.
+    """Return the function `floor_of`, which computes the stiffness and damping that every stable step must allow for.
 
-    They apply to a body in free flight, whose step must already be stable for its next contact.
+    A body in free flight has no contact, but its step must already be stable for the next contact.
     """
     t = types(scalar)
     Pair, pair_stiffness = pair_law.functions(scalar).Parameters, pair_law.functions(scalar).stiffness
@@ -152,12 +152,12 @@ def floor_function(scalar, pair_law, wall_law):
 
     @wp.func
     def resolved(k: t.vec4, onset: scalar, mass: scalar):
-        """Return the stiffness k for which a step sqrt(m / k) keeps the energy of an impact within a tolerance.
+        """Return the stiffness k for which a step of sqrt(m / k) keeps the energy of an impact within a tolerance.
 
-        The tolerance is 1 % of the impact's energy plus a quarter of the energy that it loses. `onset` is the contact's
-        stiffness at first touch. Let w be the angular frequency of a spring of this stiffness. If the spring is loaded
-        and unloaded within a step of length dt, the error is up to (w dt)^2 / 4 of the energy. For a law whose
-        stiffness grows from zero, the error is less than a third of that.
+        Here m is `mass`. The tolerance is 1 % of the impact's energy plus a quarter of the energy that the impact
+        loses. `onset` is the contact's stiffness at first touch, and w is the angular frequency of the mass on a spring
+        of this stiffness. If the bodies touch and separate again within one step of length dt, the error is up to (w
+        dt)^2 / 4 of the energy. For a law whose stiffness grows from zero, the error is less than a third of that.
         """
         stiffest = wp.max(onset, scalar(0.3) * k[0])
         if stiffest <= scalar(0.0):

@@ -102,10 +102,10 @@ def stiffness_functions(scalar):
 
 @functools.cache
 def counting_function(scalar, bonds: bool, subcycling: bool):
-    """Return the function `counts`: true if the pair of a list entry is in contact or bonded.
+    """Return the function `counts`, which returns true if the pair of a list entry is in contact or bonded.
 
-    With `subcycling`, `counts` accepts only pairs that sub-cycling rounds step (`stiff` true) or only the others
-    (false).
+    With `subcycling` there are two kinds of pairs: those that sub-cycling rounds step, and all others. The function
+    then counts only pairs of the first kind if its argument `stiff` is true, and only the others if `stiff` is false.
     """
     structs = array_structs(scalar)
     Spheres, Pairs = structs.Spheres, structs.Pairs

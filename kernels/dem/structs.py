@@ -29,7 +29,8 @@ CLOCK = 8
 
 # States of a link, in `links.state`.
 APART: int = wp.constant(0)  # the spheres do not touch
-# the spheres touch or are bonded, or a link made for a new list still has contact history from the old list
+# TOUCHING: The spheres touch or are bonded. In a list that was just rebuilt, the link may instead have contact history
+# from the old list.
 TOUCHING: int = wp.constant(1)
 PARTED: int = wp.constant(2)  # contact just ended; energy left in its springs counts as lost in the next step
 STIFF: int = wp.constant(3)  # the spheres have a stiff bond, whose forces are computed in sub-cycling rounds
@@ -215,10 +216,13 @@ def links_struct(scalar):
         later_touching: wp.array(dtype=wp.int32)
         # for each list entry, the index p of its link in the scene; at twin entries -1 - p
         end: wp.array(dtype=wp.int32)
-        # `result` holds the result of each link in this step. A link has two rows: (force on its lower sphere [N], arm
-        # of that sphere [m]) and (contact moment divided by the arm [N], arm of the higher sphere [m]). With bonds,
-        # rolling resistance or energy sums it has four rows, two for each sphere: (force on the sphere [N], lost energy
-        # [J] at the lower sphere or 0) and (moment about its centre [N m], 0).
+        # Result of each link (pair of spheres) in this step. Without bonds, rolling resistance and energy sums, a link
+        # has two rows:
+        # - force on the lower sphere [N], arm of the lower sphere [m];
+        # - contact moment divided by the arm [N], arm of the higher sphere [m].
+        # Otherwise a link has four rows, two for each sphere:
+        # - force on the sphere [N], lost energy [J] at the lower sphere or 0 at the higher one;
+        # - moment about the sphere's centre [N m], 0.
         result: wp.array(dtype=t.vec4)
         near: wp.array(dtype=wp.vec4i)  # near links: indices in the batch of both spheres, the list entry and the link
         near_count: wp.array(dtype=wp.int32)  # number of near links, and 1 if any scene must check all its links, (2,)
@@ -279,7 +283,8 @@ def subcycled_struct(scalar):
         force: wp.array(dtype=t.vec3)
         # torque of each pair on each of its two bodies about their centroids [N m], shape (2 pairs,)
         torque: wp.array(dtype=t.vec3)
-        # for every body of the batch: 1 + the body's row in this struct, or 0 if it has no stiff bond
+        # Number for each body of the batch: 1 + the row of the body in the arrays of this struct. It is 0 for a body
+        # without stiff bonds.
         member: wp.array(dtype=wp.int32)
 
     return Subcycled

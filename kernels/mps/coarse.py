@@ -55,8 +55,9 @@ def slot_function(scalar, dimensions: int):
 def serial_coarse_kernel(scalar, dimensions: int, vector: bool):
     """Build the CPU kernel (one task) that forms the rows of the coarse matrix for cubes from `begin` to `end`.
 
-    Each row has 3^d coefficients, one for each cube around the row's cube. The middle coefficient, which belongs to the
-    cube itself, is 1 over the diagonal, or 0 if the cube contains no unknowns.
+    In d dimensions each row has 3^d coefficients: one for each adjacent cube and, in the middle, one for the row's own
+    cube. The kernel stores the reciprocal of the middle coefficient in its place, or 0 if the cube contains no
+    unknowns.
     """
     FlowConstants = flow_struct(scalar)
     Matrix = array_structs(scalar, dimensions).Matrix

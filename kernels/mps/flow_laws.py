@@ -1,7 +1,12 @@
-"""Viscous part h(g) of the flow laws tau = tau_0 + h(g), for the bulk at shear rates and for slip layers at velocities.
+"""Viscous part h(g) of the flow laws tau = tau_0 + h(g), with the stress tau and the yield stress tau_0.
 
-Bingham's law has h = k g, the Herschel-Bulkley law h = k g^n, and the modified Bingham law h = k g + c g^2 (Yahia &
-Khayat 2001). Kernels are specialised for the law; k, n and c are run-time arguments.
+In the bulk g is the shear rate, and in a slip layer g is the slip velocity. The constants of the laws are k, n and c:
+
+- Bingham: h = k g.
+- Herschel-Bulkley: h = k g^n.
+- Modified Bingham: h = k g + c g^2 (Yahia & Khayat 2001).
+
+Kernels are specialised for the law; k, n and c are run-time arguments.
 """
 
 import functools

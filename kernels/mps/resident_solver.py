@@ -162,7 +162,7 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool, sparse: bo
 def resident_solver(
     scalar, dimensions: int, vector: bool, rigid: bool = False, width: int = BLOCK, sparse: bool = False
 ):
-    """Build the GPU kernel that performs a whole solve and adds the solution to `x`.
+    """Build the GPU kernel that solves a linear system by conjugate gradients and adds the solution to `x`.
 
     The kernel runs as `parties` blocks of `width` threads. With `width` = WIDE there must be only one block. In a
     `sparse` system most rows may be without an unknown, and these rows are skipped.

@@ -58,10 +58,10 @@ def serial_correction(scalar, dimensions: int, vector: bool):
 
 @functools.cache
 def serial_two_level(scalar, dimensions: int, vector: bool):
-    """Build the CPU kernel that performs a whole solve and adds the solution to `x`.
+    """Build the CPU kernel that solves a linear system by conjugate gradients and adds the solution to `x`.
 
-    Each thread launches the kernel with a single task. The parameters are those of `serial_solver` in
-    `conjugate_gradient.py`.
+    The preconditioner contains the coarse grid. Each thread launches the kernel with a single task. The parameters are
+    those of `serial_solver` in `conjugate_gradient.py`.
     """
     f, rows = solver_functions(scalar, dimensions, vector), serial_rows(scalar, dimensions, vector, False)
     Solve, value = f.Solve, f.value
@@ -85,8 +85,11 @@ def serial_two_level(scalar, dimensions: int, vector: bool):
 
     @wp.kernel(enable_backward=False, module="unique", module_options={"cpu_compiler_flags": cpu_flags()})
     def solve(
-        # The next arguments are the flow's parameters (only the number of rows is read), the error code that is stored
-        # if the solve fails, the relative tolerance, and the maximum number of iterations.
+        # The next arguments are:
+        # - the flow's parameters, of which only the number of rows is read,
+        # - the error code that is stored if the solve fails,
+        # - the relative tolerance,
+        # - the maximum number of iterations.
         flow: FlowConstants,
         what: wp.int32,
         tolerance: wp.float64,
@@ -217,9 +220,10 @@ def resident_correction(scalar, dimensions: int, vector: bool, width: int):
 
 @functools.cache
 def resident_two_level(scalar, dimensions: int, vector: bool, width: int = BLOCK):
-    """Build the GPU kernel that performs a whole solve and adds the solution to `x`.
+    """Build the GPU kernel that solves a linear system by conjugate gradients and adds the solution to `x`.
 
-    The kernel runs as `parties` blocks of `width` threads. With `width` = WIDE there must be only one block.
+    The caller launches `parties` blocks of `width` threads, which wait for each other at barriers. If `width` is WIDE,
+    `parties` must be 1.
     """
     accumulate, total_of = sum_functions(width).accumulate, sum_functions(width).total_of
     total = block_sums(width).total

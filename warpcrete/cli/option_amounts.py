@@ -11,8 +11,8 @@ from ..core.inputs.limits import check_limit
 THIXOTROPY = 0.5
 """Default growth rate A_thix of the yield stress at rest [Pa/s], for moderate stiffening (Roussel 2006)."""
 THIXOTROPY_BAND = (0.1, 1.0)
-"""Usual range of the yield stress's growth rate at rest [Pa/s], for a concrete whose growth rate was not measured: from
-hardly any stiffening to a strong one (Roussel 2006)."""
+"""Usual range of the yield stress's growth rate at rest [Pa/s], for a concrete whose growth rate was not measured. The
+lower end stands for hardly any stiffening, and the upper end for strong stiffening (Roussel 2006)."""
 
 
 def option_amount(field: str, given: str | None, unit: str) -> float | None:

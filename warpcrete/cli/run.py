@@ -64,10 +64,11 @@ def resume(folder: Path, modules: dict[str, Any], *, live: str | None, bind: str
 def run(
     name: str, module: Any, parameters: dict[str, Any], settings: dict[str, Any], *, going_on: bool = False
 ) -> None:
-    """Run a scene into a new folder, or continue the same run in its folder.
+    """Run a scene into a new folder, or continue the run in an existing folder.
 
-    An interrupted run continues from its checkpoint, or starts again if there is none. `settings` are the values of
-    :func:`warpcrete.cli.options.run_options` by name. `going_on` states that the folder already holds the run.
+    An interrupted run continues from its checkpoint. Without a checkpoint it starts again. `settings` holds the values
+    of the options that :func:`warpcrete.cli.options.run_options` defines, by name. `going_on` states that the folder
+    already holds the run.
     """
     folder = settings["out"] if settings["out"] is not None else next_folder(name)
     there = going_on or (folder / "scene.json").is_file()

@@ -37,8 +37,8 @@ from .simulation import SETTLING_PARTS, ElementSimulation
 # would leave less.
 LEAST = 0.1
 TIMING_TIME = 0.7  # wall time for which steps are timed [s]
-# Maximum number of spheres of the timed copy of a scene, on a GPU (True) or a CPU (False). With more spheres the time
-# per sphere is constant.
+# The forecast times a copy of the scene with at most this number of spheres, on a GPU (True) or a CPU (False). With
+# more spheres the time per sphere is constant.
 MAXIMUM_SPHERES = {True: 400_000, False: 40_000}
 # Distance that concrete moves between two rebuilds of the neighbour lists, divided by the skin of the lists. It is
 # shorter in a bend, where neighbours move relative to each other; in a straight pipe, concrete moves as a plug.

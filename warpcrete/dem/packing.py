@@ -107,9 +107,10 @@ def draw(
 
 @dataclass(frozen=True)
 class Request:
-    """Request for one packing by :func:`pack_many`.
+    """Input of one packing by :func:`pack_many`.
 
-    It has the container with the aggregates that fill it, the contact law whose stiffness is used, and the seed.
+    It consists of the container with the aggregates that fill it, the contact law, and the seed. The packing uses the
+    stiffness of the contact law.
     """
 
     fill: Fill

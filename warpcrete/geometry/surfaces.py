@@ -92,9 +92,9 @@ class Surfaces:
         return np.concatenate([np.empty(0, np.int32), *self._rows()]).astype(np.int32)
 
     def ring_start(self) -> np.ndarray:
-        """Return the index in `ring` at which each adjacency list begins, followed by the length of `ring`.
+        """Return the index in `ring` at which each adjacency list begins, shape (lists + 1,).
 
-        The shape of the result is (lists + 1,).
+        `ring` contains all lists end to end. The last number of the result is the length of `ring`.
         """
         return np.concatenate([[0], np.cumsum([len(row) for row in self._rows()])]).astype(np.int32)
 

@@ -37,8 +37,8 @@ VOIDS_ERROR = 0.02
 SAND_SHARES = (0.38, 0.45)
 """Lowest and highest share of sand in the aggregate that the rule JGJ/T 10 requires."""
 PUMPED_SAND_SHARES = (0.365, 0.52)
-"""Smallest and largest fraction of sand in the aggregate, in 403 flows of concrete through coils of pipe that were all
-pumped (W. Shen)."""
+"""Smallest and largest fraction of sand in the aggregate in 403 measured flows of concrete through coils of pipe (W.
+Shen). All of these concretes could be pumped."""
 FINE_SAND = (0.15, 0.30)
 """Lower and upper limit for the fraction of the sand's mass that is finer than 0.3 mm. With less fine sand the concrete
 segregates, with more it becomes sticky."""
@@ -95,7 +95,7 @@ def worst(verdicts: Sequence[RuleVerdict]) -> str:
 
 
 def blocking_rules(mix: MixEntries | None, bore: float | None = None, stone: float | None = None) -> list[RuleVerdict]:
-    """Return the verdicts of all rules on a mix, and on its stones in a `bore` [m].
+    """Return the verdicts of all rules of practice on blocking, for a mix in a pipe of the given `bore` [m].
 
     `stone` is the size of the largest stone [m], and takes precedence over the size that the mix states. Without a mix,
     the result contains only the rule that compares the stone with the bore.

@@ -34,9 +34,12 @@ PASTE_YIELD = (10.0, 0.0, 50.0)
 """Yield stress of a slip layer that is estimated from the composition of the paste, with the lower and the upper limit
 of its band [Pa]."""
 THICKENER_FACTOR, THICKENER_ERROR = 3.0, 1.25
-"""Factor by which a viscosity-modifying admixture raises the resistance of the slip layer, and the factor by which the
-band becomes wider in both directions because of this. The three concretes of Xu, Li & Jiang (2021), which contain such
-an admixture, have 2.9 to 3.1 times the wall stress of :func:`paste_layer` at 0.5 m/s."""
+"""Factors for a viscosity-modifying admixture: on the resistance of the slip layer, and on the ends of its band.
+
+The uncertainty band becomes wider in both directions by the second factor. The first factor comes from the three
+concretes of Xu, Li & Jiang (2021), which contain such an admixture. Their wall stress at 0.5 m/s is 2.9 to 3.1 times
+that of :func:`paste_layer`.
+"""
 AGGREGATE_DENSEST, FILM = 0.80, 3e-3
 """Constants of :func:`film_layer`: densest packing of sand and stones together, and thickness of the layer [m].
 Measured thicknesses are 1 to 3 mm (Deng et al. 2024; Zhao et al. 2024). The layers of Xu, Li & Jiang (2021) correspond
@@ -52,8 +55,9 @@ ASSUMED = (850.0, 10.0)
 ASSUMED_ERROR_FACTOR = 3.0
 """Factor by which the viscosity of the true slip layer may be higher or lower than that of :data:`ASSUMED`."""
 ASSUMPTION, ESTIMATE = "assumption", "estimate from"
-"""First words of the origin of a property that no measurement gives. The first is for a property that is assumed,
-because the mix contains no information on it. The second is for one that was estimated from the paste alone."""
+"""First words of the text that states the origin of a property without a measurement. The first text is for a property
+that is assumed, because the mix contains no information on it. The second text is for a property that was estimated
+from the paste alone."""
 Pair = tuple[Figure, Figure]
 
 
@@ -81,10 +85,11 @@ def aggregate_factor(aggregate: float) -> float:
 
 
 def slump_layer(slump: float) -> tuple[float, float]:
-    """Return viscosity [Pa s/m] and yield stress [Pa] of the layer from the slump [m].
+    """Return the viscosity [Pa s/m] and the yield stress [Pa] of the slip layer from the `slump` [m].
 
-    The Chinese rule JGJ/T 10 gives the pressure loss 2 / r (K1 + 1.3 K2 v) 0.9 with K1 = 300 - slump [Pa] and K2 =
-    400 - slump [Pa s/m], for slumps in millimetres. It goes back to Morinaga (1973).
+    They follow from the Chinese rule JGJ/T 10, which goes back to Morinaga (1973). For a pipe of radius r and the
+    velocity v, the pressure loss by this rule is 2 / r (K1 + 1.3 K2 v) 0.9. Here K1 = 300 - slump [Pa] and K2 = 400 -
+    slump [Pa s/m], with the slump in millimetres.
     """
     return 0.9 * 1.3 * (400 - 1e3 * slump), 0.9 * max(300 - 1e3 * slump, 0.0)
 

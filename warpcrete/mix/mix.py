@@ -29,8 +29,8 @@ FACTORS = {"yield_factor": 1.0, "viscosity_factor": 1.0}
 to describe the concrete at another age or temperature."""
 CAUSES = {"slip layer": ("slip_viscosity", "slip_yield"), "viscosity of the bulk": ("viscosity",),
           "yield stress of the bulk": ("yield_stress",), "density": ("density",)}  # fmt: skip
-"""Causes of uncertainty, each with the constants of the flow that change together if the cause is at an end of its
-band."""
+"""Causes of uncertainty and the constants that belong to each cause. If a cause is at an end of its band, its constants
+are all at the same end of their bands."""
 UNITS = {"density": "kg/m3", "viscosity": "Pa s", "yield_stress": "Pa", "slip_viscosity": "Pa s/m", "slip_yield": "Pa",
          "flow_index": "1", "quadratic_viscosity": "Pa s2", "slip_flow_index": "1",
          "slip_quadratic_viscosity": "Pa s2/m2", **dict.fromkeys(FACTORS, "1")}  # fmt: skip
@@ -70,7 +70,7 @@ class Mix:
 
     @property
     def concrete(self) -> Concrete:
-        """The mix as a yield stress fluid with a slip layer, after multiplication by `factors`.
+        """Concrete that the mix gives: a yield stress fluid with a slip layer, after multiplication by `factors`.
 
         The factors describe the concrete at another age or temperature.
         """

@@ -37,14 +37,16 @@ largest slump of a cone. The heights of the centre come from 82 cones of Yeh (20
 compared with the height that the spread implies, the centre is 0 to 100 mm higher (5th to 95th percentile), and 30 mm
 in the median."""
 THICKENING_UPPER, THICKENING_LOWER = (3.25, PACKING), (2.5, 0.65)
-"""Intrinsic viscosity of the aggregate and volume fraction of its densest packing, for two estimates of the factor by
-which aggregate thickens mortar. The first pair, for the highest factor, stands for rough grains. Its packing is that of
-equal spheres in random loose packing (Mahaut et al. 2008), and its intrinsic viscosity is a choice, 30 % above that of
-spheres; the choice is ascribed to Barnes, Hutton & Walters (1989), for ground gypsum, but was not checked there. The
-second pair, for the lowest factor, stands for spheres of mixed sizes."""
+"""Pairs of two properties of aggregate: intrinsic viscosity, and volume fraction of the densest packing.
+
+The two pairs give the highest and the lowest estimate of the factor by which aggregate thickens mortar. The first pair
+stands for rough grains. Its packing is that of equal spheres in random loose packing (Mahaut et al. 2008). Its
+intrinsic viscosity, 30 % above that of spheres, is a choice. This value is ascribed to Barnes, Hutton & Walters (1989),
+who are said to give it for ground gypsum; the book was not checked. The second pair stands for spheres of mixed sizes.
+"""
 T500_ERROR_FACTOR = 1.3
-"""Factor by which the relation for T500 may be wrong, because of inertia and of lifting the cone in 1 to 3 s, as found
-in simulations."""
+"""Factor by which the relation for T500 may be wrong. Simulations show the error, which is due to inertia and to the
+time of 1 to 3 s that lifting the cone takes."""
 USUAL_AGGREGATE = 0.66
 """Share of sand and stones in the concrete's volume, assumed if the mix states no ingredients. Usual shares are 0.57 to
 0.70."""

@@ -1,7 +1,8 @@
-"""Coarse grid of cubes that gathers particles for the preconditioner in `kernels/mps/coarse.py`.
+"""Coarse grid of cubes for the preconditioner in `kernels/mps/coarse.py`.
 
-Coarse unknowns are constant over each cube (Nicolaides 1987). They carry the smooth part of a solution across the
-column, so the iterations of a solve hardly grow with the number of particles.
+Each cube contains several particles. The unknowns of the coarse grid are constant in each cube (Nicolaides 1987). They
+transmit the smooth part of a solution along the whole column of concrete, so the number of iterations hardly grows with
+the number of particles.
 """
 
 from __future__ import annotations

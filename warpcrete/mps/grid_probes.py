@@ -70,9 +70,9 @@ def measured(flow: GridFlow, before: dict[str, float] | None = None) -> dict[str
 
 
 def _structure(flow: GridFlow, beside: list[int]) -> dict[str, float]:
-    """Return what is left of the yield stress gained at rest [Pa], as means over slip layer and concrete at the wall.
+    """Return how much yield stress gained at rest is left in the slip layer and in the concrete at the wall [Pa].
 
-    The result is empty for concrete without thixotropy.
+    Each value is a mean along the wall. The result is empty for concrete without thixotropy.
     """
     if not flow.state.layout.kind.thixotropic:
         return {}

@@ -17,9 +17,10 @@ PARTICLES_PER_AXIS = 2
 
 
 def pipe_cells(scene: FluidScene) -> tuple[int, int]:
-    """Return the numbers of cells across and along a pipe.
+    """Return the number of cells across a pipe and the number of cells along the pipe.
 
-    The cells have the width nearest to the wanted spacing that divides a channel's width or a tube's radius.
+    A whole number of cells must fit into the width of a channel or the radius of a tube. The cells have the width
+    nearest to the wanted spacing with which this is so.
     """
     across = scene.radius if scene.dimensions == 3 else 2 * scene.radius
     nx = max(2, round(across / scene.spacing))

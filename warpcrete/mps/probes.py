@@ -17,10 +17,8 @@ STRAIGHT = (0.2, 0.8)
 LOWEST = 0.1
 """Height of the zone above the piston whose pressures are extrapolated to it, relative to the column's height."""
 WINDOW = (0.65, 0.85)
-"""Range in which a particle's weight in the measurement of volume falls from one to zero.
-
-The range is stated in heights above the piston, relative to the height of the column.
-"""
+"""Two heights above the piston, divided by the height of the column. Between them, a particle's weight in the
+measurement of the volume falls from one to zero."""
 UNITS = {
     "time": "s",
     "travel": "m",

@@ -214,9 +214,9 @@ class RerunRecorder(Recorder):
             self._log_scale(paint, painted)
 
     def _log_scale(self, paint: Paint, painted: list[str]) -> None:
-        """Record the texture of all colours and the legend, for all frames.
+        """Record the texture that holds all colours of painted walls, and the legend, as static data for all frames.
 
-        The viewer uses the last version of static data, so that a new scale applies to earlier frames too.
+        The viewer uses the last version of static data, so that a new scale also applies to earlier frames.
         """
         rr = self._rr
         from rerun.components import ImageFormat

@@ -85,10 +85,10 @@ def _by_display_colour(stage: Any, surface: Any, name: str) -> None:
 
 
 def wall_look(stage: Any, wall: DrawnWall, name: str, painted: bool = False) -> tuple[Any, Any, float]:
-    """Return the material, the linear colour and the opacity with which a wall is drawn.
+    """Return the USD material, the linear RGB colour and the opacity with which a wall is drawn.
 
-    Transparent walls look like glass and moving walls like metal. A `painted` wall takes its colours from
-    `displayColor`.
+    Transparent walls look like glass, and opaque moving walls look like metal. If the wall is `painted`, its material
+    takes the colours from the attribute `displayColor` of the wall's mesh.
     """
     from pxr import Gf, Sdf
 

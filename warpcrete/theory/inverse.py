@@ -32,9 +32,10 @@ factor is 8.7e-4 m for a lift in 1 s and 5.9e-4 m in 3 s.
 
 
 def yield_of_long_heap(spread: float, density: float) -> float:
-    """Return the yield stress [Pa] of a long heap of diameter `spread` [m] (Roussel & Coussot 2005).
+    """Return the yield stress [Pa] of a heap that is much wider than high, from its diameter `spread` [m].
 
-    The formula is 225 rho g V^2 / (128 pi^2 R^5), with the radius R and the volume V of the cone.
+    The formula of Roussel & Coussot (2005) is 225 rho g V^2 / (128 pi^2 R^5), with the density rho, gravity g, the
+    volume V of the cone of the slump test, and the radius R of the heap.
     """
     return 225 * density * GRAVITY * VOLUME**2 / (128 * math.pi**2 * (spread / 2) ** 5)
 

@@ -39,7 +39,8 @@ def cone_volume(top: float, base: float, height: float) -> float:
 def long_heap_spread(volume: float, yield_stress: float, density: float, gravity: float = 9.81) -> float:
     """Return the diameter [m] of a heap at rest that is much wider than high (Roussel & Coussot 2005).
 
-    The radius R follows from tau = 225 rho g V^2 / (128 pi^2 R^5), with the yield stress tau.
+    The radius R follows from tau = 225 rho g V^2 / (128 pi^2 R^5), with the yield stress tau, the density rho, gravity
+    g, and the volume V of the heap.
     """
     return 2 * (225 * density * gravity * volume**2 / (128 * math.pi**2 * yield_stress)) ** 0.2
 
@@ -129,17 +130,17 @@ def box_at_rest(
 ) -> tuple[float, float, float]:
     """Return the depths of resting concrete at the near and far end of a box and the length that it covers [m].
 
-    The concrete enters at one end without inertia and sticks to floor and sides. The concrete comes to rest when
-    the stresses on floor and sides balance the slope h' of its depth: h' = tau (b + 2 h) / (rho g b h) (Nguyen, Roussel
-    & Coussot 2006). The equation is integrated from the far end, or from the front if the concrete does not reach the
-    far end.
+    The concrete enters at one end without inertia and sticks to floor and sides. It comes to rest when the stresses on
+    floor and sides balance the slope h' of its depth h: h' = tau (b + 2 h) / (rho g b h) (Nguyen, Roussel & Coussot
+    2006). Here tau is the yield stress, b the width of the box, rho the density and g gravity. The equation is
+    integrated from the far end, or from the front if the concrete does not reach the far end.
     """
     pull = yield_stress / (density * gravity)
 
     def filled(far: float, reach: float) -> tuple[float, float]:
-        """Return the volume of the concrete [m3] and its depth at the near end [m].
+        """Return the volume of the resting concrete [m3] and its depth at the near end [m].
 
-        `far` is the depth at the far end, and `reach` the distance between both ends [m].
+        `far` is the depth of the concrete at its far end [m], and `reach` is the distance between both ends [m].
         """
         step, depth, sum = reach / SLICES, far, 0.0
         for _ in range(SLICES):
@@ -277,8 +278,8 @@ def funnel_time(
     step, outlet = whole / SLICES_FUNNEL, 2 * narrow * depth
     area = wide * depth
     speeds = np.geomspace(1e-6, math.sqrt(2 * gravity * whole), SPEEDS)
-    # Pressure of the weight above the outlet, less the losses by friction and inertia [Pa], for each outlet speed
-    # and each level of the concrete.
+    # The pressure of the weight above the outlet minus the losses by friction and inertia [Pa]. It is stored for each
+    # outlet speed and each level of the concrete in the funnel.
     left = []
     for speed in speeds:
         stress, radius = duct_stress(speed * outlet / area, wide, depth, viscosity, yield_stress, layer, flow_index,

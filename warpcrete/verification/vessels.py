@@ -41,9 +41,9 @@ class _Paste:
 
 
 def _filled(room: Room, walls: list[tuple[Distance, int]], abreast: int) -> dict:
-    """Return the arguments of a layout for a `room` that is filled with concrete except for the space inside its walls.
+    """Return the arguments of a layout in which concrete fills a `room` except for the space inside its walls.
 
-    Every full cell of the room starts with `abreast` particles along each axis.
+    A cell that is full of concrete contains `abreast` particles along each axis at the start.
     """
     geometry, nearest = geometry_of(room, walls), nearest_wall(room, walls)
     places, mass = fill_cells(room, abreast, lambda points: nearest(points)[0] > 0)
@@ -114,8 +114,10 @@ def cylinders(device: str, precision: str) -> list[Row]:
 def cylinders_with_layers(device: str, precision: str) -> list[Row]:
     """Compare the flow between two cylinders with theory, for slip above half of the inner cylinder's speed."""
     found = []
-    # The measured rms errors of the velocity, over the speed of the inner wall, are 0.40 and 0.20 % on the two grids
-    # for the first pair of layers, 0.37 and 0.36 % for the second, and 0.77 and 1.02 % for the third.
+    # Measured rms errors of the velocity, divided by the speed of the inner wall, on the coarse and the fine grid:
+    # - first pair of layers: 0.40 and 0.20 %,
+    # - second pair: 0.37 and 0.36 %,
+    # - third pair: 0.77 and 1.02 %.
     for layers, allowed in (
         ((400.0, NO_SLIP_VISCOSITY), 0.005),
         ((200.0, 200.0), 0.005),

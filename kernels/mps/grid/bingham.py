@@ -98,16 +98,17 @@ def bingham_functions(scalar, dimensions: int) -> SimpleNamespace:
 
     @wp.func
     def apparent_at_edge(g: Grid, rate: scalar, change: scalar) -> scalar:
-        """Return the viscosity at the corner between two cells, corrected if a plug ends within these cells.
+        """Return the viscosity at the corner where two cells meet, corrected if the edge of a plug lies in these cells.
 
-        `rate` is the difference of the cells' mean velocities over their distance. `change` is the change of the stress
-        over one cell. If a plug ends within the cells, `rate` is larger than the shear rate at the corner itself.
+        `rate` is the difference of the cells' mean velocities divided by their distance, and `change` is the change of
+        the stress over one cell. If the edge of a plug lies in the cells, `rate` is larger than the shear rate at the
+        corner.
         """
         viscosity = apparent(g, rate)
         if rate <= scalar(0.0):
             return viscosity
-        # Estimate the stress at the cells' common corner as if the edge of the plug were not inside these cells. Two
-        # straight lines approximate the shear rate as a function of the stress.
+        # First estimate of the shear stress at the corner where the two cells meet. It holds if no edge of a plug lies
+        # inside these cells. Two straight lines approximate the relation of shear rate and stress.
         most = wp.min(
             rate * unyielded_viscosity(g),
             g.yield_stress + g.viscosity * (rate - g.yield_stress / unyielded_viscosity(g)),

@@ -205,7 +205,8 @@ def grid_structs(scalar, dimensions: int) -> SimpleNamespace:
         depth: wp.array(dtype=scalar)
         room: wp.array(dtype=scalar)  # Fraction of each cell's volume that is free of wall, shape (slots,).
         # Fraction of each quarter of a cell that is free of wall. For each pair of axes, a cell is halved along both
-        # axes, which gives four quarters. Shape (slots * pairs * 4,); the pair's first axis varies fastest.
+        # axes, which gives four quarters. Shape (slots * pairs * 4,), in which the position along the pair's first axis
+        # varies fastest.
         quarter_fraction: wp.array(dtype=scalar)
         # Volume around a cell's centre that is free of wall, weighted with the same function of distance as the
         # particles, shape (slots,).

@@ -18,9 +18,11 @@ from .places import grid_functions
 from .structure import with_gain_function
 
 STIFFENING = wp.constant(2.0)
-"""Exponent by which the viscosity of unyielded concrete is extrapolated in flows with a free surface. If `before` is
-the previous viscosity and `now` the viscosity at the present shear rate, the step uses the viscosity
-before * (now / before)^STIFFENING. With an exponent of 1 this would be `now`."""
+"""Exponent by which the viscosity of unyielded concrete is extrapolated in flows with a free surface.
+
+Let `before` be the viscosity in the previous step, and `now` the viscosity at the present shear rate. The step then
+uses the viscosity before * (now / before)^STIFFENING. With the exponent 1 it would use `now`.
+"""
 
 
 @functools.cache
@@ -177,10 +179,13 @@ def viscosity_kernels(scalar, of: GridKind) -> SimpleNamespace:
 
 @functools.cache
 def friction_function(scalar, of: GridKind):
-    """Build `wall_friction`, the friction of a wall that passes between a face and the next face along an axis.
+    """Build `wall_friction`, a function for the friction of a wall that passes between a face and the next face.
 
-    It returns three values: the friction force against the velocity of the face, the derivative of this force with
-    respect to that velocity, and the coefficient of the next face in the face's row of the matrix.
+    The next face is that along the axis `b`. The function returns three values:
+
+    - the friction force against the velocity of the face,
+    - the derivative of this force with respect to that velocity,
+    - the coefficient of the next face's velocity in the matrix row of the face.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)

@@ -1,6 +1,7 @@
-"""Flow laws other than Bingham's on a grid, and slip layers that are not linear.
+"""Functions on a grid for flow laws other than Bingham's, and for slip layers that are not linear.
 
-The functions have the names and meanings of those in `bingham`, with the viscous part of the law from `flow_laws`.
+The functions have the same names and meanings as those in the module `bingham`. The viscous part of each law comes from
+the module `flow_laws`.
 """
 
 import functools
@@ -226,8 +227,8 @@ def wall_function(scalar, dimensions: int, law: str, slip_law: str):
 def flow_functions(scalar, of: GridKind) -> SimpleNamespace:
     """Build the functions of the flow laws of bulk and slip layer, which :func:`bingham_functions` describes.
 
-    The function `at_wall` has two more arguments unless `of.plain`: flow index and quadratic coefficient of the slip
-    layer.
+    If the laws are not both Bingham's (`of.plain` is false), the function `at_wall` has two more arguments: the flow
+    index and the quadratic coefficient of the slip layer.
     """
     if of.plain:
         return bingham_functions(scalar, of.dimensions)

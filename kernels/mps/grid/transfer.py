@@ -212,8 +212,8 @@ def extend_kernel(scalar, of: GridKind):
                                 count += scalar(1.0)
                         elif mesh.kind[o] == LIQUID:
                             beside = mesh.velocity[o]
-                            # A face at the lower end of the grid has a cell on one side only, so it does not count as a
-                            # face inside a wall.
+                            # At the lower end of the grid, a face has a cell on one side only. The rule for faces
+                            # inside a wall does not apply to it.
                             if mesh.kind[r] == INSIDE and c[axis] >= 0 and along != axis and wp.static(not of.cut):
                                 beside = scalar(2.0) * mesh.slip[o] - beside
                             sum += beside
@@ -246,9 +246,10 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def corner(g: Grid, base: whole, s: vec, n: wp.int32):
-        """Return a corner of the grid cell around a position: its indices, its weight, and the gradient of the weight.
+        """Return one corner of a grid cell, with its weight in linear interpolation and the gradient of this weight.
 
-        `n` is the number of the corner, and `s` is the position within the cell, from 0 to 1 along each axis.
+        The corner is returned as its indices. `base` holds the indices of the lowest corner, and `n` is the number of
+        the wanted corner. `s` is the position at which to interpolate, from 0 to 1 along each axis of the cell.
         """
         c = whole()
         part = vec()
@@ -340,8 +341,8 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
             c = whole()
             which = wp.int32(0)
             for b in range(dims):
-                # Add the frame's cell, two half cells, before the division and subtract it afterwards, because integer
-                # division would round a negative number upwards.
+                # Integer division would round a negative number upwards. Add two half cells, the width of the frame
+                # around the grid, before the division, and subtract one cell afterwards.
                 c[b] = (half[b] + 2) / 2 - 1
                 which += (half[b] - 2 * c[b]) * (1 << b)
             depth = geometry.depth[f.at(g, c) * corners + which]

@@ -133,7 +133,7 @@ def wall_kernel(scalar, of: GridKind):
     def weight(g: Grid, c: whole, axis: wp.int32, b: wp.int32) -> scalar:
         """Return the radius of the point halfway between a face and the next face along axis `b` [m].
 
-        The result is 1 if there is no axis of symmetry.
+        The radius is the distance from the axis of symmetry. Without such an axis, the result is 1.
         """
         if axis == b:
             return f.cell_weight(g, c)
@@ -212,9 +212,10 @@ def wall_kernel(scalar, of: GridKind):
                                         speed, scalar(SLOW),
                                     )  # fmt: skip
                                 if hold > stiff:
-                                    # Concrete sticks to this wall. The stiffness of the slip layer is limited to that
-                                    # of a film with a thickness of 1 / STICKY of a cell. To compensate for this film,
-                                    # friction acts on the velocity half its thickness inside the concrete.
+                                    # Concrete that sticks to a wall would need an infinite stiffness. Use the stiffness
+                                    # of a film whose thickness is 1 / STICKY of a cell. To compensate for this film,
+                                    # compute the friction from the velocity at a point inside the concrete, half the
+                                    # thickness of the film away from the wall.
                                     hold = stiff
                                     spring = scalar(0.5) * g.width[b] / scalar(STICKY)
                                     spring = wp.min(spring, scalar(0.5) * wp.max(near, far))

@@ -160,9 +160,9 @@ def report_compiling(tell: Callable[[str, float], None]) -> Generator[None]:
 
 
 def load(stages: Iterable[Stage | Kernel], device: wp.Device) -> None:
-    """Compile kernels in parallel, or load them from the cache.
+    """Compile the kernels of `stages` in parallel, or load them from the cache.
 
-    `stages` holds stages, and also kernels that are launched without a stage.
+    An entry of `stages` is a stage (a recorded launch) or a kernel that is launched without a stage.
     """
     wanted: dict[tuple[int, int], tuple[KernelModule, int]] = {}
     for stage in stages:

@@ -56,7 +56,8 @@ class Paint:
     """Title of the scale, with the unit of the displayed values."""
     palette: str
     upper: float
-    """Upper end of the scale, in the displayed unit; the lower end is 0. If `upper` is 0, all values are still 0."""
+    """Upper end of the scale, in the unit of the displayed values. It is 0 if all values so far are 0. The lower end is
+    always 0."""
 
     @property
     def unit(self) -> str:

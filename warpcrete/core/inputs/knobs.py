@@ -20,8 +20,8 @@ class Level:
     the accuracy parameter that the knob changes. The expected time is used only for planning, before wall times are
     measured."""
     key: str = ""
-    """Name by which this setting of the knob is found again in other scenes. For example, half the element size has the
-    key "x 0.5" in every scene, whereas `label` is a length such as "10 mm". If the key is empty, `label` is the key."""
+    """Name of this level that is the same in all scenes. For example, half the element size has the key "x 0.5" in
+    every scene, whereas `label` is a length such as "10 mm". If the key is empty, `label` is the key."""
     converted: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
     """Pair (offset, factor) for each result quantity, by name, whose meaning at this level differs from that in the
     scene as given. The value offset + factor * (value - offset) is comparable with the scene as given."""

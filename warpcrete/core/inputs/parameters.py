@@ -123,12 +123,13 @@ class CompositeRule:
     def with_objects(self, field: Field, values: Mapping[str, object]) -> dict[str, object]:
         """Return a copy of the parameters `values` in which `field` has an object as its value.
 
-        The object is made from the value of `field` and from the parameters that belong to it, which are removed.
+        The object is made from the value of `field` and from the parameters that belong to the object. These parameters
+        are missing in the copy.
         """
         raise NotImplementedError
 
     def to_plain(self, field: Field, value: object) -> tuple[dict[str, object], bool]:
-        """Return the parameters that describe an object `value` of `field` as numbers and texts, by name.
+        """Return numbers and texts, by name of the parameter, that describe the object `value` of `field`.
 
         The second result is True if `with_objects` makes an equal object from these parameters.
         """

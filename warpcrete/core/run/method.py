@@ -125,7 +125,7 @@ class Method:
     def quantities(self) -> tuple[Quantity, ...]:
         """All quantities that runs of this method may have.
 
-        The list is made at each access, because a user may define further standard tests with their own quantities.
+        The list is made anew at each access, because a user may have added standard tests with quantities of their own.
         """
         return self.list_quantities()
 

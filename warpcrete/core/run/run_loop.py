@@ -237,9 +237,10 @@ class Simulation:
         return False
 
     def reaching(self, time: float) -> Coroutine:
-        """Step the run to `time` [s], as a generator that yields the times to which the caller must step.
+        """Step the run until the time `time` [s].
 
-        Subclasses override this method to do further actions at times before `time`, such as a rest of the concrete.
+        The method is a generator. It yields each time until which the caller must step next. Subclasses override the
+        method to act at times before `time`, for example to let the concrete rest.
         """
         yield Until(time)
 

@@ -108,9 +108,9 @@ class JointArrays:
         self.face_capacity = np.array([len(s.candidates.face) for s in states])
         """Allocated number of each scene's mesh candidates, that is, triangles near a sphere, shape (scenes,)."""
         self.load_capacity = np.array([len(s.pairs.load) for s in states])
-        """Allocated number of rows for the forces and moments (loads) of each scene's bonds, shape (scenes,).
+        """Allocated number of rows for the forces and moments of each scene's bonds, shape (scenes,).
 
-        If contacts heal, this number is unused, because then every listed pair has a row.
+        If contacts can form bonds during the run, every listed pair has a row, and this number is unused.
         """
         self._join_states()
         self._join_models()
@@ -309,10 +309,10 @@ class JointArrays:
             copy_links(before, old, self.links, self.capacity)
 
     def reserve_loads(self, s: int, wanted: int) -> None:
-        """Enlarge the array of bond loads (forces and moments of bonds) to at least `wanted` rows for scene `s`.
+        """Enlarge `load`, the array of forces and moments of the bonds, to at least `wanted` rows for scene `s`.
 
-        Other scenes of the batch that have no bonds yet will probably create them soon, so they get room in proportion
-        to their number of spheres.
+        Other scenes of the batch that have no bonds yet will probably create them soon. They get room in proportion to
+        their number of spheres.
         """
         spheres = self.rows["sphere_count"].astype(np.int64)
         each = np.where(self.load_capacity <= 1, wanted * spheres // max(spheres[s], 1), 0)

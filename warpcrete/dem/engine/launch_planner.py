@@ -30,9 +30,10 @@ On a CPU, recording a graph costs as much as several steps and replaying a graph
 threads get longer graphs, because they lose time when they wait for each other between two graphs.
 """
 STABLE_CHUNK_STEPS = 256
-"""Steps launched with the same division of bodies among CPU threads, after which the threads may use longer graphs.
+"""Number of steps with the same division of bodies among CPU threads, after which the threads may use longer graphs.
 
-The division often changes soon after the start of a run, which makes recorded graphs useless.
+A graph contains the recorded launches of several steps. Soon after the start of a run the division often changes, which
+makes recorded graphs useless.
 """
 NEVER = 2**31 - 1
 """Step count that no scene ever reaches; the goal of a scene that runs until a given time instead of a step count."""
@@ -175,8 +176,9 @@ class LaunchPlanner:
             while sum(sizes) < count and sum(sizes) + piece <= most:
                 sizes.append(min(piece, count - sum(sizes)))
             return sizes
-        # The device skips all queued steps after the lists have become stale. If the host rebuilds the lists, the
-        # launch therefore ends when the lists are expected to become stale, judging by their last lifetime.
+        # The device skips all remaining steps of a launch after the lists have become stale. If only the host can
+        # rebuild the lists, the launch therefore ends when the lists are expected to become stale. The last lifetime of
+        # the lists serves as the forecast.
         if self.rebuilds_on_device:
             every = max(int(rows["sort_every"][0]), 0) or NEVER
             count = min(count, every - slots[0][int(STEPS)] % every)

@@ -68,10 +68,10 @@ def make_links(batch: BatchArrays) -> Links:
 
 
 def copy_links(before: Links, old: np.ndarray, links: Links, capacity: np.ndarray) -> None:
-    """Copy the links of each scene from the arrays of `before` into the enlarged arrays of `links`.
+    """Copy the links (pairs of spheres) of each scene from the arrays of `before` into the enlarged arrays of `links`.
 
-    `old` and `capacity` are the allocated numbers of neighbour list entries of each scene, before and after the
-    enlargement, shape (scenes,).
+    `old` and `capacity` are the numbers of neighbour list entries for which each scene had room before the enlargement
+    and has room afterwards, shape (scenes,).
     """
     copy_array(links.later_touching, before.later_touching)
     first, behind = (np.append(0, np.cumsum(each // 2)) for each in (capacity, old))

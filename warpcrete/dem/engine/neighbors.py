@@ -154,7 +154,7 @@ class NeighborLists:
                 b.invalidate_graphs()
 
     def _search(self, sort: bool) -> Rebuild:
-        """Launch the phases `cells` and `search` for half lists, and return the rebuild with all phases.
+        """Launch the phases `cells` and `search` of a rebuild of half lists, and return the complete rebuild.
 
         If the search buffers are too small, they are enlarged and the search is repeated.
         """
@@ -220,8 +220,8 @@ class NeighborLists:
         b = self.batch
         self._keep_old(np.arange(b.count))
         stages = self._rebuild(False).kernel_stages()
-        # Add the kernels for `OCTANTS` threads per sphere. They are needed when only a few scenes of the batch are
-        # rebuilt, because these scenes have few spheres.
+        # If only a few scenes of a batch are rebuilt, the spheres are few, and `OCTANTS` threads share each sphere. Add
+        # the kernels for this case.
         if b.parallel and self._searchers == 1 and b.count > 1:
             stages += self._rebuild(False, OCTANTS).kernel_stages("search", "fill")
         return [*stages, *sorting_kernels(b)]
@@ -318,7 +318,8 @@ class NeighborLists:
     def _stretch_stages(self, old: Arguments) -> list[Recordable]:
         """Return the launches that measure the longest bond of each sphere.
 
-        The result is empty without bonds, and for full lists, whose search does not need this length.
+        Only the search for half lists needs this length. The result is empty for full lists, and if the scenes have no
+        bonds.
         """
         b = self.batch
         if not (b.features.bonds and b.features.half_list):
@@ -357,9 +358,10 @@ class NeighborLists:
         return b.stage(kernel, b.sphere_count + b.count, scanned=scanned, start=start, total=total)
 
     def _transfer(self, old: Arguments) -> Recordable:
-        """Return the launch that copies contact history from the old to the new neighbour lists.
+        """Return the launch that copies contact history from the old neighbour lists to the new ones.
 
-        On a CPU it is a group of launches, one for each thread, and it also writes the neighbours into the lists.
+        On a CPU the launch is a group with one launch for each thread. It also writes the neighbours into the new
+        lists.
         """
         b, f = self.batch, self.batch.features
         lanes = 1 if f.half_list else OCTANTS
@@ -409,10 +411,10 @@ class NeighborLists:
     def _found_of(self, total: DeviceArray, what: str, entries: str) -> tuple[np.ndarray, int]:
         """Return the number of list entries of each scene, and the number of neighbours that the buffer must hold.
 
-        The second result is the largest number of neighbours of a sphere for which the search buffer was too small, or
-        0 if the buffer was large enough. Both results are read from the device array `total`. Raises
-        :class:`CapacityError` for more entries than 32 bits can count; its message names the list by `what` and
-        `entries`.
+        The second result is 0 if the search buffer was large enough for the neighbours of every sphere. Otherwise it is
+        the largest number of neighbours of a sphere that needs more room. Both results are read from the device array
+        `total`. Raises :class:`CapacityError` for more entries than 32 bits can count; its message names the list by
+        `what` and `entries`.
         """
         (found,) = self.batch.exchange.read(total)
         found = found.astype(np.int64)

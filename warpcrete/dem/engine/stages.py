@@ -45,9 +45,10 @@ More threads would not hide more memory latency: with 100,000 spheres, eight thr
 than the single thread that this limit allows.
 """
 LANE_BITS = 2
-"""Base-2 logarithm of the number of GPU threads that move one clump, if a clump has several threads.
+"""Base-2 logarithm of the number of GPU threads that share the motion of one clump.
 
-A clump has several threads if spheres are few, or if the forces of each contact take more than two rows of memory.
+Several threads share a clump if there are few spheres, or if the forces of each contact take more than two rows of
+memory. Otherwise a single thread moves a clump.
 """
 
 

@@ -37,11 +37,11 @@ SKIN = {"cpu": 0.5, "cuda": 0.7, "few": 1.0}
 FEW_SPHERES = 50_000
 MESH_SKIN = 4  # Skin of the mesh candidates (triangles near a sphere), as a multiple of the neighbour lists' skin.
 SORT_EVERY = {"cpu": 1000, "cuda": 4000, "few": 16_000}
-"""Number of steps between two re-sortings of the bodies in memory by the host.
+"""Number of steps after which the host re-sorts the bodies in memory, by kind of device.
 
-Neighbour lists are rebuilt 13 to 55 times in this interval. If bodies are few, they fit into the cache of a GPU in any
-order and need less sorting: for 28,000 spheres a step takes 1.3 us less if bodies are sorted every 16,000 instead of
-4000 steps, and equally long without sorting.
+Neighbour lists are rebuilt 13 to 55 times in this interval. The key "few" stands for a GPU with few bodies. Few bodies
+fit into the cache of the GPU in any order, so they need less sorting. For 28,000 spheres, a step takes 1.3 us less if
+bodies are sorted every 16,000 instead of every 4000 steps. Without any sorting it takes as long as with 16,000 steps.
 """
 
 
@@ -66,9 +66,10 @@ class Stepper:
     ) -> None:
         """Create a stepper for one scene of an existing batch, or of a new batch if `among` is None.
 
-        `among` contains the neighbour lists and the :class:`StableStep` of the existing batch, and the index of the
-        scene in the batch. If `resumed` is given, the new stepper continues like the stepper whose `state_dict` it is.
-        Tests set the `skin` of the neighbour lists [m], and `sort_every`, the number of steps between two re-sortings.
+        `among` holds three things: the neighbour lists of the existing batch, its :class:`StableStep`, and the index of
+        the scene in the batch. With `resumed`, the `state_dict` of another stepper, the new stepper continues like that
+        stepper. Tests set the `skin` of the neighbour lists [m], and `sort_every`, the number of steps between two
+        re-sortings.
         """
         self.model, self.state, self.time_step = model, state, time_step
         if among is None:

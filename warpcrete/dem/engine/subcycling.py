@@ -167,8 +167,8 @@ class Subcycles:
         first_pair = np.concatenate([[0], np.cumsum(self._pairs)])
         ref = np.concatenate([ref + 2 * first for (_, _, ref), first in zip(rows, first_pair)])
         counts = np.concatenate([counts for _, counts, _ in rows])
-        # `ends` contains for each pair the rows of its two bodies, and two rows in the array of forces on bodies. This
-        # array is sorted by body.
+        # `ends` holds, for each pair, the rows of its two bodies, and the two rows of the pair in the array of forces
+        # on bodies. In that array, the forces on one body stand next to each other.
         ends = np.stack([np.repeat(np.arange(len(counts)), counts)[np.argsort(ref)], np.argsort(ref)], axis=1)
         given: dict[str, HostArray] = {
             "rounds": self._rounds,

@@ -19,10 +19,10 @@ def _rest_of(scene: Scene) -> Rest:
 
 
 class Structure:
-    """Yield stress that the lubrication layers of a batch's scenes gained at rest and lose by slip along the wall.
+    """Yield stress that the lubrication layers on walls have gained at rest and lose again by slip.
 
-    After the slip s, the fraction exp(-s / breakdown) of the gain is left. The travel of the wall `Rest.wall` since the
-    rest serves as the slip.
+    The value can differ between the scenes of a batch. After the slip s, the fraction exp(-s / breakdown) of the gain
+    is left. The slip is taken to be the distance that the wall `Rest.wall` has travelled since the rest.
     """
 
     def __init__(self, batch: SceneBatch) -> None:

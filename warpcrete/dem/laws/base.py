@@ -30,10 +30,11 @@ class OnDevice:
 
 @dataclass(frozen=True, kw_only=True)
 class ContactLaw(Declared, ABC):
-    """Base class of all contact laws: frozen parameters of one pair of materials, annotated fields in SI units.
+    """Base class of all contact laws; an object holds the parameters of the law for one pair of materials.
 
-    Every field exists on the device under the same name. Numbers keep their value, words become their index among the
-    choices, and a nested law becomes the struct of its parameters. :class:`OnDevice` declares exceptions.
+    The parameters are annotated fields in SI units and cannot be changed. Every field exists on the device under the
+    same name. Numbers keep their value, words become their index among the choices, and a nested law becomes the struct
+    of its parameters. :class:`OnDevice` declares exceptions.
     """
 
     rolls: ClassVar[bool] = False

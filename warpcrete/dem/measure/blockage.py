@@ -1,7 +1,10 @@
 """Detect and locate the blockage of a pipe during a run, from the motion and the contact forces of the aggregates.
 
-A pipe counts as blocked if a part of the concrete hardly moves although the piston advances, if this lasts longer than
-compression of the concrete behind that part can explain, and if the pressure rises.
+A pipe counts as blocked if three conditions hold:
+
+- A part of the concrete hardly moves although the piston advances.
+- This lasts longer than compression of the concrete behind that part can explain.
+- The pressure rises.
 """
 
 from __future__ import annotations
@@ -160,9 +163,10 @@ def blockage_travel(diameter: float, length: float, modulus: float) -> float:
 def least_advance(before: np.ndarray, after: np.ndarray, volume: np.ndarray, end: float) -> float:
     """Return the smallest advance of any part of the concrete [m].
 
-    The advance of a part is the volume-weighted median of the advances of its aggregates. `before` and `after` are arc
-    lengths [m] and `volume` the volumes [m3] of all aggregates, shape (n,). Aggregates that were already past the arc
-    length `end` [m] of the pipe's outlet do not count.
+    The concrete is divided along the pipe into parts of equal volume. The advance of a part is the volume-weighted
+    median of the advances of its aggregates. `before` and `after` are arc lengths [m] and `volume` the volumes [m3] of
+    all aggregates, shape (n,). Aggregates that were already past the arc length `end` [m] of the pipe's outlet do not
+    count.
     """
     inside = np.flatnonzero(before <= end)
     if len(inside) == 0:

@@ -197,9 +197,9 @@ def scene_stage(state: State, kernel: Any, dim: Size, **named: Any) -> Stage:
 
 
 def launch_recorded(state: State, what: str, make: Callable[[], list[Any]]) -> None:
-    """Launch the kernels of the measurement `what`, recorded as one graph.
+    """Launch the kernels of the measurement called `what` as one recorded graph.
 
-    `make` returns the launches to record. It is called the first time, and again whenever the batch's arrays have
+    `make` returns the launches to record. It is called at the first launch, and again whenever the batch's arrays have
     changed.
     """
     recorded = state.launches(state.batch.version)

@@ -164,8 +164,8 @@ def _at(name: str, place: int) -> Callable[[Any], float | None]:
 def _outward(place: int) -> Callable[[Any], float | None]:
     """Return a function that computes the radial segregation in one row of the time series.
 
-    The function takes the data of a run. Its result is the outer minus the inner volume fraction of aggregate, divided
-    by the mean over the cross-section. `place` is the index of the row.
+    `place` is the index of the row. The function takes the data of a run. It subtracts the volume fraction of aggregate
+    in the inner part of the cross-section from that in the outer part, and divides by the mean fraction.
     """
 
     def found(known: Any) -> float | None:

@@ -140,12 +140,14 @@ def stresses_along(
 ) -> np.ndarray:
     """Return the mean normal stress and the stress along the pipe in all slices [Pa], shape (slices, 2).
 
-    They differ from the first two columns of :func:`measured` only in that each body's stress is spread evenly over its
-    size. Slices that concrete does not fill are NaN.
+    The results differ from the first two columns of :func:`measured`, because the stress of each body is spread evenly
+    over the size of the body. Slices that concrete does not fill are NaN. The arguments hold one entry per body:
 
-    The arguments describe bodies: `stress` (n, 6) (stress times volume, [J]) as from :func:`body_stresses`, arc lengths
-    `s` (n,) [m], the `tangent` of the axis there (n, 3), `size` (n,) [m], and `fills` (n,), which is False for bodies
-    of a plug.
+    - `stress` (n, 6): stress times volume [J], as from :func:`body_stresses`,
+    - `s` (n,): arc length [m],
+    - `tangent` (n, 3): tangent of the pipe's axis at this arc length,
+    - `size` (n,): size [m],
+    - `fills` (n,): False for bodies of a plug.
     """
     edges, t = np.array(stations.edges), tangent
     along = np.einsum("ij,ij,ij->i", stress[:, :3], t, t)
@@ -157,9 +159,9 @@ def stresses_along(
 
 
 def _filled_slices(edges: np.ndarray, travel: float, s: np.ndarray, volume: np.ndarray) -> np.ndarray:
-    """Return a mask of the slices between a piston at `travel` [m] and the front of the bodies, shape (slices,).
+    """Return a mask of the slices that lie between the piston and the front of the bodies, shape (slices,).
 
-    The bodies have the arc lengths `s` [m] and the volumes `volume`.
+    The piston is at the arc length `travel` [m]. The bodies have the arc lengths `s` [m] and the volumes `volume`.
     """
     whole = float(volume.sum())
     if whole == 0:
@@ -359,8 +361,8 @@ def _of_contacts(
 
 def _spread_evenly(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Spread each of the `values` (n, k) evenly from its `begin` to its `end` [m]; return the sums in slices (m, k)."""
-    # A wall contact across the pipe has begin = end. Spread such a value over a small length, because the code divides
-    # by the length.
+    # If a contact lies across the pipe, the arc lengths `begin` and `end` of its two ends are equal. Spread its value
+    # over a small length, because the code divides by the length.
     width = np.maximum(np.abs(end - begin), 1e-6)
     low = 0.5 * (begin + end - width)
     found = np.zeros((len(edges) - 1, values.shape[1]))
@@ -373,10 +375,11 @@ def _spread_evenly(begin: np.ndarray, end: np.ndarray, values: np.ndarray, edges
 
 
 def _overlaps(low: np.ndarray, high: np.ndarray, edges: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Find the slices that each span from `low` to `high` overlaps; yield pairs of arrays: spans and slices, by index.
+    """Find the slices of the pipe that each span from `low` to `high` overlaps; yield pairs of index arrays.
 
-    The first pair of arrays has the first slice of every span, the second pair its second slice, and so on. Spans with
-    fewer slices are missing in later pairs.
+    `edges` are the boundaries of the slices. Each pair holds the indices of some spans, and the index of one slice for
+    each of them. The first pair has the first slice of every span, the second pair its second slice, and so on. Spans
+    with fewer slices are missing in later pairs.
     """
     first, last = (np.searchsorted(edges, end, "right") - 1 for end in (low, high))
     for step in range(int(np.max(last - first, initial=-1)) + 1):

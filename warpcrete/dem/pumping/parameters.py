@@ -39,9 +39,9 @@ WIDEST_STONE = 0.4
 
 
 class ConcreteDefaults:
-    """Mixin for scene parameters that contain a named concrete, which supplies defaults for other parameters.
+    """Mixin for scene parameters with a named concrete, which supplies defaults for other parameters.
 
-    The mixin also turns paths of mesh files in `shapes` into absolute paths.
+    It also turns paths of mesh files in `shapes` into absolute paths.
     """
 
     @classmethod
@@ -181,7 +181,7 @@ class PipeParameters(
 
     @property
     def front(self) -> float:
-        """Initial arc length of the front [m]: the end of a plug of balls or, without such a plug, of the concrete."""
+        """Initial arc length of the front [m]. A plug of balls extends the concrete, so its end is then the front."""
         return self.length + (self.layers * self.plug_ball if self.plug == "balls" else 0.0)
 
     @property
@@ -244,8 +244,9 @@ def pumping_knobs(given: PipeParameters) -> Iterator[Knob]:
             single = Level("single steps", {"hydration_rounds": 1}, 3.0)
             yield Knob("hydrated bonds", (Level("rounds", {"hydration_rounds": None}), single))
     if not given.is_bend:
-        # The pressure without the plug's share is proportional to the length of the pipe if the wall stress is uniform
-        # along it. The levels use this to convert the pressures of a shorter pipe.
+        # If the wall stress is uniform along the pipe, the pressure without the plug's share is proportional to the
+        # pipe's length. Each level therefore states how to convert the pressure of a shorter pipe to that of the pipe
+        # as given.
         pushed = given.plug_pressure if given.plug != "none" else 0.0
         yield Knob("length", tuple(
             Level(f"{f * given.length:.4g} m", {"length": f * given.length}, f, f"x {f:g}",

@@ -31,10 +31,9 @@ In a denser packing the mortar shells of neighbours overlap on all sides.
 """
 DEFAULT_FRACTION = 0.6
 LAW_FRICTION = {"mortar": 0.0, "plastic": 0.0, "rolling": 0.5}
-"""Default friction coefficient by contact law, for laws that do not use the 0.05 of Zhan et al. 2019.
-
-With law rolling, low friction would let spheres slide instead of roll, so rolling resistance would have no effect.
-"""
+"""Default friction coefficients of contact laws that do not use the value 0.05 of Zhan et al. 2019, by name of the law.
+The law `rolling` needs high friction. With low friction its spheres would slide instead of roll, and the rolling
+resistance would have no effect."""
 CONTACTS = 6.9
 """Mean number of mortar spheres in a packing whose shells touch the shell of one sphere.
 
@@ -343,11 +342,12 @@ def _core_and_shell(given: VesselParameters) -> dict[str, float]:
 def mortar_law(given: VesselParameters) -> BinghamMortar:
     """Return a contact law whose stresses add up to the yield stress and viscosity of the concrete.
 
-    The derivation assumes that neighbours follow the mean flow of a simple shear. Each grain of diameter d has Z/2
-    contacts, each with an area of pi d^2/4 over a distance d. At the solid fraction phi all contacts together fill 3/4
-    Z phi of the volume. A contact dissipates its yield stress times the sliding across its normal. Its viscosity over
-    the shell thickness dissipates the square of the sliding plus, by Trouton's ratio, three times the square of the
-    closing speed. The sum over all contacts equals the dissipation of the concrete.
+    The derivation assumes that neighbours follow the mean flow of a simple shear. Each grain of diameter d touches Z
+    neighbours, so there are Z/2 contacts per grain. Each contact has an area of pi d^2/4 and spans the distance d. At
+    the solid fraction phi all contacts together fill 3/4 Z phi of the volume. A contact dissipates its yield stress
+    times the sliding across its normal. Its viscosity over the shell thickness dissipates the square of the sliding
+    plus, by Trouton's ratio, three times the square of the closing speed. The sum over all contacts equals the
+    dissipation of the concrete.
 
     Shells also pull and bend (:class:`BinghamMortar`), so that a heap can stand. Compared with closed forms, slumps
     deviate by 7 to 25 % at yield stresses of 20 to 500 Pa, and spreads by less than 7 % at 100 to 200 Pa. At 1000 Pa a

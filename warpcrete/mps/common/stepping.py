@@ -1,6 +1,6 @@
-"""Time stepping of flows by launch graphs of several steps, for one flow or for several flows at a time on one GPU.
+"""Time stepping of flows: launch recorded graphs of several steps, for one flow or for several flows on one GPU.
 
-After several graphs the host reads the control flags on the device to find out how many steps the flow has completed.
+After several graphs, the host reads the control flags on the device, which tell how many steps the flow has completed.
 """
 
 from __future__ import annotations
@@ -234,9 +234,9 @@ class _Run:
             self.outcome = failure
 
     def stop(self, why: KeyboardInterrupt) -> None:
-        """End the run now because of an interruption (Ctrl-C).
+        """End the run now after an interruption (Ctrl-C).
 
-        The outcome of a run that has begun is its unfinished result; otherwise it is the interruption `why`.
+        If the run has begun, its outcome is its unfinished result. Otherwise its outcome is the interruption `why`.
         """
         if self.outcome is None:
             if self._coroutine is None:

@@ -49,10 +49,10 @@ Distance = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Geometry:
-    """Open parts of the cells, faces and edges of a grid, with the same names as in the kernels' struct `Geometry`.
+    """Open fractions of the cells, faces and edges of a grid, named as in the kernels' struct `Geometry`.
 
-    The arrays include the frame of one cell around the grid, with the last axis first. Arrays of faces have the shape
-    (axes, *shape), `depth` has (*shape, 2^axes), and the others `shape`.
+    `shape` is the shape of the grid with a frame of one cell around it, in reversed order of the axes. Arrays of cells
+    have this shape. Arrays of faces have the shape (axes, *shape), and `depth` has the shape (*shape, 2^axes).
     """
 
     solid: np.ndarray
@@ -263,8 +263,9 @@ def _weighted_volume(room: Room, corners: np.ndarray, shut: np.ndarray, wall: np
 def _wall_share(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
     """Return the part of each cell's open volume that hat functions assign to neighbouring wall cells.
 
-    `found` contains the weights of the sample points, of which each cell has `fine` along each axis. `wall` is a mask
-    of the wall cells.
+    A hat function belongs to a cell. It falls linearly from 1 at the centre of the cell to 0 at the centres of the
+    neighbouring cells. Each cell has `fine` sample points along each axis. `found` holds the weights of these points: 0
+    inside a wall, and elsewhere 1 or, about an axis of symmetry, the radius. `wall` is a mask of the wall cells.
     """
     axes, half = wall.ndim, fine // 2
     shape = [n for length in wall.shape for n in (length, fine)]
@@ -273,8 +274,8 @@ def _wall_share(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
     away = (np.arange(half) + 0.5) / fine
     sum = np.zeros(wall.shape)
     for side in np.ndindex((2,) * axes):
-        # The cell's centre divides the cell into halves along each axis. Select the sample points in the halves named
-        # by `side`, in order from the centre outward.
+        # The centre of a cell divides the cell into two halves along each axis, and `side` names one of them for each
+        # axis. Select the sample points that lie in all of these halves, in order from the centre outward.
         rays = tuple(slice(half, None) if upper else slice(half - 1, None, -1) for upper in side)
         part = inner[(..., *rays)]
         for beyond in list(np.ndindex((2,) * axes))[1:]:
@@ -289,7 +290,7 @@ def _wall_share(found: np.ndarray, wall: np.ndarray, fine: int) -> np.ndarray:
 def _corner_values(values: np.ndarray, axes: Sequence[int]) -> np.ndarray:
     """Return the values at the lower and the upper end of each cell along `axes`, from values at grid points.
 
-    Each of these axes adds one last axis of length 2 to the result.
+    For each of these axes, the result has one more dimension, of length 2, at the end of its shape.
     """
     for axis in axes:
         count = values.shape[axis]

@@ -22,9 +22,9 @@ OURS, OTHER_LINE, THEORY = (215, 95, 30), (90, 120, 170), (150, 150, 150)
 
 
 class PartDisplay(GridDisplay):
-    """Display of a part: particles coloured by speed, by pressure or by shear rate.
+    """Display of a part of a pump line: particles coloured by speed, by pressure or by shear rate.
 
-    If only half a part is simulated, its mirror image is drawn as well.
+    If only half of the part is simulated, its mirror image is drawn as well.
     """
 
     colourings: ClassVar = ("speed", "pressure", "shear")

@@ -40,9 +40,9 @@ def plot_part(run: Run) -> Any:
 
 
 def _shaded(scene: PartScene) -> Iterator[tuple[str, float, float]]:
-    """Yield the legend name, begin and end of each stretch of the part that is not straight pipe.
+    """Yield name, begin and end of each stretch of the part that is not straight pipe.
 
-    Only the first stretch has a name, which lists the kinds of all stretches; the other names are empty.
+    The names serve for the legend. The first name lists the kinds of all stretches, and the other names are empty.
     """
     odd = [section for section in scene.sections if not section.straight]
     if not odd and scene.middle[1] > scene.middle[0]:

@@ -237,10 +237,11 @@ class PartScene(Parametrised, PartSettings):
 
     @property
     def middle(self) -> tuple[float, float]:
-        """Arc lengths between which the part is not straight pipe of constant bore [m].
+        """Arc lengths [m] between which this part of the pump line bends or changes its bore.
 
-        The range covers bends and tapers from the first to the last, or the stretch where a mesh's bore changes.
-        Without any of these both values are half the length of the part.
+        The range extends from the first bend or taper to the last one. Without bends and tapers, the range is that in
+        which the bore of the part's triangle mesh changes its radius. In a straight pipe of constant bore, both values
+        are half the length of the part.
         """
         half = 0.5 * self.axis.length
         measured = getattr(self, "_bores", None)

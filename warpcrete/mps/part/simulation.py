@@ -1,4 +1,4 @@
-"""Simulation of concrete through a part of a line, from a scene to a finished run.
+"""Simulation of concrete that flows through a part of a pump line, from a scene to a finished run.
 
 The module `core/run/run_loop.py` contains the loop common to all runs.
 """

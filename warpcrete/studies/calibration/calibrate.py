@@ -198,9 +198,9 @@ def run_round(
 ) -> bool:  # fmt: skip
     """Run all scenes for one round of trials and store their results; return False if the user interrupted the round.
 
-    `part` locates the round in the progress of the whole calibration: the fraction of the work that was done before
-    this round, and the fraction that this round adds. Raises :class:`WarpcreteError` if runs were lost because a
-    process died or the disk was full.
+    For the display of progress, `part` holds two fractions of the work of the whole calibration: the work that was done
+    before this round, and the work of this round. Raises :class:`WarpcreteError` if runs were lost because a process
+    died or the disk was full.
     """
     for group in range(len(calibration.task.groups)):
         study = _run_group(

@@ -32,7 +32,7 @@ class Trial:
     """True if this run only verifies the likeliest parameters, so that its results do not enter the fit."""
     values: Outcome = field(default_factory=dict)
     failure: str = ""
-    """Reason why a target that enters the fit has no value in this trial; empty if all such targets have a value."""
+    """Reason why this trial lacks the value of a target that is used in the fit. Empty if no such value is missing."""
     suspect: list[str] = field(default_factory=list)
     """Names of the failed plausibility checks of the trial's runs."""
 

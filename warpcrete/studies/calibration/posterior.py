@@ -34,9 +34,10 @@ class Emulator:
     """Gaussian process that predicts one quantity: a linear trend, a smooth remainder, and noise."""
 
     def __init__(self, points: np.ndarray, values: np.ndarray, least: float) -> None:
-        """Fit the process to the `values`, shape (n,), at `points` of the unit cube, shape (n, free).
+        """Fit a Gaussian process to `values`, shape (n,), at `points` of the unit cube, shape (n, free).
 
-        The scale of the values is at least `least`, so that smaller differences between them are treated as negligible.
+        The values are divided by their standard deviation, or by `least` if that is larger. Differences that are small
+        compared with `least` are therefore treated as negligible.
         """
         from sklearn.gaussian_process import GaussianProcessRegressor
         from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct, WhiteKernel
@@ -174,9 +175,9 @@ def _log_success(at: np.ndarray, points: np.ndarray, sound: np.ndarray) -> np.nd
 
 
 def confounded_pairs(found: Posterior, close: float = 0.9) -> list[tuple[str, str, float]]:
-    """Return the pairs of parameters whose correlation has a magnitude of at least `close`.
+    """Return the pairs of parameters with a strong correlation, which the data cannot determine separately.
 
-    Each entry holds both names and the correlation. The data determine only a combination of the two parameters.
+    Each entry holds both names and the correlation, whose magnitude is at least `close`.
     """
     names = [free.name for free in found.task.free]
     matrix = found.correlations()

@@ -40,7 +40,8 @@ class WallLaw:
     def of(cls, diameter: float, columns: Mapping[str, np.ndarray], largest: float) -> WallLaw:
         """Fit the law to the stresses measured in slices of a straight pipe of the given `diameter` [m].
 
-        `columns` holds the arrays `axial_stress`, which serves as the pressure, and `wall_stress` [Pa].
+        The law is a straight line of the stress on the wall over the pressure. `columns` holds the arrays
+        `axial_stress`, which serves as the pressure, and `wall_stress` [Pa].
         """
         pressure, shear = columns["axial_stress"], columns["wall_stress"]
         here = np.isfinite(pressure)
@@ -109,8 +110,8 @@ class ElementLine:
     """Results of the simulated parts, one entry for each seed."""
     remarks: list[str]
     took: dict[str, float] = field(default_factory=dict)
-    """Wall time of each new simulation [s], by the name of its folder. Simulations that ran on the device at the same
-    time share it, so that their times overlap."""
+    """Wall time of each new simulation [s], by the name of its folder. If simulations run on the device at the same
+    time, their wall times overlap."""
     elapsed: float = 0.0
     """Wall time of all new simulations together, including packing [s]."""
     failed: dict[str, list[str]] = field(default_factory=dict)
@@ -165,10 +166,10 @@ class ElementLine:
 
 
 def element_table_lines(found: ElementLine, others: Mapping[str, Sequence[float]]) -> list[str]:
-    """Return a headline and a table of the line's parts as lines of Markdown.
+    """Return a headline and a table of the parts of a pump line, as lines of Markdown.
 
-    `others` maps names of other methods, such as the closed form, to the frictions of the parts that they predict [Pa].
-    Each method adds one column to the table.
+    `others` maps the name of each other method, such as the closed form, to the friction [Pa] that it predicts for each
+    part. The table has one column for each of these methods.
     """
     low, high = min(found.pressures), max(found.pressures)
     span = f"; {low / 1e5:.4g} to {high / 1e5:.4g} bar over {len(found.packed)} seeds" if len(found.packed) > 1 else ""

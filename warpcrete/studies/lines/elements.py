@@ -37,22 +37,22 @@ LARGEST_STONE_RATIO = 0.3
 """Largest stone divided by the narrowest bore of the line. Smaller stones are enlarged to this ratio by default, so
 that fewer elements have to be simulated."""
 MODULUS_FACTOR = 5.0
-"""Default factor on the concrete's elastic modulus.
+"""Default factor on the elastic modulus of the concrete.
 
-Soft aggregates are still being compressed after they
-have travelled many pipe diameters, so that less concrete leaves a part than enters it.
-In straight pipe of 125 mm the loss is 9.48 kPa/m with the modulus of Zhan et al. (1e5 Pa), and 9.55 kPa/m with five
-times that modulus.
+Soft aggregates are still being compressed after they have travelled many pipe diameters, so that less concrete leaves a
+part of the line than enters it. The factor hardly changes the pressure. In straight pipe of 125 mm the loss is 9.48
+kPa/m with the modulus of Zhan et al. (1e5 Pa), and 9.55 kPa/m with five times that modulus.
 """
 PRESSED_RUN = "pressed"
-"""Word that marks the second simulation of straight pipe, in which a plug at the outlet presses against the concrete.
+"""Last entry in the keys of runs that belong to the second simulation of straight pipe.
 
-In the first simulation, the plug hardly resists, and the pressure remains low. A friction law fitted to these low
-pressures alone would overestimate the friction at high pressure.
+In this simulation, a plug at the outlet presses against the concrete. In the first simulation, the plug hardly resists,
+so that the pressure remains low. A friction law fitted to these low pressures alone would overestimate the friction at
+high pressure.
 """
 PLUG_PRESSURE_RATIO = 0.04
-"""Pressure with which a plug at the pipe's outlet resists the flow in the second simulation of straight pipe, divided
-by the elastic modulus of the elements."""
+"""Pressure of the plug at the pipe's outlet in the second simulation of straight pipe, divided by the elastic modulus
+of the elements. With this pressure the plug resists the flow."""
 CONSTANT_FRICTION_RATIO = 0.2
 """Ratio of pressure to modulus above which wall friction is assumed constant, because overlaps become large."""
 MIN_FLUX_RATIO = 0.8
@@ -203,7 +203,7 @@ def _simulate(
 ) -> dict[str, float]:  # fmt: skip
     """Run the `jobs`, store their runs in the mapping `runs`, and return the wall times [s].
 
-    The keys of `runs` are pairs of kind of part and seed; those of the result are the names of the runs' folders.
+    A key of `runs` is a pair of a kind of part and a seed. A key of the result is the name of a run's folder.
     """
     simulations, checkpoints = [], []
     for key, seed, scene in jobs:

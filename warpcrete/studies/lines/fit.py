@@ -33,8 +33,8 @@ DEPENDENT = 1e-3
 """Limit for the smallest singular value of the matrix of scaled sensitivities of the pressures to the fitted constants.
 Below this limit, the measured pressures do not determine all constants, and one constant is removed from the fit."""
 LEAST = (1e-2, -1.0, 0.0)
-"""Values of slip viscosity [Pa s/m], slip yield [Pa] and factor of bends. A fit whose constant is not above its value
-here is refused as impossible."""
+"""Limits that the fitted constants must exceed: slip viscosity [Pa s/m], yield stress of the slip layer [Pa], and
+factor of bends. A fit with a constant that does not exceed its limit is refused as impossible."""
 NOTHING = {1: 1e-3, 2: 0.0}
 """Smallest fitted values that differ from zero: yield stress of the slip layer [Pa] (index 1) and friction factor of
 bends (index 2). The measured points cannot distinguish a smaller value from zero; the constant then gets its default
@@ -84,8 +84,8 @@ class LineFit:
 
     taps: tuple[Tap, ...]
     constants: tuple[FittedConstant, ...]
-    """Viscosity and yield stress of the slip layer. If the line has bends, the factor of their friction relative to
-    straight pipe is the third constant."""
+    """Fitted constants in this order: the viscosity of the slip layer, its yield stress and, if the line has bends, the
+    friction of bends divided by that of straight pipe."""
     pressures: tuple[float, ...]
     """Pressures at the taps according to the fit [Pa], in the order of the taps."""
     uncertainty: float
@@ -199,9 +199,11 @@ class _Model:
         outlet and slip layer. The friction per metre of the first part is calculated once and holds for all parts of
         the kind."""
         self.metres: list[dict[tuple[Any, ...], list[float]]] = []
-        """For each tap, by the keys of `kinds`: two lengths [m] of pipe between the tap and the end of the line. The
-        first is the length of straight pipe that has the friction of all parts with a known factor. The second is the
-        length of the bends whose factor is fitted."""
+        """Two lengths of pipe between each tap and the end of the line [m], by the keys of `kinds`.
+
+        The first length is that of straight pipe with the same friction as all parts whose factor is known. The second
+        length is that of the bends whose factor is fitted.
+        """
         self.rises: list[float] = []
         for tap in taps:
             own: dict[tuple[Any, ...], list[float]] = {}
@@ -310,10 +312,10 @@ def _metre(line: PipeLine) -> PipeLine:
 
 
 def _determined(slopes: np.ndarray, free: list[int]) -> list[int]:
-    """Return the constants that the points determine, as the first ones of `free`.
+    """Return the first constants of `free`, as many as the measured points determine.
 
-    `slopes` are the derivatives of the pressures with respect to the constants `free`, shape (taps, free). A constant
-    is dropped from the end of the list while the columns of `slopes` are linearly dependent.
+    `slopes` are the derivatives of the pressures at the taps with respect to these constants, shape (taps, free). The
+    last constant is dropped as long as the columns of `slopes` are linearly dependent.
     """
     while len(free) > 1:
         scaled = slopes / np.maximum(np.linalg.norm(slopes, axis=0), 1e-300)

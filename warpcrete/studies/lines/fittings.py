@@ -53,8 +53,8 @@ MODEL_ERRORS = {
     "bore": ModelError("bores", 1.0, 2.0, f"as a reducer, 2: {AIJ}"),
     "valve": ModelError("valves", 1.0, 1.0, f"from straight pipe to 0.8 MPa: {JGJ}"),
 }
-"""Range of the friction relative to straight pipe, by kind of part. For a valve, the upper end here is replaced by the
-pressure loss :data:`VALVE_PRESSURE`."""
+"""Range of a part's friction divided by that of straight pipe, by kind of part. For a valve, the upper end follows from
+the pressure loss :data:`VALVE_PRESSURE`, unless that is smaller than the friction of straight pipe."""
 
 
 def range_of(part: Part, straight: float) -> tuple[float, float] | None:
@@ -99,10 +99,11 @@ def library_factor(part: Part) -> float:
 
 
 def is_in_library(part: Part) -> bool:
-    """Return whether the table of simulated bends and reducers covers a part.
+    """Return whether the friction of a pipe part can be found without a simulation.
 
-    The table does not cover a bend or reducer that is sharper than the sharpest simulated one, unless the line's file
-    states its factor. Other kinds of parts need no table.
+    This is so if the line's file states the part's factor, and for all kinds of parts other than bends and reducers.
+    The friction of a bend or reducer is in the table of simulated ones, unless the part is sharper than the sharpest of
+    these.
     """
     if part.factor is not None or part.kind not in ("bend", "reducer"):
         return True

@@ -25,8 +25,8 @@ def check_known(known: Path | None) -> None:
 def previous_run(lines: Sequence[Path | None], scene: Any, digest: str = "") -> Path | None:
     """Return the folder of a finished run of the same scene, or None if there is none.
 
-    The folders of several `lines` are searched. If the part has a mesh, `digest` is the checksum of its file, and only
-    folders whose name contains this checksum are considered.
+    The folders of several pump `lines` are searched. If the simulated part has a mesh, `digest` is the checksum of the
+    mesh file. Then only folders whose name contains this checksum are considered.
     """
     parts = [line / PARTS for line in lines if line is not None]
     return next((path for each in parts for path, finished in _same(each, scene, digest) if finished), None)

@@ -56,12 +56,12 @@ def check_pipeline(scene: Any, other: dict[str, Any] | None, source: Any) -> Non
 def pipeline_estimate(
     run: Run, height: float, distance: float, other: dict[str, Any] | None = None
 ) -> dict[str, Any] | None:
-    """Return a pipeline's pressure by Zhan's Eq. 13 from the plateau pressure of `run`; None without a plateau.
+    """Return the pressure of a pipeline by Zhan's Eq. 13 from the plateau pressure of `run`; None without a plateau.
 
-    `height` and `distance` are the lengths of vertical and horizontal pipe [m]. The run gives the pressure per metre in
-    its own direction. `other`, the result.json of a run of the other straight unit, gives the pressure per metre in the
-    other direction. Without `other`, the weight of the concrete is subtracted or added, and the result states this
-    assumption.
+    `height` and `distance` are the lengths of vertical and horizontal pipe in the pipeline [m]. The run pumps through a
+    vertical or a horizontal pipe and gives the pressure per metre in this direction. `other` is the content of the
+    result.json of a run in the other direction, and gives the pressure per metre in that direction. Without `other`,
+    the weight of the concrete is subtracted or added instead, and the result states this assumption.
     """
     if "plateau_pressure" not in run.result:
         return None

@@ -20,7 +20,8 @@ GROUPS = {"straight": "straight pipe", "bend": "bends", "reducer": "reducers", "
           "bore": "bores"}  # fmt: skip
 """Headings of the columns in the table of rules, by the kind of part that a column sums up."""
 AIJ_FACTORS = {"straight": 1.0, "bend": 3.0, "reducer": 2.0, "hose": 2.0}
-"""Friction of a kind of part divided by that of a straight pipe of the same length (AIJ); other kinds have 1."""
+"""Friction of a kind of part divided by that of a straight pipe of the same length, by a rule of the Architectural
+Institute of Japan (AIJ). Kinds that are not listed have the factor 1."""
 JSCE_RISE = ((0.100, 0.125, 0.150), (3.0, 4.0, 5.0))
 """Rule of the JSCE for rising pipe. The first tuple holds diameters of the pipe [m]. The second tuple holds, for each
 diameter, the length of level pipe [m] that has the same pressure loss as one metre of rise. The loss of the rise
@@ -67,10 +68,10 @@ def _summed(parts: Iterable[Part], loss: Callable[[Part], float]) -> dict[str, f
 
 
 def practice_rows(parts: tuple[Part, ...], straight: dict[int, float], weight: float) -> list[PracticeRow]:
-    """Return the pressure of a line by each rule of practice, with what the rule assumes.
+    """Return the pressure of a pump line by each rule of practice, with the assumptions of the rule.
 
-    `straight` maps the number of each part to the friction [Pa] of a straight pipe with the part's length and bores.
-    `weight` is the pressure of a metre of rise [Pa/m].
+    `straight` maps the number of each part of the line to the friction [Pa] of a straight pipe with the length and
+    bores of this part. `weight` is the pressure due to the concrete's weight per metre of rise [Pa/m].
     """
 
     def per_metre(part: Part) -> float:

@@ -349,9 +349,9 @@ class LineResult:
 
 
 def lines_of(result: LineResult, practice: bool = False) -> list[str]:
-    """Return a headline, answers and a table of the parts as lines of Markdown.
+    """Return the result of a pump line as lines of Markdown: a headline, answers, and a table of the line's parts.
 
-    With `practice`, a table compares the result with rules of practice.
+    With `practice`, a further table compares the result with rules of practice.
     """
     band = result.band()
     fitted = () if result.fit is None else ("slip layer", "bends")

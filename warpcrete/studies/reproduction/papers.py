@@ -16,8 +16,8 @@ MIN_GROWTH = 0.03
 """Relative growth of a pressure above which it counts as growing."""
 
 Judge = Callable[[Sequence[float], Sequence[float]], tuple[bool, str]]
-"""Function that judges a claim of the paper from the values of a parameter and the pressures at these values [Pa]. It
-returns whether the claim holds, and a short text on what was found."""
+"""Function that judges a claim of a paper. Its arguments are the values of a parameter and the pressure at each value
+[Pa]. It returns whether the claim holds, and a short text on what was found."""
 
 
 @dataclass(frozen=True)
@@ -87,9 +87,9 @@ def judge_narrow(values: Sequence[float], pressures: Sequence[float]) -> tuple[b
 
 
 def judge_late_growth(values: Sequence[float], pressures: Sequence[float]) -> tuple[bool, str]:
-    """Return whether the first two pressures are nearly equal and the pressures grow from the second one on.
+    """Return whether pressures first stay nearly equal and then grow, and a short text that describes them.
 
-    The second result is a short text that describes the pressures.
+    The first two pressures must be nearly equal, and the pressures must grow from the second one on.
     """
     level, what = judge_equal(values[:2], pressures[:2])
     grown, how = judge_growing(values[1:], pressures[1:])
@@ -194,9 +194,8 @@ XU_SPACINGS = (20e-3, 10e-3, 5e-3)
 XU_THICKNESSES = (0.0, 2e-3, 4e-3, 6e-3)
 """Thicknesses of the slip layer in the study of Xu, Li & Jiang 2021 [m]."""
 XU_PRINTED = {"pressure": 9.40e3, "slip_velocity": 0.186}
-"""Pressure [Pa] and slip velocity [m/s] that Xu prints for concrete no. 1 at the reference flow. The paper's own closed
-form gives 9.43e3 Pa and 0.186 m/s.
-"""
+"""Pressure [Pa] and slip velocity [m/s] of concrete no. 1 at the reference flow, as printed in Xu, Li & Jiang (2021).
+The closed form in the same paper gives 9.43e3 Pa and 0.186 m/s."""
 
 
 def xu_cases(quick: bool) -> dict[str, list[tuple[str, dict[str, Any]]]]:

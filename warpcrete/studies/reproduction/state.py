@@ -26,8 +26,8 @@ class Reproduction:
     columns: tuple[str, ...] = ()
     """Concretes and open assumptions to run; an empty tuple stands for all of them."""
     rows: tuple[str, ...] = ()
-    """Groups of runs for each column of the report: `units`, or the name of a varied parameter. An empty tuple stands
-    for all groups."""
+    """Groups of runs to repeat, in each column of the report. `units` stands for the runs of the pipe units, and the
+    name of a parameter for the runs that vary it. An empty tuple stands for all groups."""
     results: dict[str, dict[str, Any]] = field(default_factory=dict)
     """Results of runs, by the key that :func:`key_of` forms from their parameters."""
     failures: dict[str, str] = field(default_factory=dict)

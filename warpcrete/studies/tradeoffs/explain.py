@@ -68,12 +68,12 @@ def explain(
     trade: Path | str | None = None,
     cache: bool = True,
 ) -> Explanation:
-    """Forecast memory, time step and wall time of a scene on a device, measured in a few seconds and then cached.
+    """Forecast memory, time step and wall time of a scene on a device, from measurements of a few seconds.
 
-    `scene` is any scene that :class:`warpcrete.Simulation` accepts. `trade` is the folder of a trade-off study, whose
-    measured errors are listed with the savings (default: the most similar shipped record). With `cache`, results are
-    kept in the user's cache folder. Raises the same errors as a run of the scene
-    before its first step.
+    `scene` is any scene that :class:`warpcrete.Simulation` accepts. `trade` is the folder of a trade-off study. The
+    errors that this study measured are listed with the savings in time. The default is the most similar shipped record.
+    With `cache`, results are kept in the user's cache folder. Raises the same errors as a run of the scene before its
+    first step.
     """
     found = find_device(device)
     threads = checked_threads(threads)

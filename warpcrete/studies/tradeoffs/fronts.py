@@ -102,11 +102,12 @@ def front(points: Sequence[tuple[float, float]]) -> list[int]:
 def cheapest_within(
     knobs: Mapping[str, Sequence[tuple[float, float]]], target: float, limit: int = 2_000_000
 ) -> dict[str, int] | None:
-    """Return the cheapest combination of knob levels whose errors add up to at most `target`; None if there is none.
+    """Return the cheapest combination of levels whose errors add up to at most `target`; None if there is none.
 
-    `knobs` holds (cost factor, error) for the levels of each knob; the cost of a combination is the product of its
-    factors. Errors are added without regard to sign, because signs that cancel in one scene do not cancel in the next.
-    Raises ValueError for more than `limit` combinations.
+    A knob is a parameter that trades accuracy for run time, and its levels are its possible values. A combination has
+    one level of each knob. `knobs` holds the pair (cost factor, error) of each level. The cost of a combination is the
+    product of its factors. Errors are added without regard to sign, because errors that cancel in one scene need not
+    cancel in the next. Raises ValueError for more than `limit` combinations.
     """
     names = list(knobs)
     if math.prod(len(knobs[name]) for name in names) > limit:

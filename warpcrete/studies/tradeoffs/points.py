@@ -73,7 +73,7 @@ class Setting:
 
     @property
     def work(self) -> float:
-        """Median number of steps times number of spheres (or particles) of a run; NaN without a run.
+        """Median cost of a run: number of time steps times number of spheres (or particles); NaN without a run.
 
         This measure of cost does not depend on the machine.
         """

@@ -124,9 +124,9 @@ class Trade:
         return ", ".join(parts) or GIVEN
 
     def keys_of(self, point: Setting) -> dict[str, str]:
-        """Return the names of a setting's knob levels, by the knob's name.
+        """Return the name of the level that each knob has in a setting, by the name of the knob.
 
-        The names of the levels are valid in other scenes, too.
+        A knob is a parameter that trades accuracy for run time. The names of its levels are valid in other scenes, too.
         """
         chosen = {knob.name: knob.levels[point.levels[knob.name]] for knob in self.knobs if knob.name in point.levels}
         return {name: level.key or level.label for name, level in chosen.items()}
@@ -148,9 +148,11 @@ class Trade:
         return self.points[-1]
 
     def carried(self, point: Setting, variant: str, changes: Mapping[str, Any]) -> Setting:
-        """Apply the knob levels of a setting to a variant of the scene, and return the setting of the variant.
+        """Return the setting of a variant of the scene in which every knob has the level that it has in `point`.
 
-        A level is found by its name, because the numbers behind the name may differ in the variant.
+        A knob is a parameter that trades accuracy for run time, and a level is one of its values. `changes` are the
+        parameters in which the variant differs from the scene. A level is found by its name, because the value behind
+        the name may differ in the variant.
         """
         base = {**self.base, **changes}
         knobs = {knob.name: knob for knob in self.module.trading.knobs(self.module.scene.declared(base))}
@@ -178,9 +180,10 @@ class Trade:
         return any(as_given.get(key) != value for key, value in knob.levels[level].changes.items())
 
     def ratio(self, knob: Knob, level: int) -> float:
-        """Return the wall time of the scene with one knob at a level, divided by that of the scene as given.
+        """Return the wall time of the scene with `knob` at one level, divided by that of the scene as given.
 
-        The ratio is measured if the level was run alone, and otherwise estimated.
+        A knob is a parameter that trades accuracy for run time, and a level is one of its values. The ratio is measured
+        if there was a run in which only this knob was changed to this level. Otherwise it is estimated.
         """
         alone = self._alone(knob, level)
         if alone is not None and math.isfinite(alone.cost) and not alone.failure and self.given.cost > 0:
@@ -412,10 +415,10 @@ class Trade:
         return max(point.worst.bound, alone)
 
     def bound_in_variants(self, point: Setting, variants: Sequence[Setting]) -> float:
-        """Return a bound for the errors of a setting in a further scene, which differs as much as the variants do.
+        """Return a bound for the errors of a setting in a further scene that is as different as the `variants` are.
 
-        For each quantity, the 95 % prediction interval is computed from the errors of the setting and its variants. The
-        result is the largest bound.
+        For each quantity, the errors of the setting in the original scene and in its variants give a 95 % prediction
+        interval. The result is the largest bound of these intervals.
         """
         found = []
         for each in self.quantities:

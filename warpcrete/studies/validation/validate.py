@@ -62,9 +62,11 @@ class Validation:
         return html_table([summary_cells(each) for each in self.summaries()], SUMMARY_COLUMNS, repr(self))
 
     def summaries(self) -> list[Summary]:
-        """Return statistics for each kind of measurement, in up to four rows: all, held-out, other and simulated cases.
+        """Return statistics of the comparisons, in up to four rows for each kind of measurement.
 
-        The rows of held-out and of other cases are left out if they would contain all cases.
+        The first row covers all cases that were not simulated. The second row covers those of them that are held out,
+        that is, never used to fit a constant. The third row covers the others, and the last row the simulated cases. A
+        row without cases, or with the same cases as the first row, is left out.
         """
         found = []
         for kind in KINDS:
