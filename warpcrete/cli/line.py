@@ -21,6 +21,7 @@ from ..geometry.pipe_line import PipeLine
 from ..mix.blocking import line_rules, narrowest, rule_lines, rule_records
 from ..mix.mix import Mix
 from ..studies.lines.fit import fit_line, fit_lines, read_taps
+from ..studies.lines.fittings import is_in_library
 from ..studies.lines.line_folder import PARTS, line_folder
 from ..studies.lines.result import Stop, lines_of
 from ..studies.lines.theory_line import LAYER_FACTOR, line_by_theory
@@ -45,8 +46,14 @@ def run(line: str | None, *, method: str, simulate: bool, theory: bool, out: Pat
         if given.guessed:
             raise click.UsageError("blocking: needs the file of a concrete; write a mix, and give it as --concrete")
         out = out or next_folder("line")
-    if simulate or method != "flow":
-        if _simulated(given, method, out, stop, settings):
+    requested = simulate or method != "flow"
+    at_once = theory or given.guessed or settings["fit"] is not None
+    unknown = [] if requested or at_once else [part for part in given.line.parts if not is_in_library(part)]
+    for part in unknown[:1]:
+        click.echo(f"note: part {part.number}, {part.label}, is sharper than all parts in the table of simulated "
+                   "parts, so it is simulated now; --theory answers without", err=True)  # fmt: skip
+    if requested or unknown:
+        if _simulated(given, method, out, stop, settings, unless_known=not requested):
             raise SystemExit(CHECK_FAILED)
         return
     pipes, concrete, layer, fit = given.line, given.concrete, _layer(given.mix, settings), None
@@ -121,16 +128,20 @@ def _layer(mix: Mix | None, settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _simulated(
-    given: LineInputs, method: str, out: Path | None, stop: Stop | None, settings: Mapping[str, Any]
+    given: LineInputs, method: str, out: Path | None, stop: Stop | None, settings: Mapping[str, Any],
+    unless_known: bool,
 ) -> bool:  # fmt: skip
-    """Simulate the parts of a line, print the line's pressure, and return whether a check of a simulation failed."""
+    """Simulate the parts of a line, print the line's pressure, and return whether a check of a simulation failed.
+
+    With `unless_known`, only parts that the table of simulated parts does not cover are simulated.
+    """
     if given.guessed:
         raise click.UsageError("slump: alone suffices for an answer by theory only; write a mix file for simulations")
     job = importlib.import_module(f"{__package__}.line_simulated")
     folder = out or next_folder("line")
     with _interruptible(folder):
         return job.run(given, method, folder, _layer(given.mix, settings), stop, settings,
-                       lambda: _judge_blocking(given.line, given, folder, settings))  # fmt: skip
+                       lambda: _judge_blocking(given.line, given, folder, settings), unless_known)  # fmt: skip
 
 
 @contextmanager

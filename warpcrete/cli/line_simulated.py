@@ -25,18 +25,20 @@ from .line_inputs import LineInputs
 
 def run(
     given: LineInputs, method: str, folder: Path, layer: Mapping[str, Any], stop: Stop | None,
-    settings: Mapping[str, Any], finish: Callable[[], None],
+    settings: Mapping[str, Any], finish: Callable[[], None], unless_known: bool = False,
 ) -> bool:  # fmt: skip
     """Simulate a line, print its pressure, and return True if a simulated part failed a check.
 
     `layer` holds the uncertainty of the concrete, as keyword arguments of `run_line`. `settings` holds the options of
-    the command. The function calls `finish` after it has printed the result, while the folder is still locked.
+    the command. With `unless_known`, only parts that no table covers are simulated. The function calls `finish` after it has printed the result, while the folder is still locked.
     """
     line, name, rate = given.line, given.name, given.flow
     assert rate is not None
     elements = Elements(**{key: settings[key] for key in ("shapes", "coarse", "seeds", "stiffer")})
     asked = {"line": line.name, "parts": fingerprint(line.parts), "concrete": name, "flow": rate, "method": method,
              "cells": settings["cells"], "elements": fingerprint(elements)}  # fmt: skip
+    if unless_known:
+        asked["simulated"] = "parts that no table covers"
     if settings["blocking"] is not None:
         asked["blocking"] = settings["blocking"]
     where = {"out": folder, **{key: settings[key] for key in ("known", "device", "threads")}}
@@ -44,7 +46,7 @@ def run(
     with progress_bar(settings["quiet"]) as tell, line_folder(folder, asked):
         if method != "dem":
             found = run_line(
-                line, concrete_of(name), rate, simulate=True, cells=settings["cells"], stop=stop, progress=tell,
+                line, concrete_of(name), rate, simulate=True, unless_known=unless_known, cells=settings["cells"], stop=stop, progress=tell,
                 **layer, **where,
             )  # fmt: skip
         if method != "flow":

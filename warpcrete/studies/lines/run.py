@@ -15,6 +15,7 @@ from ...mps.common.mixes import CONCRETE_CONSTANTS
 from ...record.checks import failed_checks
 from ...scenes import modules
 from ...theory.pipe import Concrete
+from .fittings import is_in_library, library_factor
 from .folder import check_known, part_simulation, previous_run
 from .line_folder import LINE_RECORD
 from .losses import GRAVITY, friction, with_layer_factor
@@ -41,6 +42,7 @@ def run_line(
     out: Path | None = None,
     known: Path | None = None,
     simulate: bool = False,
+    unless_known: bool = False,
     cells: int = CELLS,
     layer_factor: float = LAYER_FACTOR,
     variants: Mapping[str, tuple[Concrete, Concrete]] | None = None,
@@ -53,7 +55,8 @@ def run_line(
 
     By default, the answer is that of :func:`line_by_theory`. With `simulate`, each kind of part is simulated once,
     without weight. A straight pipe is simulated as a periodic one. A bend or reducer is simulated between two straight
-    stretches, whose friction is subtracted, with `cells` cells across the narrowest bore.
+    stretches, whose friction is subtracted, with `cells` cells across the narrowest bore. With `unless_known` as well,
+    only parts that the table of simulated parts does not cover are simulated, and the others are answered by theory.
 
     The pressure has an uncertainty band. Its causes are the model errors of fittings, and either a factor
     `layer_factor` on the resistance of the slip layer or, if `variants` is given, its pairs of concretes (see
@@ -73,7 +76,9 @@ def run_line(
     if not simulate:
         return line_by_theory(line, concrete, flow, out=out, layer_factor=layer_factor, variants=variants, stop=stop)
     tell = progress or (lambda phase, fraction, figures: None)
-    kinds = {part.loss_key: part for part in line.parts if part.factor is None}
+    kinds = {
+        part.loss_key: part for part in line.parts if part.factor is None and not (unless_known and is_in_library(part))
+    }
     cases = {key: _scene_of_part(part, concrete, flow, cells) for key, part in kinds.items()}
     # Build all scenes before the first run, so that an impossible scene is refused at once.
     scenes = {key: modules()[name].scene(**parameters) for key, (name, parameters) in cases.items()}
@@ -106,11 +111,10 @@ def run_line(
     losses = []
     for part in line.parts:
         theory = friction(part, concrete, flow)
-        ours = (
-            theory
-            if part.factor is not None
-            else found[part.loss_key] * (part.length * part.relative_loss if part.is_by_length else 1.0)
-        )
+        if part.loss_key in found and part.factor is None:
+            ours = found[part.loss_key] * (part.length * part.relative_loss if part.is_by_length else 1.0)
+        else:
+            ours = theory * library_factor(part)
         losses.append(Loss(part, ours, theory, concrete.density * GRAVITY * part.rise))
     result = LineResult(line, concrete, flow, losses, layer_factor, True, out, took, failed, variants, stop)
     if out is not None:
