@@ -77,9 +77,9 @@ def wall_force_function(scalar):
 def warp_force_function(scalar):
     """Return the function `add_together`, which adds the wall forces of all threads of a warp with few atomics.
 
-    The threads first sum their forces within the warp, over all threads that are `lanes` apart. Then one thread adds
-    the sum to the wall. Many spheres touch the same wall, so one atomic addition per sphere would take most of the time
-    of a small step.
+    Many spheres touch the same wall. One atomic addition per sphere would take most of the time of a small step. The
+    threads of a warp therefore first sum their forces, over all threads that are `lanes` apart. Then one thread adds
+    the sum to the wall.
     """
     t = types(scalar)
     add_to_wall = wall_force_function(scalar)

@@ -325,9 +325,10 @@ def scatter_function(scalar, law, history: bool, bonds: bool, dissipation: bool)
 
 @functools.cache
 def bond_columns(scalar, at: int):
-    """Return `read_bond` and `write_bond`, which read and write the bond parameters of one vector lane.
+    """Return `read_bond` and `write_bond`, which read and write the bond parameters of one contact.
 
-    The parameters are stored in columns, the first of which starts at index `at`.
+    Contacts are evaluated in vector lanes. Each parameter has a column with one number for each lane, and the first
+    column of the bond parameters starts at index `at`.
     """
     Bond = bond_functions(scalar).Bond
     assert tuple(Bond.vars) == BOND

@@ -94,7 +94,7 @@ def linking_kernels(scalar, history: bool, rolls: bool, bonds: bool, rows: int, 
 
     @wp.func
     def twin_of(pairs: Pairs, begin: wp.int32, end: wp.int32, i: wp.int32):
-        """Return the position of sphere i among the list entries from `begin` to `end`, found by binary search.
+        """Return the index of the list entry whose neighbour is sphere i, by a binary search from `begin` to `end`.
 
         The entries are sorted by the index of the neighbour.
         """

@@ -80,10 +80,10 @@ def rotation_functions(scalar):
 
 @functools.cache
 def motion_functions(scalar, dissipation: bool):
-    """Return the functions that all kinds of bodies share.
+    """Return the functions that the kernels for all kinds of bodies share.
 
-    These functions compute drive force, local damping and positions with compensated summation, and check the neighbour
-    lists.
+    The functions compute the driving force, the local damping and the new positions (with compensated summation). They
+    also check whether the neighbour lists are still valid.
     """
     t = types(scalar)
     xyz = vector_functions(scalar).xyz
@@ -119,9 +119,9 @@ def motion_functions(scalar, dissipation: bool):
 
     @wp.func
     def new_position(x: t.vec3, displacement: t.vec3, rounding: t.vec3):
-        """Return the new position and its rounding error, which the next step adds again (compensated summation).
+        """Return the new position of a body and its rounding error (compensated summation).
 
-        In double precision the rounding error is not compensated.
+        The next step adds this rounding error to the displacement. In double precision, it is not added.
         """
         if wp.static(single):
             displacement = displacement + rounding

@@ -98,11 +98,14 @@ def begin_kernel(scalar) -> wp.Kernel:
 
 @functools.cache
 def recording_functions(scalar):
-    """Return functions that record speeds and wall loads in an `Estimate`, and that combine its parts.
+    """Return functions that record speeds and wall loads for the estimate of the stable step.
 
-    `record_speed` records a speed, `add_wall_stiffness` adds a contact's stiffness and damping to a wall, `fastest`
-    returns a scene's largest speed over all parts, and `least` the smallest value over all parts of another array. A
-    part is what one CPU thread recorded.
+    The struct `Estimate` holds the records; each CPU thread writes to its own part of the arrays.
+
+    - `record_speed` records a speed in a thread's part.
+    - `add_wall_stiffness` adds the stiffness and damping of a contact to the load of a wall.
+    - `fastest` returns the largest speed in a scene over all parts.
+    - `least` returns the smallest value over all parts of another array.
     """
     t = types(scalar)
     Estimate = estimate_struct(scalar)

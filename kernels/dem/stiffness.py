@@ -16,10 +16,10 @@ from .warps import group_functions
 
 @functools.cache
 def estimate_struct(scalar):
-    """Return the struct `Estimate`: the arrays in which the estimate of the stable step adds up its sums.
+    """Return the struct `Estimate`, in whose arrays the sums for the stable step are collected.
 
-    The columns of `sums` are the stiffness K and damping C of translation, then K and C of rotation. Each CPU thread
-    (`part`) has its own row of extremes and wall loads, so the CPU needs no atomic operations.
+    The four columns of `sums` are the stiffness and the damping of translation, then the stiffness and the damping of
+    rotation. Each CPU thread has its own row of extreme values and wall loads, so the CPU needs no atomic operations.
     """
     vec6 = wp.types.vector(6, scalar)
 

@@ -1,9 +1,10 @@
 """Structs of the arrays that the discrete-element kernels work on: scenes, bodies, spheres, slots, pairs, walls.
 
-Arrays are flat over all scenes of a batch. Indices stored in state arrays (`bodies.first`, `spheres.body`, entries of
-`pairs.other`, `slots.wall`, `candidates.face`) count from the scene's first row, so a scene holds the same numbers
-alone and in a batch. Indices into the tables of meshes and pipe axes, which are not part of the state, count over the
-whole batch. Arrays of features that no scene uses have zero rows.
+A slot stores a sphere's contact with a wall. Arrays are flat over all scenes of a batch. Indices stored in the arrays
+of the state count from the scene's first row; these are `bodies.first`, `spheres.body`, `slots.wall`, `candidates.face`
+and the entries of `pairs.other`. The state of a scene is therefore the same alone and in a batch. Indices into the
+tables of meshes and pipe axes, which are not part of the state, count over the whole batch. Arrays of features that no
+scene uses have zero rows.
 
 The integer array `flags`, shape (scenes, FLAGS), is passed to kernels separately; `common.control` lists its columns.
 """

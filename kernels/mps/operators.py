@@ -15,11 +15,14 @@ from .flow_laws import BINGHAM, law_functions
 from .structs import array_structs, flow_struct, mps_functions, mps_types, row_place, span
 
 NEARER, DAMPED = wp.constant(0.45), wp.constant(2.0)
-"""Damping of the pressure at walls: for particles closer to a wall than NEARER spacings, the diagonal of the pressure
-equation is multiplied by DAMPED. In the initial lattice the outermost particles are half a spacing from the wall. A
-pressure increment changes the particle's velocity, hence the velocity that is continued behind the wall, and thereby
-the particle's own divergence. Very close to the wall this response exceeds twice the undamped diagonal, and the
-pressure would oscillate from step to step."""
+"""Damping of the pressure at walls. For particles closer to a wall than NEARER spacings, the diagonal of the pressure
+equation is multiplied by DAMPED.
+
+The damping is needed because a pressure increment acts on itself. It changes the particle's velocity, and with it the
+velocity that is continued behind the wall; both change the particle's own divergence. Very close to the wall, this
+response exceeds twice the undamped diagonal, and the pressure would oscillate from step to step. In the initial lattice
+the outermost particles are half a spacing from the wall, so they are not damped.
+"""
 
 
 @functools.cache

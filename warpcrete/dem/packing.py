@@ -37,8 +37,8 @@ CHUNK = 50  # steps between two evaluations of the pressure of a packing
 # the contact modulus. Growth ends only at a higher pressure.
 TRANSIENT_LOOKS = 0.005
 CLOSE_FRACTION = 0.75  # solid fraction that no packing of aggregates reaches at pressures of kilopascals
-# Number of consecutive evaluations in which the pressure was always too high, or always too low, after which sizes are
-# changed faster.
+# The pressure of a packing is evaluated at intervals and compared with the wanted pressure. After this number of
+# consecutive evaluations in which it was always too high, or always too low, the sizes are changed faster.
 LOOKS_BEFORE_GAIN = 45
 MOST_GAIN = 16.0  # largest factor by which the adjustment of sizes to a wanted pressure is sped up
 # Relative error of the pressure below which the relaxation of a packing ends after RELAX_STEPS steps. With a larger

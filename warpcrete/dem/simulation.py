@@ -282,8 +282,8 @@ class ElementSimulation(Simulation):
     def ended_early(self) -> bool:
         """Return whether the run may end before its planned duration.
 
-        This is so if a test in a vessel is over. It is also so if the pipe is blocked and the scene's settings stop a
-        blocked run.
+        This is the case if a test in a vessel is over. It is also the case if the pipe is blocked and the settings of
+        the scene end blocked runs.
         """
         vessel, blockage = self.scene.vessel, self.scene.blockage
         if self.blockage is not None and self.blockage.found and blockage is not None and blockage.stop:

@@ -57,10 +57,15 @@ def around(name: str, value: float, off: float, unit: str, way: str, source: str
 def reconciled(candidates: list[Figure]) -> tuple[Figure, list[str]]:
     """Return the first of several values for one property, and remarks on differences between the values.
 
-    The candidates come from different entries of the mix, and each has an uncertainty band. Raises :class:`SceneError`
-    if the first band and another band are too far apart. Bands of the same rheometer must touch. Between a rheometer
-    and a cone, the gap may be a factor of :data:`INSTRUMENTS`. Between spread and slump of the same cone, the gap may
-    be a factor of :data:`CONES`; in this case, the band of the result is widened up to the other band.
+    The values come from different entries of the mix, and each has an uncertainty band. The gap between the first band
+    and another band has a limit:
+
+    - Bands of the same instrument must overlap or touch.
+    - Between different instruments, such as a rheometer and a cone, the gap may be a factor of :data:`INSTRUMENTS`.
+    - Between spread and slump of a cone, the gap may be a factor of :data:`CONES`. In this case, the band of the result
+      is widened up to the other band.
+
+    Raises :class:`SceneError` if a gap is too large.
     """
     first, remarks = candidates[0], []
     for other in candidates[1:]:

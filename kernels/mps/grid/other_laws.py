@@ -108,12 +108,13 @@ def edge_function(scalar, dimensions: int, law: str):
         if change <= scalar(0.01) * plain:
             return viscosity
         if over >= change:
-            # The mean rate over the cells is nearly the rate at the corner's stress s, plus change^2 / 12 times the
-            # second derivative of the rate with respect to the stress.
+            # The stress differs by `change` over each of the two cells. The mean rate over the cells is nearly the rate
+            # at the corner's stress s plus a correction: change^2 / 12 times the second derivative of the rate with
+            # respect to the stress.
             bend = h.bend(g.viscosity, g.flow_index, g.quadratic_viscosity, over, sheared)
             return viscosity * (scalar(1.0) - change * change * bend / (scalar(12.0) * plain))
-        # The end of a plug or the middle of the pipe lies within these two cells. Solve the equation for the corner's
-        # stress s by Newton's method, kept between two bounds.
+        # Within the two cells beside this corner, the plug ends or the pipe has its middle. Find the corner's stress s
+        # by Newton's method between two bounds. The mean shear rate over both cells must equal `rate`.
         low = scalar(0.0)
         high = plain + change
         s = plain
@@ -191,8 +192,9 @@ def wall_function(scalar, dimensions: int, law: str, slip_law: str):
         stress = high
         growth = scalar(1.0)
         slip = scalar(0.0)
-        # Shear-thickening concrete has its largest apparent viscosity at the largest rate, all other concrete at the
-        # smallest. This viscosity gives a lower limit for the derivative of the speed with respect to the stress.
+        # Newton's method divides by the derivative of the speed with respect to the stress. The largest apparent
+        # viscosity in the cell gives a lower limit for this derivative. Shear-thickening concrete has its largest
+        # apparent viscosity at the largest rate, all other concrete at the smallest.
         least = scalar(0.1) * width / wp.max(stiff, apparent(g, steepest))
         for _ in range(40):
             over = wp.max(stress - slip_yield, scalar(0.0))

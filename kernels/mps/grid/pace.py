@@ -165,8 +165,8 @@ def clock_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def wanted(pace: Pace, clock: wp.array(dtype=wp.float64), first: wp.bool) -> wp.float64:
         """Return the wanted length of the next step [s], from the error and the speed of the completed step."""
         dt = clock[DT]
-        # Limit the growth relative to the length that was wanted for the previous step. The length of the previous step
-        # itself may be shorter, so that the step ended at a given time.
+        # Limit the growth relative to the length that was wanted for the previous step. The actual length of the
+        # previous step may be shorter, because a step is cut short to end at a given time.
         longest = LONGER * clock[WANTED]
         longer = longest
         if not first:

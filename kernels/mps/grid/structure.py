@@ -32,9 +32,10 @@ def with_gain_function(scalar, dimensions: int):
 
 @functools.cache
 def break_kernel(scalar, of: GridKind):
-    """Build the kernel that breaks down the structure of each cell, and of the slip layer along its faces, in a step.
+    """Build the kernel that updates the yield stress gained at rest, in each cell and in the slip layer.
 
-    It runs with one thread per cell.
+    The flow breaks down the structure that has built up at rest. The kernel computes one time step, with one thread per
+    cell; the slip layer is that along the faces of the cell.
     """
     Grid = grid_parameters_struct(scalar, of.dimensions)
     structs = grid_structs(scalar, of.dimensions)

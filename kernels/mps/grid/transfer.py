@@ -389,8 +389,9 @@ def advect_kernel(scalar, of: GridKind):
         if wp.static(not of.periodic):
             if total == scalar(0.0):  # A particle alone in the air falls freely.
                 here = particles.velocity[p] + dt * g.gravity
-        # Estimate the velocity that the grid had at the particle's present position in the previous step. The estimate
-        # starts from the particle's own velocity and adds the gradient's contribution over the distance moved since.
+        # Estimate the velocity that the grid had in the previous step at the particle's present position. The estimate
+        # is the particle's own velocity, plus the velocity gradient times the distance that the particle has moved
+        # since then.
         before = particles.velocity[p]
         before += scalar(mesh.clock[LAST]) * (particles.gradient[p] * before)
         particles.velocity[p] = here

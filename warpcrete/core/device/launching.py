@@ -149,8 +149,8 @@ _compile_callback: ContextVar[Callable[[str, float], None] | None] = ContextVar(
 def report_compiling(tell: Callable[[str, float], None]) -> Generator[None]:
     """Report the progress of compiling while the block runs.
 
-    The function `tell` is called with "compiling" and the fraction done, if compiling takes longer than
-    `COMPILE_PROGRESS_DELAY`.
+    If compiling takes longer than `COMPILE_PROGRESS_DELAY`, the function `tell` is called with the word "compiling" and
+    the fraction done.
     """
     token = _compile_callback.set(tell)
     try:

@@ -72,9 +72,9 @@ class Paint:
     def steps(self, values: np.ndarray) -> np.ndarray:
         """Return the index of the discrete value nearest to each value, with the shape of `values`.
 
-        `values` are in the displayed unit. The viewer interpolates indices, not values, between neighbouring vertices,
-        so it shows wrong colours between vertices whose indices differ greatly. To reduce these differences, all values
-        that have the first colour of the scale get the same index.
+        `values` are in the displayed unit, and each index stands for a colour. Between neighbouring vertices, the
+        viewer interpolates the indices instead of the values. If the indices differ greatly, the colours in between are
+        wrong. To reduce these differences, all values that have the first colour of the scale get the same index.
         """
         least = max(SMALLEST_VALUE, self.upper / COLOURS)
         place = STEPS_PER_DECADE * np.log10(np.maximum(values, least) / SMALLEST_VALUE)

@@ -137,11 +137,13 @@ class LaunchPlanner:
         self._built_at_step[stale], self._age_known[stale] = flags[stale, int(STEPS)], True
 
     def launch_sizes(self, flags: np.ndarray, clock: np.ndarray, rows: np.ndarray) -> list[int]:
-        """Divide the next launch into pieces and return the number of steps of each piece.
+        """Divide the next launch of time steps into pieces, and return the number of steps of each piece.
 
-        After each piece, a GPU estimates the stable time step of the scenes that need an estimate. A GPU that can
-        rebuild neighbour lists without the host also rebuilds stale lists then. The flags, clocks and parameters
-        (`rows`) of all scenes are arrays with one row for each scene.
+        A launch is a sequence of time steps that the host requests at once. After each piece, a GPU estimates the
+        stable time step of the scenes that need an estimate. If the GPU can rebuild neighbour lists without the host,
+        it also rebuilds stale lists then.
+
+        The arguments are arrays with one row for each scene: control flags, times and parameters.
         """
         # Convert to plain Python numbers: for one scene, arithmetic on them is ten times as fast as with NumPy, and
         # the GPU idles meanwhile.
@@ -169,9 +171,9 @@ class LaunchPlanner:
             self._expected_lifetime[s] - (slots[s][int(STEPS)] - self._built_at_step[s]) for s in running
         )
         if self.scenes > 1:
-            # The scenes of a batch need the next estimate of their stable step after different numbers of steps,
-            # because some scenes have waited for new lists. The first piece lasts until the last scene needs an
-            # estimate; the other scenes halt and wait.
+            # Some scenes of a batch have waited for new neighbour lists, so they need the next estimate of their stable
+            # step later than the others. The first piece of the launch lasts until the last scene needs an estimate.
+            # The scenes that need an estimate earlier halt and wait.
             piece = min(piece, BATCH_LAUNCH)
             sizes = [min(max(estimates), piece, count)]
             most = min(BATCH_LAUNCH, remaining_lifetime)

@@ -185,10 +185,10 @@ class Stepper:
         return made
 
     def apply_rest(self) -> float:
-        """Strengthen the scene's bonds and lubrication layer by what they gain during its rest.
+        """Strengthen the scene's bonds and lubrication layer by what they gain while the concrete rests.
 
-        Pairs without a bond are bonded as well. Returns the travel [m] of the wall `Rest.wall` at the rest, from which
-        the slip along the wall is counted.
+        Pairs without a bond are bonded as well. Returns the present travel [m] of the wall `Rest.wall`; the slip along
+        the wall is counted from there.
         """
         scene, model, batch = self.model.scene, self.model, self.batch
         assert scene.rest is not None

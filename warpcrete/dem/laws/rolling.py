@@ -23,7 +23,10 @@ from .linear import Contact
 
 @dataclass(frozen=True, kw_only=True)
 class RollingResistance(ContactLaw):
-    """Linear law with a moment up to mu_r R N against rolling; R is the reduced radius, N the normal spring force."""
+    """Linear law with rolling resistance: a moment of up to mu_r R N acts against rolling.
+
+    Here mu_r is the coefficient of rolling friction, R the reduced radius and N the normal spring force.
+    """
 
     called = "rolling"
 

@@ -17,11 +17,9 @@ from ...geometry.walls import MeshWall, PipeWall, PlaneWall
 from ...kernels.mps.grid.cells import FIXED, INSIDE
 
 NONE, PLATE, SMOOTH, GATE, ROUGH = 0, 1, 2, 3, 4
-"""Wall numbers: NONE stands for an open cell, PLATE for the wall of a pipe or a side of the room.
-
-SMOOTH is an axis or plane of symmetry without friction, GATE a wall that will open, ROUGH a wall that concrete sticks
-to. Larger numbers belong to walls that move.
-"""
+"""Numbers of the kinds of walls. NONE stands for an open cell. PLATE is the wall of a pipe or a side of the room.
+SMOOTH is an axis or plane of symmetry, without friction. GATE is a wall that will open. ROUGH is a wall that concrete
+sticks to. Larger numbers belong to walls that move."""
 WALL, MIRROR, OPEN_SIDE = "wall", "mirror", "open"
 """Kinds of the sides of a room: a wall, a plane of symmetry, or an open side."""
 NO_SLIP_VISCOSITY = 1e8
@@ -81,9 +79,10 @@ class Room:
     """Kinds of the lower and the upper side along each axis: WALL, MIRROR or OPEN_SIDE."""
 
     def places(self, shift: Sequence[float], more: int = 0) -> np.ndarray:
-        """Return a point [m] in each cell and frame cell, `shift` cell widths from the cell's lowest corner.
+        """Return a point [m] in each cell of the grid and in each cell of the layer around the grid.
 
-        The frame adds 2 points along each axis, and `more` adds further ones. The shape is (*(cells + 2 + more), axes).
+        Each point is `shift` cell widths from its cell's lowest corner. The layer adds 2 points along each axis, and
+        `more` adds further points at the upper end. The shape is (*(cells + 2 + more), axes).
         """
         along = [
             o + (np.arange(-1, n + 1 + more) + s) * h

@@ -294,8 +294,8 @@ def run_elements(
 def _kinds(line: PipeLine) -> Iterator[tuple[tuple[Any, ...], Part]]:
     """Yield each kind of part that needs a simulation, as its key and an example part.
 
-    Straight pipe is needed at every diameter of the line, once with and once without a pressing plug
-    (:data:`PRESSED_RUN`). Parts whose friction the line's file states need no simulation of their own.
+    Straight pipe is needed at every diameter of the line, once with and once without a plug that presses on the
+    concrete (:data:`PRESSED_RUN`). Parts whose friction the line's file states need no simulation of their own.
     """
     for part in line.parts:
         if not part.is_by_length and part.factor is None:

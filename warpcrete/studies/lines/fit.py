@@ -24,8 +24,9 @@ from .losses import GRAVITY, Part, PipeLine, straight_friction, with_layer_facto
 NAMES = ("slip viscosity", "slip yield", "factor of bends")
 UNITS = ("Pa s/m", "Pa", "")
 COLUMNS = {"place": "m", "part": "1", "pressure": "Pa", "flow": "m3/s"}
-"""Columns of a file of taps, with their SI units: either `place`, the distance from the pump along the line, or `part`,
-the number of the part before which the tap lies."""
+"""Columns of a file of pressures that were measured along a pump line, with their SI units. One of two columns tells
+where a gauge is: `place` is its distance from the pump along the line, and `part` is the number of the part of the line
+before which it sits."""
 SAME_FLOW = 0.02
 """Relative difference between the flows up to which they count as equal. The pressures at equal flows do not
 distinguish the yield stress of the slip layer from its viscosity."""
@@ -243,12 +244,16 @@ class _Model:
 
 
 def fit_line(line: PipeLine, concrete: Concrete, taps: Sequence[Tap]) -> LineFit:
-    """Fit the slip layer, and the factor of bends, to pressures along a line by least squares.
+    """Fit the slip layer and the factor of bends to pressures along a line, by least squares.
 
-    `concrete` supplies density, viscosity and yield stress of the bulk, and values of constants that the points do not
-    determine. If all pressures were measured at a single flow, they do not distinguish the layer's yield stress from
-    its viscosity. If the same proportion of bends lies behind all taps, the pressures do not determine the factor of
-    bends. All pressures have the same weight. Raises :class:`SceneError` for too few points or an impossible result.
+    All pressures have the same weight. `concrete` supplies the density, the viscosity and the yield stress of the bulk.
+    It also supplies the fitted constants that the pressures do not determine:
+
+    - The yield stress of the layer, if all pressures were measured at a single flow. Such pressures do not distinguish
+      it from the layer's viscosity.
+    - The factor of bends, if bends have the same share in the line behind each gauge.
+
+    Raises :class:`SceneError` for too few measured points or an impossible result.
     """
     model = _Model(line, concrete, taps)
     measured = np.array([tap.pressure for tap in taps])

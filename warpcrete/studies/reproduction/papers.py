@@ -153,10 +153,10 @@ OPEN_ASSUMPTIONS: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {
     "faceted pipe": ({"wall": "mesh", "facets": 64}, ("units",), "a pipe of 64 facets instead of the exact one"),
     "longer plug": ({"plug_layers": 12}, ("units",), "a plug of twelve layers of balls instead of two (six in bends)"),
 }  # fmt: skip
-"""Assumptions about details that Zhan et al. leave open. Each entry has parameters that are added to the calibrated
-concrete, the parameter variations that are run with them, and a description. Nothing is calibrated again, so the
-pressures of the pipe units used for calibration (A and B) may change.
-"""
+"""Assumptions about details that Zhan et al. (2019) leave open. Each entry has three elements: parameters that are
+added to those of the calibrated concrete, the groups of runs that are made with them, and a description. The
+calibration is not repeated with the added parameters. The pressures of the pipe units A and B, to which the concrete
+was calibrated, may therefore change."""
 COARSE = dict(shapes="spheres", size_min=15e-3, size_max=40e-3)
 """Parameters of a quick reproduction, which uses spheres of 15 to 40 mm instead of clumps of 5 to 20 mm."""
 
@@ -171,9 +171,9 @@ def zhan_case(row: Row, value: Any, quick: bool) -> dict[str, Any]:
 
 
 def column_parameters(name: str) -> dict[str, Any]:
-    """Return the parameters of a report column.
+    """Return the parameters of the concrete to which a column of the report belongs.
 
-    A column stands for one of the concretes, or for the calibrated concrete with one of the open assumptions.
+    This is one of the named concretes, or the calibrated concrete with one of the open assumptions.
     """
     return CONCRETES[name] if name in CONCRETES else {**CONCRETES["calibrated"], **OPEN_ASSUMPTIONS[name][0]}
 

@@ -16,9 +16,9 @@ from .fronts import Error, worst
 WANTED_ERRORS = (0.2, 0.1, 0.05, 0.02, 0.01)
 """Wanted relative errors; the study looks for the cheapest setting within each wanted error."""
 GIVEN, REFERENCE, COMBINED, CARRIED = "as given", "finest", "combined", "carried"
-"""Origins of settings that do not vary a single accuracy knob: the scene as given, the finest setting that the budget
-allows, a combination of knob levels, and a setting that is repeated in a variant of the scene.
-"""
+"""Origins of the settings of a trade-off study in which not just one accuracy parameter is changed. In this order, they
+are the scene as given, the finest setting that the budget allows, a combination of several changed parameters, and a
+setting that is repeated in a variant of the scene."""
 
 
 @dataclass
