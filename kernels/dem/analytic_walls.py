@@ -20,8 +20,8 @@ from .wear import wear_functions
 
 # Distance [m] larger than any distance from a wall. The square of this number still fits into single precision.
 FARTHEST = 1.0e15
-# Number of walls that have a bit in a sphere's mask of touched walls. Walls with higher indices have no bit, so every
-# step reads their contact history.
+# Number of walls that have a bit in the mask in which a sphere marks the walls that it touches. Walls with higher
+# indices have no bit, so every step reads the contact history of these walls.
 WALL_BITS: int = wp.constant(31)
 LEADER = """
 #if defined(__CUDA_ARCH__)

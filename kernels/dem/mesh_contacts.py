@@ -58,8 +58,9 @@ def surface_functions(scalar) -> SimpleNamespace:
 
     @wp.func
     def falls_towards(direction: t.vec3, offset: t.vec3):
-        # Return True if a step along `direction` on the surface comes nearer to the sphere's centre. The tolerance
-        # covers rounding in single precision. Minima reported twice because of the tolerance are merged by angle later.
+        # Return True if a small step along `direction` on the surface leads nearer to the sphere's centre. The
+        # tolerance covers rounding in single precision. Because of the tolerance, two faces may report the same
+        # minimum; such minima are merged later, because their directions form a small angle.
         return wp.dot(direction, offset) > scalar(1.0e-3) * wp.length(direction) * wp.length(offset)
 
     @wp.func
@@ -209,9 +210,10 @@ def merging_functions(scalar, rolls: bool) -> SimpleNamespace:
         slot_wall: wp.array2d(dtype=wp.int32),
         slot_normal: wp.array2d(dtype=t.vec3),
     ):
-        """Return normal and gap, seen from the side of the surface that the sphere touched in the previous step.
+        """Return the normal and the gap of a contact, seen from the side that the sphere touched in the previous step.
 
-        This matters when the sphere's centre has been pushed through the surface: the normal must then not flip.
+        This matters if the sphere's centre has been pushed through the surface: the normal must then not flip to the
+        other side.
         """
         gap = distance - radius
         # Cosine of the angle between `n` and the old normal on this wall that is most nearly parallel to `n`.

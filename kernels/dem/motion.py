@@ -233,11 +233,11 @@ def placing_function(scalar, growth: bool, meshes: bool, half: bool):
 def sphere_kernel(
     scalar, drives: bool, growth: bool, meshes: bool, rotation: bool, half: bool, dissipation: bool, rows: int
 ) -> wp.Kernel:
-    """Return the kernel over single-sphere bodies that makes one leapfrog step on the sphere arrays alone.
+    """Return the kernel that advances bodies of a single sphere by one leapfrog step.
 
-    The step is the same as in `clump_kernel`. With full lists (GPU) it adds up the forces of each sphere's links (its
-    pairs), which are stored in `rows` rows per link. `sync_kernel` updates the arrays of bodies later, when they are
-    needed.
+    The step is the same as in `clump_kernel`, but the kernel computes it on the arrays of spheres alone. `sync_kernel`
+    updates the arrays of bodies later, when they are needed. With full lists (GPU), the kernel adds up the forces of
+    each sphere's links, which are its listed pairs. The forces of a link are stored in `rows` rows.
     """
     t = types(scalar)
     span = SPAN if half else 1

@@ -40,11 +40,11 @@ def estimate_struct(scalar):
 
 @functools.cache
 def stiffness_functions(scalar):
-    """Return functions for the matrices of one contact and for the stable step that a matrix allows.
+    """Return functions for the stiffness and damping matrices of one contact, and for the stable step.
 
-    `outer` and `turning` build stiffness or damping matrices; `full`, `row_sum` and `stable` derive the step from them.
-    Matrices are symmetric and stored as six components xx, yy, zz, yz, xz, xy until `full` expands them. Six components
-    save registers, because each GPU thread holds four such matrices.
+    `outer` and `turning` build matrices. `full`, `row_sum` and `stable` derive the stable step from them. Matrices are
+    symmetric and stored as six components xx, yy, zz, yz, xz, xy until `full` expands them. Six components save
+    registers, because each GPU thread holds four such matrices.
     """
     t = types(scalar)
     vec6 = wp.types.vector(6, scalar)
@@ -133,13 +133,15 @@ def counting_function(scalar, bonds: bool, subcycling: bool):
 def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bool, lanes: int):
     """Return the function `add_pairs`, which adds up K and C of all touching or bonded pairs of sphere i.
 
-    K is the stiffness of a pair and C its damping. On a full list (GPU), a group of `lanes` threads shares the list row
-    of a sphere: each thread adds every `lanes`-th pair that touches or is bonded. On a half list (CPU), each pair is
-    added to both of its spheres.
+    K is the stiffness of a pair and C its damping. The lists determine which pairs a thread adds:
 
-    With `subcycling` the sums contain only the pairs that sub-cycling rounds step (`stiff` true) or only the others.
-    Listed pairs that neither touch nor are bonded add nothing, so the time of the last list rebuild cannot change the
-    sums.
+    - Full list (GPU): a group of `lanes` threads shares the list of a sphere. Each thread adds every `lanes`-th pair
+      that touches or is bonded.
+    - Half list (CPU): each pair is added to both of its spheres.
+
+    With `subcycling`, the sums contain only the pairs that the sub-cycling rounds compute (`stiff` true), or only the
+    others. Listed pairs that neither touch nor are bonded add nothing. The sums therefore do not depend on the time of
+    the last list rebuild.
     """
     t, structs = types(scalar), array_structs(scalar)
     Scenes, Bodies, Spheres, Pairs = structs.Scenes, structs.Bodies, structs.Spheres, structs.Pairs
@@ -230,7 +232,8 @@ def pair_stiffness_function(scalar, law, half: bool, bonds: bool, subcycling: bo
         else:
             # The threads of a group first search together for the pairs that count. Then they share these pairs evenly,
             # so that all threads evaluate pairs at the same time.
-            # Number of pairs that this thread still leaves to the other threads before it evaluates a pair itself.
+            # `others` is the number of pairs that this thread still leaves to the other threads before it evaluates a
+            # pair itself.
             others = lane
             for block in range(begin, end, BLOCK):
                 left = wp.int32(0)

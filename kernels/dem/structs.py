@@ -61,8 +61,9 @@ def scene_struct(scalar):
         expected_speed: wp.float64  # largest speed expected before the next stable step estimate [m/s]
         wall_stiffness: wp.float64  # lower bound of the contact stiffness that a driven wall meets [N/m]
         largest_radius: scalar  # largest sphere radius, at full size [m]
-        # The following integers are the scene's first indices in the flat arrays of bodies, spheres, pairs and so on.
-        # The integers named `..._count` are the numbers of entries that belong to the scene.
+        # The following integers are the first indices of the scene in the arrays of bodies, spheres, pairs and so on,
+        # which are joint arrays of all scenes of a batch. The integers named `..._count` are the numbers of entries
+        # that belong to the scene.
         bodies: wp.int32
         body_count: wp.int32
         spheres: wp.int32

@@ -209,8 +209,8 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, law:
         particle_velocity: wp.array(dtype=t.vec),
         particle_pressure: wp.array(dtype=scalar),
         lists: Lists,
-        # The next arguments are arrays that this kernel writes. The density error becomes the residual of `shifting`,
-        # the solve that moves particles out of crowded regions.
+        # The next arguments are arrays that this kernel writes. The kernel stores the density error as the residual of
+        # `shifting`, the solve that moves particles out of crowded regions.
         fields: Fields,
         matrix: Matrix,
         shifting: Solve,
@@ -258,8 +258,9 @@ def geometry_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, law:
                     m.inside -= scalar(0.5) * flow.spacing
             fields.viscosity[i] = apparent
             # The compliance is the velocity difference between wall and particle, divided by the wall stress tau. The
-            # stress falls linearly from tau at the wall to 0 at the axis, so it is tau (1 - bend) at the particle. The
-            # particle's shear rate is this stress over the apparent viscosity. The wall's shear rate is higher by
+            # distance between both is `near_wall`, and `bend` is this distance divided by the pipe's radius. The stress
+            # falls linearly from tau at the wall to 0 at the axis, so it is tau (1 - bend) at the particle. The
+            # particle's shear rate is this stress divided by the apparent viscosity. The wall's shear rate is higher by
             # tau bend / tangent, with the tangent viscosity. The velocity difference is the mean of both rates times
             # the distance.
             near_wall = wp.clamp(m.inside, scalar(1.0e-3) * flow.spacing, flow.radius)

@@ -36,11 +36,12 @@ def wall_law_function(scalar, dimensions: int, slip_law: str):
 
     @wp.func
     def wall_force(flow: FlowConstants, x: t.vec, v: t.vec, area: scalar, compliance: scalar, force: t.vec):
-        """Return three values: `force` plus the slip layer's force, the layer's resistance, the wall's stress [Pa].
+        """Return `force` plus the force of the slip layer, the layer's resistance, and the wall's stress [Pa].
 
         The slip law is Eq. 8 of Xu, Li & Jiang 2021. Forces are per volume [N/m3]. `area` is the wall's area divided by
-        the particle's volume [1/m], and `compliance` the velocity difference between particle and wall per wall stress.
-        The resistance is the derivative of the layer's braking force with respect to the particle's velocity [kg/m3/s].
+        the particle's volume [1/m]. `compliance` is the velocity difference between particle and wall, divided by the
+        wall's stress. The resistance is the derivative of the layer's braking force with respect to the particle's
+        velocity [kg/m3/s].
         """
         resist = scalar(0.0)
         stress = scalar(0.0)
@@ -202,9 +203,9 @@ def momentum_kernel(scalar, dimensions: int, serial: bool, two_phase: bool, slip
 def divergence_kernel(scalar, dimensions: int, serial: bool, two_phase: bool):
     """Build the kernel that sets up the equations of the pressure increment.
 
-    The right-hand side is -density / dt times the divergence of the velocities, with the reference density. The matrix
-    is minus the Laplacian; in two-phase flows each pair's coefficient is multiplied by the reference density over the
-    mean density of the pair.
+    The right-hand side is -density / dt times the divergence of the velocities; this density is the reference density.
+    The matrix is minus the Laplacian. In two-phase flows, the coefficient of a pair is multiplied by the reference
+    density over the mean density of the pair.
     """
     t = mps_types(scalar, dimensions)
     f = mps_functions(scalar, dimensions)

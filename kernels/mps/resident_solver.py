@@ -1,10 +1,11 @@
 """Conjugate gradients on a GPU: a whole solve is one kernel, whose blocks stay resident and meet at barriers.
 
-Rows are divided into chunks with as many rows as a block has threads. Each chunk forms one partial sum, and the chunks
-are distributed among the blocks. Sums therefore have the same bits however many blocks there are: a flow may use many
-blocks while it runs alone, and few while it shares the GPU. Iterations need no launches by the host, so the solves of
-many flows can run at the same time. A small system gets a single wide block, which needs no barrier and no partial
-sums. `conjugate_gradient.py` explains the rows of the matrix.
+The rows of the matrix are divided into chunks with as many rows as a block has threads. Each block processes several
+chunks, and each chunk forms one partial sum. Sums therefore have the same bits however many blocks there are. A flow
+may use many blocks while it runs alone, and few while it shares the GPU.
+
+Iterations need no launches by the host, so the solves of many flows can run at the same time. A small system gets a
+single wide block, which needs no barrier and no partial sums. `conjugate_gradient.py` explains the rows of the matrix.
 """
 
 import functools
@@ -73,9 +74,12 @@ def sum_functions(width: int) -> SimpleNamespace:
 def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleNamespace:
     """Build the functions that a GPU thread applies to a row of the equations, or to a rigid grain, in a solve.
 
-    Here r is the residual, z the preconditioned residual, p the search direction and A the matrix. `begin`, `update`
-    and `share` return the contributions of their row to the inner products of r with z and of r with itself; the row of
-    `share` is a grain. `multiply` returns the row's contribution to the inner product of p with A p.
+    A solve computes sums over all rows; the functions return the contribution of one row or grain. Let r be the
+    residual, z the preconditioned residual, p the search direction and A the matrix.
+
+    - `begin` and `update` return a row's contributions to the inner products of r with z and of r with itself.
+    - `share` returns the contributions of a grain to the same two products.
+    - `multiply` returns a row's contribution to the inner product of p with A p.
     """
     f = solver_functions(scalar, dimensions, vector)
     Solve, value = f.Solve, f.value

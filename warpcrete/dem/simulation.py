@@ -195,8 +195,8 @@ class ElementSimulation(Simulation):
     def reaching(self, time: float) -> Coroutine:
         """Advance the simulation to `time` [s]; the coroutine yields the times to which the run loop steps.
 
-        If the scene has a rest of the concrete at or before `time` that was not yet applied, the simulation first
-        advances to the moment of the rest and applies it there.
+        The scene may contain a rest of the concrete, at or before `time`. If this rest has not been applied yet, the
+        simulation first advances to the moment of the rest and applies it there.
         """
         rest = self.scene.rest
         if rest is not None and self.rested is None and rest.at <= time:

@@ -394,9 +394,10 @@ def _biarc(
     points: np.ndarray, tangents: np.ndarray, here: int, stop: int, position: np.ndarray, tangent: np.ndarray,
     allowed: float,
 ) -> Curve:  # fmt: skip
-    """Return two arcs from `position` to the point with index `stop`.
+    """Return two arcs that lead from `position` to the point with index `stop`, or None if they do not fit.
 
-    The result is None if the arcs pass too far from the points between.
+    Two arcs do not fit if one turns by more than a quarter circle, if they run backwards, or if they pass too far from
+    the points in between.
     """
     if stop > here + 1 and (points[stop] - position) @ (tangent + tangents[stop]) <= 0:
         return None

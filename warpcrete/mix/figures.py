@@ -9,8 +9,8 @@ from ..theory.fits import student_t
 
 INSTRUMENTS = 2.0
 """Factor by which results of different instruments for one concrete may differ before they count as contradictory. The
-factor is a choice: comparisons of rheometers show that results differ (Ferraris & Martys 2003; RILEM TC 266-MRP 2023),
-but no figure was taken from them."""
+factor is an assumption. Comparisons of rheometers show that results differ (Ferraris & Martys 2003; RILEM TC 266-MRP
+2023), but the factor was not taken from them."""
 
 CONES = 3.0
 """Factor by which the bands of yield stress from spread and slump of one cone may differ before they count as
@@ -60,8 +60,8 @@ def reconciled(candidates: list[Figure]) -> tuple[Figure, list[str]]:
     The values come from different entries of the mix, and each has an uncertainty band. The gap between the first band
     and another band has a limit:
 
-    - Bands of the same instrument must overlap or touch.
-    - Between different instruments, such as a rheometer and a cone, the gap may be a factor of :data:`INSTRUMENTS`.
+    - Two bands of rheometers must overlap or touch.
+    - Between a rheometer and a cone, the gap may be a factor of :data:`INSTRUMENTS`.
     - Between spread and slump of a cone, the gap may be a factor of :data:`CONES`. In this case, the band of the result
       is widened up to the other band.
 

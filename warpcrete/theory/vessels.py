@@ -24,11 +24,9 @@ LAYERS = 4000
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 """Nodes from -1 to 1 and weights of Gauss-Legendre integration."""
 SLICES, SLICES_FUNNEL, SPEEDS = 400, 60, 120
-"""Numbers of slices and of tried speeds.
-
-SLICES is the number of slices of a box along its length, and SLICES_FUNNEL that of a funnel along its height. SPEEDS is
-the number of outlet speeds tried for each level of the concrete.
-"""
+"""Numbers of slices and of tried speeds. SLICES is the number of slices of a box along its length, and SLICES_FUNNEL
+that of a funnel along its height. SPEEDS is the number of outlet speeds that are tried for each height of the concrete
+in the funnel."""
 
 
 def cone_volume(top: float, base: float, height: float) -> float:
@@ -212,14 +210,15 @@ def duct_stress(
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return the mean wall stress [Pa] of rectangular ducts at mean speeds [m/s], and their hydraulic radii [m].
 
-    `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side of all ducts. The formula of
-    Kozicki, Chou & Tiu is exact in slots and pipes. It states that 2 v / R is tau^(-b/a) / a times the integral of
-    s^(b/a - 1) g(s) ds up to tau, with the mean speed v, the hydraulic radius R, the wall stress tau and the shear rate
-    g. For Bingham's law the right side is tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a + b))), with
-    q = tau0 / tau.
+    `speed` and the sides `wide` [m] are arrays of one shape; `deep` [m] is the other side of all ducts. A slip `layer`
+    adds its slip velocity. It is given by its viscosity divided by its thickness [Pa s/m] and its yield stress [Pa].
+    For laws other than Bingham's, it is also given by its flow index and its quadratic coefficient.
 
-    A slip `layer` adds its slip velocity. It is given by its viscosity divided by its thickness [Pa s/m] and its yield
-    stress [Pa]. Laws other than Bingham's also need its flow index and its quadratic coefficient.
+    The formula of Kozicki, Chou & Tiu is exact in slots and pipes. Let v be the mean speed, R the hydraulic radius, tau
+    the wall stress, g(s) the shear rate at a stress s, and a and b two constants of the cross-section. The formula
+    states that 2 v / R is tau^(-b/a) / a times the integral of s^(b/a - 1) g(s) ds up to tau. For Bingham's law with
+    the yield stress tau0 and the plastic viscosity mu, this is tau / mu (1 / (a + b) - q / b + a q^(1 + b/a) / (b (a +
+    b))), with q = tau0 / tau.
     """
     law = FlowLaw(yield_stress, viscosity, flow_index, quadratic_viscosity)
     radius = wide * deep / (2 * (wide + deep))

@@ -1,8 +1,8 @@
 """The regularised Bingham law (Xu, Li & Jiang 2021, Eq. 15), and its means over cells in which the stress varies.
 
-The stress varies linearly across a pipe. The mean velocity of a cell is therefore an integral of the shear rate over
-the stress, which has a closed form here. A sheared layer at a wall or beside a plug is therefore computed as accurately
-as the stress, even if the layer is thinner than a cell.
+In a pipe, the stress varies linearly from the axis to the wall. The mean velocity of a cell is therefore an integral of
+the shear rate over the stress, which has a closed form for this law. Some layers, at a wall or beside a plug, are
+thinner than a cell. With the closed form, the velocity is as accurate as the stress even there.
 """
 
 import functools

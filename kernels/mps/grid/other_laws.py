@@ -18,11 +18,11 @@ MARGIN = wp.constant(4.0)
 
 @functools.cache
 def rate_functions(scalar, dimensions: int, law: str) -> SimpleNamespace:
-    """Build the functions of a law: viscosity as a function of the rate, and rate as a function of the stress.
+    """Build functions of a flow law: viscosity as a function of the shear rate, and rate as a function of the stress.
 
-    `apparent` returns the viscosity of the regularised law. `sums` uses a law with a straight line below the yield
-    stress. For a stress of at least zero it returns the shear rate, and the rate's first and second integral from 0 to
-    that stress.
+    `apparent` returns the apparent viscosity of the regularised law. `sums` uses a law that is a straight line below
+    the yield stress. For a stress of at least zero, `sums` returns the shear rate, and the first and second integral of
+    the rate over the stress from 0 on.
     """
     Grid = grid_parameters_struct(scalar, dimensions)
     h = law_functions(scalar, law)
@@ -173,11 +173,12 @@ def wall_function(scalar, dimensions: int, law: str, slip_law: str):
         g: Grid, speed: scalar, inner: scalar, width: scalar, ring: scalar, slip_viscosity: scalar, slip_yield: scalar,
         slip_index: scalar, slip_quadratic: scalar,
     ):  # fmt: skip
-        """Return a wall's stress on the cell beside it, its derivative with respect to `speed`, and the slip velocity.
+        """Return a wall's stress on a cell, this stress's derivative with respect to `speed`, and the slip velocity.
 
-        `speed` is the cell's mean velocity along the wall. It is the sum of the slip velocity and of the mean velocity
-        due to shear within the cell; `ring` corrects the latter for cells that are rings about an axis. Newton's method
-        is kept between two bounds, because the velocity is not a convex function of the stress.
+        The cell lies at the wall, and `speed` is its mean velocity along the wall. This velocity is the sum of the slip
+        velocity and of the mean velocity due to shear within the cell. If the cell is a ring about an axis, `ring`
+        corrects the latter. Newton's method is kept between two bounds, because the velocity is not a convex function
+        of the stress.
         """
         stiff = unyielded_viscosity(g)
         # Slip and shear are each at most the whole speed. The stress that results if all of the speed is slip is

@@ -96,7 +96,9 @@ def speed_kernels(scalar, of: GridKind) -> SimpleNamespace:
     def sums(g: Grid, blocks: wp.int32, mesh: Fields, partial: wp.array(dtype=wp.float64)):
         """Compute each block's sums of volume times squared speed and of volume, and its maximum crossing rate.
 
-        One thread processes one face; all blocks are complete. The crossing rate is that of `cells_per_second`.
+        The crossing rate is the number of cells that the flow crosses per second (`cells_per_second`). One thread
+        processes one face of the grid. All threads of a block take part in its sums, so the kernel runs in whole
+        blocks.
         """
         r = wp.tid()
         square = wp.float64(0.0)

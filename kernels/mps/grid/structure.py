@@ -44,9 +44,10 @@ def break_kernel(scalar, of: GridKind):
 
     @wp.func
     def rebuilt(rate: scalar, broken: scalar, dt: scalar) -> scalar:
-        """Return the increase of the gained yield stress by recovery in a step, less its breakdown in the same step.
+        """Return the yield stress that recovery adds in a step, less what breaks down again in the same step.
 
-        The recovery has the given `rate`. The breakdown reduces older structure by the factor exp(-broken).
+        The recovery has the given `rate`. The result does not include the structure from earlier steps, which the
+        breakdown reduces by the factor exp(-broken).
         """
         if broken > scalar(1.0e-3):
             return rate * dt * (scalar(1.0) - wp.exp(-broken)) / broken

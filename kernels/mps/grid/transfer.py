@@ -162,10 +162,13 @@ def gather_kernel(scalar, of: GridKind):
 def extend_kernel(scalar, of: GridKind):
     """Build the kernel that extends velocities to faces in the air and inside walls, from the faces beside them.
 
-    The velocities of particles near a free surface or a wall are interpolated from velocities on both sides of it. If
-    walls are sides of cells, the velocity is continued linearly through its value at a wall. If walls cut cells, the
-    velocities of ghost faces inside walls are unknowns of the solve instead. The kernel runs with one task per cell and
-    extends the velocities by one cell per launch.
+    The velocities of particles near a free surface or a wall are interpolated from velocities on both sides of it, so
+    these faces need velocities too.
+
+    - If walls are sides of cells, the velocity is continued linearly through its value at a wall.
+    - If walls cut cells, the velocities of ghost faces inside walls are unknowns of the solve instead.
+
+    The kernel runs with one task per cell and extends the velocities by one cell per launch.
     """
     dims = of.dimensions
     Grid = grid_parameters_struct(scalar, dims)
@@ -265,9 +268,10 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
     def sample(
         g: Grid, velocity: wp.array(dtype=scalar), good: wp.array(dtype=wp.int32), x: vec, axis: wp.int32
     ):  # fmt: skip
-        """Return a velocity component at a position, its gradient, and the total weight of the faces used.
+        """Return a velocity component at a position, its gradient, and the total weight of the faces that contribute.
 
-        Only faces with a known velocity are used; in air, far from the concrete, their total weight is 0.
+        The component is interpolated between the faces of the grid. Only faces with a known velocity are used; in air,
+        far from the concrete, their total weight is 0.
         """
         base = whole()
         s = vec()
@@ -299,9 +303,10 @@ def sampling_functions(scalar, of: GridKind) -> SimpleNamespace:
 
     @wp.func
     def carry(g: Grid, velocity: wp.array(dtype=scalar), good: wp.array(dtype=wp.int32), x: vec):
-        """Return the velocity at a position, its gradient, and the total weight of the faces used.
+        """Return the velocity at a position, its gradient, and the total weight of the faces that contribute.
 
-        Only faces with a known velocity are used; in air, far from the concrete, their total weight is 0.
+        The velocity is interpolated between the faces of the grid. Only faces with a known velocity are used; in air,
+        far from the concrete, their total weight is 0.
         """
         here = vec()
         slopes = mat()

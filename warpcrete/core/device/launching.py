@@ -219,9 +219,10 @@ def graph_sizes(count: int, largest: int) -> list[int]:
 
 
 def merge_thread_stages(step: Step) -> Step:
-    """Merge the threads' stage lists into a list for one thread, barrier by barrier.
+    """Merge the stage lists of several threads into one list, for a single thread.
 
-    The single thread runs the stages of all threads up to a barrier, then those up to the next barrier.
+    The single thread runs the stages of all threads up to the first barrier, then those of all threads up to the next
+    barrier, and so on.
     """
     parts: list[list[list[Stage]]] = []
     for stages in step:

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 COLOUR_STEPS, STEPS_PER_DECADE = 2048, 128
-"""Number of discrete values on a logarithmic scale to which recordings round the quantities that colour walls.
-
-The first constant is the total number, and the second is the number in each decade."""
+"""Numbers of discrete values to which recordings round a quantity that colours walls. The values are evenly spaced on a
+logarithmic scale. The first constant is the total number, and the second is the number in each decade."""
 SMALLEST_VALUE = 1e-6
 """Smallest painted value, in the displayed unit; smaller values are shown as zero."""
 COLOURS = 256

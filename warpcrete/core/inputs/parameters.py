@@ -96,9 +96,9 @@ class Needs:
 
 @dataclass(frozen=True)
 class FileIf:
-    """Rule that a text for which `test` holds names a file.
+    """Rule that a text names a file if `test` holds for the text.
 
-    The text is stored as an absolute path, which is valid in any working folder.
+    Such a text is stored as an absolute path, which is valid in any working folder.
     """
 
     test: Callable[[str], bool]

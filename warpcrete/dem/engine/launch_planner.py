@@ -37,11 +37,9 @@ The division often changes soon after the start of a run, which makes recorded g
 NEVER = 2**31 - 1
 """Step count that no scene ever reaches; the goal of a scene that runs until a given time instead of a step count."""
 LIFETIME_DECREASE, LIFETIME_INCREASE = 0.95, 1.1
-"""Factors that adapt the expected lifetime of neighbour lists.
-
-Lists that became stale are expected to last `LIFETIME_DECREASE` times as many steps next time. The expected lifetime
-grows by the factor `LIFETIME_INCREASE` when lists were still valid at the end of their expected lifetime.
-"""
+"""Factors that adapt the expected lifetime of neighbour lists. If lists have become stale, the next lists are expected
+to last `LIFETIME_DECREASE` times as many steps. If lists are still valid at the end of their expected lifetime, this
+lifetime grows by the factor `LIFETIME_INCREASE`."""
 SHARED_REBUILD_AGE = 0.6
 """Minimum age at which a scene's neighbour lists are rebuilt early, as a fraction of their expected lifetime.
 
@@ -66,8 +64,8 @@ class LaunchPlanner:
         # For each scene, the step count at which its lists were built, and the expected lifetime of its lists in steps.
         self._built_at_step = np.zeros(scenes, dtype=np.int64)
         self._expected_lifetime = np.full(scenes, 64.0 if scenes == 1 else np.inf)
-        # `_age_known` is False for scenes that joined the batch with lists of unknown age. The lifetime of these lists
-        # cannot be measured.
+        # A scene may join the batch with neighbour lists of unknown age. `_age_known` is then False, because the
+        # lifetime of these lists cannot be measured.
         self._age_known = np.ones(scenes, dtype=bool)
         self._steps_since_capture = 0
         self.rebuilds_on_device = False

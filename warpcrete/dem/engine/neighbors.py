@@ -373,9 +373,10 @@ class NeighborLists:
         return Chunks(parts, b.launch_chunks) if f.half_list else parts[0]
 
     def _link_stages(self, scan: list[Stage]) -> list[Stage]:
-        """Return the launches that build a GPU's links (pairs) from the new lists; empty for half lists.
+        """Return the launches that build a GPU's links from new neighbour lists; empty for the half lists of a CPU.
 
-        `scan` contains the launches of the prefix sum that gives the index of each sphere's first link.
+        A link represents the two list entries of a pair. `scan` contains the launches of the prefix sum that gives the
+        index of each sphere's first link.
         """
         b, f, n = self.batch, self.batch.features, self.batch.sphere_count
         if f.half_list:

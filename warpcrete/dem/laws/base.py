@@ -19,9 +19,9 @@ RESISTANCES = ("friction", "rolling_friction", "yield_stress", "viscosity", "pla
 
 @dataclass(frozen=True)
 class OnDevice:
-    """Exception for a parameter that the device stores under another `name` or with another value.
+    """Rule that a device stores a parameter under another name or with another value.
 
-    The function `of` computes the device's value from the parameter.
+    `name` is the name on the device. The function `of` computes the device's value from the parameter.
     """
 
     name: str
@@ -92,7 +92,8 @@ class ContactLaw(Declared, ABC):
     def gripped(self, grip: float) -> "ContactLaw":
         """Return the law for contacts with a wall that resists sliding and rolling `grip` times as much as bodies do.
 
-        The fields named in RESISTANCES are multiplied by `grip`, also in nested laws.
+        The fields named in RESISTANCES are multiplied by `grip`. If a field is itself a contact law, this is done in
+        that law as well.
         """
         changes: dict[str, Any] = {}
         for name in declared_fields(type(self)):

@@ -77,8 +77,8 @@ class Known:
     def window(self) -> np.ndarray:
         """Mask of the samples in the final window, shape (samples,).
 
-        The final window is the last fraction WINDOW of the travel, or of the last stroke if the piston stops between
-        strokes.
+        The final window is the last fraction WINDOW of the piston's travel. If the piston stops between strokes, the
+        window is the last fraction WINDOW of the travel in the last stroke.
         """
         return self.series["travel"] >= self.window_begin
 
@@ -93,7 +93,8 @@ class Known:
     def on_plateau(self) -> bool:
         """True if the pressure is on a plateau in the final window.
 
-        The piston must have moved at its final speed throughout that window, see also :func:`is_level`.
+        The pressure must be level in this window (see :func:`is_level`). The piston must also have moved at its final
+        speed throughout the window.
         """
         if not self.pumped:
             return False

@@ -225,8 +225,8 @@ class VesselParameters(GrainParameters, LawChoice, LawParameters, VesselRun):
     def mould_grip_or_default(self) -> float:
         """Resistance of the mould to sliding, divided by that of the grains.
 
-        Both friction and yield stress are multiplied by this factor. The default depends on the contact law and is no
-        larger than the plate's factor.
+        The friction and the yield stress of contacts with the mould are those of the grains times this factor. The
+        default depends on the contact law, and is at most the plate's factor.
         """
         if self.mould_grip is not None:
             return self.mould_grip

@@ -1,8 +1,11 @@
 """Flow on a grid through which particles carry the concrete.
 
-A step has four parts. Particles bring their velocities to the faces of the cells (affine particle-in-cell, Jiang et al.
-2015). An implicit solve changes these velocities by viscosity, walls, pressure and weight. An increment of the pressure
-removes their divergence. Particles take their velocity from the grid and move with it.
+A step has four parts:
+
+- Particles bring their velocities to the faces of the cells (affine particle-in-cell, Jiang et al. 2015).
+- An implicit solve changes these velocities by viscosity, walls, pressure and weight.
+- An increment of the pressure removes the divergence of the velocities.
+- Particles take their velocity from the grid and move with it.
 
 The length of steps may adapt to the flow. The equations do not depend on how the particles are arranged, so concrete
 can be sheared without limit.
@@ -394,7 +397,7 @@ class GridFlow(Stepping):
         ]
 
     def _solve(self, system: System, what: int, x: wp.array, tolerance: float) -> list[Any]:
-        """Return the stage of a conjugate-gradient solve that adds its solution to `x`.
+        """Return the stage that solves a system by conjugate gradients and adds the solution to `x`.
 
         The solve stops when the residual is below `tolerance` times the initial one, or below the norm stored in the
         system.

@@ -34,8 +34,8 @@ STRAIGHT_DIAMETERS = 3.0
 """Length of straight pipe before a simulated bend or reducer, and of as much behind it [diameters]. A straight pipe is
 simulated with the same two lengths, one after the other."""
 LARGEST_STONE_RATIO = 0.3
-"""Largest stone divided by the narrowest bore of the line. Smaller stones are enlarged to this ratio by default, so
-that fewer elements have to be simulated."""
+"""Smallest ratio of the largest stone to the narrowest bore of the line in a simulation. If the stones are smaller,
+they are by default enlarged to this ratio, so that fewer elements have to be simulated."""
 MODULUS_FACTOR = 5.0
 """Default factor on the concrete's elastic modulus.
 

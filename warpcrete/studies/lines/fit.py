@@ -107,9 +107,9 @@ class LineFit:
         return replace(concrete, slip_viscosity=self.constants[0].value, slip_yield=self.constants[1].value)
 
     def variants(self, concrete: Concrete) -> dict[str, tuple[Concrete, Concrete]]:
-        """Return the concrete with the fitted slip layer at the lower and at the upper end of its band.
+        """Return two concretes, with the fitted slip layer at the lower and at the upper end of its band.
 
-        The pair is the value of the key 'slip layer', which is the only cause of uncertainty after a fit.
+        The result maps the cause of uncertainty, 'slip layer', to this pair. After a fit there is no other cause.
         """
         own = self.concrete(concrete)
         low, high = (with_layer_factor(own, x) for x in (1 / (1 + self.uncertainty), 1 + self.uncertainty))
@@ -212,8 +212,8 @@ class _Model:
                 kind = (part.diameter, part.outlet, part.layer)
                 self.kinds.setdefault(kind, part)
                 metres = own.setdefault(kind, [0.0, 0.0])
-                # A bend whose factor is fitted counts as straight pipe here, because the fit multiplies it by the
-                # factor. All other parts have the friction of the prediction.
+                # A bend whose factor is fitted counts as straight pipe here, because the fit later multiplies its
+                # friction by the factor. All other parts have the same friction as in a prediction.
                 weight = 1.0 if bends and _is_free(part) else library_factor(part)
                 metres[bends and _is_free(part)] += share * part.length * part.relative * weight
                 rise += share * part.rise

@@ -96,8 +96,8 @@ def judge_late_growth(values: Sequence[float], pressures: Sequence[float]) -> tu
 
 
 NEEDS_ALL_VALUES = (judge_narrow, judge_late_growth)
-"""Functions that can judge a claim only from the pressures at all values of the parameter. A single missing run leaves
-the claim undecided."""
+"""Functions that judge a claim of the paper and need the pressures at all values of the varied parameter. If a single
+run is missing, such a function leaves the claim undecided."""
 
 ZHAN = (
     Row("diameter", "diameter", (0.100, 0.125, 0.150, 0.175, 0.200),
@@ -137,9 +137,12 @@ CONCRETES: dict[str, dict[str, Any]] = {
     "calibrated": {"concrete": "zhan"},
     "stiff stones": {"concrete": "zhan", "modulus": 1e7, "solid_fraction": 0.62, "layer_viscosity": 1660.0},
 }
-"""Concretes of the reproduction: Table 1 of Zhan et al. as printed; the same concrete with a wall layer and wall
-friction calibrated on vertical and horizontal pipe (units A and B); and loosely packed stones with a modulus of 1e7 Pa,
-the same friction and another layer.
+"""Parameters of the concretes in the reproduction.
+
+- "literal" is the concrete of Table 1 of Zhan et al. as printed.
+- "calibrated" is the same concrete with a wall layer and wall friction that were calibrated on vertical and horizontal
+  pipe (units A and B).
+- "stiff stones" has loosely packed stones with a modulus of 1e7 Pa, the same wall friction and another layer.
 """
 
 OPEN_ASSUMPTIONS: dict[str, tuple[dict[str, Any], tuple[str, ...], str]] = {

@@ -41,8 +41,9 @@ class Setting:
     """Reason why the setting was not run; a later attempt may run it."""
     errors: list[Error] = field(default_factory=list)
     converted: dict[str, tuple[float, float]] = field(default_factory=dict)
-    """Conversions, by name, for quantities that mean something else at this setting than in the scene as given. A
-    conversion is a pair (offset, factor); see :class:`Level`."""
+    """Conversions of result quantities, by name. In a run with this setting, a quantity may mean something else than in
+    the scene as given; the conversion makes both comparable. A conversion is a pair (offset, factor); see
+    :class:`Level`."""
     variant: str = ""
     """Description of the variant, which is the trade-off study's scene with some parameters changed; empty for the
     scene itself."""

@@ -32,9 +32,9 @@ FITTED = {
     "layer": ("suzuki-2004",),
     "blocking": ("tuutti-1976", "coils-10mm", "coils-20mm", "coils-30mm"),
 }
-"""Groups from which a constant of the program was taken before cases were held out, by kind. The constants are the
-height of the centre of a heap, the range of the friction of bends, the factor of a viscosity-modifying admixture, and
-limits of rules against blocking. These groups are never held out."""
+"""Groups of cases from which constants of the program were taken before any groups were held out, by kind. These groups
+are therefore never held out. The constants are the height of the centre of a heap, the range of the friction of bends,
+the factor of a viscosity-modifying admixture, and limits of rules against blocking."""
 
 
 @dataclass(frozen=True)
