@@ -166,7 +166,7 @@ def contact_update_function(
 ):
     """Return the function `update_contact`, which checks if the two spheres of a link touch.
 
-    It clears the contact history when a contact has ended.
+    A link is a listed pair of spheres. The function clears the contact history when a contact has ended.
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -81,8 +81,8 @@ def surface_functions(scalar) -> SimpleNamespace:
     ):
         """Return True if the face's closest point is a local minimum of the distance to the whole surface.
 
-        `offset` points from the closest point to the sphere's centre. Only the face with the lowest number reports a
-        point that several faces share.
+        `offset` points from this point to the sphere's centre. If several faces share the point, only the face with the
+        lowest number reports it.
         """
         if feature == 0:
             return True

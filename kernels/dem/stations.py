@@ -134,8 +134,8 @@ def stress_probe(scalar) -> wp.Kernel:
     """Return the kernel over spheres of scene `s` that sums force times branch vector of contacts for each body.
 
     The branch vector points from the centroid of one body to that of the other. The forces come from
-    :func:`force_probe`. Each body of a pair receives half of the product; compression is positive.
-    Sums are integers in units of 1 / `scale` newton metres, so the order of the summation cannot change them.
+    :func:`force_probe`, and compression is positive. Half of the product of a contact is added to each of the two
+    bodies. Sums are integers in units of 1 / `scale` newton metres, so the order of the summation cannot change them.
     """
     t = types(scalar)
     structs = array_structs(scalar)

@@ -68,10 +68,11 @@ def stiffness_functions(scalar):
 
     @wp.func
     def turning(r: t.vec3, n: t.vec3, kn: scalar, ks: scalar, bending: scalar, torsion: scalar):
-        """Return the rotational stiffness of a contact at `r` from the body's centroid.
+        """Return the rotational stiffness of a contact, which is at the vector `r` from the body's centroid.
 
-        It adds the contact's springs, which act at the end of the lever `r`, to the bond's own bending and torsion
-        stiffness. The same formula gives the rotational damping of dashpots.
+        The stiffness has two parts. One part is that of the contact's springs, which act at the end of the lever `r`.
+        The other part is the bond's own bending and torsion stiffness. The same formula gives the rotational damping of
+        dashpots.
         """
         c = wp.cross(r, n)
         levers = times_unit(wp.length_sq(r)) - squared(r)

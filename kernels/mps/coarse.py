@@ -21,7 +21,7 @@ degree of 6 or 8 saves a third of the conjugate-gradient iterations for tall col
 so a GPU gains nothing."""
 RATIO = 20.0
 """Ratio of the largest to the smallest eigenvalue for which the Chebyshev iteration is designed. The eigenvalues are
-those of the coarse matrix divided by its diagonal, which are at most 2."""
+those of the coarse matrix after each row has been divided by its diagonal element; they are at most 2."""
 MIDDLE, REACH = 1.0 + 1.0 / RATIO, 1.0 - 1.0 / RATIO
 """Centre (MIDDLE) and half-width (REACH) of the interval of eigenvalues for which the Chebyshev iteration is designed.
 The interval extends from 2 / RATIO to 2, where RATIO is the ratio of its ends."""

@@ -106,8 +106,9 @@ def row_functions(scalar, dimensions: int, vector: bool, rigid: bool) -> SimpleN
     ) -> wp.float64:
         """Compute the new search direction of row `i`, and this row of the matrix times the search directions.
 
-        The previous search directions begin at index `old` of the array `direction`. The function computes the new
-        directions of the neighbours itself from their previous ones, so that no barrier is needed before the product.
+        The array `direction` contains the previous search directions, from index `old` on. The function computes the
+        new directions of the neighbours itself from their previous ones. No barrier is therefore needed before the
+        product.
         """
         if i >= count:
             return wp.float64(0.0)

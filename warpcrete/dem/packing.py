@@ -151,7 +151,7 @@ def pack_many(
 ) -> list[Any]:
     """Pack many containers side by side, on a GPU as one batch.
 
-    Returns for each request (bodies, report) as :func:`pack` does, or the error that its packing raised.
+    Returns one result for each request: (bodies, report) as from :func:`pack`, or the error that the packing raised.
     """
     device = find_device(device) if device is None or isinstance(device, str) else device
     tell = progress or (lambda done: None)

@@ -360,8 +360,8 @@ def _longest(
         stop = min(reached + step, last)
         curve = attempt(points, tangents, here, stop, position, tangent, allowed)
         if curve is None:
-            # Search for the last point that the curve can reach. The number of points to advance doubles after each
-            # success; after a failure it is halved, to find the limit in between.
+            # Search for the last point that the curve can reach. After each success, twice as many points are tried in
+            # the next attempt. After a failure, half as many points are tried, to find the limit in between.
             step = step // 2 if best is not None else 0
         else:
             best, step = curve, 2 * (stop - reached) if stop - reached == step else step
@@ -373,7 +373,7 @@ def _straight(
     points: np.ndarray, tangents: np.ndarray, here: int, stop: int, position: np.ndarray, tangent: np.ndarray,
     allowed: float,
 ) -> Curve:  # fmt: skip
-    """Return the line from `position` along `tangent` to the point with index `stop`.
+    """Return the straight line from `position` along `tangent` to the point with index `stop`.
 
     The result is None if the line passes too far from the points up to `stop`, or if the tangents at these points
     deviate too much from the line.

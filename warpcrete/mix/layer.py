@@ -17,8 +17,9 @@ from .figures import Figure, line_uncertainty, of_line
 from .given import MixEntries
 
 TRIBOMETER_RATIO = (0.3, 2.0)
-"""Range of the ratio between two values of the slip layer's constants: the value that follows from pipe pressures,
-divided by that measured with a tribometer. The range covers 404 pipe flows of 22 concretes (Tavangar 2022)."""
+"""Range of the ratio between two values of the slip layer's constants. The first value follows from pipe pressures, and
+is divided by the second value, which was measured with a tribometer. The range covers 404 pipe flows of 22 concretes
+(Tavangar 2022)."""
 PIPE_UNCERTAINTY = 0.3
 """Relative uncertainty of a slip layer that was fitted to pipe pressures of an earlier delivery of the same recipe. Mai
 et al. (2014) found that deliveries differ by 15 % on a single site. Over all, the difference is larger: Deng et al.

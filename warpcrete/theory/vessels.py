@@ -236,7 +236,7 @@ def duct_stress(
 
 
 def _duct_rate(stress: np.ndarray, a: np.ndarray, b: np.ndarray, law: FlowLaw) -> np.ndarray:
-    """Return twice the mean speed of a duct over its hydraulic radius [1/s], at a mean wall `stress` [Pa].
+    """Return 2 v / R for a duct [1/s], with the mean speed v and the hydraulic radius R, at a mean wall `stress` [Pa].
 
     The formula and its constants `a` and `b` are those of :func:`duct_stress`.
     """

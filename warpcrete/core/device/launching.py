@@ -376,7 +376,7 @@ class Launcher:
 
 
 def _launch_on_side_stream(stages: list[Stage], device: wp.Device) -> None:
-    """Launch a GPU's stages during a graph capture, those with `on_side_stream` on a side stream.
+    """Launch the stages of a GPU while a graph is captured; stages with `on_side_stream` run on a side stream.
 
     The main stream waits for the side stream before a stage with `joins_side_stream`, and at the end.
     """

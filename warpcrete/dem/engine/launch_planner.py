@@ -41,9 +41,9 @@ LIFETIME_DECREASE, LIFETIME_INCREASE = 0.95, 1.1
 to last `LIFETIME_DECREASE` times as many steps. If lists are still valid at the end of their expected lifetime, this
 lifetime grows by the factor `LIFETIME_INCREASE`."""
 SHARED_REBUILD_AGE = 0.6
-"""Minimum age at which a scene's neighbour lists are rebuilt early, as a fraction of their expected lifetime.
+"""Minimum age at which the neighbour lists of a scene are rebuilt early, as a fraction of their expected lifetime.
 
-A rebuild is early if the lists are still valid but those of another scene of the batch must be rebuilt.
+A rebuild is early if these lists are still valid, but those of another scene of the batch must be rebuilt.
 """
 NO_SCENES = np.zeros(0, dtype=np.int64)
 DEVICE_CHECK_INTERVAL = 20

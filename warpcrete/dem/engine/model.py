@@ -310,7 +310,7 @@ def _law_table(
     """Return a contact law for every ordered pair of materials, as a flattened square table.
 
     All pairs of materials that can touch must follow one type of law; otherwise :class:`SceneError` is raised. Pairs
-    that cannot touch need an entry as well and get the law of a pair that can.
+    that cannot touch need an entry in the table as well, and get the law of a pair that can touch.
     """
     met = [contacts.get((a, b), scene.contact) for a in sorted(ours) for b in sorted(theirs)] or [scene.contact]
     kinds = sorted({type(c).__name__ for c in met})

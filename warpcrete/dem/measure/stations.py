@@ -31,10 +31,8 @@ from .probes import launch_recorded, scene_stage
 RINGS = 5
 """Number of rings of equal width over which a velocity profile is averaged."""
 FRONT = 0.98
-"""Fraction of the solid volume that lies behind the point defined as the front of the concrete.
-
-Beyond this point the concrete no longer fills the cross-section.
-"""
+"""Fraction of the solid volume that lies behind a point, which is defined as the front of the concrete. Beyond this
+point the concrete no longer fills the cross-section."""
 FARTHEST = 8
 """The front is searched for only among the farthest 1/FARTHEST of all bodies along the pipe, which saves time."""
 PLACES = ("place", "radius")

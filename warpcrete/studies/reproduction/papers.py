@@ -202,9 +202,9 @@ form gives 9.43e3 Pa and 0.186 m/s.
 
 
 def xu_cases(quick: bool) -> dict[str, list[tuple[str, dict[str, Any]]]]:
-    """Return, for each group of Xu's cases, the scenes and parameters of the cases.
+    """Return, for each group of the cases of Xu, Li & Jiang (2021), the scenes and parameters of the cases.
 
-    The paper computes flow between planes (scene `channel`); the round pipe (scene `tube`) is our addition.
+    The paper computes flow between planes (scene `channel`); the cases in a round pipe (scene `tube`) are an addition.
     """
     column = {"length": 0.3, "diameter": 0.1}
     flows = XU_FLOWS[1::2] if quick else XU_FLOWS
