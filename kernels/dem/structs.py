@@ -143,8 +143,9 @@ def array_structs(scalar) -> SimpleNamespace:
         normal: wp.array2d(dtype=t.vec3)  # normal of each mesh contact, into the wall, (spheres, slots)
         overlap: wp.array2d(dtype=scalar)  # overlap of each mesh contact [m], (spheres, slots)
         wall: wp.array2d(dtype=wp.int32)  # wall index of each mesh contact, -1: slot unused, (spheres, slots)
-        # `worn` holds the wear of each wall since the last sample, shape (spheres, walls): work of sliding [J], energy
-        # loss of impacts [J] and the integral of load over sliding distance [N m].
+        # `worn` holds the wear of each wall since the last sample, shape (spheres, walls). Each entry has three values:
+        # the work of sliding [J], the energy loss of impacts [J], and the integral of the load over the sliding
+        # distance [N m].
         worn: wp.array2d(dtype=wp.vec3d)
         worn_at: wp.array2d(dtype=t.vec3)  # last point of contact with each wall, in its frame [m], (spheres, walls)
 

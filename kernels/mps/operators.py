@@ -1,9 +1,11 @@
 """Operators of the moving particle method: forces, divergence and pressure gradient of a step, without its solves.
 
-Gradient and divergence are exact for linear fields (weighted least squares over the neighbours). The Laplacian is the
-pairwise sum of Xu, Li & Jiang 2021 (Eq. 5), with weights that vanish at their reach. Its factor is twice the number of
-dimensions over the sum of the gradient's weights. This makes it exact for quadratic fields wherever the neighbours are
-distributed evenly. Each pair uses the mean of both particles' factors, so that momentum is conserved.
+Gradient and divergence are exact for linear fields (weighted least squares over the neighbours).
+
+The Laplacian is the sum over pairs of Xu, Li & Jiang 2021 (Eq. 5), with weights that vanish at their reach. The sum is
+multiplied by a factor: twice the number of dimensions, divided by the sum of the gradient's weights. This makes the
+Laplacian exact for quadratic fields wherever the neighbours are distributed evenly. Each pair uses the mean of both
+particles' factors, so that momentum is conserved.
 """
 
 import functools

@@ -32,9 +32,9 @@ def law_name(index: float, quadratic: float) -> str:
 
 @dataclass(frozen=True)
 class FlowLaw:
-    """Law of a yield stress fluid, tau = tau_0 + mu g^n + c g^2, in which n is 1 or c is 0.
+    """Law of a yield stress fluid, tau = tau_0 + mu g^n + c g^2, with the shear stress tau and the shear rate g.
 
-    All methods take numbers or arrays and return arrays.
+    Either n is 1 or c is 0. All methods take numbers or arrays and return arrays.
     """
 
     yield_stress: float

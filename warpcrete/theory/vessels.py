@@ -97,8 +97,9 @@ def heap_volume(reach: float, yield_stress: float, density: float, gravity: floa
 def viscous_front(volume: float, viscosity: float, density: float, time: float, gravity: float = 9.81) -> float:
     """Return how far a viscous fluid without yield stress has spread on a plate to one side [m] (Huppert 1982).
 
-    The solution for long times in a plane is 1.411 (g V^3 / (3 nu))^(1/5) t^(1/5), with the `volume` V released to this
-    side per metre of depth [m2] and the `time` t since then [s]. There is no slip between fluid and plate.
+    There is no slip between fluid and plate. The solution for long times in a plane is 1.411 (g V^3 / (3 nu))^(1/5)
+    t^(1/5). Here g is gravity, nu the kinematic viscosity, and t the `time` since the release [s]. V is the `volume`
+    released to this side per metre of depth [m2].
     """
     return 1.411 * (density * gravity * volume**3 * time / (3 * viscosity)) ** 0.2
 

@@ -144,7 +144,8 @@ def _device_type(field: Field, scalar: Any) -> Any:
 def damping_ratio(restitution: float) -> float:
     """Return the damping, as a fraction of critical damping, that gives a coefficient of `restitution` from 0 to 1.
 
-    It is exact for the linear and the Hertz-Mindlin law with a dashpot that may pull: -ln e / sqrt(ln^2 e + pi^2).
+    With the coefficient of restitution e, the damping is -ln e / sqrt(ln^2 e + pi^2). It is exact for the linear and
+    the Hertz-Mindlin law with a dashpot that may pull.
     """
     between("restitution", restitution, 0, 1)
     if restitution == 0:

@@ -1,8 +1,8 @@
 """Geometry of walls on a grid: signed distances, and the open fractions of cells, faces and edges cut by walls.
 
-Walls may pass through cells (cut cells). The signed distance of the walls at the corners of a cell, interpolated
-linearly, gives the open fraction of its volume and of its faces, through which concrete flows (Ng, Min & Gibou 2009).
-The open fraction around its edges weights the shear there (Batty & Bridson 2008).
+Walls may pass through cells (cut cells). The signed distance of the walls at the corners of a cell is interpolated
+linearly. It gives the fractions of the cell's volume and faces that are open to the flow (Ng, Min & Gibou 2009). The
+open fraction around the edges of the cell weights the shear there (Batty & Bridson 2008).
 """
 
 from __future__ import annotations
